@@ -9,6 +9,7 @@ import numpy as np
 from wlr_render.calibration.bench.bench_file import save_station
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.checks import refuse_contradictions
+from wlr_render.calibration.bench.common_errors import with_bench_errors
 from wlr_render.calibration.bench.faults import SINGLE
 from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
@@ -22,8 +23,9 @@ from wlr_render.calibration.photograph_captures import (
     see_through_captures,
     within_field,
 )
+from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import CaptureMotionPrior, EyeCaptures, SeeThroughCaptures, select
+from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.observation_table import observation_table
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession
@@ -32,7 +34,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NAMED = 3  # excluded photographs that an error message names
-_MOTION_LOG_SIGMA = 0.3  # of the factor on the poses' sigmas, from some twenty photographs
 _BESIDE_EYE_BOX_M = 0.015  # the middle of all camera positions lies this close to it, whatever their design
 
 
@@ -166,35 +167,32 @@ def sound_captures(
         BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
     """
     headset = Headset(session.device, session.eye, session.eye_box)
-    sets, display, excluded = reading.decoded(session.display), None, []
+    sets, through, excluded = reading.decoded(session.display), reading.seen(session.see_through), []
     panels = [
         PanelView(bench.device_from_camera(each), _of_primary(session, each, found.samples), recorded_of(each))
         for each, found in sets
     ]
+    display: DisplayCaptures | None = None
     if session.display:
         display = display_captures(headset, session.pattern.panel, bench.eyeball, panels)
-        display = replace(display, motion=_motion_prior(bench, [each for each, _ in sets]))
         _refuse_far_places(session, display.viewpoint)
+    see_through = _of_targets(headset, bench, through) if session.see_through else None
+    display, see_through = with_bench_errors(
+        bench,
+        None if display is None else (display, [each for each, _ in sets]),
+        None if see_through is None else (see_through, [each for each, _ in through]),
+    )
+    if display is not None:
         colour = np.array([each.channel or "" for each, _ in sets])[display.capture]
         moved = [each for name in np.unique(colour) for each in display_outliers(select(display, colour == name))]
         excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
         display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
-    through = reading.seen(session.see_through)
-    if not session.see_through:
+    if see_through is None:
         return EyeCaptures(display), tuple(excluded)
-    places = _place_numbers([each for each, _ in through])
-    targets = []
-    for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
-        pose, conditions = bench.device_from_camera(each), recorded_of(each) | {"visit": number}
-        point, target = bench.target_points(each.target_pose, seen), bench.targets[each.target_pose].b_from_a
-        lens = bench.adjustment.state.lens_at(each.target_pose)
-        targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions, lens))
-    see_through = see_through_captures(headset, bench.eyeball, targets)
     if display is None:
         _refuse_far_places(session, see_through.viewpoint)
     else:
         see_through = within_field(see_through, display)
-    see_through = replace(see_through, motion=_motion_prior(bench, [each for each, _ in through]))
     see_through = select(see_through, dot_inliers(see_through, _visits(see_through)))
     gone = see_through_outliers(see_through, _visits(see_through))
     excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
@@ -202,15 +200,24 @@ def sound_captures(
     return EyeCaptures(display, see_through), tuple(excluded)
 
 
+def _of_targets(
+    headset: Headset, bench: CalibratedBench, through: Sequence[tuple[BoardPhotograph, BoardObservation]]
+) -> SeeThroughCaptures:
+    """Captures of the targets through the optics; photographs are numbered as visits."""
+    places = _place_numbers([each for each, _ in through])
+    targets = []
+    for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
+        pose, conditions = bench.device_from_camera(each), recorded_of(each) | {"visit": number}
+        point, target = bench.target_points(each.target_pose, seen), bench.targets[each.target_pose].b_from_a
+        lens = bench.adjustment.state.lens_at(each.target_pose)
+        targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions, lens))
+    return see_through_captures(headset, bench.eyeball, targets)
+
+
 def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:
     """Samples at the places on the panel where the primary that was shown lies in its pixels."""
     offset = session.primary_offsets.get(entry.channel or "")
     return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
-
-
-def _motion_prior(bench: CalibratedBench, entries: Sequence[BoardPhotograph | CodeSet]) -> CaptureMotionPrior:
-    """How well the bench knows the camera's pose in each photograph, about the mean of all."""
-    return CaptureMotionPrior(np.arange(len(entries)), bench.motion_sizes(entries), _MOTION_LOG_SIGMA)
 
 
 def _visits(captures: SeeThroughCaptures) -> IntArray:

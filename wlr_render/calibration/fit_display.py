@@ -1,6 +1,5 @@
 """Fit a display model to captures."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -11,9 +10,11 @@ from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
+    Respond,
     Trend,
     angular_metric,
-    turn_columns,
+    common_of,
+    motion_of,
     without_thickness,
 )
 from wlr_render.calibration.smooth_prior import Stage
@@ -82,22 +83,20 @@ def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend
     carried = plane.carry_by_tangents(depth, tangents)
     in_plane = captures.viewpoint[:, :2] + depth[:, None] * tangents
 
-    def motion(slope: FloatArray) -> FloatArray:
+    def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
         """t - f(pixel, p~): p~ moves with the camera, and with the direction that it is carried along."""
-        by_place, turned = slope[:, :, 2:], turn_columns(tangents)
-        shifted = plane.carry_by_point(tangents)
-        return np.concatenate([-by_place @ shifted, turned - by_place @ carried @ turned], axis=2)
+        by_place = slope[:, :, 2:]
+        shifted = plane.carry_by_point(tangents[rows])
+        return np.concatenate([-by_place @ shifted, turned - by_place @ carried[rows] @ turned], axis=2)
 
-    return _readings(captures, in_plane, motion, limits, trend)
+    return _readings(captures, in_plane, respond, limits, trend)
 
 
 def _in_volume(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
-    tangents = captures.tangents
+    def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
+        return np.concatenate([-slope[:, :, 2:], turned], axis=2)
 
-    def motion(slope: FloatArray) -> FloatArray:
-        return np.concatenate([-slope[:, :, 2:], turn_columns(tangents)], axis=2)
-
-    return _readings(captures, captures.viewpoint, motion, limits, trend)
+    return _readings(captures, captures.viewpoint, respond, limits, trend)
 
 
 def _at_one_place(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
@@ -107,7 +106,7 @@ def _at_one_place(captures: DisplayCaptures, plane: BasePlane, limits: Limits, t
 def _readings(
     captures: DisplayCaptures,
     place: FloatArray,
-    motion: Callable[[FloatArray], FloatArray] | None,
+    respond: Respond | None,
     limits: Limits,
     trend: Trend | None,
 ) -> FitReadings:
@@ -123,11 +122,12 @@ def _readings(
         metric=angular_metric(tangents),
         sigma=captures.sigma_arcmin,
         capture=capture,
-        motion=motion,
+        motion=respond and motion_of(tangents, respond),
         orders=limits.orders(2, places),
         limits=limits,
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
+        common=respond and common_of(captures, respond),
     )
 
 

@@ -1,7 +1,5 @@
 """Fit a see-through model to captures."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
@@ -9,9 +7,11 @@ from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
+    Respond,
     Trend,
     angular_metric,
-    turn_columns,
+    common_of,
+    motion_of,
     without_thickness,
 )
 from wlr_render.calibration.smooth_prior import Stage
@@ -65,28 +65,27 @@ def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, tr
     depth = (plane.z_at(in_plane) - captures.point[:, 2])[:, None]
     carried = plane.carry_by_tangents(depth_to_plane, tangents)
 
-    def motion(slope: FloatArray) -> FloatArray:
+    def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
         """(P - p~) / Z - t less the deviation at (p~, t): both p~ and t move with the camera."""
-        turned = turn_columns(tangents)
-        by_shift = plane.carry_by_point(tangents)
-        by_place = -np.eye(2) / depth[:, :, None] - slope[:, :, :2]
+        by_shift = plane.carry_by_point(tangents[rows])
+        by_place = -np.eye(2) / depth[rows, :, None] - slope[:, :, :2]
         by_tangents = -np.eye(2) - slope[:, :, 2:]
-        return np.concatenate([by_place @ by_shift, by_place @ carried @ turned + by_tangents @ turned], axis=2)
+        return np.concatenate([by_place @ by_shift, by_place @ carried[rows] @ turned + by_tangents @ turned], axis=2)
 
     observed = (captures.point[:, :2] - in_plane) / depth - tangents
-    return _readings(captures, in_plane, observed, depth, motion, limits, trend)
+    return _readings(captures, in_plane, observed, depth, respond, limits, trend)
 
 
 def _in_volume(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
     tangents = captures.tangents
     straight, depth = _straight(captures)
 
-    def motion(slope: FloatArray) -> FloatArray:
-        by_shift = -np.concatenate([np.tile(np.eye(2), (len(depth), 1, 1)), straight[:, :, None]], axis=2)
+    def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
+        by_shift = -_by_point(straight[rows])
         by_tangents = -np.eye(2) - slope[:, :, 3:]
-        return np.concatenate([by_shift / depth[:, :, None] - slope[:, :, :3], by_tangents @ turn_columns(tangents)], 2)
+        return np.concatenate([by_shift / depth[rows, :, None] - slope[:, :, :3], by_tangents @ turned], axis=2)
 
-    return _readings(captures, captures.viewpoint, straight - tangents, depth, motion, limits, trend)
+    return _readings(captures, captures.viewpoint, straight - tangents, depth, respond, limits, trend)
 
 
 def _at_one_place(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
@@ -101,17 +100,27 @@ def _straight(captures: SeeThroughCaptures) -> tuple[FloatArray, FloatArray]:
     return (captures.point[:, :2] - captures.viewpoint[:, :2]) / depth, depth
 
 
+def _by_point(straight: FloatArray) -> FloatArray:
+    """Derivative (n, 2, 3) of tangents (n, 2) of a straight line by its far end, times the depth of that."""
+    return np.concatenate([np.tile(np.eye(2), (len(straight), 1, 1)), straight[:, :, None]], axis=2)
+
+
 def _readings(
     captures: SeeThroughCaptures,
     place: FloatArray,
     observed: FloatArray,
     depth: FloatArray,
-    motion: Callable[[FloatArray], FloatArray] | None,
+    respond: Respond | None,
     limits: Limits,
     trend: Trend | None,
 ) -> FitReadings:
     """observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
-    places = place.shape[1]
+    places, straight = place.shape[1], observed + captures.tangents
+
+    def by_point(rows: slice) -> FloatArray:
+        """Of (P - p~) / Z - t; that B / Z follows the depth as well is of second order."""
+        return _by_point(straight[rows]) / depth[rows, :, None]
+
     visits, capture = captures.visits
     place = without_thickness(place) if places and trend is None else place
     return FitReadings(
@@ -122,11 +131,12 @@ def _readings(
         metric=angular_metric(captures.tangents),
         sigma=captures.sigma_arcmin,
         capture=capture,
-        motion=motion,
+        motion=respond and motion_of(captures.tangents, respond),
         orders=limits.orders(2, places)[:, np.roll(np.arange(2 + places), places)],
         limits=limits,
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
+        common=respond and common_of(captures, respond, by_point),
     )
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from wlr_render.calibration.readings import FitReadings
-from wlr_render.models.spread import PRESCRIPTION, Covariance
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.calibration.readings import FitReadings, Response
+from wlr_render.models.spread import Covariance
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Posterior
 from wlr_render.numerics.polynomial import Polynomial, basis
 
@@ -12,8 +12,11 @@ _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank
 _SAMPLES = 500  # readings at which that is judged
 
 
-def spread_of(readings: FitReadings, found: Posterior) -> Covariance:
-    """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings."""
+def spread_of(readings: FitReadings, found: Posterior, response: Response | None = None) -> Covariance:
+    """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings.
+
+    `response` tells how the fit follows the errors that its captures share.
+    """
     orders, box, blocks = readings.orders, readings.box, readings.blocks
     outputs = blocks * (1 if readings.mixed else 2)
     rng = np.random.default_rng(0)
@@ -52,17 +55,21 @@ def spread_of(readings: FitReadings, found: Posterior) -> Covariance:
             padded[..., :shared] = by_parameter
             side = side.plus(Polynomial(trend.by_parameter.orders, box, padded.reshape(len(padded), -1)))
         joint_orders = side.orders
-        joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ _lower_root(found.side_covariance)
+        joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ lower_root(found.side_covariance)
         sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(inputs)
         sampled = np.einsum("nb,nbok->nok", readings.multiplier[rows], sampled.reshape(len(rows), blocks, 2, -1))
         sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
         keep = _principal(sampled[:, shared:], float(np.sum((design @ apart_root) ** 2)) * 2.0)
-        joint = np.concatenate([joint[..., :shared], joint[..., shared:] @ keep], axis=-1)
+        parts = [joint[..., :shared], joint[..., shared:] @ keep]
+        if response is not None:
+            parts.insert(1, _by_common(readings, response, joint_orders))
+            shared += len(response.coefficients)
+        joint = np.concatenate(parts, axis=-1)
     return Covariance(
         outputs,
         Polynomial(orders, box, apart),
         Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
-        (PRESCRIPTION,) * shared,
+        readings.sources[:shared],
     )
 
 
@@ -74,11 +81,28 @@ def _root(covariance: FloatArray) -> FloatArray:
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _lower_root(covariance: FloatArray) -> FloatArray:
-    """Lower triangular F with F F' = covariance: the first unknowns follow the first variables alone."""
+def _by_common(readings: FitReadings, response: Response, orders: IntArray) -> FloatArray:
+    """Coefficients (terms, outputs, k) of what common errors do to a fitted polynomial, in the terms of `orders`."""
+    k, terms, blocks = len(response.coefficients), len(readings.orders), readings.blocks
+    of_terms = response.coefficients.reshape(k, 2, blocks, terms).transpose(3, 2, 1, 0).reshape(terms, -1)
+    row_of = {tuple(order): row for row, order in enumerate(orders.tolist())}
+    change = np.zeros((len(orders), of_terms.shape[1]))
+    change[[row_of[tuple(order)] for order in readings.orders.tolist()]] = of_terms
+    if readings.trend:
+        by = readings.trend.by_parameter
+        of_trend = by.coefficients.reshape(len(by.orders), 2 * blocks, -1) @ response.parameters.T
+        change[[row_of[tuple(order)] for order in by.orders.tolist()]] += of_trend.reshape(len(by.orders), -1)
+    return change.reshape(len(orders), 2 * blocks, k)
+
+
+def lower_root(covariance: FloatArray, jitter: float = 1e-12) -> FloatArray:
+    """Lower triangular F with F F' = covariance: the first unknowns follow the first variables alone.
+
+    `jitter` of each variance is added, for covariances that are singular to rounding.
+    """
     scale = np.sqrt(np.diag(covariance))
     scale = np.where(scale > 0, scale, 1.0)
-    correlation = covariance / scale[:, None] / scale + 1e-12 * np.eye(len(covariance))
+    correlation = covariance / scale[:, None] / scale + jitter * np.eye(len(covariance))
     return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
 
 

@@ -6,9 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from wlr_render.captures.correspondences import CaptureMotionPrior
+from wlr_render.captures.correspondences import CaptureMotionPrior, DisplayCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.directions import ARCMIN, tangents_by_turn
+from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.evidence import Posterior, Sums
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
@@ -30,13 +31,6 @@ def angular_metric(tangents: FloatArray) -> FloatArray:
     """
     square = 1.0 + np.sum(tangents**2, axis=-1)
     return np.asarray(square**-0.75 / ARCMIN)
-
-
-def turn_columns(tangents: FloatArray) -> FloatArray:
-    """Derivative (n, 2, 3) of view tangents (n, 2) by a turn of the camera about x, y, z, radians."""
-    (tx, ty), one = tangents.T, np.ones(len(tangents))
-    by_turn = [[tx * ty, -(one + tx**2), -ty], [one + ty**2, -tx * ty, tx]]
-    return np.moveaxis(np.array(by_turn), -1, 0)
 
 
 @dataclass(frozen=True)
@@ -69,6 +63,9 @@ class Limits:
 
 TREND_ALONE = Limits(-1, -1, -1)
 """No terms: the trend alone."""
+Respond = Callable[[FloatArray, FloatArray, slice], FloatArray]
+"""(slope of the modelled values (r, 2, variables), change of the view tangents (r, 2, k), the r rows) -> (r, 2, 3 + k):
+by how much `observed` less the model changes with a shift of the camera, metres, and with that change of tangents."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +99,35 @@ class Trend:
 
 
 @dataclass(frozen=True)
+class Common:
+    """Errors that the captures share, k standard normal variables. A fit follows them; it does not find them.
+
+    As unknowns they would be found where nothing tells of them: by the prior, in which optics seen from beside are a
+    little smoother (five sigmas along z, on birdbath28), or by the noise of the tangents in their columns (six).
+
+    Attributes:
+        columns: (slope of the modelled values (n, 2, variables)) -> (n, 2, k): by how much `observed` less the model
+            changes with each error.
+        sources: (k,) what each error is of.
+    """
+
+    columns: Callable[[FloatArray], FloatArray]
+    sources: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Response:
+    """How a fit follows common errors.
+
+    Attributes:
+        coefficients: (k, 2, columns) of each axis. parameters: (k, parameters) of the trend.
+    """
+
+    coefficients: FloatArray
+    parameters: FloatArray
+
+
+@dataclass(frozen=True)
 class FitReadings:
     """observed = sum over blocks b of multiplier_b * polynomial_b(inputs), for n readings of two tangents.
 
@@ -118,6 +144,7 @@ class FitReadings:
         orders: (terms, variables) of the fit. limits: that they keep.
         trend: what is known of the model before the fit; None for nothing.
         motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
+        common: errors that all captures share; None where none are known.
     """
 
     inputs: FloatArray
@@ -132,9 +159,16 @@ class FitReadings:
     limits: Limits
     trend: Trend | None = None
     motion_prior: CaptureMotionPrior | None = None
+    common: Common | None = None
 
     def __len__(self) -> int:
         return len(self.inputs)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """What display and see-through share errors of: the parameters of the trend, then common errors."""
+        parameters = self.trend.parameters if self.trend else 0
+        return (PRESCRIPTION,) * parameters + (self.common.sources if self.common else ())
 
     @property
     def mixed(self) -> bool:
@@ -274,11 +308,7 @@ def sums_of(readings: FitReadings, start: Polynomial | None, motion: FloatArray 
     for first in range(0, len(readings), _CHUNK):
         rows = slice(first, first + _CHUNK)
         design = design_of(readings, rows, basis(readings.inputs[rows], readings.orders, readings.box))
-        mixed = design if readings.mixed else None
-        if trend:
-            by_parameter = trend.by_parameter(readings.inputs[rows])
-            by_parameter = by_parameter.reshape(len(design), readings.blocks, 2, parameters)
-            mixed = np.einsum("nb,nbop->nop", readings.multiplier[rows], by_parameter)
+        mixed = design if readings.mixed else _by_parameter(readings, rows)
         sums.add(
             observed[rows],
             (readings.weight * kept)[rows],
@@ -288,6 +318,57 @@ def sums_of(readings: FitReadings, start: Polynomial | None, motion: FloatArray 
             readings.capture[rows],
         )
     return sums
+
+
+def _by_parameter(readings: FitReadings, rows: slice) -> FloatArray | None:
+    """Columns (r, 2, parameters) of the trend; None without one."""
+    if readings.trend is None:
+        return None
+    by_parameter = readings.trend.by_parameter(readings.inputs[rows])
+    by_parameter = by_parameter.reshape(len(by_parameter), readings.blocks, 2, readings.trend.parameters)
+    return np.asarray(np.einsum("nb,nbop->nop", readings.multiplier[rows], by_parameter))
+
+
+def response_of(
+    readings: FitReadings, polynomial: Polynomial, kept: FloatArray, sums: Sums, width: FloatArray, noise: float
+) -> Response | None:
+    """How a fit follows the common errors of its readings; None without any.
+
+    Args:
+        readings: of a model that depends on the place.
+        polynomial: fitted to them.
+        kept: (n,) weights of the fit.
+        sums: over the readings.
+        width: (columns,) prior sizes of the coefficients, over the noise.
+        noise: of the fit.
+    """
+    if readings.common is None:
+        return None
+    errors = readings.common.columns(readings.slopes(polynomial))
+    columns, parameters, k = len(sums.gram), readings.trend.parameters if readings.trend else 0, errors.shape[2]
+    moment, by_trend = np.zeros((2, columns, k)), np.zeros((parameters, k))
+    square = (readings.weight * kept) ** 2
+    for first in range(0, len(readings), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        design = design_of(readings, rows, basis(readings.inputs[rows], readings.orders, readings.box))
+        weighted = errors[rows] * square[rows, None, None]
+        for axis in (0, 1):
+            moment[axis] += design.T @ weighted[:, axis]
+        if (of_trend := _by_parameter(readings, rows)) is not None:
+            by_trend += of_trend.reshape(-1, parameters).T @ weighted.reshape(-1, k)
+    normal = width[:, None] * sums.gram * width + np.eye(columns)
+    # Coefficients first, for each axis; then the trend's parameters by the Schur complement.
+    cross = [width[:, None] * each[:parameters].T for each in sums.side_cross]
+    pull = [width[:, None] * each for each in moment]
+    follow = [np.linalg.solve(normal, np.hstack(each)) for each in zip(pull, cross, strict=True)]
+    of_parameters: FloatArray = np.zeros((parameters, k))
+    if parameters:
+        rest = sums.side_gram[:parameters, :parameters] + noise**2 * np.eye(parameters)
+        rest = rest - sum(each.T @ solved[:, k:] for each, solved in zip(cross, follow, strict=True))
+        aim = by_trend - sum(each.T @ solved[:, :k] for each, solved in zip(cross, follow, strict=True))
+        of_parameters = np.asarray(np.linalg.solve(rest, aim), np.float64)
+    of_axes = [width[:, None] * (solved[:, :k] - solved[:, k:] @ of_parameters) for solved in follow]
+    return Response(np.stack(of_axes).transpose(2, 0, 1), of_parameters.T)
 
 
 def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) -> Polynomial:
@@ -306,6 +387,41 @@ def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) ->
         by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.trend.parameters) @ found.mixed_mean
     )
     return polynomial.plus(mean_part).plus(Polynomial(by_parameter.orders, by_parameter.box, moved))
+
+
+def motion_of(tangents: FloatArray, respond: Respond) -> Callable[[FloatArray], FloatArray]:
+    """`FitReadings.motion` of readings with view tangents (n, 2)."""
+    return lambda slope: respond(slope, tangents_by_turn(tangents), slice(None))
+
+
+def common_of(
+    captures: DisplayCaptures | SeeThroughCaptures,
+    respond: Respond,
+    by_point: Callable[[slice], FloatArray] | None = None,
+) -> Common | None:
+    """Common errors of captures in the readings of a model that depends on the place; None without any.
+
+    Args:
+        captures: what was measured.
+        respond: see `Respond`.
+        by_point: (rows) -> (r, 2, 3) likewise by the real point; None for the panel.
+    """
+    common = captures.common
+    if common is None:
+        return None
+
+    def columns(slope: FloatArray) -> FloatArray:
+        result = np.empty((len(captures), 2, len(common.sources)))
+        for first in range(0, len(captures), _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            changes = common.changes(captures, rows)
+            answer = respond(slope[rows], changes.tangents, rows)
+            result[rows] = answer[:, :, :3] @ changes.viewpoint + answer[:, :, 3:]
+            if by_point is not None and changes.point is not None:
+                result[rows] += by_point(rows) @ changes.point
+        return result
+
+    return Common(columns, common.sources)
 
 
 def motion_columns(readings: FitReadings, polynomial: Polynomial) -> FloatArray:

@@ -20,6 +20,7 @@ from wlr_render.calibration.readings import (
     free_part,
     motion_columns,
     polynomial_of,
+    response_of,
     sums_of,
 )
 from wlr_render.calibration.smooth_prior import (
@@ -210,7 +211,18 @@ class SmoothFit:
     @cached_property
     def spread(self) -> Covariance:
         """Low-rank factors of the covariance of `polynomial`."""
-        return spread_of(self.readings, self.posterior)
+        return self._with_common(self.readings, self.posterior, self.polynomial, self.kept)
+
+    def _with_common(
+        self, readings: FitReadings, found: Posterior, polynomial: Polynomial, kept: FloatArray
+    ) -> Covariance:
+        """Covariance of a fit with these prior sizes, common errors included."""
+        if readings.common is None:
+            return spread_of(readings, found)
+        width = np.exp(self._prior.features @ list(found.hyper.values())) / found.noise
+        sums = sums_of(readings, None, None, kept)
+        response = response_of(readings, polynomial, kept, sums, width, found.noise)
+        return spread_of(readings, found, response)
 
     def left_out(self, rows: BoolArray) -> tuple[float, float]:
         """Predict readings (n,) bool by a fit to the others at the same hyperparameters.
@@ -258,7 +270,8 @@ class SmoothFit:
             columns = motion_columns(readings, self.polynomial)
             prior = replace(prior, own_offset=np.log(motion_sizes(readings)))
         sums = sums_of(readings, None, columns, kept)
-        return spread_of(readings, posterior(sums, prior, hyper, evidence=False))
+        found = posterior(sums, prior, hyper, evidence=False)
+        return self._with_common(readings, found, self.polynomial, kept)
 
     def with_motions(self, motion: FloatArray) -> Polynomial:
         """The polynomial that these readings would give if their cameras had moved by `motion`.

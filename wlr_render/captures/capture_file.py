@@ -7,7 +7,10 @@ The archive holds `header`, a JSON text with
 
 and one array for each column of the table and of its conditions. Conditions that no row has recorded are omitted.
 Priors of the camera's motion are optional: `display_motion_capture`, `display_motion_size`, `display_motion_log_sigma`,
-and the same of `see_through_motion`, see `CaptureMotionPrior`.
+and the same of `see_through_motion`, see `CaptureMotionPrior`. So are errors that all captures share: `common_sources`
+in the header, and the arrays `display_common_capture`, `..._motion`, `..._target_pose`, `..._target`, `..._focus`,
+`..._lens_orders`, `..._lens_low`, `..._lens_high` and `..._lens_coefficients`, and the same of `see_through_common`;
+see `CommonErrors`. Those of an exact lens, or without target poses, are omitted.
 Version 1, which is still read, has one array per attribute of `captures.correspondences`, named `display_viewpoint`,
 ..., `see_through_point`, ..., and no conditions.
 """
@@ -22,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
+    CommonErrors,
     Conditions,
     DisplayCaptures,
     EyeCaptures,
@@ -29,6 +33,7 @@ from wlr_render.captures.correspondences import (
 )
 from wlr_render.captures.observation_table import (
     COLUMNS,
+    COMMONS,
     MOTIONS,
     PANEL_PIXEL,
     REAL_POINT,
@@ -40,6 +45,7 @@ from wlr_render.files import write_arrays
 from wlr_render.input_files import LIMITS, naming, read_arrays, require_eye_box, require_length, require_pixels
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
 from wlr_render.toml_files import Table, parse_json
 
 FORMAT = "wlr-captures"
@@ -47,6 +53,8 @@ VERSION = 2
 _UNITS = {"length": "m", "sigma": "arcmin", "pixel": "px"}
 _CONDITIONS = tuple(each.name for each in fields(Conditions))
 _MOTION = tuple(each.name for each in fields(CaptureMotionPrior))
+_LENS = ("lens_orders", "lens_low", "lens_high", "lens_coefficients")
+_OF_TARGETS = ("target_pose", "target", "focus")
 
 _DEVICE_M, _WORLD_M = 10.0, 100.0  # largest distance within the device, and of real points
 _SIGMA_ARCMIN = 600.0  # ten degrees
@@ -97,7 +105,11 @@ def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) ->
         if (motion := getattr(table, name)) is not None
         for part in _MOTION
     }
-    return write_arrays(path, {"header": np.array(json.dumps(header))} | columns | recorded | motions)
+    commons = {name: found for name in COMMONS if (found := getattr(table, name)) is not None}
+    if commons:
+        header["common_sources"] = next(iter(commons.values())).sources
+    shared = {f"{name}_{part}": values for name, each in commons.items() for part, values in _common_arrays(each)}
+    return write_arrays(path, {"header": np.array(json.dumps(header))} | columns | recorded | motions | shared)
 
 
 def load_captures(path: str | Path) -> EyeCaptures:
@@ -144,7 +156,38 @@ def _table(header: Table, arrays: dict[str, NDArray[Any]], path: str | Path) -> 
         if any(f"{name}_{part}" in arrays for part in _MOTION):
             motion: dict[str, Any] = {part: _array(arrays, f"{name}_{part}", path) for part in _MOTION}
             columns[name] = CaptureMotionPrior(**motion)
+    if header.has("common_sources"):
+        sources = tuple(header.texts("common_sources"))
+        columns |= {name: _common(arrays, name, sources, path) for name in COMMONS if f"{name}_motion" in arrays}
     return ObservationTable(**common, see_through_eye_box=box, conditions=conditions, **columns)
+
+
+def _common_arrays(common: CommonErrors) -> list[tuple[str, NDArray[Any]]]:
+    """Arrays of common errors by their names in a file."""
+    found: list[tuple[str, NDArray[Any]]] = [("capture", common.capture), ("motion", common.motion)]
+    if len(common.target_pose):
+        found += [(name, getattr(common, name)) for name in _OF_TARGETS]
+    if (lens := common.lens) is not None:
+        found += zip(_LENS, (lens.orders, lens.box.low, lens.box.high, lens.coefficients), strict=True)
+    return found
+
+
+def _common(arrays: dict[str, NDArray[Any]], name: str, sources: tuple[str, ...], path: str | Path) -> CommonErrors:
+    lens = None
+    if f"{name}_lens_coefficients" in arrays:
+        orders, low, high, coefficients = (_array(arrays, f"{name}_{part}", path) for part in _LENS)
+        shapes = (orders.shape, low.shape, high.shape, coefficients.shape)
+        if shapes != ((len(coefficients), 2), (2,), (2,), (len(coefficients), 2 * len(sources))):
+            raise BadInputError(f"{path}: '{name}_lens_...' have shapes that do not fit; write the file again.")
+        if orders.dtype.kind not in "iu" or orders.min(initial=0) < 0 or orders.max(initial=0) > HIGHEST_ORDER:
+            raise BadInputError(f"{path}: '{name}_lens_orders' must be whole numbers from 0 to {HIGHEST_ORDER}.")
+        if not (np.isfinite([low, high]).all() and np.all(low < high) and np.isfinite(coefficients).all()):
+            raise BadInputError(f"{path}: '{name}_lens_...' must be finite, with 'low' below 'high'; correct them.")
+        lens = Polynomial(orders.astype(np.int64), Box(low, high), np.asarray(coefficients, np.float64))
+    given: dict[str, Any] = {part: _array(arrays, f"{name}_{part}", path) for part in ("capture", "motion")}
+    if f"{name}_target_pose" in arrays:
+        given |= {part: _array(arrays, f"{name}_{part}", path) for part in _OF_TARGETS}
+    return CommonErrors(sources, **given, lens=lens)
 
 
 def _of_version_1(
@@ -221,11 +264,7 @@ def _check_plausible(path: str | Path, table: ObservationTable) -> None:
             f"{1e3 * _NEAREST_M:g} mm; is it in kilometres? Convert it to metres."
         )
     conditions = table.conditions
-    for name in MOTIONS:
-        if (motion := getattr(table, name)) is not None:
-            _require(path, f"{name}_capture", motion.capture, 0, LIMITS.index)
-            _require(path, f"{name}_size", motion.size, 0, 1)
-            _require(path, f"{name}_log_sigma", np.array(motion.log_sigma), 0, 10)
+    _check_bench(path, table)
     for name, low, high in (("capture", 0, LIMITS.index), ("target_pose", -1, LIMITS.index)):
         _require(path, name, getattr(table, name), low, high)
     _require(path, "target_pose", table.target_pose[seen], 0, LIMITS.index)
@@ -241,6 +280,21 @@ def _check_plausible(path: str | Path, table: ObservationTable) -> None:
     if not np.all(np.abs(turn @ turn.mT - np.eye(3)) < 1e-6) or np.any(np.linalg.det(turn) < 0):
         raise BadInputError(f"{path}: 'device_from_camera' has matrices that are not rotations; write them again.")
     _refuse_repeated(path, table)
+
+
+def _check_bench(path: str | Path, table: ObservationTable) -> None:
+    """Refuse motions and common errors that no bench has."""
+    for name in MOTIONS:
+        if (motion := getattr(table, name)) is not None:
+            _require(path, f"{name}_capture", motion.capture, 0, LIMITS.index)
+            _require(path, f"{name}_size", motion.size, 0, 1)
+            _require(path, f"{name}_log_sigma", np.array(motion.log_sigma), 0, 10)
+    for name in COMMONS:
+        if (common := getattr(table, name)) is not None:
+            _require(path, f"{name}_capture", common.capture, 0, LIMITS.index)
+            for part in ("motion", "focus"):
+                _require(path, f"{name}_{part}", getattr(common, part), -1, 1)
+            _require(path, f"{name}_target", common.target, -10, 10)
 
 
 def _require(path: str | Path, name: str, values: NDArray[Any], low: float, high: float) -> None:

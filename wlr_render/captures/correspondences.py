@@ -5,17 +5,18 @@ position it was taken at, so that held-out tests can leave out whole positions.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import tangents_of_dir
+from wlr_render.geometry.directions import tangents_by_turn, tangents_of_dir
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Polynomial
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +103,160 @@ class CaptureMotionPrior:
         Raises:
             BadInputError: there is none for one of them.
         """
-        order = np.argsort(self.capture)
-        at = order[np.minimum(np.searchsorted(self.capture[order], capture), len(order) - 1)]
-        missing = np.setdiff1d(capture, self.capture)
-        if missing.size:
-            raise BadInputError(f"captures: 'motion' has no size for capture {missing[0]}; give one for every capture.")
+        at = _found(self.capture, capture, "'motion' has no size", "capture")
         return CaptureMotionPrior(np.arange(len(capture)), self.size[at], self.log_sigma)
+
+
+def point_terms(point: FloatArray) -> FloatArray:
+    """Terms 1, X, Y, Z, X^2, X Y, Y^2 (n, 7) of real points (n, 3), by which `CommonErrors.target` changes."""
+    (x, y, z), one = point.T, np.ones(len(point))
+    return np.stack([one, x, y, z, x * x, x * y, y * y], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class CommonErrors:
+    """Errors that captures share: how much they state too much, by k independent standard normal variables.
+
+    A lens, a board, a pose of the tracking camera or of a target that is off is off for all captures alike, so that no
+    fit can see it. In the display and the see-through captures of an eye the variables are the same.
+
+    Attributes:
+        sources: (k,) what each variable is an error of, e.g. "lens".
+        capture: (m,) index of the camera position, or of the visit, as in `CaptureMotionPrior`.
+        motion: (m, 6, k) of each camera about its entrance pupil, device axes: rotation vector in radians, then shift
+            in metres.
+        lens: tangents (x, y) of a direction in the camera's frame (OpenXR axes) -> (2 * k), their change: along x by
+            each variable, then along y; None where the lens is exact. It needs `Conditions.device_from_camera`.
+        target_pose: (p,) index of the target's pose.
+        target: (p, 7, 3, k) change of its real points by `point_terms`, metres, device frame. A shift is in the first
+            term, a turn w about the origin is w x (X, Y, Z), and a board's scale and bow take the rest.
+        focus: (p, k) relative change of the tangents of `lens` in photographs of this target pose.
+
+    Raises:
+        BadInputError: a shape does not fit, an index occurs twice, or a number is not finite.
+    """
+
+    sources: tuple[str, ...]
+    capture: IntArray
+    motion: FloatArray
+    lens: Polynomial | None = None
+    target_pose: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    target: FloatArray = field(default_factory=partial(np.zeros, 0))
+    focus: FloatArray = field(default_factory=partial(np.zeros, 0))
+
+    def __post_init__(self) -> None:
+        what, k = "common errors", len(self.sources)
+        object.__setattr__(self, "sources", tuple(self.sources))
+        count, poses = np.size(self.capture), np.size(self.target_pose)
+        _set_indices(self, "capture", count, what)
+        _set_indices(self, "target_pose", poses, what)
+        _set_rows(self, "motion", (count, 6, k), what=what)
+        for name, shape in (("target", (poses, 7, 3, k)), ("focus", (poses, k))):
+            if np.size(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.zeros(shape))
+            _set_rows(self, name, shape, what=what)
+        for name in ("capture", "target_pose"):
+            if len(np.unique(getattr(self, name))) < np.size(getattr(self, name)):
+                raise BadInputError(f"common errors: '{name}' has an index twice; give each once.")
+        if not k or not all(isinstance(each, str) and each for each in self.sources):
+            raise BadInputError("common errors: 'sources' must name one variable or more by what it is an error of.")
+        if self.lens is not None and (len(self.lens.box.low), self.lens.outputs) != (2, 2 * k):
+            raise BadInputError(
+                f"common errors: 'lens' must have 2 variables and {2 * k} outputs, two of each variable."
+            )
+
+    def of(self, capture: IntArray) -> FloatArray:
+        """Motions (m, 6, k) of captures (m,), some of which may be the same.
+
+        Raises:
+            BadInputError: there is none for one of them.
+        """
+        return self.motion[_found(self.capture, capture, "the common errors have no motion", "capture")]
+
+    def combined(self, root: FloatArray, sources: Sequence[str]) -> "CommonErrors":
+        """The errors by other variables (m,), of other sources: variables = root (k, m) @ others."""
+        lens = self.lens
+        if lens is not None:
+            change = lens.coefficients.reshape(len(lens.orders), 2, -1) @ root
+            lens = Polynomial(lens.orders, lens.box, change.reshape(len(lens.orders), -1))
+        motion, target, focus = self.motion @ root, self.target @ root, self.focus @ root
+        return CommonErrors(tuple(sources), self.capture, motion, lens, self.target_pose, target, focus)
+
+    def changes(self, captures: "DisplayCaptures | SeeThroughCaptures", rows: slice | IntArray) -> "CommonChanges":
+        """By how much some rows of captures state too much, by each variable."""
+        names, visit = captures.visits
+        motion, tangents = self.of(names)[visit[rows]], captures.tangents[rows]
+        turned = tangents_by_turn(tangents) @ motion[:, :3]
+        pose = point = None
+        if isinstance(captures, SeeThroughCaptures) and len(self.target_pose):
+            pose = self._pose_of(captures)[rows]
+            point = np.einsum("nt,ntak->nak", point_terms(captures.point[rows]), self.target[pose])
+        if self.lens is not None or pose is not None:
+            turned = turned + self._of_camera(captures, rows, pose)
+        return CommonChanges(motion[:, 3:], turned, point)
+
+    def _pose_of(self, captures: "SeeThroughCaptures") -> IntArray:
+        return _found(self.target_pose, captures.target_pose, "the common errors have nothing", "target pose")
+
+    def _of_camera(
+        self, captures: "DisplayCaptures | SeeThroughCaptures", rows: slice | IntArray, pose: IntArray | None
+    ) -> FloatArray:
+        """Change (n, 2, k) of device tangents by lens and focus."""
+        if self.lens is None and not self.focus.any():
+            return np.zeros((1, 2, 1))
+        assert captures.conditions is not None
+        rotation = captures.conditions.device_from_camera[rows]
+        in_camera = tangents_of_dir(np.einsum("nji,nj->ni", rotation, captures.view_dir[rows]))
+        change = np.zeros((len(in_camera), 2, len(self.sources)))
+        if self.lens is not None:
+            change += self.lens(in_camera).reshape(change.shape)
+        if pose is not None:
+            change += in_camera[:, :, None] * self.focus[pose][:, None]
+        # (tx, ty, -1) of the camera's frame becomes a vector of another length in the device frame.
+        moved = rotation[:, :, :2] @ change
+        depth = -np.einsum("ni,ni->n", rotation[:, 2], np.column_stack([in_camera, -np.ones(len(in_camera))]))
+        tangents = captures.tangents[rows]
+        return np.asarray((moved[:, :2] + tangents[:, :, None] * moved[:, 2:]) / depth[:, None, None])
+
+    def require_of(self, captures: "DisplayCaptures | SeeThroughCaptures") -> None:
+        """Refuse captures of which these errors leave something out.
+
+        Raises:
+            BadInputError: a capture or target pose is missing, or the camera's rotation where the lens has errors.
+        """
+        self.of(captures.visits[0])
+        if isinstance(captures, SeeThroughCaptures) and len(self.target_pose):
+            self._pose_of(captures)
+        if self.lens is None and not self.focus.any():
+            return
+        if captures.conditions is None or not np.isfinite(captures.conditions.device_from_camera).all():
+            raise BadInputError(
+                "captures: errors of the lens need the camera's rotation in every row; give 'device_from_camera' among "
+                "the conditions."
+            )
+
+
+@dataclass(frozen=True)
+class CommonChanges:
+    """By how much n rows of captures state too much, by each of k variables.
+
+    Attributes:
+        viewpoint: (n, 3, k) metres. tangents: (n, 2, k) of the view direction.
+        point: (n, 3, k) of the real point, metres; None for the panel.
+    """
+
+    viewpoint: FloatArray
+    tangents: FloatArray
+    point: FloatArray | None
+
+
+def _found(known: IntArray, wanted: IntArray, what: str, noun: str) -> IntArray:
+    """Where the indices (m,) are among the known ones (k,); BadInputError where one is not."""
+    missing = np.setdiff1d(wanted, known)
+    if missing.size:
+        raise BadInputError(f"captures: {what} for {noun} {missing[0]}; give one for every {noun}.")
+    order = np.argsort(known)
+    return np.asarray(order[np.minimum(np.searchsorted(known[order], wanted), len(order) - 1)])
 
 
 class _Rows:
@@ -118,6 +267,7 @@ class _Rows:
     capture: IntArray
     conditions: Conditions | None
     motion: CaptureMotionPrior | None
+    common: CommonErrors | None
 
     @cached_property
     def tangents(self) -> FloatArray:
@@ -164,10 +314,11 @@ class DisplayCaptures(_Rows):
             axes. All zero where the data are exact.
         conditions: time, stage reading, camera rotation and so on of each row; None where nothing is recorded.
         motion: prior of the camera's motion at each visit of a position; None where nothing is known of the stage.
+        common: errors that all captures share; None where none are known.
 
     Raises:
         BadInputError: a shape does not fit, a number is not finite, a direction is not a unit vector looking forward,
-            or `motion` leaves out a capture.
+            or `motion` or `common` leaves out a capture.
     """
 
     device: str
@@ -181,12 +332,12 @@ class DisplayCaptures(_Rows):
     sigma_arcmin: FloatArray
     conditions: Conditions | None = None
     motion: CaptureMotionPrior | None = None
+    common: CommonErrors | None = None
 
     def __post_init__(self) -> None:
         _check_rows(self)
         _set_rows(self, "pixel", (len(self), 2))
-        if self.motion is not None:
-            self.motion.of(self.visits[0])
+        _check_bench(self)
 
 
 @dataclass(frozen=True)
@@ -194,7 +345,8 @@ class SeeThroughCaptures(_Rows):
     """Real points as seen through the optics from camera positions.
 
     Attributes:
-        device, eye, eye_box, viewpoint, view_dir, capture, sigma_arcmin, conditions, motion: as in `DisplayCaptures`.
+        device, eye, eye_box, viewpoint, view_dir, capture, sigma_arcmin, conditions, motion, common: as in
+            `DisplayCaptures`.
         point: (n, 3) the real point.
         target_pose: (n,) index of the target's pose; at least two depths are needed for a fit.
         target_point: (n, 3) the point in the frame of its target, NaN where unknown; None where no target is known.
@@ -215,6 +367,7 @@ class SeeThroughCaptures(_Rows):
     conditions: Conditions | None = None
     target_point: FloatArray | None = None
     motion: CaptureMotionPrior | None = None
+    common: CommonErrors | None = None
 
     def __post_init__(self) -> None:
         _check_rows(self)
@@ -227,8 +380,7 @@ class SeeThroughCaptures(_Rows):
                 "captures: 'point' has real points that are not in front of their viewpoint (smaller z); check the "
                 "unit (metres) and the frame of both, or leave these rows out."
             )
-        if self.motion is not None:
-            self.motion.of(self.visits[0])
+        _check_bench(self)
 
 
 @dataclass(frozen=True)
@@ -240,7 +392,7 @@ class EyeCaptures:
         see_through: of the world; None where none was photographed, or the optics cannot be seen through.
 
     Raises:
-        BadInputError: there is neither part, or the two are of different eyes.
+        BadInputError: there is neither part, or the two are of different eyes or of different common errors.
     """
 
     display: DisplayCaptures | None
@@ -273,6 +425,12 @@ class EyeCaptures:
             raise BadInputError(
                 f"captures: the display captures are of {self.display.device} ({self.display.eye} eye), the "
                 f"see-through captures of {other.device} ({other.eye} eye); take both from one eye."
+            )
+        named = [each.common.sources if each.common else () for each in (self.display, other or self.display)]
+        if named[0] != named[1]:
+            raise BadInputError(
+                "captures: the common errors of display and see-through must have the same variables; give both the "
+                "same 'sources', with zeros for what does not touch one of them."
             )
 
 
@@ -331,11 +489,16 @@ def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> An
         number = captures.conditions.visit
         new = int(number.max()) + 1 + np.arange(len(copied))
         changes["conditions"] = replace(whole.conditions, visit=np.append(number, new[row.reshape(-1)]))
+    new, first = np.unique(new, return_index=True)
+    originals = names[copied[first, 1]]
     if (known := captures.motion) is not None:
-        new, first = np.unique(new, return_index=True)
         here = np.isin(known.capture, names)  # it may also name captures that were left out
-        size = np.concatenate([known.size[here], known.of(names[copied[first, 1]]).size])
+        size = np.concatenate([known.size[here], known.of(originals).size])
         changes["motion"] = CaptureMotionPrior(np.append(known.capture[here], new), size, known.log_sigma)
+    if (common := captures.common) is not None:
+        here = np.isin(common.capture, names)
+        motion = np.concatenate([common.motion[here], common.of(originals)])
+        changes["common"] = replace(common, capture=np.append(common.capture[here], new), motion=motion)
     return replace(whole, **changes)
 
 
@@ -356,6 +519,14 @@ def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
     _set_sigma(captures, count)
     if captures.conditions is not None and len(captures.conditions.visit) != count:
         raise BadInputError(f"captures: the conditions have {len(captures.conditions.visit)} rows, not {count}.")
+
+
+def _check_bench(captures: DisplayCaptures | SeeThroughCaptures) -> None:
+    """Refuse captures of which what is known of the bench leaves out some."""
+    if captures.motion is not None:
+        captures.motion.of(captures.visits[0])
+    if captures.common is not None:
+        captures.common.require_of(captures)
 
 
 def _set_rows(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
+    CommonErrors,
     Conditions,
     DisplayCaptures,
     EyeCaptures,
@@ -47,6 +48,7 @@ class ObservationTable:
         sigma_arcmin: (n,) standard deviation of `view_dir` about each transverse axis.
         conditions: of each row.
         display_motion, see_through_motion: priors of the camera's motion at each capture or visit; None where unknown.
+        display_common, see_through_common: errors that all captures share; None where none are known.
 
     Raises:
         BadInputError: a column does not fit the others, or holds what captures may not hold.
@@ -68,6 +70,8 @@ class ObservationTable:
     conditions: Conditions
     display_motion: CaptureMotionPrior | None = None
     see_through_motion: CaptureMotionPrior | None = None
+    display_common: CommonErrors | None = None
+    see_through_common: CommonErrors | None = None
 
     def __post_init__(self) -> None:
         lengths = {name: len(np.atleast_1d(getattr(self, name))) for name in COLUMNS}
@@ -103,6 +107,7 @@ class ObservationTable:
             panel=self.panel,
             pixel=self.feature[rows, :2],
             motion=self.display_motion,
+            common=self.display_common,
         )
 
     def see_through(self) -> SeeThroughCaptures | None:
@@ -117,6 +122,7 @@ class ObservationTable:
             target_pose=self.target_pose[rows],
             target_point=self.target_point[rows],
             motion=self.see_through_motion,
+            common=self.see_through_common,
         )
 
     def captures(self) -> EyeCaptures:
@@ -135,7 +141,9 @@ class ObservationTable:
 
 MOTIONS = ("display_motion", "see_through_motion")
 """Names of the priors of motions in a table."""
-_HEADER = ("device", "eye", "panel", "eye_box", "see_through_eye_box", "conditions", *MOTIONS)
+COMMONS = ("display_common", "see_through_common")
+"""Names of the errors that captures share in a table."""
+_HEADER = ("device", "eye", "panel", "eye_box", "see_through_eye_box", "conditions", *MOTIONS, *COMMONS)
 _VECTORS = ("feature", "target_point", "viewpoint", "view_dir")
 COLUMNS = tuple(each.name for each in fields(ObservationTable) if each.name not in _HEADER)
 """Names of the arrays of a table, besides those of its conditions."""
@@ -161,6 +169,8 @@ def observation_table(
         conditions=concatenate([each.pop("conditions") for each in columns]),
         display_motion=None if display is None else display.motion,
         see_through_motion=None if see_through is None else see_through.motion,
+        display_common=None if display is None else display.common,
+        see_through_common=None if see_through is None else see_through.common,
         **{name: np.concatenate([each[name] for each in columns]) for name in COLUMNS},
     )
 

@@ -40,6 +40,13 @@ def arcmin_between(first: FloatArray, second: FloatArray) -> FloatArray:
     return angle_between(first, second) / ARCMIN
 
 
+def tangents_by_turn(tangents: FloatArray) -> FloatArray:
+    """Derivative (n, 2, 3) of the tangents (n, 2) of a direction by a turn of it about x, y, z, radians."""
+    (tx, ty), one = tangents.T, np.ones(len(tangents))
+    by_turn = [[tx * ty, -(one + tx**2), -ty], [one + ty**2, -tx * ty, tx]]
+    return np.moveaxis(np.array(by_turn), -1, 0)
+
+
 def dir_by_tangents(tangents: FloatArray) -> FloatArray:
     """Derivative (..., 3, 2) of the unit direction by its tangents (..., 2)."""
     direction = dir_of_tangents(tangents)

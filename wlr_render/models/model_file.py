@@ -73,13 +73,12 @@ from wlr_render.models.spread import PRESCRIPTION, Covariance
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, Polynomial, term_count, total_degree
+from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial, term_count, total_degree
 from wlr_render.toml_files import Table, read_json
 
 FORMAT = "wlr-eye-model"
 VERSION = 3
 _BACKWARD = "backward"  # of versions 1 and 2: what backward queries answered with
-HIGHEST_ORDER = 50  # of a variable in a term: no fit comes near it
 _DIGITS = 5  # of a spread's numbers
 _LARGEST_SPREAD = 100.0  # radians or metres
 _MOST_TERMS = 10_000

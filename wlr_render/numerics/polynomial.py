@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
+HIGHEST_ORDER = 50
+"""Of a variable in a term of a file: no fit comes near it."""
 BOX_SLACK = 1e-3
 """By how much of its size a fitted box may be left, so that samples on its border count as inside."""
 SCALED_LIMIT = 1.0 + 2.0 * BOX_SLACK

@@ -8,10 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
-from wlr_render.calibration.bench.calibrate_bench import calibrate_bench
+from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key
+from wlr_render.calibration.poses import adjoint
 from wlr_render.captures.photo_session import StageDescription
 from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
@@ -40,7 +43,12 @@ def off_over_sigma(made, session):
     entries = (*session.display, *session.see_through)
     position = np.array([found.device_from_camera(each)[:3, 3] for each in entries])
     off = np.concatenate([made.truth.display, made.truth.see_through])[:, :3, 3] - position
-    sigma = found.motion_sizes(entries)[:, 3:]
+    poses, covariance = found.adjustment.camera_poses([place_key(session, each) for each in entries])
+    count = len(entries)
+    about = [adjoint(transforms.rigid(np.eye(3), -pose[:3, 3]))[3:] for pose in poses]
+    less_mean = np.eye(count) - 1.0 / count
+    rows = np.kron(less_mean, np.eye(3)) @ block_diag(*about)
+    sigma = np.sqrt(np.einsum("ij,jk,ik->i", rows, covariance, rows)).reshape(count, 3)
     return (off - off.mean(axis=0)) / sigma, sigma
 
 

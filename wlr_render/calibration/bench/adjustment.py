@@ -62,6 +62,20 @@ class Adjustment:
 
         The random error of the stage is in the covariance of the places that no view measured.
         """
+        poses, rows, own = self.camera_rows(places)
+        flat = np.concatenate(rows)
+        covariance = flat @ self.covariance @ flat.T
+        for k, each in enumerate(own):
+            covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += each
+        return poses, covariance
+
+    def camera_rows(self, places: Sequence[str]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """How device_from_camera at places follows the unknowns.
+
+        Returns:
+            The poses (n, 4, 4), small motions (n, 6, unknowns) of them in the device frame by each unknown, and the
+            covariance (n, 6, 6) of what no unknown is of: the stage's random error where no view measured the place.
+        """
         poses, rows, own = [], [], []
         random = np.repeat([self.sizes.turn**2, self.sizes.shift**2], 3)
         for place in places:
@@ -75,11 +89,7 @@ class Adjustment:
             rows.append(row)
             unmeasured = place not in state.offsets and place not in state.free
             own.append(to_device @ np.diag(random * unmeasured) @ to_device.T)
-        flat = np.concatenate(rows)
-        covariance = flat @ self.covariance @ flat.T
-        for k, each in enumerate(own):
-            covariance[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += each
-        return np.array(poses), covariance
+        return np.array(poses), np.array(rows), np.array(own)
 
     def camera_pose(self, place: str) -> Pose:
         """device_from_camera at a place, with its covariance."""

@@ -95,24 +95,12 @@ class CalibratedBench:
     def target_points(self, target_pose: int, observation: BoardObservation) -> FloatArray:
         """(n, 3) true places of a board's features in the target's frame."""
         nominal = self.session.board_of(target_pose).point_of(observation.index)
-        shape = self.adjustment.state.shape.get(_board_name(self.session, target_pose))
+        shape = self.adjustment.state.shape.get(self.board_name(target_pose))
         return nominal if shape is None else shape.point_of(observation.index, nominal)
 
-    def motion_sizes(self, entries: Sequence[BoardPhotograph | CodeSet]) -> FloatArray:
-        """(n, 6) sigmas of each camera's pose about the mean of all: rotation (rad), shift of the pupil (m).
-
-        Device frame. An error common to all is not in them: no fit to the captures can see it.
-        """
-        keys = [place_key(self.session, each) for each in entries]
-        poses, covariance = self.adjustment.camera_poses(keys)
-        count = len(keys)
-        own = np.zeros((6 * count, 6 * count))
-        for k, pose in enumerate(poses):  # from motions about the device's origin to those about the pupil
-            about = adjoint(transforms.rigid(np.eye(3), -pose[:3, 3]))
-            own[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] = about
-        less_mean = np.eye(6 * count) - np.kron(np.full((count, count), 1.0 / count), np.eye(6))
-        carried = less_mean @ own @ covariance @ own.T @ less_mean.T
-        return np.sqrt(np.maximum(np.diag(carried), 0.0)).reshape(count, 6)
+    def board_name(self, target_pose: int) -> str:
+        """Name of the board at a target pose, in `adjustment`."""
+        return _board_name(self.session, target_pose)
 
 
 def calibrate_bench(session: PhotoSession, reading: Reading) -> CalibratedBench:

@@ -1,0 +1,59 @@
+"""Common errors of captures from a joint adjustment: with each camera's own motion they are all that it knows."""
+
+import numpy as np
+import pytest
+
+from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key
+from wlr_render.calibration.bench.common_errors import SOURCES
+from wlr_render.calibration.calibrate_session import sound_captures
+from wlr_render.calibration.poses import adjoint
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    recipe = SimulationRecipe("birdbath28", viewpoints=5, bench=PhotoBenchOptions(seed=3))
+    made = simulate_readings(recipe, ReadingOptions(panel_samples=400, most_dots=150))
+    bench = calibrate_bench(made.session, made.reading)
+    return made.session, bench, sound_captures(made.session, made.reading, bench)[0]
+
+
+def test_own_and_common_motions_are_those_of_the_adjustment(calibrated):
+    session, bench, captures = calibrated
+    for part, entries in ((captures.display, session.display), (captures.see_through, session.see_through)):
+        poses, covariance = bench.adjustment.camera_poses([place_key(session, each) for each in entries])
+        for number, pose in enumerate(poses):
+            about = adjoint(transforms.rigid(np.eye(3), -pose[:3, 3]))
+            block = about @ covariance[6 * number : 6 * number + 6, 6 * number : 6 * number + 6] @ about.T
+            common = part.common.motion[number]
+            found = part.motion.size[number] ** 2 + np.sum(common**2, axis=1)
+            np.testing.assert_allclose(found, np.diag(block), rtol=1e-6)
+
+
+def test_the_extrinsics_move_all_cameras_and_targets_alike(calibrated):
+    """Rays to the points turn as little as the optics bend them; the cameras turn by what session.toml states."""
+    session, _, captures = calibrated
+    common = captures.see_through.common
+    assert set(common.sources) <= set(SOURCES)
+    assert list(common.sources) == sorted(common.sources, key=SOURCES.index)
+    mine = [source == "tracking camera" for source in common.sources]
+    turn = np.sqrt(np.mean(np.sum(common.motion[:, :3][..., mine] ** 2, axis=2)))
+    assert turn == pytest.approx(session.tracking_sigma[0], rel=0.1)
+    changes, seen = common.changes(captures.see_through, slice(None)), captures.see_through
+    depth = (seen.viewpoint - seen.point)[:, 2, None, None]
+    moved = changes.viewpoint - changes.point
+    by_ray = changes.tangents + (moved[:, :2] + seen.tangents[:, :, None] * moved[:, 2:]) / depth
+    assert np.sqrt(np.mean(by_ray[..., mine] ** 2)) < 0.02 * turn
+
+
+def test_own_motions_are_of_the_stage_alone(calibrated):
+    """Repeatability of 5 um and 10 urad, and what a few photographs leave open; not the 0.3 mm of the extrinsics."""
+    _, _, captures = calibrated
+    turn, shift = (np.sqrt(np.mean(captures.display.motion.size[:, part] ** 2)) for part in (slice(0, 3), slice(3, 6)))
+    assert 3e-6 < turn < 1e-4
+    assert 1e-6 < shift < 5e-5
+    assert np.any(captures.display.common.motion[:, :3] > 1.0 * ARCMIN)

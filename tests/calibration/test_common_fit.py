@@ -1,0 +1,128 @@
+"""Errors that all captures share, in the covariance of fitted models: against fits to captures that are off by them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.captures.correspondences import CommonErrors, EyeCaptures
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.models.registration import OWN, model_registration_covariance
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+
+SOURCES = ("stage", "stage", "targets")
+OFFSET_MM = np.array([0.0, 0.1, 0.2])
+
+
+def simulated(seed=1, places=9):
+    truth = traced_eye(load_device("birdbath28"), "right")
+    setup = CaptureSetup(truth, 0.25)
+    positions = setup.camera_positions("planar", places)
+    rng = np.random.default_rng(seed)
+    return truth, EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+
+
+def stated(part, target_m=1e-3):
+    """With a common error of the viewpoint in y and z, as large as `OFFSET_MM`, and of all targets along y."""
+    names, poses = np.unique(part.capture), np.unique(getattr(part, "target_pose", np.zeros(0, int)))
+    motion = np.zeros((len(names), 6, 3))
+    motion[:, 4, 0], motion[:, 5, 1] = 1e-3 * OFFSET_MM[1:]
+    target = np.zeros((len(poses), 7, 3, 3))
+    target[:, 0, 1, 2] = target_m
+    return dataclasses.replace(part, common=CommonErrors(SOURCES, names, motion, target_pose=poses, target=target))
+
+
+def with_common(captures):
+    return EyeCaptures(stated(captures.display), stated(captures.see_through))
+
+
+def off_by(captures, variables):
+    """The captures as they state if the common errors have these values."""
+    parts = []
+    for part in (captures.display, captures.see_through):
+        changes = part.common.changes(part, slice(None))
+        moved = {"viewpoint": part.viewpoint + changes.viewpoint @ variables}
+        if changes.point is not None:
+            moved["point"] = part.point + changes.point @ variables
+        parts.append(dataclasses.replace(part, **moved))
+    return EyeCaptures(*parts)
+
+
+@pytest.fixture(scope="module")
+def session():
+    truth, captures = simulated()
+    captures = with_common(captures)
+    return truth, captures, fit_eye(captures)
+
+
+@pytest.fixture(scope="module")
+def tested(session):
+    """Pixels, viewpoints in the middle of the eye box, and real points that are seen there in truth."""
+    truth, _, _ = session
+    rng = np.random.default_rng(5)
+    pixel = rng.uniform(0.2, 0.8, (200, 2)) * truth.display.panel.size_px
+    viewpoint = truth.eye_box.at(rng.uniform(-0.7, 0.7, (200, 3)))
+    seen = truth.display.view_dir_of_pixel(pixel, viewpoint).value
+    ray = truth.see_through.real_ray_of_view_dir(seen, viewpoint).value
+    return pixel, viewpoint, ray[:, :3] + 1.5 * ray[:, 3:], seen
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.sum(values**2, axis=-1))))
+
+
+@pytest.mark.parametrize("variable", [0, 1, 2])
+def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(session, tested, variable):
+    _, captures, fit = session
+    pixel, viewpoint, point, _ = tested
+    values = np.eye(3)[variable]
+    other = fit_eye(off_by(captures, values))
+    for side, subject in (("display", pixel), ("see_through", point)):
+        before, after = getattr(fit.mappings, side), getattr(other.mappings, side)
+        answer = before.view_dir(subject, viewpoint).value
+        found = (after.view_dir(subject, viewpoint).value - answer) / ARCMIN
+        errors = before.direction_errors(subject, viewpoint, answer)
+        assert errors.sources == SOURCES
+        expected = errors.shared[..., variable] / ARCMIN
+        # Noise is the same in both, and hyperparameters nearly so.
+        assert rms(found - expected) < 0.03 + 0.05 * rms(expected), (side, rms(expected))
+
+
+def test_viewpoints_that_are_off_are_predicted(tested):
+    """Offsets of one sigma in y and z: no residual shows them, and the prediction follows the truth."""
+    pixel, viewpoint, _, seen = tested
+    _, exact = simulated(places=25)
+    captures, true, predicted = with_common(exact), [], []
+    for signs in ((1.0, 1.0, 0.0), (1.0, -1.0, 0.0)):
+        display = fit_display(off_by(captures, np.array(signs)).display).mapping
+        true.append(rms(display.view_dir_of_pixel(pixel, viewpoint).value - seen) / ARCMIN)
+        predicted.append(np.sqrt(np.mean(display.sigma(pixel, viewpoint) ** 2)))
+    size = np.sqrt(np.mean(np.square(true)))
+    assert 0.8 < np.sqrt(np.mean(np.square(predicted))) / size < 1.25
+    white = fit_display(exact.display).mapping.sigma(pixel, viewpoint)
+    assert np.sqrt(np.mean(white**2)) < 0.5 * size
+
+
+def test_mean_and_noise_do_not_depend_on_stated_common_errors(session, tested):
+    """A fit cannot see what all captures share."""
+    _, _, fit = session
+    other = fit_eye(simulated()[1])
+    for one, two in ((fit.display, other.display), (fit.see_through, other.see_through)):
+        np.testing.assert_array_equal(one.smooth.polynomial.coefficients, two.smooth.polynomial.coefficients)
+        assert one.report.held_out_arcmin == two.report.held_out_arcmin
+        assert one.report.predicted_arcmin > two.report.predicted_arcmin
+
+
+def test_registration_by_source(session, tested):
+    """Targets that are off by 1 mm move the see-through of points at 1.5 m, not the display."""
+    _, _, fit = session
+    pixel, viewpoint, point, _ = tested
+    covariance = model_registration_covariance(fit.mappings.display, fit.mappings.see_through, pixel, viewpoint, point)
+    assert list(covariance) == [OWN, "stage", "targets"]
+    up, right = (np.sqrt(np.mean(covariance["targets"][:, axis, axis])) for axis in (1, 0))
+    assert 0.3 < up / (1e-3 / 1.5 / ARCMIN) < 3.0
+    assert right < 0.3 * up

@@ -1,0 +1,155 @@
+"""Errors that captures share: what they do to rows, against captures restated by hand; their file; refusals."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from wlr_render.captures.capture_file import load_captures, save_captures
+from wlr_render.captures.correspondences import (
+    CommonErrors,
+    Conditions,
+    DisplayCaptures,
+    EyeCaptures,
+    SeeThroughCaptures,
+    point_terms,
+    with_copies,
+)
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
+
+RNG = np.random.default_rng(1)
+EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
+TURNED = Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix()
+IN_CAMERA = dir_of_tangents(RNG.uniform(-0.3, 0.3, (12, 2)))
+ROWS = {
+    "viewpoint": EYE_BOX.centre + RNG.normal(0, 0.002, (12, 3)),
+    "view_dir": IN_CAMERA @ TURNED.T,
+    "capture": np.arange(12) // 4,
+    "sigma_arcmin": 0.5,
+    "conditions": Conditions.recorded(12, device_from_camera=TURNED),
+}
+SOURCES = ("lens", "stage", "targets")
+LENS = Polynomial(total_degree(2, 2), Box(np.full(2, -0.5), np.full(2, 0.5)), RNG.normal(0, 1e-6, (6, 6)))
+COMMON = CommonErrors(
+    SOURCES,
+    np.arange(3),
+    RNG.normal(0, 1e-6, (3, 6, 3)),
+    LENS,
+    np.array([4, 7]),
+    RNG.normal(0, 1e-6, (2, 7, 3, 3)),
+    RNG.normal(0, 1e-6, (2, 3)),
+)
+OF_PANEL = dataclasses.replace(COMMON, target_pose=np.zeros(0, int), target=np.zeros(0), focus=np.zeros(0))
+DISPLAY = DisplayCaptures(
+    "toy", "left", EYE_BOX, Panel(10, 8), pixel=RNG.uniform(0, 8, (12, 2)), **ROWS, common=OF_PANEL
+)
+SEE_THROUGH = SeeThroughCaptures(
+    "toy",
+    "left",
+    EYE_BOX,
+    point=ROWS["viewpoint"] + 0.7 * ROWS["view_dir"],
+    target_pose=np.tile([4, 7], 6),
+    **ROWS,
+    common=COMMON,
+)
+
+
+def restated(variable):
+    """Viewpoints, tangents and points of the see-through rows with one variable at 1, each error applied exactly."""
+    motion, pose = COMMON.motion[..., variable][ROWS["capture"]], np.arange(12) % 2
+    tangents = tangents_of_dir(IN_CAMERA)
+    change = LENS(tangents).reshape(12, 2, 3)[..., variable] + tangents * COMMON.focus[pose, variable, None]
+    direction = dir_of_tangents(tangents + change) @ TURNED.T
+    direction = Rotation.from_rotvec(motion[:, :3]).apply(direction)
+    moved = np.einsum("nt,nta->na", point_terms(SEE_THROUGH.point), COMMON.target[pose][..., variable])
+    return motion[:, 3:], tangents_of_dir(direction) - SEE_THROUGH.tangents, moved
+
+
+@pytest.mark.parametrize("variable", [0, 1, 2])
+def test_changes_are_those_of_restated_captures(variable):
+    changes = COMMON.changes(SEE_THROUGH, slice(None))
+    for found, expected in zip((changes.viewpoint, changes.tangents, changes.point), restated(variable), strict=True):
+        np.testing.assert_allclose(found[..., variable], expected, rtol=1e-4, atol=1e-10)
+    some = COMMON.changes(SEE_THROUGH, np.array([5, 2]))
+    np.testing.assert_array_equal(some.tangents, changes.tangents[[5, 2]])
+
+
+def test_a_panel_has_no_points_and_no_focus():
+    changes = OF_PANEL.changes(DISPLAY, slice(None))
+    assert changes.point is None
+    no_focus = dataclasses.replace(COMMON, focus=np.zeros((2, 3))).changes(SEE_THROUGH, slice(None))
+    np.testing.assert_allclose(changes.tangents, no_focus.tangents)
+
+
+def test_a_turn_of_a_target_is_linear_in_its_points():
+    turn, points = np.array([0.1, 0.2, -0.3]), SEE_THROUGH.point
+    target = np.zeros((7, 3))
+    target[1:4] = np.cross(turn, np.eye(3))
+    np.testing.assert_allclose(point_terms(points) @ target, np.cross(turn, points))
+
+
+def test_combinations_are_those_of_the_changes():
+    root = RNG.normal(size=(3, 2))
+    combined = COMMON.combined(root, ("lens", "stage"))
+    before, after = (each.changes(SEE_THROUGH, slice(None)) for each in (COMMON, combined))
+    for name in ("viewpoint", "tangents", "point"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name) @ root, atol=1e-15)
+
+
+def test_copies_of_a_capture_share_its_errors():
+    copied = with_copies(DISPLAY, np.array([4, 5, 0]), np.array([0, 0, 1]))
+    motion = copied.common.of(copied.visits[0])[copied.visits[1]]
+    np.testing.assert_array_equal(motion[12:], COMMON.motion[[1, 1, 0]])
+    np.testing.assert_array_equal(motion[:12], COMMON.motion[ROWS["capture"]])
+
+
+@pytest.mark.parametrize("lens", [LENS, None])
+def test_a_file_keeps_them(tmp_path, lens):
+    shown, seen = (
+        dataclasses.replace(each, common=dataclasses.replace(each.common, lens=lens)) for each in (DISPLAY, SEE_THROUGH)
+    )
+    read = load_captures(save_captures(tmp_path / "captures.npz", EyeCaptures(shown, seen)))
+    for before, after in ((shown, read.display), (seen, read.see_through)):
+        assert after.common.sources == SOURCES
+        assert (after.common.lens is None) == (lens is None)
+        for one, other in ((each.common.changes(each, slice(None)) for each in (before, after)),):
+            np.testing.assert_array_equal(one.tangents, other.tangents)
+            np.testing.assert_array_equal(one.viewpoint, other.viewpoint)
+            assert (one.point is None) == (other.point is None)
+            if one.point is not None:
+                np.testing.assert_array_equal(one.point, other.point)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"motion": np.zeros((3, 6, 2))}, r"'motion' must have shape \(3, 6, 3\)"),
+        ({"capture": np.array([0, 1, 1])}, "'capture' has an index twice"),
+        ({"sources": ()}, r"must have shape|must name one"),
+        ({"lens": Polynomial(LENS.orders, LENS.box, np.zeros((6, 4)))}, "'lens' must have 2 variables and 6 outputs"),
+        ({"focus": np.full((2, 3), np.nan)}, "'focus' has numbers that are not finite"),
+    ],
+)
+def test_errors_that_do_not_fit_are_refused(change, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        dataclasses.replace(COMMON, **change)
+
+
+def test_captures_of_which_they_leave_something_out_are_refused():
+    few = dataclasses.replace(COMMON, capture=np.array([0, 1, 3]))
+    with pytest.raises(BadInputError, match="no motion for capture 2; give one for every capture"):
+        dataclasses.replace(SEE_THROUGH, common=few)
+    other = dataclasses.replace(COMMON, target_pose=np.array([4, 8]))
+    with pytest.raises(BadInputError, match="nothing for target pose 7; give one for every target pose"):
+        dataclasses.replace(SEE_THROUGH, common=other)
+    with pytest.raises(BadInputError, match="need the camera's rotation in every row"):
+        dataclasses.replace(SEE_THROUGH, conditions=None)
+
+
+def test_both_parts_of_an_eye_must_share_the_same_variables():
+    with pytest.raises(BadInputError, match="must have the same variables; give both the same 'sources'"):
+        EyeCaptures(dataclasses.replace(DISPLAY, common=None), SEE_THROUGH)

@@ -1,0 +1,214 @@
+"""What a calibrated bench knows of its errors, as captures take it: each camera's own motion, and what all share.
+
+The joint covariance of the unknowns has a block-lower-triangular root in the order of `SOURCES`: the variables of a
+source are what the sources before it leave unknown. Of each source the few combinations that move readings are kept;
+the rest of a camera's motion counts as its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, place_key
+from wlr_render.calibration.bench.observations import EYEBALL
+from wlr_render.calibration.bench.state import Key
+from wlr_render.calibration.poses import adjoint, cross_matrix
+from wlr_render.calibration.posterior_spread import lower_root
+from wlr_render.calibration.readings import angular_metric
+from wlr_render.captures.correspondences import (
+    CaptureMotionPrior,
+    CommonErrors,
+    DisplayCaptures,
+    SeeThroughCaptures,
+    point_terms,
+)
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet
+from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+
+SOURCES = ("lens", "board", "tracking camera", "targets", "stage")
+"""Sources of common errors, in the order of the root."""
+_SOURCE_OF = {
+    "lens": "lens",
+    "focus": "lens",
+    "shape": "board",
+    "extrinsics": "tracking camera",
+    "target": "targets",
+    "base": "stage",
+    "axis": "stage",
+    "smooth": "stage",
+}
+_KEPT = 0.999  # of the variance that a source brings into the readings
+_MOST = 24  # variables of all sources
+_LEAST_ARCMIN = 1e-3  # rms in the readings of a variable that is worth keeping
+_JITTER = 1e-10  # of each variance: some poses follow others to nearly all digits
+_LENS_DEGREE, _LENS_GRID = 7, 21
+_IMAGES_M = (0.3, 5.0)  # distances of virtual images for which shifts of a camera are judged
+_ROWS = 400  # of display and see-through, at which effects are judged
+_MOTION_LOG_SIGMA = 0.3  # of the factor on the poses' sigmas, from some twenty photographs
+
+Entries = Sequence[BoardPhotograph | CodeSet]
+
+
+def with_bench_errors(
+    bench: CalibratedBench,
+    display: tuple[DisplayCaptures, Entries] | None,
+    see_through: tuple[SeeThroughCaptures, Entries] | None,
+) -> tuple[DisplayCaptures | None, SeeThroughCaptures | None]:
+    """Captures with `motion` and `common` as the joint adjustment knows them.
+
+    Args:
+        bench: the calibrated bench.
+        display, see_through: captures of one eye, with the session's entries that the captures (or visits, where their
+            conditions number these) are of, in the order of their numbers.
+    """
+    factor, sources = _shared_root(bench)
+    shown = None if display is None else _errors(bench, factor, sources, display[1])
+    seen = None if see_through is None else _errors(bench, factor, sources, see_through[1])
+    effects = [_effect(display[0], shown[0])] if display and shown else []
+    effects += [_effect(see_through[0], seen[0])] if see_through and seen else []
+    turn, kept = _chosen(np.concatenate(effects) / np.sqrt(len(effects)), sources)
+    of_display, of_see_through = display and display[0], see_through and see_through[0]
+    if of_display is not None and shown is not None:
+        motion, common = _known(*shown, turn, kept)
+        of_display = replace(of_display, motion=motion, common=common)
+    if of_see_through is not None and seen is not None:
+        motion, common = _known(*seen, turn, kept)
+        of_see_through = replace(of_see_through, motion=motion, common=common)
+    return of_display, of_see_through
+
+
+def _shared_root(bench: CalibratedBench) -> tuple[FloatArray, tuple[str, ...]]:
+    """Change (unknowns, variables) of all unknowns by the variables of the sources, and the source of each variable."""
+    adjustment = bench.adjustment
+    of: dict[str, list[Key]] = {source: [] for source in SOURCES}
+    for key in adjustment.layout.where:
+        if key[0] in _SOURCE_OF:
+            is_tracking = key[0] == "lens" and key[1] != EYEBALL
+            of["tracking camera" if is_tracking else _SOURCE_OF[key[0]]].append(key)
+    columns = adjustment.layout.columns([key for keys in of.values() for key in keys])
+    sources = tuple(name for name, keys in of.items() for _ in adjustment.layout.columns(keys))
+    covariance = adjustment.covariance[columns]
+    root = lower_root(covariance[:, columns], _JITTER)
+    return np.asarray(solve_triangular(root, covariance, lower=True)).T, sources
+
+
+def _errors(
+    bench: CalibratedBench, factor: FloatArray, sources: tuple[str, ...], entries: Entries
+) -> tuple[CommonErrors, FloatArray]:
+    """Errors of the captures of some entries by all variables, and the variance (entries, 6) of each camera's pose."""
+    adjustment = bench.adjustment
+    poses, rows, random = adjustment.camera_rows([place_key(bench.session, each) for each in entries])
+    motion = np.empty((len(poses), 6, factor.shape[1]))
+    variance = np.empty((len(poses), 6))
+    for k, (pose, row, own) in enumerate(zip(poses, rows, random, strict=True)):
+        # From motions about the device's origin to those about the pupil.
+        about = adjoint(transforms.rigid(np.eye(3), -pose[:3, 3]))
+        used = np.flatnonzero(np.any(row, axis=0))
+        at = about @ row[:, used]
+        motion[k] = at @ factor[used]
+        covariance = at @ adjustment.covariance[np.ix_(used, used)] @ at.T + about @ own @ about.T
+        variance[k] = np.diag(covariance)
+    numbers = sorted({each.target_pose for each in entries if isinstance(each, BoardPhotograph)})
+    where = adjustment.layout.where
+    focus = [-factor[where["focus", k]][0] if ("focus", k) in where else np.zeros(len(sources)) for k in numbers]
+    common = CommonErrors(
+        sources,
+        np.arange(len(poses)),
+        motion,
+        _lens_change(bench, factor),
+        np.array(numbers, np.int64),
+        np.array([_target_change(bench, factor, k) for k in numbers]),
+        np.array(focus),
+    )
+    return common, variance
+
+
+def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | None:
+    """Change of the tangents at given pixels of the eyeball camera, see `CommonErrors.lens`."""
+    lens = bench.eyeball
+    if not isinstance(lens, LensCamera):
+        return None
+    side = (np.arange(_LENS_GRID) + 0.5) / _LENS_GRID
+    pixel = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) * lens.size_px
+    tangents = lens.tangents_of_pixel(pixel) * [1.0, -1.0]  # OpenXR axes
+    change = np.zeros((len(pixel), 2, factor.shape[1]))
+    by_variable = factor[bench.adjustment.layout.where["lens", EYEBALL]]
+    for k in np.flatnonzero(np.any(by_variable, axis=0)):
+        more, less = (lens.with_values(lens.values + sign * by_variable[:, k]) for sign in (1.0, -1.0))
+        change[:, :, k] = 0.5 * (more.tangents_of_pixel(pixel) - less.tangents_of_pixel(pixel)) * [1.0, -1.0]
+    good = np.isfinite(tangents).all(axis=1) & np.isfinite(change).all(axis=(1, 2))
+    orders, box = total_degree(2, _LENS_DEGREE), Box.around(tangents[good])
+    design = basis(tangents[good], orders, box)
+    found = np.linalg.lstsq(design, change[good].reshape(len(design), -1))[0]
+    return Polynomial(orders, box, np.asarray(found, np.float64))
+
+
+def _target_change(bench: CalibratedBench, factor: FloatArray, number: int) -> FloatArray:
+    """Coefficients (terms, 3, variables) of the change of the points of a target, see `CommonErrors.target`."""
+    state, where = bench.adjustment.state, bench.adjustment.layout.where
+    pose, name = state.targets[number], bench.board_name(number)
+    board = bench.session.board_of(number)
+    nominal = board.point_of(board.indices())
+    shape = state.shape.get(name)
+    point = transforms.apply(pose, nominal if shape is None else nominal + shape.by_low(nominal) @ shape.low)
+    motion = adjoint(pose) @ factor[where["target", number]]
+    change = -cross_matrix(point) @ motion[:3] + motion[3:]
+    if shape is not None:
+        change = change + pose[:3, :3] @ (shape.by_low(nominal) @ factor[where["shape", name]])
+    found = np.linalg.lstsq(point_terms(point), change.reshape(len(point), -1), rcond=1e-9)[0]
+    return np.asarray(found.reshape(-1, 3, factor.shape[1]))
+
+
+def _effect(captures: DisplayCaptures | SeeThroughCaptures, common: CommonErrors) -> FloatArray:
+    """Change (2 rows, variables) in arcminutes of what some rows see less what they should, over root of their number.
+
+    As if nothing but air were between the camera and the real points or images at `_IMAGES_M`.
+    """
+    rows = np.random.default_rng(0).permutation(len(captures))[:_ROWS]
+    changes, tangents = common.changes(captures, rows), captures.tangents[rows]
+    moved, depth = changes.viewpoint, np.resize(_IMAGES_M, len(rows))
+    if isinstance(captures, SeeThroughCaptures):
+        depth = (captures.viewpoint - captures.point)[rows, 2]
+    if changes.point is not None:
+        moved = moved - changes.point
+    straight = (moved[:, :2] + tangents[:, :, None] * moved[:, 2:]) / depth[:, None, None]
+    effect = (changes.tangents + straight) * angular_metric(tangents)[:, None, None]
+    return np.asarray(effect.reshape(2 * len(rows), -1) / np.sqrt(len(rows)))
+
+
+def _chosen(effect: FloatArray, sources: tuple[str, ...]) -> tuple[FloatArray, tuple[str, ...]]:
+    """Combinations (variables, m) of the variables of one source each that matter, and their sources (m,)."""
+    found: list[tuple[float, str, FloatArray]] = []
+    for name in SOURCES:
+        own = np.flatnonzero([source == name for source in sources])
+        if not own.size:
+            continue
+        _, size, axes = np.linalg.svd(effect[:, own], full_matrices=False)
+        before = np.cumsum(size**2) - size**2
+        for k in np.flatnonzero((before < _KEPT * np.sum(size**2)) & (size > _LEAST_ARCMIN)):
+            turn = np.zeros(len(sources))
+            turn[own] = axes[k]
+            found.append((float(size[k]), name, turn))
+    least = sorted((size for size, _, _ in found), reverse=True)[:_MOST][-1:]
+    kept = [(name, turn) for size, name, turn in found if size >= least[0]]
+    turns = np.array([turn for _, turn in kept]).reshape(-1, len(sources)).T
+    return turns, tuple(name for name, _ in kept)
+
+
+def _known(
+    common: CommonErrors, variance: FloatArray, turn: FloatArray, sources: tuple[str, ...]
+) -> tuple[CaptureMotionPrior, CommonErrors | None]:
+    """`motion` and `common` of captures, where `turn` gives the variables kept and the rest is each camera's own."""
+    own = variance - np.sum((common.motion @ turn) ** 2, axis=2)
+    motion = CaptureMotionPrior(common.capture, np.sqrt(np.maximum(own, 0.0)), _MOTION_LOG_SIGMA)
+    if not sources:
+        return motion, None
+    kept = common.combined(turn, sources)
+    if "lens" not in sources:
+        kept = replace(kept, lens=None, focus=np.zeros_like(kept.focus))
+    return motion, kept
