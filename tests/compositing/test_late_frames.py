@@ -46,6 +46,18 @@ def test_a_missed_frame_is_shown_again_at_the_newest_pose(compositor, flat_image
     assert (late != still).any()
 
 
+def test_a_frame_says_which_viewpoints_and_pose_it_was_composed_for(both):
+    made, source, pupils = both
+    draw(made, source, HEAD, pupils)
+    newer = pupils["right"] + 1e-3
+    frame = made.compose(pose=MOVED, viewpoint={"right": newer})
+    assert [*frame.viewpoints] == ["left", "right"]
+    np.testing.assert_array_equal(frame.viewpoints["left"], pupils["left"])
+    np.testing.assert_array_equal(frame.viewpoints["right"], newer)
+    np.testing.assert_array_equal(frame.world_from_device, MOVED)
+    assert [*made.compose(eyes=("left",)).viewpoints] == ["left"]
+
+
 def test_frames_may_be_submitted_late_but_not_out_of_order(compositor, flat_image_headset):
     made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.budget.registration import registration_covariance
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
+from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.demo import DemoOptions, demo
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
 from wlr_render.jobs.headset import open_eye
@@ -323,6 +325,36 @@ def test_the_raster_camera_stands_where_it_is_put(moving, map_from):
     assert np.linalg.norm(place["nearest"] - viewpoint) > 1e-4
 
 
+def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving):
+    job = replace(moving, predicted_error=0.5)
+    report = render(job)
+    maps = [read_map(job.out / f"right-{number:06d}-error.tiff") for number in range(5)]
+    record = report.record["predicted_error"]
+    assert [each["file"] for each in record] == [f"right-{number:06d}.png" for number in range(5)]
+    for found, stated in zip(maps, record, strict=True):
+        assert found.shape == (16, 18, 3)
+        assert np.sqrt(np.mean(found[..., 2].astype(float) ** 2)) == pytest.approx(stated["rms_arcmin"], rel=1e-5)
+    mappings, sizes = opened_with_sizes(BudgetOptions(job.headset), "right")
+    viewpoint = json.loads((job.out / "sequence.json").read_text())["frames"][4]["viewpoint_in_device_m"]
+    covariance = registration_covariance(mappings, mappings.display.panel.grid(18, 16), viewpoint, 0.5, sizes).total
+    np.testing.assert_allclose(maps[4][..., 2], np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)), rtol=0.01)
+    worst = [max(each[name] for each in record) for name in ("rms_arcmin", "radius_arcmin")]
+    assert report.tables[0].rows[0][4:] == worst
+    (job.out / "right-000002-error.tiff").write_bytes(b"")
+    assert counts(render(job)) == (1, 4)
+    np.testing.assert_array_equal(read_map(job.out / "right-000002-error.tiff"), maps[2])
+
+
+def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(moving, tmp_path):
+    model = load_eye_model(moving.headset)
+    bare = [replace(each, spread=None) for each in (model.mappings.display, model.mappings.see_through)]
+    mappings = replace(model.mappings, display=bare[0], see_through=bare[1])
+    old = save_eye_models(tmp_path / "old.json", [replace(model, mappings=mappings)])
+    with pytest.raises(BadInputError, match=r"old\.json.*has no covariance"):
+        render(replace(moving, headset=str(old), predicted_error=0.5))
+    assert not moving.out.exists()
+
+
 def test_a_folder_of_a_version_without_raster_camera_is_continued(options):
     render(options)
     record = json.loads((options.out / "sequence.json").read_text())
@@ -409,6 +441,7 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
         ({"red_model": Path("r.json"), "blue_model": Path("b.json")}, "is a device, which is traced in all colours"),
         ({"frames_per_second": 0.0}, "--fps is 0.0; it must be a finite number above 0"),
         ({"frames_per_second": np.inf}, "--fps is inf; it must be a finite number above 0"),
+        ({"predicted_error": 0.0}, "--predicted-error is 0.0; it must be between 0.1 and 100 metres"),
         ({"frame_limit": 3}, "--frames is used with --head or --eye-track only"),
         ({"frame_limit": 0}, "--frames is 0; it must be between 1 and 1000000"),
         ({"method": "paint"}, "--method is paint; choose from raster, raytrace"),

@@ -23,10 +23,14 @@ class ComposedFrame:
 
     Attributes:
         eyes: by name.
+        viewpoints: (3,) by eye that it was composed for, device frame, metres.
+        world_from_device: (4, 4) head pose that it was composed for; of the first row, if rows have their own.
         check_readable: raises a `BadInputError` once an eye's picture is overwritten, or the compositor released.
     """
 
     eyes: "Mapping[str, GlComposed]"
+    viewpoints: Mapping[str, FloatArray]
+    world_from_device: FloatArray
     check_readable: Callable[[str], None]
 
     def read(self, eye: str | None = None) -> NDArray[Any]:

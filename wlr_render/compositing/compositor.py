@@ -379,7 +379,7 @@ class Compositor:
                     f"a later compose has overwritten this picture of the {eye} eye; read a frame before the next."
                 )
 
-        return ComposedFrame(composed, check_readable)
+        return ComposedFrame(composed, {eye: viewpoints[eye] for eye in chosen}, newest, check_readable)
 
     def prepare(self, overlays: int = 1, insets: bool = False) -> None:
         """Compile all shaders, so that no frame has to: draws once in every way, which takes up to some seconds.

@@ -167,10 +167,9 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     names = eyes_of(options.eye)
     eyes, sizes, found = [], [], []
     for name in progress(names, len(names), "eyes"):
-        mappings, truncation = _opened(options.headset, name)
+        mappings, of_eye = opened_with_sizes(options, name)
+        sizes.append(of_eye)
         with naming(Path(options.headset)):
-            grid = choose_warp_grid(mappings, np.eye(3))
-            sizes.append(options.sizes(grid.bound_arcmin, truncation))
             found.append(eye_budget(mappings, options.depth_m, sizes[-1], options.camera_frame))
         eyes.append(mappings)
     folder = output_folder(options.out)
@@ -194,11 +193,20 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     return save_report(report, folder, "budget")
 
 
-def _opened(headset: str, eye: str) -> tuple[EyeMappings, Truncation]:
-    if not is_model(headset):
-        return open_eye(headset, eye), Truncation()
-    model = load_eye_model(headset, eye)
-    return model.mappings, Truncation.from_report(model.report)
+def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[EyeMappings, ErrorSizes]:
+    """Both mappings of an eye, and the sizes of all errors but those of the models.
+
+    Raises:
+        BadInputError: a faulty device or model, or one without that eye.
+    """
+    if is_model(options.headset):
+        model = load_eye_model(options.headset, eye)
+        mappings, truncation = model.mappings, Truncation.from_report(model.report)
+    else:
+        mappings, truncation = open_eye(options.headset, eye), Truncation()
+    with naming(Path(options.headset)):
+        grid = choose_warp_grid(mappings, np.eye(3))
+    return mappings, options.sizes(grid.bound_arcmin, truncation)
 
 
 def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes, in_camera_frame: bool = False) -> EyeBudget:

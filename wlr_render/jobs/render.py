@@ -12,11 +12,13 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from wlr_render.budget.error_map import ErrorMap, PredictedError
 from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.finished_files import LIST, FinishedFiles
-from wlr_render.input_files import hashes_of_inputs
+from wlr_render.input_files import hashes_of_inputs, naming
+from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.frame_plan import PlannedFrame, gap_warnings, held_warnings, planned_frames, read_trajectories
 from wlr_render.jobs.headset import headset_path, open_colours, open_eye
 from wlr_render.jobs.job import job
@@ -70,6 +72,7 @@ def _render(
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()}, head, eyes)
     record = sequence_record(_job(options, raster), inputs, [_frame_record(planned) for planned in plan])
+    predicted = _predicted(options, plan)
     folder = output_folder(options.out)
     trajectories = [path for path in (options.head, options.eye_track) if path]
     is_old = require_same_job(folder, record, RenderOptions, trajectories)
@@ -79,7 +82,7 @@ def _render(
     painters = _painters(options, channels, scene, raster) if missing else {}
     sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if missing:
-        for _ in progress(_drawn(folder, options, painters, missing, finished), len(missing), "frames"):
+        for _ in progress(_drawn(folder, options, painters, missing, finished, predicted), len(missing), "frames"):
             pass
     pictures = [_picture_file(folder, planned) for planned in plan]
     videos = [_video(folder, eye, plan, options) for eye in channels] if options.video else []
@@ -90,7 +93,7 @@ def _render(
         *_redrawn_warnings(folder, changed, is_old),
         *blank_warnings([path.name for path in pictures if finished.is_blank(path)], scene.name),
     ]
-    report = _report(options, plan, len(missing), [sequence, folder / LIST, *videos])
+    report = _report(options, plan, len(missing), predicted, [sequence, folder / LIST, *videos])
     return save_report(replace(report, warnings=warnings), folder)
 
 
@@ -100,23 +103,57 @@ def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
     return (open_eye(options.headset, eye),)
 
 
-def _report(options: RenderOptions, plan: list[PlannedFrame], drawn: int, files: list[Path]) -> Report:
+def _predicted(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, PredictedError]:
+    """Predicted error of each frame by its stem, if it is asked for."""
+    depth_m = options.predicted_error
+    if depth_m is None:
+        return {}
+    maps: dict[str, ErrorMap] = {}
+    for eye in eyes_of(options.eye):
+        mappings, sizes = opened_with_sizes(BudgetOptions(options.headset), eye)
+        with naming(Path(options.headset)):
+            maps[eye] = ErrorMap(mappings, sizes)
+    return {planned.stem: maps[planned.eye].at(planned.viewpoint, depth_m) for planned in plan}
+
+
+def _report(
+    options: RenderOptions,
+    plan: list[PlannedFrame],
+    drawn: int,
+    predicted: Mapping[str, PredictedError],
+    files: list[Path],
+) -> Report:
     kept = len(plan) - drawn
     rows: list[list[Cell]] = []
     blocks: list[Block] = []
     for eye in eyes_of(options.eye):
         own = [planned for planned in plan if planned.eye == eye]
-        rows.append([eye, len(own), own[0].time_s, own[-1].time_s])
+        errors = [predicted[planned.stem] for planned in own if predicted]
+        stated = [max(each.rms_arcmin for each in errors), max(each.radius_arcmin for each in errors)] if errors else []
+        rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *stated])
         first = _picture_file(options.out, own[0])
         blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
-    table = ReportTable("Frames by eye", ["eye", "frames", "first time stamp (s)", "last time stamp (s)"], rows)
+    columns = ["eye", "frames", "first time stamp (s)", "last time stamp (s)"]
+    notes = []
+    if predicted:
+        columns += ["predicted rms (arcmin)", "predicted 95 % (arcmin)"]
+        notes = [
+            f"Predicted: registration error of points at {options.predicted_error:g} m over the field of view, in the "
+            "frame where it is largest. STEM-error.tiff has the map of each frame: rms to the right, upwards and in "
+            "all, arcminutes."
+        ]
+    table = ReportTable("Frames by eye", columns, rows, notes)
+    by_frame = [
+        {"file": f"{stem}.png", "rms_arcmin": each.rms_arcmin, "radius_arcmin": each.radius_arcmin}
+        for stem, each in predicted.items()
+    ]
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
         f"{drawn} frames drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
         blocks=[table, *blocks],
         inputs=[*_drawn_from(options), *filter(None, (options.head, options.eye_track))],
         files=files,
-        record={"frames_drawn": drawn, "frames_kept": kept},
+        record={"frames_drawn": drawn, "frames_kept": kept} | ({"predicted_error": by_frame} if by_frame else {}),
     )
 
 
@@ -201,6 +238,10 @@ def _picture_file(folder: Path, planned: PlannedFrame) -> Path:
     return folder / f"{planned.stem}.png"
 
 
+def _error_file(folder: Path, planned: PlannedFrame) -> Path:
+    return folder / f"{planned.stem}-error.tiff"
+
+
 def _view_file(folder: Path, planned: PlannedFrame) -> Path:
     return folder / f"{planned.stem}.json"
 
@@ -208,7 +249,8 @@ def _view_file(folder: Path, planned: PlannedFrame) -> Path:
 def _files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
     maps = _map_files(folder, planned, options)
     beside = [_view_file(folder, planned)] if maps else []
-    return [*maps, *beside, _picture_file(folder, planned)]
+    predicted = [_error_file(folder, planned)] if options.predicted_error else []
+    return [*maps, *beside, *predicted, _picture_file(folder, planned)]
 
 
 def _painters(
@@ -233,6 +275,7 @@ def _drawn(
     painters: dict[str, Painter],
     plan: list[PlannedFrame],
     finished: FinishedFiles,
+    predicted: Mapping[str, PredictedError],
 ) -> Iterator[PlannedFrame]:
     """Draw the frames of a plan, one after the other."""
     with_maps = options.maps is not None
@@ -242,6 +285,8 @@ def _drawn(
             write_map(path, source)
         if frame.view is not None:
             write_view(_view_file(folder, planned), frame.view)
+        if predicted:
+            write_map(_error_file(folder, planned), predicted[planned.stem].map_arcmin)
         write_png(_picture_file(folder, planned), frame.colour)
         finished.add(_files(folder, planned, options), is_blank(frame.colour))
         yield planned

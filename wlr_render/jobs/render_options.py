@@ -70,6 +70,14 @@ class RenderOptions(Options):
         described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),
         OnlyWith("method", ("raster",)),
     ] = None
+    predicted_error: Annotated[
+        float | None,
+        described(
+            "Also predict the registration error of points at this depth in metres: a small map for each frame, with "
+            "the trackers' errors that `budget` assumes (docs/budget.md).",
+        ),
+        limits.DEPTH_M,
+    ] = None
     per_colour: Annotated[
         bool,
         described("Separate rays and warp maps for red, green and blue; a device is traced in all three.", flag=True),

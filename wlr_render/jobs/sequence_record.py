@@ -14,7 +14,7 @@ from wlr_render.toml_files import parse_json
 RECORD = "sequence.json"
 _VERSION = 2
 _KIND = "the record of a sequence"
-_ABSENT_IN_OLD_RECORDS = {"raster_camera": "nearest"}
+_ABSENT_IN_OLD_RECORDS = {"raster_camera": "nearest", "predicted_error": None}
 """Options that earlier versions did not write, with the only value that they had."""
 
 
