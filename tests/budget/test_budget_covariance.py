@@ -7,6 +7,7 @@ import pytest
 
 from wlr_render.budget.errors import Drawing, ErrorSizes, EyeTracker, HeadTracker, Truncation
 from wlr_render.budget.registration import TRACKING_CAMERA, disparity_covariance, registration_covariance
+from wlr_render.calibration.bench.common_errors import SOURCES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -164,6 +165,7 @@ def test_the_tracking_camera_does_not_count_in_its_own_frame(flat_image_headset)
     with_camera = replace(found, by_source=found.by_source | {TRACKING_CAMERA: np.eye(2) + np.zeros((4, 3, 2, 2))})
     np.testing.assert_allclose(with_camera.total, found.total + np.eye(2))
     np.testing.assert_allclose(with_camera.in_camera_frame().total, found.total)
+    assert TRACKING_CAMERA.removeprefix("model: ") in SOURCES  # as calibrations name it
 
 
 def test_disparity_of_two_equal_eyes_has_only_what_is_independent(flat_image_headset):
