@@ -6,7 +6,7 @@ import pytest
 from small_headsets import changed_device
 
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import CommonErrors, Conditions, EyeCaptures
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.plan import plan as plan_job
@@ -16,6 +16,7 @@ from wlr_render.jobs.plan.plan import PLACES_FILE, PlanOptions, plan
 from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.jobs.plan.prediction import PlannedFit, Scales, simulated_captures
 from wlr_render.jobs.plan.search import chosen_design, find_design
+from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
@@ -187,11 +188,22 @@ def load_box():
 
 @pytest.fixture(scope="module")
 def calibration(bench, tmp_path_factory):
-    """A calibration from places of the left half of the eye box alone."""
+    """A calibration from places of the left half of the eye box alone, whose captures share errors of the lens."""
     folder = tmp_path_factory.mktemp("calibration")
     unit = of_family(bench, 12).unit * [0.5, 1.0, 1.0] - [0.5, 0.0, 0.0]
-    save_captures(folder / "captures-right.npz", simulated_captures(bench, unit, 5))
+    captures = simulated_captures(bench, unit, 5)
+    save_captures(folder / "captures-right.npz", EyeCaptures(*(_with_lens_error(each) for each in captures.both)))
     return folder
+
+
+def _with_lens_error(captures):
+    """Captures that share an error of the lens: a scale of 1e-5."""
+    by_tangents = Polynomial(np.eye(2, dtype=int), Box(-np.ones(2), np.ones(2)), 1e-5 * np.eye(2))
+    visits = np.unique(captures.visits[0])
+    common = CommonErrors(("lens",), visits, np.zeros((len(visits), 6, 1)), by_tangents)
+    conditions = captures.conditions or Conditions.recorded(len(captures))
+    turned = np.broadcast_to(np.eye(3), (len(captures), 3, 3))
+    return replace(captures, conditions=replace(conditions, device_from_camera=turned), common=common)
 
 
 def test_places_are_added_where_a_calibration_has_none(calibration, tmp_path):

@@ -157,8 +157,8 @@ def _report(
         "registration, 95 % (arcmin)",
     ]
     notes = (
-        "Each place is the one that lowers the predicted error most beside those before. Errors common to all captures "
-        "are not in it.",
+        "Each place is the one that lowers the predicted error most beside those before. Errors that all captures "
+        "share do not count in that choice, but in the predictions, as far as the captures state them.",
     )
     blocks: list[Block] = [
         ReportTable("Places to add, one by one", columns, rows, notes),

@@ -190,6 +190,7 @@ def _shown(fit: ModelFit[FittedDisplay], places: FloatArray, pixel: FloatArray) 
         sigma_arcmin=_sigma(captures, pixel.shape[1], len(place)),
         conditions=None,
         motion=_motion(captures.motion, len(places)),
+        common=None,
     )
 
 
@@ -217,6 +218,7 @@ def _seen(
         conditions=None,
         target_point=None,
         motion=_motion(captures.motion, len(places)),
+        common=None,
     )
 
 
