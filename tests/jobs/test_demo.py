@@ -106,17 +106,32 @@ def test_the_verdict_has_the_figures_of_planar_static_and_naive(finished):
 
 
 def test_the_plot_of_the_distribution_agrees_with_the_table(finished):
-    (plot,) = [block for block in finished[0].blocks if isinstance(block, Plot)]
+    _, plot = [block for block in finished[0].blocks if isinstance(block, Plot)]
     for trace, row in zip(plot.data, overall_rows(finished[0]), strict=True):
         assert trace["name"] == row[0]
         at = dict(zip(trace["y"], trace["x"], strict=True))
         np.testing.assert_allclose([at[50], at[95], at[100]], row[1:4], rtol=1e-3)
 
 
+def test_the_predicted_error_of_the_planar_models_is_about_the_true_one(finished):
+    """One calibration has one draw of the noise: its own rms differs from the expected one by some tenths."""
+    table = finished[0].tables[2]
+    assert table.columns == ["viewpoint (mm)", "predicted", "true"]
+    *rows, (name, predicted, true) = table.rows
+    assert (len(rows), name) == (5, "all")
+    assert 0.7 < predicted / true < 1.4
+    assert all(0.5 < each[1] / each[2] < 2.0 for each in rows)
+    maps, _ = [block for block in finished[0].blocks if isinstance(block, Plot)]
+    logs = [np.array(trace["z"], dtype=float) for trace in maps.data]
+    assert [np.isfinite(each).sum() > 500 for each in logs] == [True, True]
+    of_maps = [np.sqrt(np.nanmean(10.0 ** (2.0 * each))) for each in logs]
+    np.testing.assert_allclose(of_maps, [predicted, true], rtol=0.1)
+
+
 @needs_browser
 def test_the_page_opens_with_its_plot(finished, tmp_path):
     page = open_page(finished[1] / "report.html", tmp_path)
-    assert (page.console, page.plots) == ([], 1)
+    assert (page.console, page.plots) == ([], 2)
 
 
 def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is_known(finished):
@@ -167,7 +182,7 @@ def test_both_eyes_have_folders_of_their_own(tmp_path, straight_device):
     report = demo(DemoOptions(device=straight_device, eye="both", viewpoints=5, out=tmp_path))
     assert {path.name for path in tmp_path.iterdir()} == {"left", "right", "report.html", "report.md", "report.json"}
     assert all((tmp_path / eye / "alignment.png").is_file() for eye in ("left", "right"))
-    assert len(report.tables) == 4
+    assert len(report.tables) == 6
     assert all(f"no_optics, {eye} eye" in report.verdict for eye in ("left", "right"))
 
 

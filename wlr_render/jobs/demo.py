@@ -8,11 +8,12 @@
 
 Without OpenGL there is no raster+warp.
 
-The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics.
+The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics. The error of
+the planar models is also predicted, by what their fit and its left-out camera positions say, without those optics.
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,8 +21,11 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.budget.errors import Drawing, ErrorSizes, Truncation
+from wlr_render.budget.registration import registration_covariance
+from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import EyeFit, fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
@@ -30,6 +34,7 @@ from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.files import output_folder
 from wlr_render.geometry import directions
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.jobs.budget import BudgetOptions
 from wlr_render.jobs.demo_picture import (
     Panorama,
     busiest_place,
@@ -66,7 +71,7 @@ from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
-from wlr_render.report.plots import curves
+from wlr_render.report.plots import curves, small_heat_maps
 from wlr_render.report.save import save_report
 from wlr_render.simulation import viewpoints as stage
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
@@ -101,11 +106,16 @@ class DemoOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One viewpoint: what each method shows on the panel, and the misalignment of each, (n,) arcmin."""
+    """One viewpoint: what each method shows on the panel, and the misalignment of each at the judged pixels.
+
+    Misalignment and its predicted rms (of the planar models as `_planar_of` shows them) are (54, 48) arcmin, NaN where
+    a pixel shows nothing of the scene.
+    """
 
     viewpoint: FloatArray
     shown: dict[str, NDArray[np.uint8]]
     misalignment: dict[str, FloatArray]
+    predicted: FloatArray
 
 
 @job
@@ -131,9 +141,9 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     with raster.context if raster else contextlib.nullcontext():
         for eye, truth in eyes.items():
             progress.say(f"calibrating the {eye} eye")
-            painters = _painters(truth, renderer, raster, options)
+            fit, painters = _painters(truth, renderer, raster, options)
             places = judged_viewpoints(truth, options.viewpoints)
-            seen = list(progress(_views(truth, painters, places), len(places), f"viewpoints, {eye} eye"))
+            seen = list(progress(_views(truth, fit, painters, places), len(places), f"viewpoints, {eye} eye"))
             if any(is_blank(colour) for view in seen for colour in view.shown.values()):
                 blank.append(f"a frame of the {eye} eye")
             own = output_folder(folder_of_eye(folder, eye, options.eye))
@@ -145,6 +155,8 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
                 Picture("What the eye sees", files[-1], CAPTION),
                 overall,
                 _by_viewpoint(seen),
+                _predictions(seen),
+                _prediction_maps(truth, seen),
                 _distribution(seen),
             ]
     report = Report(
@@ -161,8 +173,8 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
 
 
 def _verdict(overall: ReportTable, what: str) -> str:
-    rows = {row[0]: [cell_text(cell) for cell in row[1:4]] for row in overall.rows}
-    planar, static, naive = rows.get("raster + warp", rows["ray traced"]), rows["static"], rows["naive"]
+    rows = {str(row[0]): [cell_text(cell) for cell in row[1:4]] for row in overall.rows}
+    planar, static, naive = rows[_planar_of(rows)], rows["static"], rows["naive"]
     return (
         f"{what}: misalignment with planar models is {planar[0]}' in the median ({planar[1]}' at 95 %, {planar[2]}' at "
         f"most); with one static map {static[0]}' ({static[1]}', {static[2]}'), with a naive flat picture {naive[0]}' "
@@ -179,9 +191,10 @@ def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
 
 def _painters(
     truth: EyeMappings, renderer: RayRenderer, raster: SceneRaster | None, options: DemoOptions
-) -> dict[str, Painter]:
+) -> tuple[EyeFit, dict[str, Painter]]:
     captures = simulated_captures(truth, options.seed)
-    planar = fit_eye(captures, "planar").mappings
+    fit = fit_eye(captures, "planar")
+    planar = fit.mappings
     static = fit_eye(captures, "static").mappings
     flat = fit_display(captures.both[0], "static", 1).mapping
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
@@ -190,7 +203,12 @@ def _painters(
         painters["raster + warp"] = raster_painter(
             planar, raster, renderer, options.map_from, raster_camera=options.raster_camera
         )
-    return painters | {"ray traced": TracedPainter(planar, renderer)}
+    return fit, painters | {"ray traced": TracedPainter(planar, renderer)}
+
+
+def _planar_of(methods: Collection[str]) -> str:
+    """The method whose figures stand for the planar models."""
+    return METHODS[2] if METHODS[2] in methods else METHODS[3]
 
 
 def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
@@ -202,23 +220,33 @@ def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def _views(truth: EyeMappings, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
+def _views(truth: EyeMappings, fit: EyeFit, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
+    pixel = np.floor(truth.display.panel.grid(*_GRID)) + 0.5
+    planar = _planar_of(painters)
+    # The error of raster frames was measured with the warp grid's, whose bound would count it twice.
+    drawing = Drawing(raster_arcmin=BudgetOptions.raster_arcmin if planar == METHODS[2] else 0.0)
+    sizes = ErrorSizes(drawing=drawing, truncation=Truncation.from_report(fit.model().report))
     for viewpoint in places:
-        view = _View(viewpoint, {}, {})
+        view = _View(viewpoint, {}, {}, np.full(pixel.shape[:2], np.nan))
         for method, painter in painters.items():
             frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
             view.shown[method] = frame.colour
-            view.misalignment[method] = _misalignment(truth, viewpoint, frame)
+            point = _shown_points(frame, pixel)
+            kept = np.isfinite(point[..., 0])
+            misalignment = np.full(kept.shape, np.nan)
+            misalignment[kept] = misalignment_arcmin(truth, viewpoint, pixel[kept], point[kept])
+            view.misalignment[method] = misalignment
+            if method == planar:
+                depth_m = viewpoint[2] - point[kept][:, 2]
+                expected = registration_covariance(fit.mappings, pixel[kept], viewpoint, depth_m, sizes).total
+                view.predicted[kept] = np.sqrt(variance(expected))
         yield view
 
 
-def _misalignment(truth: EyeMappings, viewpoint: FloatArray, frame: Frame) -> FloatArray:
-    panel = truth.display.panel
-    pixel = np.floor(panel.grid(*_GRID).reshape(-1, 2)) + 0.5
+def _shown_points(frame: Frame, pixel: FloatArray) -> FloatArray:
+    """World points (..., 3) that pixels (..., 2) show, NaN where none; the head pose makes them device points."""
     assert frame.position is not None
-    shown = frame.position[pixel[:, 1].astype(int), pixel[:, 0].astype(int)].astype(np.float64)
-    kept = np.isfinite(shown[:, 0])
-    return misalignment_arcmin(truth, viewpoint, pixel[kept], shown[kept])
+    return np.asarray(frame.position[pixel[..., 1].astype(int), pixel[..., 0].astype(int)], np.float64)
 
 
 def _overall(truth: EyeMappings, scene: Scene, seen: list[_View]) -> ReportTable:
@@ -238,6 +266,46 @@ def _by_viewpoint(seen: list[_View]) -> ReportTable:
         rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *(summary(each).median for each in view.misalignment.values())])
     columns = ["viewpoint (mm)", *seen[0].misalignment]
     return ReportTable("Median misalignment (arcmin) by viewpoint", columns, rows)
+
+
+def _predictions(seen: list[_View]) -> ReportTable:
+    planar = _planar_of(seen[0].misalignment)
+    rows: list[list[Cell]] = []
+    for view in seen:
+        x, y, z = view.viewpoint * 1e3
+        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *_predicted_and_true([view])])
+    rows.append(["all", *_predicted_and_true(seen)])
+    note = (
+        f"Of '{planar}', at the same pixels. Predicted from the calibration alone: covariance of both models, what "
+        "they cannot follow, and the error of raster frames. True: through the device's exact optics."
+    )
+    columns = ["viewpoint (mm)", "predicted", "true"]
+    return ReportTable("Predicted and true misalignment of the planar models, rms (arcmin)", columns, rows, [note])
+
+
+def _predicted_and_true(seen: list[_View]) -> tuple[float, float]:
+    """Rms over the viewpoints, arcminutes, of the pixels that have both."""
+    predicted, true = (np.stack(each) for each in zip(*(_prediction_of(view) for view in seen), strict=True))
+    both = np.isfinite(predicted + true)
+    return summary(predicted[both]).rms, summary(true[both]).rms
+
+
+def _prediction_of(view: _View) -> tuple[FloatArray, FloatArray]:
+    return view.predicted, view.misalignment[_planar_of(view.misalignment)]
+
+
+def _prediction_maps(truth: EyeMappings, seen: list[_View]) -> Plot:
+    predicted, true = (np.stack(each) for each in zip(*(_prediction_of(view) for view in seen), strict=True))
+    both = np.isfinite(predicted + true)
+    count = both.sum(axis=0)
+    maps = {}
+    for name, each in (("predicted", predicted), ("true", true)):
+        square = np.where(both, each, 0.0) ** 2
+        maps[name] = np.where(count > 0, np.sqrt(square.sum(axis=0) / np.maximum(count, 1)), np.nan)
+    cell = truth.display.panel.width_px / _GRID[0]
+    caption = "By place on the panel, rms over the viewpoints that show the scene there; one logarithmic scale."
+    title = "Predicted and true misalignment of the planar models"
+    return small_heat_maps(title, maps, "arcmin", columns=2, cell=cell, caption=caption)
 
 
 def _distribution(seen: list[_View]) -> Plot:
@@ -262,7 +330,8 @@ def _save_views(folder: Path, device: str, truth: EyeMappings, renderer: RayRend
     panoramas = [Panorama("display off", far.real, near.real, "the real object")]
     for method, shown in view.shown.items():
         stem = method.replace(" + ", "-").replace(" ", "-")
-        caption = misalignment_caption(summary(view.misalignment[method]))
+        prediction = _predicted_and_true([view]) if method == _planar_of(view.shown) else None
+        caption = misalignment_caption(summary(view.misalignment[method]), prediction)
         panorama = Panorama(method, _blended(far, shown), _blended(near, shown), caption)
         written.append(write_png(folder / f"panel-{stem}.png", shown))
         written.append(write_png(folder / f"eye-{stem}.png", panorama.overview))

@@ -21,7 +21,8 @@ CLOSE_UP_SHARE = 0.16
 _COLUMN_INCH = 3.6
 _NOTE = (
     "Real object and display are both seen through the device's exact optics, from a pupil position off the centre of "
-    "the eye box.\nMisalignment over the whole display at this position, in arcminutes (1' is 0.3 mm at 1 m)."
+    "the eye box.\nMisalignment over the whole display at this position, in arcminutes (1' is 0.3 mm at 1 m). "
+    "Predicted: from the calibration alone."
 )
 
 
@@ -35,10 +36,14 @@ class Panorama:
     caption: str
 
 
-def misalignment_caption(s: Summary) -> str:
-    """The figures under a panorama."""
+def misalignment_caption(s: Summary, prediction: tuple[float, float] | None = None) -> str:
+    """The figures under a panorama; `prediction` is the predicted and the true rms."""
     median, p95, maximum = (cell_text(x) for x in (s.median, s.p95, s.maximum))
-    return f"off by {median}' median\n{p95}' at 95 %, {maximum}' at most"
+    lines = [f"off by {median}' median", f"{p95}' at 95 %, {maximum}' at most"]
+    if prediction is not None:
+        predicted, true = (cell_text(x) for x in prediction)
+        lines.append(f"predicted {predicted}' rms, true {true}' rms")
+    return "\n".join(lines)
 
 
 def overview_camera(tangents: FloatArray) -> Pinhole:
@@ -73,11 +78,11 @@ def save_picture(path: Path, panoramas: Sequence[Panorama], window: tuple[Pinhol
 
     height, width = panoramas[0].overview.shape[:2]
     rows = [_COLUMN_INCH * height / width, _COLUMN_INCH]
-    size = (_COLUMN_INCH * len(panoramas) + 0.3, sum(rows) + 2.0)
+    size = (_COLUMN_INCH * len(panoramas) + 0.3, sum(rows) + 2.2)
     figure = Figure(figsize=size, dpi=130, facecolor="white")
     grid = figure.add_gridspec(
         2, len(panoramas), height_ratios=rows, wspace=0.03, hspace=0.02,
-        left=0.01, right=0.99, bottom=1.07 / size[1], top=1 - 0.93 / size[1],
+        left=0.01, right=0.99, bottom=1.27 / size[1], top=1 - 0.93 / size[1],
     )  # fmt: skip
     corner, extent = _window_px(*window)
     for column, panorama in enumerate(panoramas):
