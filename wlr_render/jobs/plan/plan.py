@@ -45,9 +45,6 @@ class PlanOptions(Options):
     turn_jitter_urad: Annotated[
         float, described("Random rotation of each visit in urad, standard deviation per axis."), limits.ROTATION_URAD
     ] = _USUAL.turn_jitter_urad
-    turn_urad: Annotated[
-        float, described("Smooth pitch, yaw and roll of the stage in urad, rms along each axis."), limits.ROTATION_URAD
-    ] = _USUAL.turn_urad
     in_depth: Annotated[
         bool,
         described(
@@ -96,7 +93,6 @@ class PlanOptions(Options):
             _USUAL,
             repeatability_um=self.repeatability_um,
             turn_jitter_urad=self.turn_jitter_urad,
-            turn_urad=self.turn_urad,
         )
         bench = PhotoBenchOptions(
             self.camera, target_depths_m=tuple(sorted(self.depths_m)), seed=self.seed, imperfections=sizes

@@ -139,9 +139,9 @@ def _errors_table(predicted: DesignErrors, simulated: DesignErrors) -> ReportTab
     columns = ["error", "predicted median (arcmin)", "predicted 95 % (arcmin)", "simulated median (arcmin)"]
     columns += ["simulated 95 % (arcmin)", "predicted rms (arcmin)", "simulated rms (arcmin)"]
     notes = (
-        "Over the eye box and the field of view. Predicted: from the covariance of the models and the smooth errors of "
-        "the stage that its calibration leaves. Simulated: one session's models against the traced headset.",
-        "Smooth errors of the stage are the same in display and see-through, and mostly cancel in registration.",
+        "Over the eye box and the field of view. Predicted: from the covariance of the models and the error of the "
+        "stage's calibration. Simulated: one session's models against the traced headset.",
+        "The latter is the same in display and see-through, and mostly cancels in registration.",
         "Errors of the tracking camera's extrinsics and of eye tracking come on top.",
     )
     return ReportTable("Errors of the recommended design", columns, rows, notes)

@@ -13,7 +13,7 @@ from wlr_render.jobs.plan.designs import places_of
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
-from wlr_render.simulation.photographs.photo_plan import plan_photographs
+from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photographs, stage_axis_count
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
 from wlr_render.simulation.photographs.stage_errors import StageErrors
@@ -21,43 +21,54 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 
 GRID = (17, 13)
 """Directions of a simulated capture: fewer than are read, each with less noise, so that a capture tells as much."""
-BARE_LEVELS = 3
-"""Levels of each stage axis at which the board is photographed without the headset."""
-DEPTH_LEVELS = 5
-"""The same where places differ in depth: smooth errors of the stage are then no function of the base plane's points,
-which display and see-through would share."""
+_DEGREE = 3  # of the curve along an axis
 _CURVE = 71  # stream of random numbers
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StageCurve:
     """What the calibration of a bench leaves of the smooth errors of its stage.
 
-    Photographs without the headset at some levels of each axis determine a curve through these levels.
+    Cubic curves along the axes are fitted to photographs without the headset, each of which the stage's random errors
+    displace.
 
     Attributes:
         errors: the stage's own.
         centre: (3,) of the stage's travel.
-        levels: number of levels of each axis.
+        degrees: (3,) of the curve along each axis.
+        found: (k, 6) coefficients of the curves.
     """
 
     errors: StageErrors
     centre: FloatArray
-    levels: int
+    degrees: tuple[int, ...]
+    found: FloatArray
+
+    @classmethod
+    def fitted(cls, errors: StageErrors, centre: FloatArray, steps: FloatArray, random: FloatArray) -> "StageCurve":
+        """Fit the curves.
+
+        Args:
+            errors, centre: see above.
+            steps: (n, 3) stage positions between -1 and 1 along each axis.
+            random: (n, 6) random rotation (rad) and displacement (m) of the camera there.
+        """
+        degrees = tuple(min(_DEGREE, len(np.unique(along)) - 1) for along in steps.T)
+        motion = np.stack([errors.motion(each) for each in steps * errors.half_travel_m]) + random
+        found = np.asarray(np.linalg.lstsq(_powers(steps, degrees), motion, rcond=None)[0], np.float64)
+        return cls(errors, centre, degrees, found)
 
     def __call__(self, position: FloatArray) -> FloatArray:
         """Rotation (rad) and displacement (m) of the camera (m, 6) at positions (m, 3)."""
-        half = self.errors.half_travel_m
         away = position - self.centre
-        left = np.stack([self.errors.motion(each) for each in away])
-        levels = np.linspace(-1.0, 1.0, self.levels)
-        for axis in range(3):
-            at = np.zeros((self.levels, 3))
-            at[:, axis] = levels * half[axis]
-            known = np.stack([self.errors.motion(each) for each in at])
-            found = np.polynomial.polynomial.polyfit(levels, known, self.levels - 1)
-            left -= np.polynomial.polynomial.polyval(away[:, axis] / half[axis], found).T
-        return left
+        motion = np.stack([self.errors.motion(each) for each in away])
+        return np.asarray(motion - _powers(away / self.errors.half_travel_m, self.degrees) @ self.found)
+
+
+def _powers(unit: FloatArray, degrees: tuple[int, ...]) -> FloatArray:
+    """1 and the powers (n, k) of each coordinate of (n, 3)."""
+    powers = [unit[:, axis] ** power for axis, degree in enumerate(degrees) for power in range(1, degree + 1)]
+    return np.stack([np.ones(len(unit)), *powers], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +81,7 @@ class PlannedBench:
         noise: of a dot and of a decoded panel position.
         bench: the simulated bench of the recipe.
         in_depth: whether the camera stands before and behind the middle plane, too; the stage is then calibrated at
-            more levels.
+            five levels of that axis, too.
     """
 
     truth: EyeMappings
@@ -121,12 +132,20 @@ class PlannedBench:
         depths = depths_m or self.recipe.bench.target_depths_m
         return CaptureSetup(self.truth, grid=GRID, target_depths_m=depths)
 
-    def curve(self, draw: int, levels: int | None = None) -> StageCurve:
-        """Smooth errors of one of many such stages."""
+    @cached_property
+    def bare_steps(self) -> FloatArray:
+        """Stage positions (n, 3) of the photographs without the headset, between -1 and 1: before it is mounted, and
+        after it is taken off."""
+        return np.tile(bare_steps(stage_axis_count(self.bench), self.in_depth), (2, 1))
+
+    def curve(self, draw: int) -> StageCurve:
+        """What calibration leaves of the smooth errors of one of many such stages."""
         rng = np.random.default_rng([self.recipe.bench.seed, _CURVE, draw])
-        half = np.append(self.reach_m, 0.5 * self.truth.eye_box.size[2])
-        errors = StageErrors.draw(self.recipe.bench.imperfections, half, rng)
-        return StageCurve(errors, self.truth.eye_box.centre, levels or (DEPTH_LEVELS if self.in_depth else BARE_LEVELS))
+        sizes, half = self.recipe.bench.imperfections, np.append(self.reach_m, 0.5 * self.truth.eye_box.size[2])
+        errors = StageErrors.draw(sizes, half, rng)
+        random = 1e-6 * rng.standard_normal((len(self.bare_steps), 6))
+        random *= np.repeat([sizes.turn_jitter_urad, sizes.repeatability_um], 3)
+        return StageCurve.fitted(errors, self.truth.eye_box.centre, self.bare_steps, random)
 
     def captures(
         self, places: FloatArray, seed: list[int], curve: StageCurve | None, depths_m: tuple[float, ...] | None = None
@@ -157,7 +176,7 @@ class PlannedBench:
             "codes on the display": places * len(code.names()),
             # The first place of each target pose once more: what moved meanwhile shows there.
             "board through the optics": (places + 1) * poses,
-            "board without the headset": len(plan.bare) * len(plan.bare_poses),
+            "board without the headset": len(self.bare_steps),
             "board by the tracking camera": 2 * poses,
             "board for the lenses": len(plan.eyeball_boards) + len(plan.tracking_boards),
         }

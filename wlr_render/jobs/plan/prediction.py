@@ -99,7 +99,7 @@ class Scales:
     Attributes:
         noise: of dots and decoded positions.
         random: repeatability and random turns of the stage.
-        smooth: smooth errors of the stage that the bench's calibration leaves.
+        smooth: error of the stage's calibration.
     """
 
     noise: float = 1.0
@@ -147,7 +147,7 @@ class DesignPredictor:
         return self.errors_of(*self.models(unit, scales, depths_m), scales.smooth)
 
     def errors_of(self, display: FittedDisplay, see_through: FittedSeeThrough, smooth: float = 1.0) -> DesignErrors:
-        """Predicted errors by the covariance of two models and the smooth errors of the stage."""
+        """Predicted errors by the covariance of two models and the error of the stage's calibration."""
         shown = display.sigma(self.tests.pixel, self.tests.viewpoint)
         seen = see_through.sigma(self.tests.point, self.tests.viewpoint)
         sizes = (shown, seen, np.hypot(shown, seen))
@@ -157,7 +157,7 @@ class DesignPredictor:
 
     @cached_property
     def _by_curves(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Errors (curves, n) of display, see-through and registration by the stage's smooth errors.
+        """Errors (curves, n) of display, see-through and registration by the error of the stage's calibration.
 
         The fits take them for optics. As both photograph from the same places, parts cancel in registration.
         """

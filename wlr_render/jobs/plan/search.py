@@ -19,7 +19,8 @@ from wlr_render.jobs.plan.prediction import (
 from wlr_render.numerics.arrays import FloatArray
 
 LEAST_PLACES = 9
-_PILOT_PLACES = 30
+PILOT_PLACES = 30
+"""Camera places of the pilot session."""
 _GUESSES = 4  # numbers of places at which a chosen design is predicted, at most
 _FIRST_STEP = 16  # of so many parts of the designs; steps double until a design reaches the accuracy
 _MORE = 1.25  # times as many places if the simulated session misses the accuracy
@@ -78,7 +79,7 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
         return spread(bench.truth.eye_box, bench.field_reach, count)
 
     say("fitting the captures of a pilot session")
-    pilot = PlannedFit.to(simulated_captures(bench, spread_of(min(_PILOT_PLACES, most)).unit, seed))
+    pilot = PlannedFit.to(simulated_captures(bench, spread_of(min(PILOT_PLACES, most)).unit, seed))
     predictor = DesignPredictor(bench, pilot, EyeTests.of(bench.truth, seed))
     say("predicting designs")
     by_family = {
@@ -178,8 +179,8 @@ def _limits(predictor: DesignPredictor, design: Design) -> dict[str, DesignError
     twice = spread(bench.truth.eye_box, bench.field_reach, 2 * len(design))
     return {
         "half the noise of dots and decoding": predictor.errors(unit, Scales(noise=0.5)),
-        "half the repeatability and random turns": predictor.errors(unit, Scales(random=0.5)),
-        "half the smooth stage error": predictor.errors(unit, Scales(smooth=0.5)),
+        "half the repeatability and random turns": predictor.errors(unit, Scales(random=0.5, smooth=0.5)),
+        "four times the photographs without the headset": predictor.errors(unit, Scales(smooth=0.5)),
         f"one more target, at {depths[-1]:g} m": predictor.errors(unit, depths_m=depths),
         f"twice the camera places, {len(twice)}": predictor.errors(twice.unit),
     }

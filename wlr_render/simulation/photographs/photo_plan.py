@@ -62,13 +62,7 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
     axes = stage_axis_count(bench)
     sweep = stage_readings(bench, viewpoints)
     sweep[:, axes:] = 0.0
-    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
-    # At three levels of an axis a cubic error of the stage looks like a linear one: five levels tell them apart.
-    between = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, -0.5, 0.0], [0.0, 0.5, 0.0]]
-    if bench.options.sampling == "volumetric":  # the sweep travels along z, too
-        between += [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]
-    steps = np.concatenate([steps, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], between])
-    steps = steps[~np.any(steps[:, axes:], axis=1)]
+    steps = bare_steps(axes, bench.options.sampling == "volumetric")
     if bench.options.stated_axes_deg:
         steps = np.zeros((1, 3))
     reach = [*np.abs(sweep[:, :2]).max(axis=0), 0.5 * bench.optics.eye_box.size[2]]
@@ -80,6 +74,22 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
         _boards_before(bench.eyeball.camera, bench.board.size_m),
         _boards_before(bench.tracking.camera, bench.board.size_m),
     )
+
+
+def bare_steps(axes: int, in_depth: bool) -> FloatArray:
+    """Stage positions (n, 3) of photographs without the headset, between -1 and 1 along each axis.
+
+    Args:
+        axes: number of axes of the stage.
+        in_depth: whether the sweep travels along z, too.
+    """
+    steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
+    # At three levels of an axis a cubic error of the stage looks like a linear one: five levels tell them apart.
+    between = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, -0.5, 0.0], [0.0, 0.5, 0.0]]
+    if in_depth:
+        between += [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]
+    steps = np.concatenate([steps, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]], between])
+    return np.asarray(steps[~np.any(steps[:, axes:], axis=1)])
 
 
 def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
