@@ -20,6 +20,7 @@ BENCHMARKS = {
     "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
     "boards": "Detectors of boards on published photographs, beside OpenCV's.",
     "accuracy": "Errors of fitted models over random draws, beside what the models predict of themselves.",
+    "design": "Errors of simulated sessions by the design of their camera places.",
     "wear": "Self-calibration by clicks over half an hour of simulated wear with slips.",
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
     "rivals": "Published methods and ours on measurements of others.",

@@ -1,8 +1,8 @@
-"""Confidence intervals of counts of trials, and of sums over sessions."""
+"""Confidence intervals of counts of trials, of sums over sessions, and of ratios within sessions."""
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest
+from scipy.stats import binomtest, t
 
 LEVEL = 0.95
 INTERVAL = "95 % interval (%)"
@@ -31,3 +31,14 @@ def ratio_interval(numerators: ArrayLike, denominators: ArrayLike) -> tuple[floa
     drawn = np.random.default_rng(1).integers(0, len(above), (_RESAMPLED, len(above)))
     low, high = np.quantile(above[drawn].sum(axis=1) / below[drawn].sum(axis=1), [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
     return float(low), float(high)
+
+
+def mean_ratio(numerators: ArrayLike, denominators: ArrayLike) -> tuple[float, float, float]:
+    """Geometric mean of the ratios of sessions (n,), two or more, and its 95 % confidence interval.
+
+    The logarithms of the ratios are taken as normal (Student's t), which holds for a few sessions, too, where a
+    bootstrap is too narrow.
+    """
+    logs = np.log(np.asarray(numerators, np.float64) / np.asarray(denominators, np.float64))
+    mean, half = np.mean(logs), t.ppf(0.5 + LEVEL / 2, len(logs) - 1) * np.std(logs, ddof=1) / np.sqrt(len(logs))
+    return float(np.exp(mean)), float(np.exp(mean - half)), float(np.exp(mean + half))

@@ -1,0 +1,1 @@
+"""Camera places that a plan chooses, judged by simulated sessions."""

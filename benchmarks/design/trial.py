@@ -1,0 +1,68 @@
+"""One trial: a pilot session chooses camera places, and another session is simulated and fitted with each design."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from wlr_render.jobs.plan.designs import CHOSEN, SPREAD, spread
+from wlr_render.jobs.plan.plan import PlanOptions
+from wlr_render.jobs.plan.planned_bench import PlannedBench
+from wlr_render.jobs.plan.prediction import DesignPredictor, EyeTests, PlannedFit, simulated_captures
+from wlr_render.jobs.plan.search import PILOT_PLACES, chosen_design
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
+
+FEW, MANY = 16, 25
+"""Numbers of camera places."""
+DESIGNS = (f"{SPREAD} {FEW}", f"{SPREAD} {MANY}", f"{CHOSEN} {FEW}")
+"""Names of the designs that are compared."""
+
+
+@dataclass(frozen=True)
+class DesignTrial:
+    """A simulated session of a headset; `in_depth` as in `PlannedBench`."""
+
+    headset: str
+    in_depth: bool
+    number: int
+
+    @property
+    def file(self) -> str:
+        """Name of the file of its outcome."""
+        return f"design-{self.headset}-{'depth' if self.in_depth else 'plane'}-{self.number:03d}.json"
+
+
+@dataclass(frozen=True)
+class DesignOutcome:
+    """What became of a trial.
+
+    Attributes:
+        trial: the session.
+        p95: registration error in arcminutes that 95 % of the eye box stay below, by the name of the design.
+    """
+
+    trial: DesignTrial
+    p95: dict[str, float]
+
+
+def loaded_outcome(trial: DesignTrial, content: dict[str, Any]) -> DesignOutcome:
+    """The outcome of a trial from its fields as JSON has them."""
+    return DesignOutcome(trial, {name: float(content["p95"][name]) for name in DESIGNS})
+
+
+def run_trial(trial: DesignTrial, seed: int) -> DesignOutcome:
+    """Run a trial; the same seed gives the same outcome.
+
+    Each trial has a pilot session of its own, so that trials scatter by what the choice of places owes to chance, too.
+    """
+    recipe = PlanOptions(trial.headset).recipe
+    built = recipe.build()
+    truth = replace(traced_eye(built.device, recipe.eye), name=built.device.name)
+    bench = PlannedBench(truth, recipe, ReadingOptions(), built, trial.in_depth)
+    box, reach, number = truth.eye_box, bench.field_reach, 2 * (1000 * (seed - 1) + trial.number)
+    pilot = PlannedFit.to(simulated_captures(bench, spread(box, reach, PILOT_PLACES).unit, number))
+    predictor = DesignPredictor(bench, pilot, EyeTests.of(truth, seed))
+    p95 = {}
+    for design in (spread(box, reach, FEW), spread(box, reach, MANY), chosen_design(predictor, FEW)):
+        fit = PlannedFit.to(simulated_captures(bench, design.unit, number + 1))
+        p95[design.name] = predictor.simulated(fit).registration.p95
+    return DesignOutcome(trial, p95)

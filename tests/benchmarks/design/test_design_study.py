@@ -1,0 +1,52 @@
+"""The benchmark of designs: its table, kept sessions, options, one session."""
+
+import pytest
+
+from benchmarks.__main__ import main
+from benchmarks.design import trial as design_trial
+from benchmarks.design.study import design_table
+from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, loaded_outcome, run_trial
+from wlr_render.jobs.kept_trials import kept_outcome
+
+
+def outcome(headset, number, *p95):
+    return DesignOutcome(DesignTrial(headset, True, number), dict(zip(DESIGNS, p95, strict=True)))
+
+
+def test_the_table_compares_designs_within_sessions():
+    sessions = [outcome("northstar", 0, 1.0, 0.2, 0.1), outcome("northstar", 1, 3.0, 0.8, 0.4)]
+    sessions += [outcome("birdbath28", 0, 0.4, 0.1, 0.2), outcome("birdbath28", 1, 0.4, 0.4, 0.2)]
+    first, second = design_table(sessions).rows
+    assert first[:5] == ["northstar", 2, pytest.approx(2.0), pytest.approx(0.5), pytest.approx(0.25)]
+    assert first[7:] == [pytest.approx(0.5), "0.50 to 0.50"]
+    assert second[5:8] == [pytest.approx(0.5), "0.50 to 0.50", pytest.approx(1.0)]
+    low, high = map(float, second[8].split(" to "))
+    assert low == 0.0  # of two sessions with ratios 2 and 0.5 nothing is known
+    assert high > 100.0
+
+
+def test_a_kept_session_is_read_again_and_planes_and_depths_are_kept_apart(tmp_path):
+    made = outcome("birdbath28", 3, 0.1, 0.2, 0.3)
+    kept_outcome(lambda trial, seed: made, loaded_outcome, tmp_path, 1, made.trial)
+    again = kept_outcome(lambda trial, seed: pytest.fail("was made again"), loaded_outcome, tmp_path, 1, made.trial)
+    assert again == made
+    assert made.trial.file != DesignTrial("birdbath28", False, 3).file
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [(["--headsets", "vive"], "vive"), (["--sessions", "1"], "--sessions is 1; it must be between 2 and 1000.")],
+)
+def test_bad_options_get_a_sentence(arguments, words, tmp_path, capsys):
+    assert main(["design", *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert words in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_session_has_an_error_for_each_design_and_more_places_have_less(monkeypatch):
+    names = ("spread 9", "spread 16", "chosen 9")
+    for name, value in (("FEW", 9), ("MANY", 16), ("PILOT_PLACES", 16)):
+        monkeypatch.setattr(design_trial, name, value)
+    found = run_trial(DesignTrial("birdbath28", False, 0), 1).p95
+    assert tuple(found) == names
+    assert 0.01 < found["spread 16"] < found["spread 9"] < 10.0
