@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, place_key
 from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, CameraPlace
-from wlr_render.calibration.poses import adjoint, cross_matrix, motion_between
+from wlr_render.calibration.poses import adjoint, motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
@@ -90,7 +90,7 @@ class _Compared:
         for part in ("rotation", "position"):
             error, rows, own = [], [], []
             for pose in poses:
-                by = parts.get(part, np.concatenate([-cross_matrix(pose.found[:3, 3]), np.eye(3)], axis=1))
+                by = parts.get(part, np.concatenate([-transforms.cross_matrix(pose.found[:3, 3]), np.eye(3)], axis=1))
                 error.append(by @ motion_between(pose.found, pose.true))
                 rows.append(by @ pose.rows)
                 own.append(by @ pose.own @ by.T)
@@ -141,7 +141,9 @@ class _Compared:
         error = transforms.apply(self._truth.bench.device_from_target[number], true) - found
         inverse, _, cross = self._adjustment.normal.features["board"]
         rows = np.zeros((count, 3, self._unknowns))
-        by_motion = np.concatenate([-cross_matrix(found), np.broadcast_to(np.eye(3), (count, 3, 3))], axis=-1)
+        by_motion = np.concatenate(
+            [-transforms.cross_matrix(found), np.broadcast_to(np.eye(3), (count, 3, 3))], axis=-1
+        )
         rows[:, :, layout.where["target", number]] = by_motion @ adjoint(pose)
         rows[:, :, layout.where["shape", "board"]] = turn @ shape.by_low(nominal)
         by_place = np.einsum("nij,unj->niu", inverse[chosen], cross.reshape(self._unknowns, -1, 3)[:, chosen])

@@ -169,15 +169,16 @@ def test_the_tracking_camera_does_not_count_in_its_own_frame(flat_image_headset)
 
 
 def test_disparity_of_two_equal_eyes_has_only_what_is_independent(flat_image_headset):
-    """One eye twice: what moves the head or both eyes cancels, and noise counts twice."""
-    eye = flat_image_headset
+    """One eye twice: what moves the head or both eyes cancels, noise counts twice, and truncation once of each eye."""
+    eye, untruncated = flat_image_headset, replace(ALL_SIZES, truncation=Truncation())
     pixel, viewpoint = pixels_and_viewpoints(eye)
     alone = registration_covariance(eye, pixel, viewpoint, DEPTH_M, ALL_SIZES)
-    both = disparity_covariance((eye, eye), alone.point, (viewpoint, viewpoint), ALL_SIZES)
+    both = disparity_covariance((eye, eye), alone.point, (viewpoint, viewpoint), (ALL_SIZES, untruncated))
     assert set(both) == set(alone.by_source)
     for name, each in both.items():
         is_common = name.startswith("head tracker") or name == "eye tracker: latency"
-        np.testing.assert_allclose(each, (0.0 if is_common else 2.0) * alone.by_source[name], atol=1e-6)
+        times = 0.0 if is_common else 1.0 if name == "model: truncation" else 2.0
+        np.testing.assert_allclose(each, times * alone.by_source[name], atol=1e-6)
 
 
 def test_errors_of_the_head_move_far_points_alike_in_both_eyes(flat_image_headset):
@@ -187,7 +188,8 @@ def test_errors_of_the_head_move_far_points_alike_in_both_eyes(flat_image_headse
     sizes_of = {}
     for depth_m in (0.4, 90.0):
         alone = registration_covariance(eye, pixel, viewpoint, depth_m, sizes)
-        both = disparity_covariance((eye, eye), alone.point, (viewpoint - apart / 2, viewpoint + apart / 2), sizes)
+        viewpoints = (viewpoint - apart / 2, viewpoint + apart / 2)
+        both = disparity_covariance((eye, eye), alone.point, viewpoints, (sizes, sizes))
         sizes_of[depth_m] = np.nanmax(np.abs(both["head tracker: noise"])) / alone.total.max()
     assert sizes_of[90.0] < 1e-3 < sizes_of[0.4]
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from wlr_render.budget.errors import ErrorSizes, variances
 from wlr_render.errors import BadInputError
-from wlr_render.geometry import rays
+from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import EyeMappings, QueryResult
 from wlr_render.models.fitted_model import FittedDisplay, FittedModel, FittedSeeThrough
@@ -99,7 +99,7 @@ def _covered(
 
 
 def disparity_covariance(
-    eyes: Sequence[EyeMappings], point: FloatArray, viewpoints: Sequence[FloatArray], sizes: ErrorSizes
+    eyes: Sequence[EyeMappings], point: FloatArray, viewpoints: Sequence[FloatArray], sizes: Sequence[ErrorSizes]
 ) -> dict[str, FloatArray]:
     """Covariance of both eyes' disparity: registration of the right eye less that of the left, by source.
 
@@ -111,7 +111,7 @@ def disparity_covariance(
         eyes: left and right.
         point: (..., 3) real points, device frame, metres.
         viewpoints: (..., 3) of both eyes.
-        sizes: of both eyes' errors.
+        sizes: of the errors of both eyes, which have the same trackers.
 
     Returns:
         Source -> (..., 2, 2) square arcminutes: horizontal, then vertical disparity; NaN where an eye does not see the
@@ -128,10 +128,11 @@ def disparity_covariance(
         pixel = eye.display.pixel_of_view_dir(seen.value, seen_from)
         both.append(_Sensitivity(eye, pixel.value, seen_from, at, seen.value))
     left, right = both
-    apart = [each.covariances(sizes) for each in both]
-    of_left = left.common_motions(sizes)
+    apart = [each.covariances(of_eye) for each, of_eye in zip(both, sizes, strict=True)]
+    of_left = left.common_motions(sizes[0])
     common = {
-        name: _spread(by - of_left[name][0], variance) for name, (by, variance) in right.common_motions(sizes).items()
+        name: _spread(by - of_left[name][0], variance)
+        for name, (by, variance) in right.common_motions(sizes[1]).items()
     }
     names = dict.fromkeys(name for each in apart for name in each if name != TRACKING_CAMERA)
     summed = {name: np.asarray(sum(each[name] for each in apart if name in each)) for name in names}
@@ -158,7 +159,7 @@ class _Sensitivity:
         of_viewpoint = partial(_derivative, argument=viewpoint, step=_STEP_M)
         by_point = axes @ _derivative(lambda at: seen(at, viewpoint), point, _STEP_RAD * distance)
         self.by_viewpoint = axes @ (of_viewpoint(partial(shown, pixel)) - of_viewpoint(partial(seen, point)))
-        self.by_motion = np.concatenate([by_point @ -_cross_matrix(point), by_point], axis=-1)
+        self.by_motion = np.concatenate([by_point @ -transforms.cross_matrix(point), by_point], axis=-1)
         self.by_pixel = axes @ _derivative(lambda at: shown(at, viewpoint), pixel, _STEP_PX)
 
     def covariances(self, sizes: ErrorSizes) -> dict[str, FloatArray]:
@@ -216,13 +217,6 @@ def _derivative(
     )
     plus, minus = np.split(query(argument + offset).value, 2)
     return np.asarray(np.moveaxis(plus - minus, 0, -1) / (2.0 * np.asarray(step)[..., None, None]))
-
-
-def _cross_matrix(vector: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) whose product with another vector is the cross product."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape, 3)
 
 
 def _spread(by: FloatArray, variance: FloatArray) -> FloatArray:

@@ -39,16 +39,8 @@ def adjoint(b_from_a: FloatArray) -> FloatArray:
     rotation = b_from_a[..., :3, :3]
     result = np.zeros((*b_from_a.shape[:-2], 6, 6))
     result[..., :3, :3] = result[..., 3:, 3:] = rotation
-    result[..., 3:, :3] = cross_matrix(b_from_a[..., :3, 3]) @ rotation
+    result[..., 3:, :3] = transforms.cross_matrix(b_from_a[..., :3, 3]) @ rotation
     return result
-
-
-def cross_matrix(vector: FloatArray) -> FloatArray:
-    """(..., 3) -> (..., 3, 3), the matrix that takes w to vector x w."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +68,7 @@ class Pose:
     @property
     def sigma_mm(self) -> FloatArray:
         """(3,) standard deviations of where the origin of a lies, along the axes of b."""
-        by_motion = np.concatenate([-cross_matrix(self.b_from_a[:3, 3]), np.eye(3)], axis=1)
+        by_motion = np.concatenate([-transforms.cross_matrix(self.b_from_a[:3, 3]), np.eye(3)], axis=1)
         return 1e3 * np.sqrt(np.diag(_carried(by_motion, self.covariance)))
 
 

@@ -57,6 +57,14 @@ def rotation_about(axis: str, angle: float) -> FloatArray:
     return rotation
 
 
+def cross_matrix(vector: FloatArray) -> FloatArray:
+    """Matrices (..., 3, 3) that take w to vector x w, of vectors (..., 3)."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
 def rotations_of_vectors(vector: FloatArray) -> FloatArray:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians."""
     vector = np.asarray(vector, dtype=np.float64)

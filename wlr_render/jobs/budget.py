@@ -168,15 +168,15 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     eyes, sizes, found = [], [], []
     for name in progress(names, len(names), "eyes"):
         mappings, of_eye = opened_with_sizes(options, name)
-        sizes.append(of_eye)
         with naming(Path(options.headset)):
-            found.append(eye_budget(mappings, options.depth_m, sizes[-1], options.camera_frame))
+            found.append(eye_budget(mappings, options.depth_m, of_eye, options.camera_frame))
         eyes.append(mappings)
+        sizes.append(of_eye)
     folder = output_folder(options.out)
     blocks: list[Block] = []
     for each, mappings in zip(found, eyes, strict=True):
         blocks += _eye_blocks(each, mappings, options.depth_m)
-    disparity = _disparity(eyes, sizes[0], options.depth_m) if len(eyes) == 2 else []
+    disparity = _disparity(eyes, sizes, options.depth_m) if len(eyes) == 2 else []
     if disparity:
         blocks += [Section("Disparity of both eyes"), _disparity_table(disparity, options.depth_m)]
     blocks += [Section("How it is computed"), Text(_METHOD)]
@@ -185,7 +185,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
         f"Error budget of {eyes[0].name}",
         verdict=_verdict(found, options.depth_m),
         advice=_advice(worst),
-        warnings=[*_warnings(options.headset, found)],
+        warnings=_warnings(options.headset, found),
         blocks=blocks,
         inputs=[headset_path(options.headset)],
         record={"options": options, "eyes": found, "disparity": disparity},
@@ -273,7 +273,7 @@ class DisparityShare:
     vertical_arcmin: float
 
 
-def _disparity(eyes: Sequence[EyeMappings], sizes: ErrorSizes, depth_m: float) -> list[DisparityShare]:
+def _disparity(eyes: Sequence[EyeMappings], sizes: Sequence[ErrorSizes], depth_m: float) -> list[DisparityShare]:
     """By source, over points that cover the panel of the first eye and viewpoints all over the eye boxes."""
     viewpoints = [volumetric(eye.eye_box, _VIEWPOINTS)[:, None] for eye in eyes]
     first = registration_covariance(

@@ -14,7 +14,7 @@ from scipy.linalg import solve_triangular
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, place_key
 from wlr_render.calibration.bench.observations import EYEBALL
 from wlr_render.calibration.bench.state import Key
-from wlr_render.calibration.poses import adjoint, cross_matrix
+from wlr_render.calibration.poses import adjoint
 from wlr_render.calibration.posterior_spread import lower_root
 from wlr_render.calibration.readings import angular_metric
 from wlr_render.captures.correspondences import (
@@ -157,7 +157,7 @@ def _target_change(bench: CalibratedBench, factor: FloatArray, number: int) -> F
     shape = state.shape.get(name)
     point = transforms.apply(pose, nominal if shape is None else nominal + shape.by_low(nominal) @ shape.low)
     motion = adjoint(pose) @ factor[where["target", number]]
-    change = -cross_matrix(point) @ motion[:3] + motion[3:]
+    change = -transforms.cross_matrix(point) @ motion[:3] + motion[3:]
     if shape is not None:
         change = change + pose[:3, :3] @ (shape.by_low(nominal) @ factor[where["shape", name]])
     found = np.linalg.lstsq(point_terms(point), change.reshape(len(point), -1), rcond=1e-9)[0]

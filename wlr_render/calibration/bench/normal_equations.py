@@ -12,7 +12,6 @@ import numpy as np
 from wlr_render.calibration.bench.observations import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import BenchState, Key, stretch_terms
 from wlr_render.calibration.bench.unknowns import Layout, Sizes
-from wlr_render.calibration.poses import cross_matrix
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Sums
@@ -45,7 +44,7 @@ def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
     point = transforms.apply(camera_from_board, shape.point_of(view.feature, view.point))
     seen = state.lens_of(view).project(point)
     turned = seen.by_point @ camera_from_board[:3, :3]
-    by_motion = np.concatenate([seen.by_point @ -cross_matrix(point), seen.by_point], axis=-1)
+    by_motion = np.concatenate([seen.by_point @ -transforms.cross_matrix(point), seen.by_point], axis=-1)
     predicted, by_stretch = seen.pixel, np.zeros((len(point), 2, 0))
     if view.name in state.stretches:
         by_stretch = stretch_terms(view.pixel, state.lens_of(view).size_px)

@@ -20,7 +20,7 @@ from wlr_render.calibration.bench.state import (
     stage_motion,
     stated_twist,
 )
-from wlr_render.calibration.poses import cross_matrix, motion_between, small_motion
+from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
@@ -154,7 +154,7 @@ def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS)
         scale = 1.4826 * float(np.median(np.abs(residual[good])))
         if number == steps:
             break
-        by_motion = np.concatenate([seen.by_point @ -cross_matrix(point), seen.by_point], axis=-1)[good]
+        by_motion = np.concatenate([seen.by_point @ -transforms.cross_matrix(point), seen.by_point], axis=-1)[good]
         size = np.linalg.norm(residual[good], axis=1) / max(scale, 1e-9)
         weight = np.sqrt(np.minimum(1.0, 4.0 / np.maximum(size, 1e-9))) / view.sigma_px[good]
         design = (by_motion * weight[:, None, None]).reshape(-1, 6)

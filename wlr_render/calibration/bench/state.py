@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BenchObservations, BoardView
-from wlr_render.calibration.poses import adjoint, cross_matrix, motion_between, small_motion
+from wlr_render.calibration.poses import adjoint, motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -374,7 +374,7 @@ def _exponential(twist: FloatArray) -> FloatArray:
     angle = float(np.linalg.norm(turn))
     if angle < 1e-12:
         return transforms.rigid(np.eye(3), shift)
-    cross = cross_matrix(turn)
+    cross = transforms.cross_matrix(turn)
     first, second = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
     along = np.eye(3) + first * cross + second * cross @ cross
     return transforms.rigid(transforms.rotations_of_vectors(turn), along @ shift)
@@ -384,8 +384,8 @@ def _right_jacobian(twist: FloatArray) -> FloatArray:
     """(6, 6): exponential(twist + d) = exponential(twist) @ small_motion(J @ d) (T. D. Barfoot, "State Estimation for
     Robotics" (2017), equation 7.83)."""
     bracket = np.zeros((6, 6))
-    bracket[:3, :3] = bracket[3:, 3:] = cross_matrix(twist[:3])
-    bracket[3:, :3] = cross_matrix(twist[3:])
+    bracket[:3, :3] = bracket[3:, 3:] = transforms.cross_matrix(twist[:3])
+    bracket[3:, :3] = transforms.cross_matrix(twist[3:])
     power, total = np.eye(6), np.eye(6)
     for k in range(1, _TERMS):
         power = power @ -bracket / (k + 1)
