@@ -13,8 +13,8 @@ the optics found it. With the tracked viewpoint v, the display direction D and t
 Shift and the turn about x and y look nearly alike, and so does pointing: the priors share a constant angle out among
 them. Only dots at several depths tell offset from shift, and growth from an offset along z. An update is the Gaussian
 maximum a posteriori by Gauss-Newton steps; wrong clicks, and a slip that nobody announced, are found by their evidence.
-Errors of the models are the same in all clicks of a place: they enter
-through the models' own covariance, with the correlation between clicks.
+Errors of the models are the same in all clicks of a place: they enter through the models' own covariance, with the
+correlation between clicks.
 """
 
 import math
@@ -162,7 +162,7 @@ class WearState:
         mean: (PARAMETERS,) see the module's slices.
         covariance: (PARAMETERS, PARAMETERS).
         outliers: numbers, from 0, of the clicks of the last update that contradict the others, and weighed less.
-        has_slipped: whether the last update found a slip of which it was not told.
+        has_slipped: whether the last update found a slip that was not announced by `slipped`.
     """
 
     calibrated: EyeMappings
@@ -400,7 +400,7 @@ def _likeliest(innovation: FloatArray, spread: FloatArray, settings: WearSetting
 
 
 def _moved(pixel: FloatArray, panel: Panel, shift_px: FloatArray, growth: FloatArray | float) -> FloatArray:
-    """Pixels at calibration from whose places the light of pixels (..., 2) comes now."""
+    """Pixels (..., 2) that at calibration were where pixels (..., 2) of the moved panel are now."""
     return np.asarray(pixel + shift_px + growth * (pixel - 0.5 * panel.size_px))
 
 

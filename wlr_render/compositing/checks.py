@@ -195,7 +195,7 @@ def checked_fov(fov_rad: object) -> FloatArray:
     wanted = "the angles (left, right, up, down) of its borders in radians, as EyeCamera.fov_rad"
     angles = finite_array(fov_rad, (4,), "fov_rad", wanted)
     if (np.abs(angles) >= 0.5 * np.pi).any() or angles[0] >= angles[1] or angles[3] >= angles[2]:
-        raise BadInputError(f"the fov_rad is {shown(fov_rad)}; give {wanted}, with left < right and down < up.")
+        raise BadInputError(f"fov_rad is {shown(fov_rad)}; give {wanted}, with left < right and down < up.")
     return angles
 
 

@@ -24,7 +24,6 @@ _DISTANCES_M = (0.3, 0.6, 1.5, 3.0)  # of a further target
 _APART = 0.1  # dioptres, of distances that differ
 _TESTS = 150
 _TOLD = 0.3  # least information of a combination of readings, beside the prior
-_EXCHANGES = 1  # of each place, at most
 _WORTH = 1e-3  # of the error: an exchange that gains less is not made
 
 
@@ -121,7 +120,7 @@ class PlaceChoice:
 
     def _exchanged(self, taken: list[int]) -> list[int]:
         sides = self._with(taken)
-        for _ in range(_EXCHANGES * len(taken)):
+        for _ in taken:  # as many exchanges as places, at most
             spare = int(np.argmin(sum(side.changes(np.array(taken), -1.0) for side in sides)))
             rest = [*taken[:spare], *taken[spare + 1 :]]
             others = self._with(rest)
