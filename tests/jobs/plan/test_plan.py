@@ -219,8 +219,8 @@ def calibration(bench, tmp_path_factory):
 
 
 def _with_lens_error(captures):
-    """Captures that share an error of the lens: a scale of 1e-5."""
-    by_tangents = Polynomial(np.eye(2, dtype=int), Box(-np.ones(2), np.ones(2)), 1e-5 * np.eye(2))
+    """Captures that share an error of the lens: a scale of 1e-3, which cancels between display and see-through."""
+    by_tangents = Polynomial(np.eye(2, dtype=int), Box(-np.ones(2), np.ones(2)), 1e-3 * np.eye(2))
     visits = np.unique(captures.visits[0])
     common = CommonErrors(("lens",), visits, np.zeros((len(visits), 6, 1)), by_tangents)
     conditions = captures.conditions or Conditions.recorded(len(captures))

@@ -17,7 +17,7 @@ from wlr_render.jobs.plan.designs import offered, places_of
 from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan_report import error_map, places_table
 from wlr_render.jobs.plan.planned_bench import PlannedBench
-from wlr_render.jobs.plan.prediction import FAR_M, NEAR_M, EyeTests, PlannedFit
+from wlr_render.jobs.plan.prediction import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
@@ -112,7 +112,7 @@ def _with_places(fit: PlannedFit, places: FloatArray, tests: EyeTests) -> _Step:
 
 def _predicted(display: FittedDisplay, see_through: FittedSeeThrough, tests: EyeTests) -> Summary:
     """Registration error: median and 95 % of the lengths of random errors."""
-    sigma = np.hypot(display.sigma(tests.pixel, tests.viewpoint), see_through.sigma(tests.point, tests.viewpoint))
+    sigma = np.sqrt(registration_variance(display, see_through, tests.pixel, tests.viewpoint, tests.point))
     return summary(sigma / np.sqrt(2.0) * np.random.default_rng(0).rayleigh(1.0, (8, len(sigma))))
 
 

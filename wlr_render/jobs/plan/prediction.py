@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
@@ -15,6 +16,7 @@ from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangen
 from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.models.registration import model_registration_covariance
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
 
@@ -185,9 +187,19 @@ def place_variance(
 ) -> FloatArray:
     """Mean predicted variance (k,) of registration as seen from places (k, 3), arcminutes squared."""
     rows = np.linspace(0, len(tests.pixel) - 1, 60).astype(int)
-    shown = display.sigma(tests.pixel[rows][:, None], place[None])
-    seen = see_through.sigma(tests.point[rows][:, None], place[None])
-    return np.asarray(np.nanmean(shown**2 + seen**2, axis=0))
+    pixel, point = tests.pixel[rows][:, None], tests.point[rows][:, None]
+    return np.asarray(np.nanmean(registration_variance(display, see_through, pixel, place[None], point), axis=0))
+
+
+def registration_variance(
+    display: FittedDisplay, see_through: FittedSeeThrough, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
+) -> FloatArray:
+    """Predicted mean square length (...) of the registration error, arcminutes squared.
+
+    What both models share counts by its difference; see `model_registration_covariance` for the arguments.
+    """
+    by_source = model_registration_covariance(display, see_through, pixel, viewpoint, point)
+    return variance(np.asarray(sum(by_source.values())))
 
 
 def _lengths(sigma: FloatArray, curve: FloatArray) -> Summary:
