@@ -23,7 +23,7 @@ _READINGS = 110  # of a capture, with smaller sigma: they tell as much
 _DISTANCES_M = (0.3, 0.6, 1.5, 3.0)  # of a further target
 _APART = 0.1  # dioptres, of distances that differ
 _TESTS = 150
-_TOLD = 0.3  # least information of a combination of readings, beside the prior
+_LEAST_INFORMATION = 0.3  # of a combination of readings that is kept, beside the prior
 _WORTH = 1e-3  # of the error: an exchange that gains less is not made
 
 
@@ -31,16 +31,16 @@ class _Posterior:
     """Posterior of one side with the places that were taken."""
 
     def __init__(self, offers: "_Offers") -> None:
-        self._told, tests = offers
-        self._own = self._told @ self._told.transpose(0, 2, 1)  # (places, k, k) covariance of what each tells
-        self._cross = self._told @ tests.T  # (places, k, tests)
-        self._halves = np.zeros((0, *self._told.shape[:2]))
+        self._designs, tests = offers
+        self._own = self._designs @ self._designs.transpose(0, 2, 1)  # (places, k, k)
+        self._cross = self._designs @ tests.T  # (places, k, tests)
+        self._halves = np.zeros((0, *self._designs.shape[:2]))
         self.variance = float(np.sum(tests**2)) / len(tests)  # mean of the tests, of an axis
 
     def take(self, place: int) -> None:
-        """Learn what a place tells."""
+        """Condition on the readings of a place."""
         lower = np.linalg.cholesky(np.eye(self._own.shape[1]) + self._own[place])
-        known = np.tensordot(self._told[place], self._told, (1, 2))
+        known = np.tensordot(self._designs[place], self._designs, (1, 2))
         known -= np.tensordot(self._halves[:, place], self._halves, (0, 0))
         half = np.linalg.solve(lower, known.reshape(len(lower), -1)).reshape(known.shape)
         cross = np.linalg.solve(lower, self._cross[place])
@@ -246,16 +246,16 @@ def _offers(
     root = smooth.coefficient_root if is_added else np.diag(smooth.prior_size)
     size = np.linalg.norm(root, axis=1)
     short = []
-    for told in smooth.whitened(readings, offered.capture):
-        # Combinations of readings beside which the others tell nothing.
-        extent, vectors = np.linalg.eigh((told * size) @ (told * size).T)
-        short.append(vectors[:, extent > _TOLD].T @ told)
+    for design in smooth.whitened(readings, offered.capture):
+        # Combinations of readings that hold nearly all information.
+        extent, vectors = np.linalg.eigh((design * size) @ (design * size).T)
+        short.append(vectors[:, extent > _LEAST_INFORMATION].T @ design)
     each = max(map(len, short))
-    told = np.stack([np.pad(rows, ((0, each - len(rows)), (0, 0))) for rows in short])
-    design = design_of(tested, slice(None), basis(tested.inputs, tested.orders, box)) * tested.metric[:, None]
-    return told @ root, design @ root
+    designs = np.stack([np.pad(rows, ((0, each - len(rows)), (0, 0))) for rows in short])
+    of_tests = design_of(tested, slice(None), basis(tested.inputs, tested.orders, box)) * tested.metric[:, None]
+    return designs @ root, of_tests @ root
 
 
 _Offers = tuple[FloatArray, FloatArray]
-"""What each offered place tells of one side (places, k, unknowns), in units of the noise, and the errors to be lowered
-(tests, unknowns), arcminutes, by unknowns of variance 1."""
+"""Designs of the offered places for one side (places, k, unknowns), in units of the noise, and of the errors to be
+lowered (tests, unknowns), arcminutes; by unknowns of variance 1."""
