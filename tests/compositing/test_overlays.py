@@ -200,3 +200,9 @@ def test_overlays_that_cannot_be_are_refused_and_the_last_stays(compositor, flat
     with pytest.raises(BadInputError, match=words):
         made.submit_overlay(picture, **given)
     np.testing.assert_array_equal(made.compose().read(), expected)
+
+
+@pytest.mark.parametrize("overlays", [1.5, 5, -1, True])
+def test_numbers_of_overlays_that_cannot_be_are_not_prepared(compositor, flat_image_headset, overlays):
+    with pytest.raises(BadInputError, match=r"overlays is .*; give a whole number from 0 to 4"):
+        compositor(flat_image_headset).prepare(overlays)

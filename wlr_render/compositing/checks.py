@@ -10,6 +10,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS, shown
 from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, EyeChannels, EyeMappings
 from wlr_render.numerics.arrays import FloatArray, finite_array
+from wlr_render.rendering.framebuffers import is_number
 from wlr_render.rendering.gl_overlay import Quad
 from wlr_render.rendering.panel_light import PanelLight
 from wlr_render.rendering.raster_camera import EyePlan
@@ -171,6 +172,17 @@ def _checked_channels(eye: str, models: EyeMappings | Sequence[EyeMappings]) -> 
                 f"{mappings.name}: its eye box is not that of {channels[0].name}; fit all colours to one."
             )
     return channels
+
+
+def checked_whole(value: Any, what: str, at_most: int) -> int:
+    """A whole number from 0 to a largest one.
+
+    Raises:
+        BadInputError: it is not.
+    """
+    if not is_number(value) or not 0 <= value <= at_most:
+        raise BadInputError(f"{what} is {shown(value)}; give a whole number from 0 to {at_most}.")
+    return int(value)
 
 
 def checked_size(size_px: Sequence[int]) -> tuple[int, int]:

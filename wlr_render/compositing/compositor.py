@@ -32,6 +32,7 @@ from wlr_render.compositing.checks import (
     checked_quad,
     checked_size,
     checked_viewpoints,
+    checked_whole,
     nearest_in_reach,
 )
 from wlr_render.compositing.composed_frame import ComposedFrame
@@ -42,7 +43,6 @@ from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.input_files import shown
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.framebuffers import is_number
 from wlr_render.rendering.gl import GlContext
 from wlr_render.rendering.gl_warp import MAX_OVERLAYS
 from wlr_render.rendering.panel_light import SRGB_PANEL, PanelLight
@@ -306,11 +306,10 @@ class Compositor:
         chosen = checked_eyes(eyes, self.eyes)
         quad = None if picture is None else checked_quad(size_m, world_from_quad, device_from_quad)
         check_stored(METRES, stored_colour, rows)
-        if not is_number(layer) or not 0 <= layer < MAX_OVERLAYS:
-            raise BadInputError(f"layer is {shown(layer)}; give a whole number from 0 to {MAX_OVERLAYS - 1}.")
+        number = checked_whole(layer, "layer", MAX_OVERLAYS - 1)
         with self._backend.working():
             for eye in chosen:
-                self._backend.eyes[eye].set_overlay(int(layer), picture, quad, stored_colour, rows)
+                self._backend.eyes[eye].set_overlay(number, picture, quad, stored_colour, rows)
 
     def compose(
         self,
@@ -392,7 +391,7 @@ class Compositor:
             BadInputError: not such a number, or not True or False.
         """
         self._check_alive()
-        count = int(checked_number(overlays, "overlays", 0, MAX_OVERLAYS))
+        count = checked_whole(overlays, "overlays", MAX_OVERLAYS)
         self._backend.prepare(count, checked_flag(insets, "insets"))
 
     def finish(self) -> None:
