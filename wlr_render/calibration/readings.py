@@ -103,7 +103,7 @@ class Common:
     """Errors that the captures share, k standard normal variables. A fit follows them; it does not find them.
 
     As unknowns they would be found where nothing tells of them: by the prior, in which optics seen from beside are a
-    little smoother (five sigmas along z, on birdbath28), or by the noise of the tangents in their columns (six).
+    little smoother, or by the noise of the tangents in their columns (decision 9).
 
     Attributes:
         columns: (slope of the modelled values (n, 2, variables)) -> (n, 2, k): by how much `observed` less the model
@@ -202,7 +202,7 @@ class FitReadings:
     def select(self, rows: BoolArray) -> "FitReadings":
         """Some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
-        chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None)
+        chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)
         return chosen.within(self.box)
 
     def within(self, box: Box) -> "FitReadings":

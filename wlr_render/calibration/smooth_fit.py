@@ -236,7 +236,7 @@ class SmoothFit:
         chosen = readings.select(rows & (self.kept > 0))
         polynomial = polynomial_of(readings, self._start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
-        spread = spread_of(readings, rest)
+        spread = spread_of(readings, rest)  # without common errors: what was left out shares them
         covariance = spread.covariance(chosen.inputs)
         if chosen.mixed:
             variance = np.einsum("nrb,nbc,nrc->n", chosen.multiplier, covariance, chosen.multiplier)
@@ -301,14 +301,14 @@ class SmoothFit:
         values, vectors = np.linalg.eigh(covariance / size[:, None] / size)
         return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
-    def whitened(self, readings: FitReadings, place: IntArray) -> list[FloatArray]:
+    def whitened(self, readings: FitReadings, place: IntArray, places: int) -> list[FloatArray]:
         """Designs (n, columns) of an output in combinations of readings whose noise is 1 and independent.
 
         What motions of the camera, with the sizes found, add to the noise is averaged over both outputs.
 
         Args:
             readings: of the same headset, none beyond the box of this fit.
-            place: (n,) numbers of the camera places, one design each, ascending.
+            place: (n,) numbers of the camera places. places: how many; one that sees nothing has a design of no rows.
         """
         readings = readings.within(self.readings.box)
         design = design_of(readings, slice(None), basis(readings.inputs, readings.orders, readings.box))
@@ -318,10 +318,10 @@ class SmoothFit:
             size = motion_sizes(readings) * np.exp(self._prior.own_features @ self._hyper)
             own = motion_columns(readings, self.polynomial) * (size[readings.capture] * weight)[:, None]
         found = []
-        for number in np.unique(place):
+        for number in range(places):
             rows = np.flatnonzero(place == number)
             visit = readings.capture[rows]
-            moved = own[rows].reshape(len(rows), -1)
+            moved = own[rows].reshape(len(rows), 12)
             noise = np.eye(len(rows)) + 0.5 * (visit[:, None] == visit) * (moved @ moved.T)
             found.append(
                 np.asarray(np.linalg.solve(np.linalg.cholesky(noise), design[rows] * weight[rows]), np.float64)

@@ -217,8 +217,8 @@ class Compositor:
             stored_colour: what the colours mean: sRGB codes of 8 bits if left out.
             inset: the camera from `EyeCamera.inset` that drew it, for a sharper picture of a part of the field, shown
                 in place of the eye's picture there. Submit the eye's picture of the frame first, then its insets, each
-                within the last. An inset is copied, also a `GpuImage`; without a depth (arrays, textures) it has that
-                of the picture around it.
+                within the last. An inset is copied, also a `GpuImage`; without a depth (arrays, ModernGL's
+                textures, `TextureLayer`; a number alone means a framebuffer) it has that of the picture around it.
 
         Raises:
             BadInputError: no frame begun, or one that is older than the last three or than the eye's newest picture; an

@@ -146,6 +146,14 @@ def test_each_chosen_place_lowers_the_error_and_exchanges_lower_it_further(choic
     assert choice.error(chosen) < 0.98 * errors[-1]
 
 
+def test_a_place_that_sees_nothing_tells_nothing_and_leaves_the_others_their_numbers(search, choice):
+    pilot, places = search.predictor.pilot, choice.places[:3]
+    blind = PlaceChoice.of(pilot, np.insert(places, 1, np.nan, axis=0), (0.4, 1.0), is_added=False)
+    seeing = PlaceChoice.of(pilot, places, (0.4, 1.0), is_added=False)
+    assert blind.error([0, 1, 2, 3]) == pytest.approx(seeing.error([0, 1, 2]))
+    assert blind.error([2]) == pytest.approx(seeing.error([1]))
+
+
 def test_the_choice_predicts_as_the_whole_posterior_does(choice, bench, search):
     for count, rows in ((16, range(92, 108)), (25, range(108, 133))):
         whole = search.predictor.errors(of_family(bench, count).unit, Scales(smooth=0.0)).registration.rms

@@ -95,12 +95,8 @@ class CalibratedBench:
     def target_points(self, target_pose: int, observation: BoardObservation) -> FloatArray:
         """(n, 3) true places of a board's features in the target's frame."""
         nominal = self.session.board_of(target_pose).point_of(observation.index)
-        shape = self.adjustment.state.shape.get(self.board_name(target_pose))
+        shape = self.adjustment.state.shape.get(board_name(self.session, target_pose))
         return nominal if shape is None else shape.point_of(observation.index, nominal)
-
-    def board_name(self, target_pose: int) -> str:
-        """Name of the board at a target pose, in `adjustment`."""
-        return _board_name(self.session, target_pose)
 
 
 def calibrate_bench(session: PhotoSession, reading: Reading) -> CalibratedBench:
@@ -180,7 +176,7 @@ def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservat
         device_from_camera = KnownPose(transforms.rigid(transforms.OPENXR_FROM_OPENCV, centre))
     entries: list[BoardPhotograph | CodeSet] = [*session.bare, *session.beside, *session.see_through, *session.display]
     places = {place_key(session, each): CameraPlace(each.stage, each.orientation) for each in entries}
-    boards = {_board_name(session, view.target or 0) for view in views} | {"board"}
+    boards = {board_name(session, view.target or 0) for view in views} | {"board"}
     tolerances = {name: session.board.tolerances for name in boards} | {
         f"board of target {k}": given.board.tolerances
         for k, given in session.targets.items()
@@ -204,7 +200,8 @@ def _setup(camera: SessionCamera) -> CameraSetup:
     return CameraSetup(camera.size_px, camera.lens, camera.known, camera.known_sigma)
 
 
-def _board_name(session: PhotoSession, target: int) -> str:
+def board_name(session: PhotoSession, target: int) -> str:
+    """Name of the board at a target pose, in the adjustment."""
     given = session.targets.get(target)
     return "board" if given is None or given.board is None else f"board of target {target}"
 
@@ -227,7 +224,7 @@ def _view(
     session: PhotoSession, photo: BoardPhotograph, seen: BoardObservation, camera: str, place: str | None
 ) -> BoardView:
     view = _board_view(session, photo.name, seen, camera, photo.target_pose)
-    return replace(view, target=photo.target_pose, place=place, board=_board_name(session, photo.target_pose))
+    return replace(view, target=photo.target_pose, place=place, board=board_name(session, photo.target_pose))
 
 
 def _rejected_check(name: str, reason: str) -> Check:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, place_key
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, board_name, place_key
 from wlr_render.calibration.bench.observations import EYEBALL
 from wlr_render.calibration.bench.state import Key
 from wlr_render.calibration.poses import adjoint
@@ -151,7 +151,7 @@ def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | Non
 def _target_change(bench: CalibratedBench, factor: FloatArray, number: int) -> FloatArray:
     """Coefficients (terms, 3, variables) of the change of the points of a target, see `CommonErrors.target`."""
     state, where = bench.adjustment.state, bench.adjustment.layout.where
-    pose, name = state.targets[number], bench.board_name(number)
+    pose, name = state.targets[number], board_name(bench.session, number)
     board = bench.session.board_of(number)
     nominal = board.point_of(board.indices())
     shape = state.shape.get(name)

@@ -88,10 +88,15 @@ class PlaceChoice:
         test = rng.integers(0, _READINGS, _TESTS)
         targets = [np.full(len(places), each) for each in depths_m]
         display = _offers(
-            shown, _shown(shown, places, pixel[None]), _shown(shown, viewpoint, pixel[test][:, None]), is_added
+            shown,
+            len(places),
+            _shown(shown, places, pixel[None]),
+            _shown(shown, viewpoint, pixel[test][:, None]),
+            is_added,
         )
         see_through = _offers(
             seen,
+            len(places),
             _seen(seen, places, view_dir[None], targets),
             _seen(seen, viewpoint, view_dir[test][:, None], [depth]),
             is_added,
@@ -236,6 +241,7 @@ def _motion(known: CaptureMotionPrior | None, count: int) -> CaptureMotionPrior 
 
 def _offers(
     fit: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough],
+    places: int,
     offered: DisplayCaptures | SeeThroughCaptures,
     tests: DisplayCaptures | SeeThroughCaptures,
     is_added: bool,
@@ -246,7 +252,7 @@ def _offers(
     root = smooth.coefficient_root if is_added else np.diag(smooth.prior_size)
     size = np.linalg.norm(root, axis=1)
     short = []
-    for design in smooth.whitened(readings, offered.capture):
+    for design in smooth.whitened(readings, offered.capture, places):
         # Combinations of readings that hold nearly all information.
         extent, vectors = np.linalg.eigh((design * size) @ (design * size).T)
         short.append(vectors[:, extent > _LEAST_INFORMATION].T @ design)
