@@ -122,6 +122,7 @@ def test_a_program_that_the_caller_deleted_while_it_was_in_use_leaves_no_error(c
         "#version 410\nvoid main() { gl_Position = vec4(0); }",
         "#version 410\nout vec4 c; void main() { c = vec4(1); }",
     )
+    caller.ctx.simple_framebuffer((4, 4)).use()
     points = caller.ctx.vertex_array(program, [])
     points.render(vertices=1)
     points.release()

@@ -1,6 +1,7 @@
 """Misalignment of drawn dots and real dots, from two photographs: display off and display on."""
 
-from dataclasses import dataclass
+from collections.abc import Set
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,11 @@ class PairMisalignment:
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def only(self, dots: Set[tuple[int, int]]) -> "PairMisalignment":
+        """Some of the dots, by column and row."""
+        kept = np.array([tuple(dot) in dots for dot in self.index.tolist()], dtype=bool)
+        return PairMisalignment(*(getattr(self, each.name)[kept] for each in fields(self)))
 
 
 def pair_misalignment(real: BoardObservation, virtual: BoardObservation, camera: Lens) -> PairMisalignment:

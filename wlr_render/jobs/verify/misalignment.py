@@ -1,7 +1,7 @@
 """Tables and pictures of the misalignment in pairs of photographs, display off and on."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -113,6 +113,13 @@ def judge_pair(
     return Judged(position, method, off, on, pair_misalignment(real, virtual, camera), model=model)
 
 
+def by_the_same_dots(judged: Sequence[Judged]) -> list[Judged]:
+    """Pairs of one place with the dots that all of them have; those that show too little do not count."""
+    found = [{*map(tuple, each.misalignment.index.tolist())} for each in judged if each.misalignment]
+    common = set.intersection(*found) if found else set()
+    return [replace(each, misalignment=each.misalignment and each.misalignment.only(common)) for each in judged]
+
+
 def misalignment_report(
     judged: Sequence[Judged],
     name: str,
@@ -160,7 +167,11 @@ def _tables(judged: Sequence[Judged], models: str) -> list[ReportTable]:
     notes = (
         "Angle at the camera between a dot of the real target and the same dot as drawn, from two photographs.",
         "Sigma per dot: standard deviation per axis that the noise of both photographs alone makes.",
-        *(["All models are judged by the same dots: those that each of them shows whole."] if judged[0].model else []),
+        *(
+            ["All models are judged by the same dots: those that each shows whole, found in all photographs."]
+            if judged[0].model
+            else []
+        ),
     )
     tables = [_grouped(judged, f"Misalignment from photographs, {models}", {}, notes)]
     posed: dict[str, Said] = {"target (m)": lambda one: one.position.depth_m, "pose": lambda one: one.position.pose}

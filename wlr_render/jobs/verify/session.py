@@ -37,7 +37,7 @@ from wlr_render.jobs.options import (
     described,
 )
 from wlr_render.jobs.verify.drawn_target import target_scene, wholly_shown
-from wlr_render.jobs.verify.misalignment import Judged, judge_pair, misalignment_report
+from wlr_render.jobs.verify.misalignment import Judged, by_the_same_dots, judge_pair, misalignment_report
 from wlr_render.jobs.verify.session_photographs import (
     Frames,
     TargetPlace,
@@ -302,8 +302,8 @@ def _judge(
     poses: Sequence[FloatArray],
     places: Sequence[FloatArray],
     folder: Path,
-) -> Iterator[Judged]:
-    """Match the dots of one place's photographs, of those that the panel can show whole by every calibration.
+) -> list[Judged]:
+    """Match the dots of one place's photographs: those found in all that the panel can show whole by every calibration.
 
     `poses` (4, 4) of the target and `places` (3,) of the camera are by calibration.
     """
@@ -317,7 +317,12 @@ def _judge(
     position, off = target.position(viewpoint), off_path(folder, target, viewpoint)
     names = tuple(each.prefix + method for each in calibrations for method in methods)
     paths = iter(PanelShots(on_folder(folder, target, viewpoint), Frames(names, ())).paths())
-    for each in calibrations:
-        camera = each.station.eyeball_camera
-        for method in methods:
-            yield judge_pair(position, method, (off, next(paths)), bench.board, camera, shown, each.label)
+    return by_the_same_dots(
+        [
+            judge_pair(
+                position, method, (off, next(paths)), bench.board, each.station.eyeball_camera, shown, each.label
+            )
+            for each in calibrations
+            for method in methods
+        ]
+    )
