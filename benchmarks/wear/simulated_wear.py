@@ -10,13 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.calibration.fit_eye import fit_eye
-from wlr_render.calibration.self_calibration import Clicks, MovedPanelDisplay, WearSettings, WearState
+from wlr_render.calibration.self_calibration import Clicks, WearSettings, WearState
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.mappings import EyeBox, EyeMappings
+from wlr_render.models.moved_panel import MovedPanelDisplay
 from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device

@@ -15,7 +15,6 @@ from wlr_render.calibration.self_calibration import (
     SHIFT,
     TURN,
     Clicks,
-    MovedPanelDisplay,
     WearSettings,
     WearState,
 )
@@ -23,6 +22,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, normalised
 from wlr_render.mappings import PlanarDisplay, require_planar
+from wlr_render.models.moved_panel import MovedPanelDisplay
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 

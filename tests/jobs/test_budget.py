@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from wlr_render.calibration.bench.common_errors import SOURCES
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.budget import BudgetOptions, budget
-from wlr_render.models.model_file import EyeModel, save_eye_models
+from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_models
 
 NO_TRACKER_ERRORS = {
     "eye_noise_mm": (0.0,),
@@ -40,6 +41,28 @@ def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
     assert found.owners[0].name == "model"
     of_model = next(each for each in found.sources if each.name == "model: noise and stage")
     assert of_model.rms_arcmin > 0
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(model_file, tmp_path, source):
+    """The first variable of both models' covariance becomes one of that source, and large."""
+    model = load_eye_model(model_file)
+    mappings = model.mappings
+    spreads = {}
+    for name in ("display", "see_through"):
+        spread = getattr(mappings, name).spread
+        joint = spread.joint
+        of_source = np.zeros((len(joint.orders), spread.outputs, 1 + joint.outputs // spread.outputs))
+        of_source[..., 1:] = joint.coefficients.reshape(len(joint.orders), spread.outputs, -1)
+        if name == "display":
+            of_source[0, 0, 0] = 0.01
+        grown = replace(joint, coefficients=of_source.reshape(len(joint.orders), -1))
+        spreads[name] = getattr(mappings, name).with_spread(replace(spread, joint=grown, sources=(source,)))
+    path = tmp_path / "model.json"
+    save_eye_models(path, [replace(model, mappings=replace(mappings, **spreads))])
+    (first, *_) = budget(BudgetOptions(str(path), **NO_TRACKER_ERRORS, out=tmp_path)).advice
+    assert first.startswith("Improve this first: the ")
+    assert "model:" not in first
 
 
 def test_without_any_error_the_page_says_so(straight_device, tmp_path, monkeypatch):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from fitted_eyes import DEGREES, fitted_eye, fitted_terms
 
-from wlr_render.calibration.self_calibration import MovedPanelDisplay
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import Status
+from wlr_render.models.moved_panel import MovedPanelDisplay
 from wlr_render.numerics.polynomial import Box
 from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 from wlr_render.rendering.ray_map import NEAREST_M, middle_axes, solve_every_pixel

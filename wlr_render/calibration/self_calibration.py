@@ -26,14 +26,12 @@ from scipy.linalg import block_diag
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
-from wlr_render.geometry.planes import BasePlane
 from wlr_render.input_files import shown
-from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings, Panel, QueryResult
+from wlr_render.mappings import EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.models.moved_panel import MovedPanelDisplay, pixel_at_calibration
 from wlr_render.models.registration import registration_changes, right_and_up
 from wlr_render.numerics.arrays import BoolArray, FloatArray, finite_array
-from wlr_render.numerics.polynomial import Box, Polynomial
-from wlr_render.numerics.regressor import Regressor
 
 OFFSET, SHIFT, GROWTH, TURN, POINTING = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 9), slice(9, 11)
 """Places in the vector of parameters: metres, pixels, a ratio, radians, arcminutes."""
@@ -272,7 +270,7 @@ class WearState:
         """Directions (..., n, 3) of clicked pixels and of their points, for parameters (..., 1, PARAMETERS)."""
         display, see_through = self.calibrated.display, self.calibrated.see_through
         viewpoint = clicks.viewpoint + parameters[..., OFFSET]
-        pixel = _moved(clicks.pixel, display.panel, parameters[..., SHIFT], parameters[..., GROWTH])
+        pixel = pixel_at_calibration(clicks.pixel, display.panel, parameters[..., SHIFT], parameters[..., GROWTH])
         turn = transforms.rotations_of_vectors(parameters[..., TURN])
         point = np.einsum("...ij,...j->...i", turn, clicks.point)
         displayed = display.view_dir_of_pixel(pixel, viewpoint)
@@ -397,67 +395,3 @@ def _likeliest(innovation: FloatArray, spread: FloatArray, settings: WearSetting
             evidence = -0.5 * (innovation @ precision @ innovation + np.linalg.slogdet(covariance)[1])
             return wrong, float(evidence + log_share * wrong.sum())
         wrong = wrong ^ (np.arange(count) == likeliest)
-
-
-def _moved(pixel: FloatArray, panel: Panel, shift_px: FloatArray, growth: FloatArray | float) -> FloatArray:
-    """Pixels (..., 2) that at calibration were where pixels (..., 2) of the moved panel are now."""
-    return np.asarray(pixel + shift_px + growth * (pixel - 0.5 * panel.size_px))
-
-
-@dataclass(frozen=True, eq=False)
-class MovedPanelDisplay:
-    """`DisplayMapping` with the panel shifted and grown about its middle; a `PlanarDisplay` if `still` is one.
-
-    Attributes:
-        still: the mapping with the panel where it was calibrated.
-        shift_px: (2,) pixel u shows where pixel u + shift_px showed then.
-        growth: relative.
-    """
-
-    still: DisplayMapping
-    shift_px: FloatArray
-    growth: float = 0.0
-
-    @property
-    def panel(self) -> Panel:
-        """See `DisplayMapping`."""
-        return self.still.panel
-
-    @property
-    def eye_box(self) -> EyeBox:
-        """See `PlanarDisplay`."""
-        return self.still.eye_box  # type: ignore[attr-defined, no-any-return]  # absent where it is absent there
-
-    @property
-    def base_plane(self) -> BasePlane:
-        """See `PlanarDisplay`."""
-        return self.still.base_plane  # type: ignore[attr-defined, no-any-return]
-
-    @property
-    def forward(self) -> Regressor:
-        """See `PlanarDisplay`: the same polynomial of inputs in a moved box."""
-        forward: Regressor = self.still.forward  # type: ignore[attr-defined]
-        if not isinstance(forward, Polynomial):
-            return forward
-        low, high = (np.r_[self._back(edge[:2]), edge[2:]] for edge in (forward.box.low, forward.box.high))
-        return Polynomial(forward.orders, Box(low, high), forward.coefficients)
-
-    def view_dir_of_pixel(
-        self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> QueryResult:
-        """See `DisplayMapping`."""
-        return self.still.view_dir_of_pixel(
-            _moved(pixel, self.panel, self.shift_px, self.growth), viewpoint, warm_start
-        )
-
-    def pixel_of_view_dir(
-        self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
-    ) -> QueryResult:
-        """See `DisplayMapping`."""
-        found = self.still.pixel_of_view_dir(view_dir, viewpoint, warm_start)
-        return replace(found, value=self._back(found.value))
-
-    def _back(self, pixel: FloatArray) -> FloatArray:
-        """Pixels (..., 2) now, from those at calibration."""
-        middle = 0.5 * self.panel.size_px
-        return np.asarray(middle + (pixel - middle - self.shift_px) / (1.0 + self.growth))

@@ -327,6 +327,11 @@ _HOW = {
     "--camera-frame)",
     "model: truncation": "what the models cannot follow (more camera positions, higher degrees)",
     "model: noise and stage": "noise and stage of the calibration (more camera positions)",
+    "model: prescription": "the assembly errors that the prescription leaves open (more camera positions)",
+    "model: lens": "the calibration of the eyeball camera's lens (more photographs of the board)",
+    "model: board": "the board (measure its scale and its bow, or take a stiffer one)",
+    "model: targets": "the poses of the targets (more photographs of them without the headset)",
+    "model: stage": "the axes of the stage and the camera on it (more photographs without the headset)",
 }
 
 

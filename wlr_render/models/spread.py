@@ -57,13 +57,19 @@ class Covariance:
         own, shared = (np.concatenate(each) for each in zip(*blocks, strict=True))
         return own, shared
 
+    def _factors(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Changes (n, blocks, rank) by what is apart for both axes, and (n, outputs, rank) by the joint variables."""
+        count, blocks = len(inputs), self.outputs // 2
+        apart = np.zeros((count, blocks, 0))
+        if self.apart.outputs:
+            apart = self.apart(inputs).reshape(count, blocks, self.apart.outputs // blocks)
+        return apart, self.joint(inputs).reshape(count, self.outputs, self.joint.outputs // self.outputs)
+
     def _block(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        joint = self.joint(inputs).reshape(len(inputs), self.outputs, self.joint.outputs // self.outputs)
+        apart, joint = self._factors(inputs)
         shared, joint = joint[..., : self.shared], joint[..., self.shared :]
         covariance = joint @ joint.transpose(0, 2, 1)
-        if self.apart.coefficients.shape[1]:
-            blocks = self.outputs // 2
-            apart = self.apart(inputs).reshape(len(inputs), blocks, self.apart.outputs // blocks)
+        if apart.shape[2]:
             between = apart @ apart.transpose(0, 2, 1)
             for axis in (0, 1):
                 covariance[:, axis::2, axis::2] += between
@@ -74,9 +80,7 @@ class Covariance:
 
         The shared ones first. The covariance between the values at two inputs is the sum of the products.
         """
-        count, blocks = len(inputs), self.outputs // 2
-        joint = self.joint(inputs).reshape(count, self.outputs, self.joint.outputs // self.outputs)
-        apart = self.apart(inputs).reshape(count, blocks, self.apart.outputs // blocks)
-        by_axis = np.zeros((count, blocks, 2, 2, apart.shape[2]))
+        apart, joint = self._factors(inputs)
+        by_axis = np.zeros((*apart.shape[:2], 2, 2, apart.shape[2]))
         by_axis[:, :, [0, 1], [0, 1]] = apart[:, :, None]
-        return np.concatenate([joint, by_axis.reshape(count, self.outputs, -1)], axis=-1)
+        return np.concatenate([joint, by_axis.reshape(len(inputs), self.outputs, 2 * apart.shape[2])], axis=-1)

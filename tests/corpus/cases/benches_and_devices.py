@@ -28,7 +28,7 @@ DEVICES: dict[str, tuple[str, str, str]] = {
 }
 NAMES = {
     "a name that is a path above": '"../../x"',
-    "an absolute name": '"/tmp/corpus-absolute"',
+    "an absolute name": '"/corpus-absolute"',
     "a name of escapes": '"\\u001b[31mred\\u0007"',
     "a name of lines": '"a\\nwlr-render: forged"',
     "a name that turns right to left": '"\\u202eabc"',

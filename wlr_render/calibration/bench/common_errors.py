@@ -18,6 +18,7 @@ from wlr_render.calibration.poses import adjoint
 from wlr_render.calibration.posterior_spread import lower_root
 from wlr_render.calibration.readings import angular_metric
 from wlr_render.captures.correspondences import (
+    AnyCaptures,
     CaptureMotionPrior,
     CommonErrors,
     DisplayCaptures,
@@ -67,19 +68,14 @@ def with_bench_errors(
             conditions number these) are of, in the order of their numbers.
     """
     factor, sources = _shared_root(bench)
-    shown = None if display is None else _errors(bench, factor, sources, display[1])
-    seen = None if see_through is None else _errors(bench, factor, sources, see_through[1])
-    effects = [_effect(display[0], shown[0])] if display and shown else []
-    effects += [_effect(see_through[0], seen[0])] if see_through and seen else []
+    sides = [side for side in (display, see_through) if side is not None]
+    errors = [_errors(bench, factor, sources, entries) for _, entries in sides]
+    effects = [_effect(captures, common) for (captures, _), (common, _) in zip(sides, errors, strict=True)]
     turn, kept = _chosen(np.concatenate(effects) / np.sqrt(len(effects)), sources)
-    of_display, of_see_through = display and display[0], see_through and see_through[0]
-    if of_display is not None and shown is not None:
-        motion, common = _known(*shown, turn, kept)
-        of_display = replace(of_display, motion=motion, common=common)
-    if of_see_through is not None and seen is not None:
-        motion, common = _known(*seen, turn, kept)
-        of_see_through = replace(of_see_through, motion=motion, common=common)
-    return of_display, of_see_through
+    return (
+        display and _with_known(display[0], *errors[0], turn, kept),
+        see_through and _with_known(see_through[0], *errors[-1], turn, kept),
+    )
 
 
 def _shared_root(bench: CalibratedBench) -> tuple[FloatArray, tuple[str, ...]]:
@@ -200,15 +196,15 @@ def _chosen(effect: FloatArray, sources: tuple[str, ...]) -> tuple[FloatArray, t
     return turns, tuple(name for name, _ in kept)
 
 
-def _known(
-    common: CommonErrors, variance: FloatArray, turn: FloatArray, sources: tuple[str, ...]
-) -> tuple[CaptureMotionPrior, CommonErrors | None]:
-    """`motion` and `common` of captures, where `turn` gives the variables kept and the rest is each camera's own."""
+def _with_known(
+    captures: AnyCaptures, common: CommonErrors, variance: FloatArray, turn: FloatArray, sources: tuple[str, ...]
+) -> AnyCaptures:
+    """Captures with `motion` and `common`: `turn` gives the variables kept, and the rest is each camera's own."""
     own = variance - np.sum((common.motion @ turn) ** 2, axis=2)
     motion = CaptureMotionPrior(common.capture, np.sqrt(np.maximum(own, 0.0)), _MOTION_LOG_SIGMA)
     if not sources:
-        return motion, None
+        return replace(captures, motion=motion, common=None)
     kept = common.combined(turn, sources)
     if "lens" not in sources:
         kept = replace(kept, lens=None, focus=np.zeros_like(kept.focus))
-    return motion, kept
+    return replace(captures, motion=motion, common=kept)

@@ -16,7 +16,7 @@ from wlr_render.captures.patterns.phase_steps import (
     noise_gain,
     read_fringe,
 )
-from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
 _LONGEST = 1.1  # of the panel: one period covers it, with a margin for noise at its ends
@@ -67,7 +67,7 @@ class _Hierarchy:
         number, step = divmod(index, self.fringes[0].steps)
         return self.fringes[number].line(step)
 
-    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
+    def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
         longest = self.fringes[0]
         reading = read_fringe(longest, reader, light)
         noise.add(reading.steady, light.lit)

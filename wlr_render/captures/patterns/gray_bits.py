@@ -21,7 +21,7 @@ from wlr_render.captures.patterns.photometry import (
     INVERSE,
     Grey,
     NoiseMeter,
-    PanelLight,
+    PanelContrast,
     PhotographReader,
     check_range,
     read_light,
@@ -98,7 +98,7 @@ class GrayReading:
 
 
 def read_gray(
-    axis: GrayAxis, reader: PhotographReader, light: PanelLight, noise: NoiseMeter, coarsest: int = 0
+    axis: GrayAxis, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter, coarsest: int = 0
 ) -> GrayReading:
     """Decode the photographs of one axis.
 
@@ -161,7 +161,7 @@ def read_gray(
     return replace(best, cell=cell)
 
 
-def _read_pair(reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> tuple[Grey, float] | None:
+def _read_pair(reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> tuple[Grey, float] | None:
     """(h, w) difference of a bit and its inverse as a part of the contrast, and its variance over that of a difference.
 
     None if both photographs are missing.
@@ -179,7 +179,7 @@ def _read_pair(reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -
     return None if inverse is None else (2 * (light.middle - inverse) * light.per_contrast, _ALONE_GAIN)
 
 
-def _take_checked(reader: PhotographReader, light: PanelLight) -> Grey | None:
+def _take_checked(reader: PhotographReader, light: PanelContrast) -> Grey | None:
     image = reader.take()
     if image is not None:
         check_range(image, light, reader)
@@ -226,7 +226,7 @@ def _mean_around(value: Grey, lit: NDArray[np.bool_], width: int) -> Grey:
     return np.asarray(total / np.maximum(number, 1), dtype=np.float32)
 
 
-def _check_pair(steady: Grey, light: PanelLight, reader: PhotographReader) -> None:
+def _check_pair(steady: Grey, light: PanelContrast, reader: PhotographReader) -> None:
     """A bit and its inverse add up to white + black, whichever of the two a pixel sees."""
     off = np.abs(steady) > _ODD_SUM * light.contrast
     share = float(np.mean(off[light.lit]))

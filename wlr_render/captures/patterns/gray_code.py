@@ -7,7 +7,7 @@ import numpy as np
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
 from wlr_render.captures.patterns.pattern import AxisCode, Pattern
-from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
 _COARSEST = 3  # cells of 8 panel pixels: a position in a coarser one is of no use
@@ -31,7 +31,7 @@ class GrayCode(Pattern):
 class _GrayPixels(GrayAxis):
     """One axis; the cells are panel pixels."""
 
-    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
+    def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
         reading = read_gray(self, reader, light, noise, coarsest=_COARSEST)
         return AxisReading(
             position=reading.position.astype(np.float64),

@@ -16,7 +16,7 @@ from wlr_render.captures.patterns.phase_steps import (
     noise_gain,
     read_fringe,
 )
-from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 from wlr_render.errors import BadInputError
 
@@ -73,7 +73,7 @@ class _NumberedFringes:
     def _cell_px(self) -> float:
         return self.fringe.period_px / 2
 
-    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
+    def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
         code = read_gray(self.gray, reader, light, noise)
         first = reader.taken
         phase = read_fringe(self.fringe, reader, light)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, Decoded, DecodeOptions
-from wlr_render.captures.patterns.photometry import NoiseMeter, PanelLight, PhotographReader, read_light
+from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader, read_light
 from wlr_render.captures.patterns.pixel_rejection import AxisReading, combine_axes
 from wlr_render.captures.photographs import CodeImage
 from wlr_render.mappings import Panel
@@ -24,7 +24,7 @@ class AxisCode(Protocol):
     def line(self, index: int) -> NDArray[np.uint8]:
         """(length of the axis in panel pixels,) what picture `index` of `names` shows."""
 
-    def read(self, reader: PhotographReader, light: PanelLight, noise: NoiseMeter) -> AxisReading:
+    def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
         """Decode one photograph per picture; `noise` is updated from them.
 
         Raises:

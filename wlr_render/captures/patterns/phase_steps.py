@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.patterns.photometry import Grey, PanelLight, PhotographReader, check_range
+from wlr_render.captures.patterns.photometry import Grey, PanelContrast, PhotographReader, check_range
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
 
@@ -85,7 +85,7 @@ def check_fringe(period_px: float, steps: int) -> None:
         raise BadInputError(f"'steps' is {steps}; a phase needs at least {_MIN_STEPS}, and 6 to be immune to gamma.")
 
 
-def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelLight) -> FringeReading:
+def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelContrast) -> FringeReading:
     """Decode the photographs of one fringe.
 
     Args:

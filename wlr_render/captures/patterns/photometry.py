@@ -122,8 +122,8 @@ def _grey_values(image: CodeImage, label: str) -> CodeImage:
 
 
 @dataclass(frozen=True, eq=False)
-class PanelLight:
-    """The panel's light in each camera pixel; ambient light is in both references and cancels.
+class PanelContrast:
+    """The panel's contrast in each camera pixel; ambient light is in both references and cancels.
 
     Attributes:
         middle: (h, w) half of white + black.
@@ -148,7 +148,7 @@ class PanelLight:
         return np.asarray(self.lit / np.maximum(self.contrast, 1), dtype=np.float32)
 
 
-def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelLight:
+def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelContrast:
     """Measure the panel's light from white and black, the first two photographs of every set.
 
     Raises:
@@ -173,7 +173,7 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelLight:
             f"{reader.label(0)} is nowhere brighter than {reader.label(1)} by {options.min_contrast:.0%} of the scale "
             f"({options.full_scale}): was the panel on, and the exposure long enough?"
         )
-    return PanelLight(0.5 * (white + black), contrast, bright & ~full, end_of_scale)
+    return PanelContrast(0.5 * (white + black), contrast, bright & ~full, end_of_scale)
 
 
 def _noise_of_dark(contrast: Grey) -> float:
@@ -182,7 +182,7 @@ def _noise_of_dark(contrast: Grey) -> float:
     return float(np.sqrt(np.mean(negative**2))) if negative.size else 0.0
 
 
-def check_range(image: Grey, light: PanelLight, reader: PhotographReader) -> None:
+def check_range(image: Grey, light: PanelContrast, reader: PhotographReader) -> None:
     """Refuse the last photograph if it does not lie between black and white.
 
     Raises:
@@ -200,7 +200,7 @@ def check_range(image: Grey, light: PanelLight, reader: PhotographReader) -> Non
 class NoiseMeter:
     """Variance of photographs, from sums that would all be equal without noise; running moments only."""
 
-    def __init__(self, light: PanelLight) -> None:
+    def __init__(self, light: PanelContrast) -> None:
         self._count, self._sum, self._square = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
 
     def add(self, steady: Grey, where: NDArray[np.bool_]) -> None:

@@ -16,7 +16,7 @@ from wlr_render.captures.decoded import (
     left_of_wave,
     mean_of_cell_errors,
 )
-from wlr_render.captures.patterns.photometry import Grey, PanelLight
+from wlr_render.captures.patterns.photometry import Grey, PanelContrast
 from wlr_render.captures.photographs import CodeImage
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
@@ -131,7 +131,7 @@ class AxisReading:
 
 def combine_axes(
     readings: Sequence[AxisReading],
-    light: PanelLight,
+    light: PanelContrast,
     peak: CodeImage,
     noise_variance: Grey,
     options: DecodeOptions,
@@ -178,7 +178,7 @@ def combine_axes(
 
 def _rejected_alone(
     readings: Sequence[AxisReading],
-    light: PanelLight,
+    light: PanelContrast,
     peak: CodeImage,
     noise: Grey,
     options: DecodeOptions,
