@@ -1,0 +1,75 @@
+"""OpenEXR files: any number of named channels of one size, exact floats or whole numbers, and text in the header."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.extras import installed_by
+from wlr_render.files import written_whole
+from wlr_render.input_files import parsing, require_pixels
+
+_TYPES = (np.float16, np.float32, np.uint32)
+"""Types of values that the format has."""
+_OWN = "wlr:"
+"""Start of the names of our texts in a header: other programs' attributes have none of these names."""
+
+
+def write_exr(path: str | Path, channels: Mapping[str, NDArray[Any]], texts: Mapping[str, str] | None = None) -> Path:
+    """Write channels without loss (ZIP), the first row on top.
+
+    Args:
+        path: where.
+        channels: (height, width) values by name, float16, float32 or uint32; a name "LAYER.CHANNEL", e.g. "normal.X",
+            puts the channel into a layer.
+        texts: of the header, by name; "wlr:" is put before each name.
+
+    Raises:
+        BadInputError: no channels, channels of different sizes or of another type, or a file that cannot be written.
+        MissingExtraError: the library OpenEXR is not installed.
+    """
+    with installed_by("exr", str(path)):
+        import OpenEXR
+
+    if len({values.shape for values in channels.values()}) != 1:
+        raise BadInputError(f"{path}: give channels (height, width) of one size, not {_shapes(channels)}.")
+    for name, values in channels.items():
+        if values.dtype not in _TYPES or values.ndim != 2 or not values.size:
+            raise BadInputError(
+                f"{path}: channel {name!r}, {values.dtype} {values.shape}, cannot be written; give float16, float32 or "
+                "uint32 (height, width)."
+            )
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header |= {f"{_OWN}{name}": text for name, text in (texts or {}).items()}
+    content = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    with written_whole(path) as temporary, parsing(path, "an OpenEXR file", "choose another folder"):
+        OpenEXR.File(header, content).write(str(temporary))
+    return Path(path)
+
+
+def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Channels (height, width) by name, and the texts of the header that `write_exr` wrote.
+
+    Raises:
+        BadInputError: the file is missing, is no OpenEXR file, or is too large.
+        MissingExtraError: the library OpenEXR is not installed.
+    """
+    with installed_by("exr", str(path)):
+        import OpenEXR
+
+    if not Path(path).is_file():
+        raise BadInputError(f"{path}: there is no such file; name an OpenEXR file.")
+    with parsing(path, "an OpenEXR file"):
+        low, high = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
+        require_pixels(Path(path), (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1), "write it again")
+        opened = OpenEXR.File(str(path), separate_channels=True)
+        channels = {name: channel.pixels for name, channel in opened.channels().items()}
+        header = opened.header()
+    return channels, {name[len(_OWN) :]: str(text) for name, text in header.items() if name.startswith(_OWN)}
+
+
+def _shapes(channels: Mapping[str, NDArray[Any]]) -> str:
+    return ", ".join(f"{name} {values.shape}" for name, values in channels.items()) or "none"
