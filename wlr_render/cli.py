@@ -48,6 +48,12 @@ VERBS = (
     Verb("demo", DRAW, "demo:demo", "Draw a scene four ways for one headset and measure the misalignment of each."),
     Verb("trace", DRAW, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),
     Verb("render", DRAW, "render:render", "Draw the frames of one or both eyes for a still or moving wearer."),
+    Verb(
+        "export",
+        DRAW,
+        "export:export",
+        "Write a headset's warp maps for other programs, with a page that explains them.",
+    ),
     Verb("compare", DRAW, "compare:compare", "Measure the error of rasterisation against ray tracing, pixel by pixel."),
     Verb(
         "plan",
@@ -214,7 +220,7 @@ def make_app() -> App:
         *folder, name = verb.words.split()
         parent = folders[folder[0]] if folder else app
         group_of_verb = None if folder else groups[verb.group]
-        note = EPILOGUE if verb.words in ("render", "compare") else DEBUG_NOTE
+        note = EPILOGUE if verb.words in ("render", "compare", "export") else DEBUG_NOTE
         parent.command(
             f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group_of_verb, help_epilogue=note
         )

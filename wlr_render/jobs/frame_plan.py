@@ -2,16 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import require_in_eye_box
-from wlr_render.jobs.options import (
-    eyes_of,
-)
-from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.jobs.options import Eyes, eyes_of
 from wlr_render.jobs.sequence_record import RECORD
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
@@ -21,6 +19,25 @@ from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
 
 LONGEST_GAP_S = 1.0
 """Between neighbouring samples of a trajectory; a longer one is a dropout, or a file in milliseconds."""
+
+
+class MotionOptions(Protocol):
+    """The options that decide when and from where frames are drawn, as `RenderOptions` describes them."""
+
+    @property
+    def eye(self) -> Eyes: ...  # noqa: D102
+
+    @property
+    def head(self) -> Path | None: ...  # noqa: D102
+
+    @property
+    def eye_track(self) -> Path | None: ...  # noqa: D102
+
+    @property
+    def frames_per_second(self) -> float: ...  # noqa: D102
+
+    @property
+    def frame_limit(self) -> int | None: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -41,14 +58,14 @@ class PlannedFrame:
         return f"{self.eye}-{self.index:06d}"
 
 
-def read_trajectories(options: RenderOptions) -> tuple[HeadTrajectory | None, EyeTrajectory | None]:
+def read_trajectories(options: MotionOptions) -> tuple[HeadTrajectory | None, EyeTrajectory | None]:
     """Trajectories of head and eyes; None for each that is not given."""
     head = read_head_trajectory(options.head) if options.head else None
     return head, read_eye_trajectory(options.eye_track) if options.eye_track else None
 
 
 def planned_frames(
-    options: RenderOptions, mappings: dict[str, EyeMappings], head: HeadTrajectory | None, eyes: EyeTrajectory | None
+    options: MotionOptions, mappings: dict[str, EyeMappings], head: HeadTrajectory | None, eyes: EyeTrajectory | None
 ) -> list[PlannedFrame]:
     """When and from where each frame is drawn, in time order.
 
@@ -67,7 +84,7 @@ def planned_frames(
 
 
 def _pupils(
-    options: RenderOptions, mappings: EyeMappings, eyes: EyeTrajectory | None, times: FloatArray
+    options: MotionOptions, mappings: EyeMappings, eyes: EyeTrajectory | None, times: FloatArray
 ) -> list[tuple[FloatArray, bool]]:
     """Viewpoint (3,) of each frame, and whether it is held: where the tracked pupil is outside the eye box.
 
@@ -89,7 +106,7 @@ def _pupils(
     return pupils
 
 
-def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
+def _times(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> FloatArray:
     spans = [(time_s[0], time_s[-1]) for _, time_s in _sample_times(options, head, eyes)]
     if not spans:
         return np.zeros(1)
@@ -109,7 +126,7 @@ def _times(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTraject
 
 
 def _sample_times(
-    options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None
+    options: MotionOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None
 ) -> list[tuple[Path | None, FloatArray]]:
     """File and sample times (n,) of the head and of each eye that is drawn."""
     tracks = eyes.tracks if eyes else {}
@@ -117,7 +134,7 @@ def _sample_times(
     return [(options.head, head.time_s), *drawn] if head else drawn
 
 
-def gap_warnings(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> list[str]:
+def gap_warnings(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> list[str]:
     """A sentence for each file with neighbouring samples farther apart than `LONGEST_GAP_S`."""
     gaps: dict[Path | None, float] = {}
     for file, time_s in _sample_times(options, head, eyes):
@@ -130,7 +147,7 @@ def gap_warnings(options: RenderOptions, head: HeadTrajectory | None, eyes: EyeT
     ]
 
 
-def held_warnings(options: RenderOptions, plan: list[PlannedFrame]) -> list[str]:
+def held_warnings(options: MotionOptions, plan: list[PlannedFrame]) -> list[str]:
     """A sentence for each eye whose pupil was held in some frames."""
     warnings = []
     for eye in eyes_of(options.eye):

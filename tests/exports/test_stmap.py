@@ -1,0 +1,55 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from export_readers import our_warp, smooth_picture
+
+from wlr_render.exports.stmap import StMap
+from wlr_render.rendering.exr_file import read_exr
+
+
+def written(view, folder):
+    (path,) = StMap().write([view], folder)
+    return path
+
+
+def test_openimageio_draws_what_our_own_warp_draws(view, tmp_path):
+    oiio = pytest.importorskip("OpenImageIO", reason="st_warp of OpenImageIO: pip install OpenImageIO")
+    picture = smooth_picture(view.source.camera.size_px)
+    ours, inside = our_warp(picture, view)
+    height, width = ours.shape[:2]
+    source = oiio.ImageBuf(oiio.ImageSpec(picture.shape[1], picture.shape[0], 3, "float"))
+    source.set_pixels(oiio.ROI(), picture)
+    stmap = oiio.ImageBuf(str(written(view, tmp_path)))
+    region = oiio.ROI(0, width, 0, height, 0, 1, 0, 3)
+    warped = oiio.ImageBufAlgo.st_warp(source, stmap, "triangle", 0.0, 0, 1, False, True, region)
+    difference = np.abs(warped.get_pixels()[..., :3] - ours)
+    assert inside.all()
+    assert difference.max() <= 0.01  # of 255
+
+
+def test_header_says_what_a_receiver_must_know(view, tmp_path):
+    _, texts = read_exr(written(view, tmp_path))
+    assert texts["eye"] == "right"
+    assert texts["depth_m"] == "infinity"
+    (sha256,) = json.loads(texts["sha256"]).values()
+    assert len(sha256) == 64
+    assert json.loads(texts["viewpoint_in_device_m"]) == view.viewpoint.tolist()
+    camera = json.loads(texts["source_camera"])
+    assert camera["size_px"] == list(view.source.camera.size_px)
+    assert camera["tangents"]["left"] == view.source.camera.tangent_min[0]
+    cases = {loss["case"]: loss["rms_arcmin"] for loss in json.loads(texts["loses"])}
+    assert cases["points at 0.5 m"] == pytest.approx(1.37, abs=0.02)
+    assert cases["pupil 2 mm aside"] == pytest.approx(29.8, abs=0.3)
+
+
+def test_panel_pixels_without_a_ray_read_outside_the_picture(view, tmp_path):
+    rays = np.array(view.slope_offset("all"))
+    rays[:, 5, 7] = np.nan
+    holed = replace(view)
+    holed.__dict__["_slope_offsets"] = (rays,)
+    channels, _ = read_exr(written(holed, tmp_path))
+    assert (channels["R"][5, 7], channels["G"][5, 7]) == (-1, -1)
+    assert np.isfinite(channels["R"]).all()
+    assert ((channels["R"] == -1) == (np.isnan(rays[0]))).all()

@@ -1,0 +1,1 @@
+"""Warp maps for other programs: one module per file format."""

@@ -1,0 +1,64 @@
+"""The protocol of a file format of `export`."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from wlr_render.exports.view import ExportedView
+
+
+@dataclass(frozen=True)
+class Carries:
+    """What a format holds; the rest of what a user asks for is refused, or named on the page beside the files.
+
+    Attributes:
+        every_depth: rays, so that a reader who knows the depth of a point finds its place in the picture.
+        colours: a map each for red, green and blue.
+        pupils: several pupil positions, in a file each or in one.
+        asymmetric_field: borders of the source picture at different angles to the left and right, or up and down.
+        between_pixels: positions between the pixels of the source picture.
+    """
+
+    every_depth: bool = False
+    colours: bool = True
+    pupils: bool = True
+    asymmetric_field: bool = True
+    between_pixels: bool = True
+
+
+class Format(Protocol):
+    """A file format: one module of this package implements it, and `formats.FORMATS` lists it.
+
+    Attributes:
+        name: of the format on the command line.
+        title: what it is, and for whom, in one line.
+        carries: what it holds.
+        convention: what the numbers of a file mean, a sentence each; also in every file or beside it.
+        use: how a reader uses the files in the program that they are for, a step each.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102  (the attributes of the class)
+
+    @property
+    def title(self) -> str: ...  # noqa: D102
+
+    @property
+    def carries(self) -> Carries: ...  # noqa: D102
+
+    @property
+    def convention(self) -> Sequence[str]: ...  # noqa: D102
+
+    @property
+    def use(self) -> Sequence[str]: ...  # noqa: D102
+
+    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
+        """Write all views into a folder; yields each file when it is finished.
+
+        Views are made one after the other and are large: a format that writes a file for each keeps none.
+
+        Raises:
+            BadInputError: the format does not hold a view, or a file cannot be written.
+            MissingExtraError: a library that the format needs is not installed.
+        """

@@ -1,0 +1,50 @@
+"""STMap: an OpenEXR picture of normalised positions, as Nuke, Fusion, Resolve and After Effects read it."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.exports.facts import facts, header_texts
+from wlr_render.exports.format import Carries
+from wlr_render.exports.view import ExportedView
+from wlr_render.rendering.exr_file import write_exr
+
+NOTHING = np.float32(-1.0)
+"""Position of panel pixels without a ray: outside the picture; NaN would spread in a reader's filter."""
+
+
+class StMap:
+    """The format `stmap`."""
+
+    name = "stmap"
+    title = "STMap (OpenEXR) for compositing programs"
+    carries = Carries()
+    convention = (
+        "R is the position in the source picture from its left border, 0, to its right border, 1.",
+        "G is the position from its bottom border, 0, to its top border, 1; B is 0.",
+        "Values are those of the centres of the panel's pixels; the first row of the file is the panel's top row.",
+        "R = G = -1 where a panel pixel has no ray: show black there.",
+        "Colours are interpolated in linear light.",
+    )
+    use = (
+        "Draw the source picture with the camera of the table below, and show the warped picture on the panel pixel by "
+        "pixel.",
+        "Nuke: read the file as raw data, connect it to the stmap input of an STMap node, uv channels rgb, filter "
+        "bilinear or better.",
+        "OpenImageIO: oiiotool source.exr map.exr --st_warp:filter=triangle:flip_t=1 -o panel.exr (its t runs down); "
+        "in Python ImageBufAlgo.st_warp with flip_t=True, and roi= of the panel's size.",
+    )
+
+    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
+        """Write a file for each view and colour."""
+        for view in views:
+            width, height = view.source.camera.size_px
+            for colour in view.colours:
+                source = view.source_px(colour)
+                channels = {"R": source[..., 0] / width, "G": 1 - source[..., 1] / height}
+                has_ray = np.isfinite(source).all(axis=-1)
+                channels = {name: np.where(has_ray, values, NOTHING) for name, values in channels.items()}
+                channels["B"] = np.zeros_like(channels["R"])
+                texts = header_texts(facts(view, colour, self))
+                yield write_exr(folder / f"{view.file_stem(colour)}-stmap.exr", channels, texts)

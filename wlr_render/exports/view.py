@@ -1,0 +1,136 @@
+"""What every format writes: the rays of one panel as one pupil sees it, and the camera of its source picture."""
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, ray_map, solve_pixels
+from wlr_render.rendering.view import View
+
+COLOURS = ("red", "green", "blue")
+ALL_COLOURS = "all"
+"""Name of the one map that serves all colours."""
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The headset that an export describes.
+
+    Attributes:
+        name: device name, and how its mappings were made.
+        sha256: of each file that was read, by its name.
+    """
+
+    name: str
+    sha256: Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedView:
+    """One eye at one pupil position, with the camera of the picture that its maps read.
+
+    All rays and positions are in the camera's frame: origin at its position, x right, y up, looking along -z.
+
+    Attributes:
+        origin: the headset.
+        stem: start of the names of this view's files, e.g. "right" or "right-000012".
+        channels: mappings of the eye: one, or those of red, green and blue.
+        plans: of the ray maps, one for each channel, in the axes of the camera.
+        source: the camera and its place in the device; its world is the device.
+        viewpoint: (3,) centre of the entrance pupil in the device frame, metres.
+        depth_m: depth from the camera for which positions in the picture are right; infinite by default.
+        time_s: time stamp of a trajectory.
+    """
+
+    origin: Origin
+    stem: str
+    channels: EyeChannels
+    plans: tuple[RayMapPlan, ...]
+    source: View
+    viewpoint: FloatArray
+    depth_m: float = math.inf
+    time_s: float | None = None
+
+    @property
+    def eye(self) -> str:
+        """ "left" or "right"."""
+        return self.channels[0].eye
+
+    @property
+    def panel_size_px(self) -> tuple[int, int]:
+        """(width, height) of the panel, and of every map."""
+        panel = self.channels[0].display.panel
+        return panel.width_px, panel.height_px
+
+    @property
+    def colours(self) -> tuple[str, ...]:
+        """Names of the maps: `COLOURS`, or `ALL_COLOURS` alone."""
+        return COLOURS if len(self.channels) > 1 else (ALL_COLOURS,)
+
+    @property
+    def middle_colour(self) -> str:
+        """Name of the map in the middle of the spectrum."""
+        return self.colours[len(self.colours) // 2]
+
+    def mappings(self, colour: str) -> EyeMappings:
+        """Mappings of one colour."""
+        return self.channels[self.colours.index(colour)]
+
+    def file_stem(self, colour: str) -> str:
+        """Name without suffix of the file of one map."""
+        return self.stem if colour == ALL_COLOURS else f"{self.stem}-{colour}"
+
+    def slope_offset(self, colour: str) -> Float32Array:
+        """Rays (a, b, c, d) of all panel pixels, (4, height, width) float32; NaN where a pixel has no ray.
+
+        At depth Z from the camera a ray is at (a Z + c, b Z + d, -Z), in metres.
+        """
+        return self._slope_offsets[self.colours.index(colour)]
+
+    @functools.cached_property
+    def _slope_offsets(self) -> tuple[Float32Array, ...]:
+        maps = [ray_map(each, self.viewpoint, plan) for each, plan in zip(self.channels, self.plans, strict=True)]
+        rays = [np.moveaxis(each.slope_offset, 0, -1).astype(np.float64) for each in maps]
+        return tuple(self._at_camera(each, self.viewpoint).astype(np.float32) for each in rays)
+
+    def rays_at(self, colour: str, pixel: FloatArray, viewpoint: FloatArray | None = None) -> FloatArray:
+        """Exact rays of panel pixels (..., 2), as `slope_offset` but (..., 4) float64.
+
+        Args:
+            colour: of the map.
+            pixel: anywhere on the panel, (0, 0) the outer corner of the top left pixel.
+            viewpoint: (3,) of another pupil; the camera stays.
+        """
+        pupil = self.viewpoint if viewpoint is None else viewpoint
+        solved = solve_pixels(self.mappings(colour), self.source.device_from_camera, pixel, pupil)
+        return np.moveaxis(self._at_camera(solved.slope_offset, pupil), 0, -1)
+
+    def tangents(self, rays: FloatArray) -> FloatArray:
+        """Tangents (..., 2) of the points of rays (4, ...) at `depth_m`, seen from the camera."""
+        return np.moveaxis(rays[:2] + rays[2:] / self.depth_m, 0, -1)
+
+    def source_px(self, colour: str) -> Float32Array:
+        """Position (u, v) in the source picture of each panel pixel, (height, width, 2) float32; NaN for none.
+
+        (0, 0) is the outer corner of the top left pixel of the picture, v runs down. Positions may lie outside.
+        """
+        tangents = self.tangents(self.slope_offset(colour).astype(np.float64))
+        return self.source.camera.pixel_of_tangents(tangents).astype(np.float32)
+
+    def _at_camera(self, rays: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """Rays (..., 4) with their origin at a viewpoint -> (4, ...) with their origin at the camera."""
+        x, y, z = self.source.device_from_camera.T @ (self.source.position_in_device - viewpoint)
+        a, b, c, d = np.moveaxis(rays, -1, 0)
+        return np.stack([a, b, c - a * z - x, d - b * z - y])
+
+
+def ray_map_plans(channels: EyeChannels, device_from_camera: FloatArray) -> tuple[RayMapPlan, ...]:
+    """Plans of the ray maps of an eye's channels in the axes of a camera."""
+    return tuple(
+        RayMapPlan.with_nodes(each.display.panel, choose_plan(each).node_count, device_from_camera) for each in channels
+    )
