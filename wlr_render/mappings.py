@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -225,6 +226,25 @@ class EyeMappings:
     see_through: SeeThroughMapping
     eye_box: EyeBox
     field: FieldOfView | None = None
+
+    @property
+    def summary(self) -> SummaryTable:
+        """What notebooks show."""
+        try:
+            panel = f"{self.display.panel.width_px} x {self.display.panel.height_px} px"
+        except BadInputError:
+            panel = "not calibrated"
+        size, centre = ([f"{1e3 * each:.3g}" for each in of] for of in (self.eye_box.size, self.eye_box.centre))
+        rows = [
+            ("panel", panel),
+            ("eye box, width x height x depth", f"{' x '.join(size)} mm"),
+            ("centre of the eye box, x, y, z in the device frame", f"{', '.join(centre)} mm"),
+            ("nominal field of view", "not stated" if self.field is None else str(self.field)),
+        ]
+        return SummaryTable([], rows)
+
+    def _repr_html_(self) -> str:
+        return html_summary(f"{self.name}, {self.eye} eye", [], [self.summary])
 
 
 EyeChannels = tuple[EyeMappings, ...]

@@ -18,6 +18,17 @@ def report(explained):
     return diagnosis_report(explained)
 
 
+def test_notebooks_show_the_verdict_the_advice_and_the_causes(explained):
+    fragment = explained._repr_html_()
+    for words in ("Diagnosis of small (northstar, right eye)", "Explained: combiner tilted", "[target] scale = [1.00"):
+        assert words in fragment
+    assert "value +- one sigma" in fragment
+    assert len(fragment) < 50_000
+    hostile = replace(explained, session="<img src=x>")._repr_html_()
+    assert "<img" not in hostile
+    assert "Diagnosis of &lt;img src=x&gt;" in hostile
+
+
 def titles(report, kind):
     return [block.title for block in report.blocks if isinstance(block, kind)]
 

@@ -7,13 +7,14 @@ position it was taken at, so that held-out tests can leave out whole positions.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import tangents_by_turn, tangents_of_dir
+from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial
@@ -262,6 +263,11 @@ def _found(known: IntArray, wanted: IntArray, what: str, noun: str) -> IntArray:
 class _Rows:
     """What both kinds of captures derive from their rows."""
 
+    side: ClassVar[str]
+
+    device: str
+    eye: str
+    sigma_arcmin: FloatArray
     viewpoint: FloatArray
     view_dir: FloatArray
     capture: IntArray
@@ -293,8 +299,16 @@ class _Rows:
         visits, row = np.unique(np.stack([self.capture, pose, number], axis=1), axis=0, return_inverse=True)
         return visits[:, 2 if self.has_visits else 0], row.reshape(-1)
 
+    @property
+    def targets(self) -> str:
+        """What a summary says of targets; a panel has none."""
+        return "-"
+
     def __len__(self) -> int:
         return len(self.viewpoint)
+
+    def _repr_html_(self) -> str:
+        return _summary([self])
 
 
 @dataclass(frozen=True)
@@ -320,6 +334,8 @@ class DisplayCaptures(_Rows):
         BadInputError: a shape does not fit, a number is not finite, a direction is not a unit vector looking forward,
             or `motion` or `common` leaves out a capture.
     """
+
+    side = "display"
 
     device: str
     eye: str
@@ -355,6 +371,8 @@ class SeeThroughCaptures(_Rows):
         BadInputError: as `DisplayCaptures`, or a point is not in front of its viewpoint.
     """
 
+    side = "see-through"
+
     device: str
     eye: str
     eye_box: EyeBox
@@ -381,6 +399,12 @@ class SeeThroughCaptures(_Rows):
                 "unit (metres) and the frame of both, or leave these rows out."
             )
         _check_bench(self)
+
+    @property
+    def targets(self) -> str:
+        """Number of target poses and their range of depths."""
+        depth = self.viewpoint[:, 2] - self.point[:, 2]
+        return f"{len(np.unique(self.target_pose))} at {depth.min():.3g} to {depth.max():.3g} m"
 
 
 @dataclass(frozen=True)
@@ -432,6 +456,22 @@ class EyeCaptures:
                 "captures: the common errors of display and see-through must have the same variables; give both the "
                 "same 'sources', with zeros for what does not touch one of them."
             )
+
+    def _repr_html_(self) -> str:
+        return _summary([part for part in (self.display, self.see_through) if part is not None])
+
+
+def _summary(parts: "Sequence[_Rows]") -> str:
+    """What notebooks show of captures of one eye."""
+    columns = ("captures", "directions", "camera positions", "their range, x, y, z (mm)", "targets", "sigma (arcmin)")
+    rows = []
+    for part in parts:
+        low, high = 1e3 * part.viewpoint.min(axis=0), 1e3 * part.viewpoint.max(axis=0)
+        places = ", ".join(f"{a:.3g} to {b:.3g}" for a, b in zip(low, high, strict=True))
+        counted = [str(each) for each in (len(part), len(np.unique(part.capture)))]
+        rows.append([part.side, *counted, places, part.targets, f"{np.median(part.sigma_arcmin):.3g}"])
+    first = parts[0]
+    return html_summary(f"Captures of {first.device}, {first.eye} eye", [], [SummaryTable(columns, rows)])
 
 
 AnyCaptures = TypeVar("AnyCaptures", DisplayCaptures, SeeThroughCaptures)

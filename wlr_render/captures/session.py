@@ -7,8 +7,10 @@ reading. A simulation predicts the readings of a plan, so that measured minus si
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
@@ -150,6 +152,17 @@ class Session:
     name: str
     plan: SessionPlan
     readings: Readings
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name, part in zip(("display", "see-through", "run-time"), self.plan.parts, strict=True):
+            if part is not None:
+                pose = part.target_pose if isinstance(part, SeeThroughPlan) else np.zeros_like(part.capture)
+                captures = np.unique(np.stack([part.capture, pose]), axis=1).shape[1]
+                poses = str(len(np.unique(pose))) if isinstance(part, SeeThroughPlan) else "-"
+                rows.append([name, str(len(part)), str(captures), poses])
+        table = SummaryTable(["part", "readings", "captures", "target poses"], rows)
+        return html_summary(f"Bench session {self.name}", [], [table])
 
 
 def select_rows(plan: AnyPlan, rows: NDArray[Any]) -> AnyPlan:

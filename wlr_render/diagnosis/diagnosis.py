@@ -8,6 +8,7 @@ from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.html_summary import html_summary
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.simulation.bench import Bench
 
@@ -276,3 +277,13 @@ class Diagnosis:
     corrected: Bench = field(metadata={"json": False})
     readings: WeighedReadings = field(metadata={"json": False})
     fit: Fit = field(metadata={"json": False})
+
+    def _repr_html_(self) -> str:
+        # Both import this module.
+        from wlr_render.diagnosis.explain import advice, verdict_sentence
+        from wlr_render.diagnosis.tables import causes_table, residuals_table
+
+        steps = [f"{number}. {step}" for number, step in enumerate(advice(self), 1)]
+        tables = [each.summary for each in (residuals_table(self), causes_table(self)) if each.rows]
+        title = f"Diagnosis of {self.session} ({self.device}, {self.eye} eye)"
+        return html_summary(title, [verdict_sentence(self), *steps], tables)

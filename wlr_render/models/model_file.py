@@ -62,6 +62,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_text
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.input_files import parsing, require_pixels
 from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings, Panel, SeeThroughMapping
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
@@ -111,6 +112,30 @@ class EyeModel:
     mappings: EyeMappings
     device: str
     report: Mapping[str, Any] = field(default_factory=dict)
+
+    def _repr_html_(self) -> str:
+        columns = ("fitted", "kind", "terms", "camera positions", "noise (arcmin)", "predicted error, rms (arcmin)")
+        sides = (("display", self.mappings.display, DISPLAYS), ("see_through", self.mappings.see_through, SEE_THROUGHS))
+        rows = [[name.replace("_", "-"), *self._fitted(name, mapping, kinds)] for name, mapping, kinds in sides]
+        fitted = SummaryTable(columns, rows)
+        return html_summary(
+            f"Model of {self.device}, {self.mappings.eye} eye: {self.mappings.name}",
+            [],
+            [self.mappings.summary, fitted],
+        )
+
+    def _fitted(self, name: str, mapping: object, kinds: dict[str, type[Any]]) -> list[str]:
+        """Cells of one mapping; a dash where the report, which may be of another program, has no such number."""
+        kind = next((kind for kind, model in kinds.items() if isinstance(mapping, model)), "")
+        if not kind:
+            return ["not calibrated", "-", "-", "-", "-"]
+        modelled, report = getattr(mapping, _modelled(kinds[kind])), self.report.get(name)
+        terms = str(len(modelled.orders)) if isinstance(modelled, Polynomial) else "-"
+        found = [report.get(key) if isinstance(report, Mapping) else None for key in _SHOWN]
+        return [kind, terms, *(f"{each:.3g}" if isinstance(each, int | float) else "-" for each in found)]
+
+
+_SHOWN = ("viewpoints", "noise_arcmin", "predicted_arcmin")  # of the report, in a summary
 
 
 def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:

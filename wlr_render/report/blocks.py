@@ -7,6 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from wlr_render.html_summary import SummaryTable, html_summary
+
 Cell = str | float | int | None
 
 
@@ -54,6 +56,14 @@ class ReportTable:
     def word_columns(self) -> list[bool]:
         """Which columns hold words: they are aligned to the left, numbers to the right."""
         return [any(isinstance(row[k], str) for row in self.rows) for k in range(len(self.columns))]
+
+    @property
+    def summary(self) -> SummaryTable:
+        """The table as notebooks show it, without its notes."""
+        return SummaryTable(self.columns, self.text_rows(), self.title)
+
+    def _repr_html_(self) -> str:
+        return html_summary(self.title, self.notes, [self.summary._replace(title="")])
 
 
 @dataclass(frozen=True)
@@ -123,6 +133,13 @@ class Report:
     def tables(self) -> list[ReportTable]:
         """The tables among the blocks."""
         return [block for block in self.blocks if isinstance(block, ReportTable)]
+
+    def _repr_html_(self) -> str:
+        """Verdict, warnings, advice, tables and files; plots and pictures are in the page."""
+        steps = [f"{number}. {step}" for number, step in enumerate(self.advice, 1)]
+        written = ["Written: " + ", ".join(map(str, self.files))] if self.files else []
+        sentences = [sentence for sentence in (self.verdict, *self.warnings, *steps, *written) if sentence]
+        return html_summary(self.title, sentences, [table.summary for table in self.tables])
 
 
 def cell_text(cell: Cell) -> str:

@@ -1,0 +1,118 @@
+"""What Jupyter shows of the objects that users hold: numbers with units, and names as plain text."""
+
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from fitted_eyes import captures, fitted_eye
+
+from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
+from wlr_render.html_summary import MOST_ROWS, SummaryTable, html_summary
+from wlr_render.mappings import EyeMappings
+from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
+from wlr_render.models.model_file import EyeModel
+from wlr_render.report.blocks import Report, ReportTable
+
+HOSTILE = "a</td><img src=x onerror=f()><script>g()</script>\"'&amp;\x1b\u202e"
+SHOWN = "a</td><img src=x onerror=f()><script>g()</script>\"'&amp;\\x1b\\u202e"
+TAGS = {"div", "p", "b", "table", "tr", "th", "td"}
+
+
+class Shown(HTMLParser):
+    """Text of each element, and the elements that are not those of a summary."""
+
+    def __init__(self, fragment):
+        super().__init__()
+        self.texts, self.foreign = [], []
+        self.feed(fragment)
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in TAGS or [attr for attr in attrs if attr != ("style", "text-align: left")]:
+            self.foreign.append((tag, attrs))
+
+    def handle_data(self, data):
+        if data.strip():
+            self.texts.append(data)
+
+
+def shown(value):
+    seen = Shown(value._repr_html_())
+    assert seen.foreign == []
+    return seen.texts
+
+
+@pytest.fixture(scope="module")
+def eye():
+    return fitted_eye("northstar", 3)
+
+
+def model(eye, report=None):
+    sides = {"display": {"viewpoints": 25, "noise_arcmin": 0.251234, "predicted_arcmin": 0.031234}}
+    return EyeModel(eye, "northstar", sides if report is None else report)
+
+
+def test_a_model_states_what_it_was_fitted_to_and_how_well(eye):
+    texts = shown(model(eye))
+    assert texts[0].startswith("Model of northstar, right eye")
+    for name, value in (("panel", "1440 x 1600 px"), ("eye box, width x height x depth", "10 x 8 x 6 mm")):
+        assert texts[texts.index(name) + 1] == value
+    first = texts.index("display")
+    assert texts[first + 1 : first + 6] == ["planar", str(len(eye.display.forward.orders)), "25", "0.251", "0.0312"]
+    assert texts[-3:] == ["-", "-", "-"]  # the report has no see-through
+
+
+def test_a_model_of_one_side_or_with_a_strange_report_is_shown_too(eye):
+    absent = replace(eye, display=AbsentDisplay(), see_through=AbsentSeeThrough())
+    assert shown(model(absent)).count("not calibrated") == 3
+    assert shown(model(eye, {"display": [1], "see_through": {"viewpoints": HOSTILE}})).count("-") == 6
+
+
+def test_captures_state_their_numbers_and_ranges():
+    found = captures("northstar")
+    texts = shown(found)
+    first = texts.index("display")
+    low, high = 1e3 * found.display.viewpoint[:, 0].min(), 1e3 * found.display.viewpoint[:, 0].max()
+    assert texts[first + 1 : first + 3] == [str(len(found.display)), "25"]
+    assert texts[first + 3].startswith(f"{low:.3g} to {high:.3g}, ")
+    assert "2 at 0.4 to 3 m" in texts
+    assert shown(found.see_through)[-6:] == texts[-6:]
+
+
+def session(name="bench"):
+    index, place, zeros = np.array([0, 0, 1]), np.zeros((3, 3)), np.zeros(3)
+    display = DisplayPlan(index, zeros, zeros, place, np.zeros(3, np.int64), np.zeros((3, 2)))
+    see_through = SeeThroughPlan(index, zeros, zeros, place, np.array([0, 1, 1]), np.zeros((3, 2)))
+    return Session(name, SessionPlan(display, see_through), Readings(np.zeros((3, 2)), np.zeros((3, 2))))
+
+
+def test_a_bench_session_states_its_parts():
+    assert shown(session())[-8:] == ["display", "3", "2", "-", "see-through", "3", "3", "2"]
+
+
+def test_a_report_states_its_verdict_steps_tables_and_files(tmp_path):
+    table = ReportTable("Errors", ["name", "rms (arcmin)"], [["a", 0.24321], ["b", None]], ["A note."])
+    texts = shown(Report("T", "It works.", ["Type it."], ["Few captures."], [table], files=[tmp_path / "r.html"]))
+    assert texts[:4] == ["T", "It works.", "Few captures.", "1. Type it."]
+    assert texts[4:] == [f"Written: {tmp_path / 'r.html'}", "Errors", "name", "rms (arcmin)", "a", "0.243", "b", "-"]
+    assert "A note." in shown(table)
+
+
+def test_long_tables_are_cut_and_say_so():
+    seen = Shown(html_summary("T", [], [SummaryTable([], [[str(row)] for row in range(MOST_ROWS + 2)])]))
+    assert seen.texts[-2:] == [str(MOST_ROWS - 1), "2 more rows are not shown."]
+
+
+def test_hostile_names_are_text(eye):
+    found = captures("northstar")
+    table = ReportTable(HOSTILE, [HOSTILE], [[HOSTILE]], [HOSTILE])
+    named = EyeMappings(HOSTILE, HOSTILE, eye.display, eye.see_through, eye.eye_box)
+    for value, times in (
+        (replace(model(named), device=HOSTILE), 3),
+        (named, 2),
+        (replace(found.display, device=HOSTILE), 1),
+        (session(HOSTILE), 1),
+        (Report(HOSTILE, HOSTILE, [HOSTILE], [HOSTILE], [table], files=[HOSTILE]), 8),
+        (table, 4),
+    ):
+        assert "".join(shown(value)).count(SHOWN) == times
