@@ -15,9 +15,12 @@ import pytest
 from gl_caller import Caller
 
 from wlr_render.errors import MissingGlError
+from wlr_render.extras import MissingExtraError
 from wlr_render.geometry import directions, rays
 from wlr_render.mappings import EyeBox, EyeMappings, Panel, QueryResult, Status
 from wlr_render.rendering import gl
+from wlr_render.rendering.mitsuba_frames import PathTracer
+from wlr_render.rendering.scene import Scene
 
 pytest_plugins = ["small_headsets"]
 
@@ -85,6 +88,17 @@ def measured_data() -> Callable[[str], Path]:
         return folder
 
     return folder_of
+
+
+@pytest.fixture(scope="session")
+def mitsuba():
+    """The library, which few machines have; tests that need it are skipped elsewhere."""
+    library = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'wlr_render[mitsuba]'.")
+    try:
+        PathTracer(Scene("empty", (), (), ()))
+    except MissingExtraError as error:
+        pytest.skip(str(error))
+    return library
 
 
 @pytest.fixture(scope="session")

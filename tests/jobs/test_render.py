@@ -1,6 +1,7 @@
 import json
 import os
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -435,6 +436,12 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
         ({"method": "raytrace", "backend": "cpu"}, "--backend is used with --method raster only"),
         ({"supersample": 2}, "--supersample is used with --method raytrace only"),
         ({"shadows": True}, "--shadows is used with --method raytrace only"),
+        ({"samples": 2}, "--samples is used with --method pathtrace only"),
+        ({"bounces": 0}, "--bounces is used with --method pathtrace only"),
+        ({"seed": 1}, "--seed is used with --method pathtrace only"),
+        ({"method": "pathtrace", "bounces": 65}, "--bounces is 65; it must be between 0 and 64"),
+        ({"method": "pathtrace", "shadows": True}, "--shadows is used with --method raytrace only"),
+        ({"method": "pathtrace", "backend": "cpu"}, "--backend is used with --method raster only"),
         ({"headset": "a.json", "per_colour": True}, "a.json: is a model of one colour; give --red-model and --blue-m"),
         ({"red_model": Path("r.json")}, "--red-model and --blue-model go together"),
         ({"blue_model": Path("b.json")}, "--red-model and --blue-model go together"),
@@ -444,7 +451,7 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
         ({"predicted_error": 0.0}, "--predicted-error is 0.0; it must be between 0.1 and 100 metres"),
         ({"frame_limit": 3}, "--frames is used with --head or --eye-track only"),
         ({"frame_limit": 0}, "--frames is 0; it must be between 1 and 1000000"),
-        ({"method": "paint"}, "--method is paint; choose from raster, raytrace"),
+        ({"method": "paint"}, "--method is paint; choose from raster, raytrace, pathtrace"),
         ({"maps": "png"}, "--maps is png; choose from tiff, pfm"),
         ({"map_from": "thin air"}, "--map-from is thin air; choose from depth, mesh"),
         ({"eye": "third"}, "--eye is third; choose from left, right, both"),
@@ -482,6 +489,25 @@ def test_missing_opengl_leaves_nothing_behind(options, monkeypatch):
         render(replace(options, backend="egl"))
     with pytest.raises(BadInputError, match="--maps needs OpenGL, because ray-traced frames have no warp map"):
         render(replace(options, backend="auto", maps="tiff"))
+    assert not options.out.exists()
+
+
+def test_path_traced_frames_resume_and_are_those_of_one_seed(mitsuba, options, tmp_path):
+    options = replace(options, method="pathtrace", samples=3, eye_track=None)
+    render(options)
+    first = pictures(options.out)
+    assert counts(render(options)) == (0, 1)
+    with pytest.raises(BadInputError, match="--seed has changed from 0 to 1"):
+        render(replace(options, seed=1))
+    for change, is_same in (({}, True), ({"seed": 1}, False), ({"bounces": 0}, False)):
+        render(replace(options, out=tmp_path / f"again{change}", **change))
+        assert (pictures(tmp_path / f"again{change}") == first) == is_same
+
+
+def test_missing_mitsuba_leaves_nothing_behind(options, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    with pytest.raises(BadInputError, match=r"pip install 'wlr_render\[mitsuba\]'"):
+        render(replace(options, method="pathtrace"))
     assert not options.out.exists()
 
 

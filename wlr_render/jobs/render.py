@@ -25,12 +25,14 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     ProgressArgument,
     eyes_of,
+    seed_of,
 )
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.sequence_record import RECORD, require_same_job, sequence_record
 from wlr_render.mappings import EyeChannels
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
+from wlr_render.rendering.mitsuba_frames import PathTracedPainter, PathTracer
 from wlr_render.rendering.painters import Painter, TracedPainter, blank_warnings, is_blank
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
@@ -192,7 +194,7 @@ def _open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
         BadInputError: warp maps without OpenGL, or a way to make them with --backend cpu.
         MissingGlError: as `open_scene_raster`.
     """
-    if options.method == "raytrace":
+    if options.method != "raster":
         return None
     raster = open_scene_raster(scene, options.backend, options.materials)
     if raster is None and options.maps is not None:
@@ -212,7 +214,7 @@ def _open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
 def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:
     """The options that change what a frame shows."""
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
-    if raster is None:
+    if raster is None and options.method == "raster":
         job["method"] = "raytrace"
     return {key: job[key] for key in job if key not in ("out", "video", "frame_limit", "backend")}
 
@@ -256,6 +258,12 @@ def _files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[
 def _painters(
     options: RenderOptions, channels: dict[str, EyeChannels], scene: Scene, raster: SceneRaster | None
 ) -> dict[str, Painter]:
+    if options.method == "pathtrace":
+        tracer = PathTracer(scene, options.bounces)
+        return {
+            eye: PathTracedPainter(each, tracer, options.samples, seed_of(options.seed, eye))
+            for eye, each in channels.items()
+        }
     if options.method == "raytrace":
         renderer = RayRenderer(scene)
         return {

@@ -14,6 +14,7 @@ from wlr_render.jobs.options import (
     Options,
     Range,
     RasterCamera,
+    Seed,
     described,
 )
 
@@ -43,8 +44,11 @@ class RenderOptions(Options):
         Range(at_least=1, at_most=limits.FRAMES),
     ] = None
     method: Annotated[
-        Literal["raster", "raytrace"],
-        described("Rendering method: an intermediate image that is warped, or a ray for each pixel."),
+        Literal["raster", "raytrace", "pathtrace"],
+        described(
+            "Rendering method: an intermediate image that is warped, a ray for each pixel, or paths of light, by "
+            "Mitsuba (docs/renderers.md)."
+        ),
     ] = "raster"
     supersample: Annotated[
         int, described("Rays per pixel and axis (raytrace only)."), Range(1, 12), OnlyWith("method", ("raytrace",))
@@ -52,6 +56,16 @@ class RenderOptions(Options):
     shadows: Annotated[
         bool, described("Surfaces cast shadows (raytrace only).", flag=True), OnlyWith("method", ("raytrace",))
     ] = False
+    samples: Annotated[
+        int, described("Paths per pixel (pathtrace only)."), Range(1, 1 << 16), OnlyWith("method", ("pathtrace",))
+    ] = 64
+    bounces: Annotated[
+        int,
+        described("Reflections of light between surfaces; 0: direct light only (pathtrace only)."),
+        Range(0, 64),
+        OnlyWith("method", ("pathtrace",)),
+    ] = 4
+    seed: Annotated[Seed, OnlyWith("method", ("pathtrace",))] = 0
     materials: Annotated[
         Literal["own", "gltf"],
         described("Shading: the ray tracer's, or glTF materials (raster only, needs OpenGL)."),
