@@ -17,9 +17,10 @@ from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import LightSource
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.shapes import construction
-from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 
 BLACK = np.zeros(3, np.float32)
+UP = np.array([0.0, 0.0, 1.0])
 
 
 def fan_of_rays(height=400, width=360):
@@ -72,20 +73,20 @@ def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba):
     np.testing.assert_array_equal(light[:, 1:], np.broadcast_to(np.float32(background), (20_000, 2, 3)))
 
 
-def test_an_albedo_above_one_is_one(mitsuba):
-    brighter = (
-        quad((-1, -1), (1, 1), base_colour=np.full(3, 3.0, np.float32)),
-        quad((-1, -1), (1, 1), vertex_colour=np.full((4, 3), 3.0, np.float32)),
-        quad((-1, -1), (1, 1), base_colour=np.full(3, 3.0, np.float32), texture=np.full((2, 2, 3), 255, np.uint8)),
-        quad(
-            (-1, -1), (1, 1), texture=np.full((2, 2, 3), 255, np.uint8), vertex_colour=np.full((4, 3), 3.0, np.float32)
-        ),
-    )
-    light = LightSource("directional", np.array([0.0, 0.0, -1.0]), np.full(3, 0.4, np.float32))
-    for mesh in brighter:
-        scene = with_one_light(unlit((mesh, at(0, 0, -2))), light)
-        found = PathTracer(scene, bounces=0).light(np.zeros(3, np.float32), np.array([[0, 0, -1]], np.float32), 0)
-        np.testing.assert_allclose(found, 0.4, rtol=1e-5)
+def bright(**material):
+    """A square whose base colour is 3."""
+    return quad((-1, -1), (1, 1), base_colour=np.full(3, 3.0, np.float32), **material)
+
+
+@pytest.mark.parametrize("code", [255, 118])
+@pytest.mark.parametrize("colour", [1.0, 0.6])
+def test_albedo_is_the_product_of_all_three_colours_and_at_most_one(mitsuba, code, colour):
+    texture, vertex = {"texture": np.full((2, 2, 3), code, np.uint8)}, {"vertex_colour": np.full((4, 3), colour, "f4")}
+    texel, light = decode_srgb(texture["texture"]).max(), LightSource("directional", -UP, np.full(3, 0.4, np.float32))
+    for material, product in (({}, 1), (texture, texel), (vertex, colour), (texture | vertex, texel * colour)):
+        scene = with_one_light(unlit((bright(**material), at(0, 0, -2))), light)
+        found = PathTracer(scene, bounces=0).light(np.zeros(3, np.float32), np.array([-UP], np.float32), 0)
+        np.testing.assert_allclose(found, 0.4 * min(1.0, 3 * product), rtol=1e-5)
 
 
 @pytest.mark.parametrize("bounces", [0, 1, 3])
