@@ -9,7 +9,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import shipped_names
 from wlr_render.optics.device import Interaction
 from wlr_render.optics.device_file import load_device
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Toroid, XYPolynomial
+from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM, Medium
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SumOfProfiles, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Offset
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -121,6 +122,14 @@ def test_coefficients_in_millimetres_keep_the_sag(tmp_path):
         ),
         # 100 - sqrt(100^2 - 10^2) with a straight profile in y
         ('shape = "toroid"\nradius_x_mm = 100\nradius_y_mm = 1e9', Toroid, 100 - np.sqrt(9900)),
+        # r^2 = 500 mm^2; without and with a sphere of 100 mm
+        ('shape = "asphere"\nsag_mm = { r2 = 1e-3, r4 = 2e-6 }', Asphere, 0.5 + 0.5),
+        ('shape = "asphere"\nradius_mm = 100\nsag_mm = { r3 = 1e-5 }', Asphere, 100 - np.sqrt(9500) + 1e-5 * 500**1.5),
+        (
+            'shape = "sum_of_profiles"\nradius_x_mm = 100\nradius_y_mm = -50',
+            SumOfProfiles,
+            100 - np.sqrt(9900) - 50 + np.sqrt(2100),
+        ),
     ],
 )
 def test_other_sag_shapes_in_millimetres(tmp_path, lines, kind, sag_mm):
@@ -130,6 +139,50 @@ def test_other_sag_shapes_in_millimetres(tmp_path, lines, kind, sag_mm):
     # The first term's larger half is along x for a negative asymmetry.
     x, y = np.array([0.01]), np.array([0.02])
     assert shape.sag_and_slopes(x, y)[0] == pytest.approx(1e-3 * sag_mm, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("sag_mm", "sentence"),
+    [("{ r1 = 1e-3 }", "'r1' is no term of an asphere"), ("{ r22 = 1 }", "up to r20"), ("{}", "such as r4")],
+)
+def test_terms_of_an_asphere_are_checked(tmp_path, sag_mm, sentence):
+    text = GOOD.replace('shape = "conic"\nradius_mm = -80\nconic = -0.5', f'shape = "asphere"\nsag_mm = {sag_mm}')
+    with pytest.raises(BadInputError, match=sentence):
+        load(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("given", "wavelength_um", "index"),
+    [
+        # Schott's data sheet of N-BK7: n_F, n_d, n_C to six digits
+        ('formula = "n_bk7_schott"', 0.4861327, 1.52238),
+        ('formula = "n_bk7_schott"', 0.5875618, 1.51680),
+        ("sellmeier = [[1.0396, 0.0060007], [0.231792, 0.0200179], [1.010469, 103.5607]]", 0.6562725, 1.51432),
+        ("nd = 1.62004\nvd = 36.37", 0.5875618, 1.62004),
+        ("schott = [[2.25, 0], [0.01, -2]]", 0.5, np.sqrt(2.29)),
+        ("cauchy = [1.5, 0.004, 0.0001]", 0.5, 1.5176),
+    ],
+)  # fmt: skip
+def test_glasses_by_their_published_numbers(tmp_path, given, wavelength_um, index):
+    medium = load(tmp_path, GOOD.replace("index = 1.5", given)).eyes["right"].see_through.steps[0].medium
+    assert medium.index(wavelength_um) == pytest.approx(index, abs=5e-6)
+
+
+@pytest.mark.parametrize(("index", "number"), [(1.5168, 64.17), (1.78472, 25.68), (1.4918, 57.4)])
+def test_an_abbe_number_is_met_exactly(index, number):
+    medium = Medium.abbe("glass", index, number)
+    f_line, d_line, c_line = map(medium.index, FRAUNHOFER_F_D_C_UM)
+    assert d_line == pytest.approx(index, abs=1e-14)
+    assert (d_line - 1) / (f_line - c_line) == pytest.approx(number, rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("index", "number", "violet"),
+    # n_g of Schott's data sheets: N-BK7, N-SK16, N-SF6
+    [(1.51680, 64.17, 1.52668), (1.62041, 60.32, 1.63312), (1.80518, 25.36, 1.84707)],
+)
+def test_an_abbe_number_gives_the_violet_of_normal_glasses(index, number, violet):
+    assert Medium.abbe("glass", index, number).index(0.4358343) == pytest.approx(violet, abs=7e-4)
 
 
 @pytest.mark.parametrize("given", ["index = 1.5", 'formula = "pmma_sultanova_2009"'])
@@ -192,6 +245,15 @@ def test_other_eye_is_mirrored(tmp_path):
         ('frame = "opencv"', 'frame = "opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
         ("index = 1.5", "index = -1.5", "'index' must be positive"),
         ("index = 1.5", "index = 1.5\nindex_shift = -0.6", "the index with 'index_shift' is 0.9; a refractive"),
+        ("index = 1.5", 'formula = "bk7"', "'formula' is 'bk7'; choose one of n_bk7_schott.*'sellmeier', or by 'nd'"),
+        ("index = 1.5", "", "give the index by one of index, formula, sellmeier, .*; none is there"),
+        ("index = 1.5", "index = 1.5\nnd = 1.5", "; index and nd is there"),
+        ("index = 1.5", "nd = 1.5", "key 'vd' is missing"),
+        ("index = 1.5", "nd = 1.5\nvd = 0.58", "'vd' has the value 0.58; it must be 5 or more"),
+        ("index = 1.5", "sellmeier = [[1.1, -0.1]]", "'sellmeier' has a negative pole"),
+        ("index = 1.5", "sellmeier = [[1.1, 0.23]]", "the index at 0.45 um is nan"),
+        ("index = 1.5", "cauchy = []", "'cauchy' must be 1 to 5 numbers"),
+        ("index = 1.5", "schott = [[2.25, 99]]", "'schott' must be pairs"),
         ("index = 1.5", "index = 15", "'index' is 15; a refractive index lies between 1 and 5"),
         ("index = 1.5", "index = 1e400", "'index' must be finite"),
         ("radius_mm = -80", "radius_mm = 1e15", r"'radius_mm' has a length of 1e\+15 mm, more than the plausible"),

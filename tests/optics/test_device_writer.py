@@ -16,7 +16,15 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import save_device
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import FormError, raised
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, GaussianBump, Toroid, XYPolynomial
+from wlr_render.optics.sag_surfaces import (
+    AnamorphicAsphere,
+    AnamorphicTerm,
+    Asphere,
+    GaussianBump,
+    SumOfProfiles,
+    Toroid,
+    XYPolynomial,
+)
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
@@ -202,6 +210,10 @@ BACK = surface_at("back", Conic(0.0), 0.06)
         XYPolynomial(np.array([[1e-3, 2e-3, 0.5], [3e-3, -0.4, 0.0], [0.3, 0.1, 7.0]]), -5.0, 0.2),
         XYPolynomial(np.eye(12)[:, :3] * 0.02),
         AnamorphicAsphere((-4.0, 3.0)),
+        AnamorphicAsphere((-4.0, 0.0)),
+        Asphere((0.5, 0.0, -300.0, 7.0), -3.0, 0.4),
+        Asphere((0.0,)),
+        SumOfProfiles((0.0, 3.0), (0.5, -2.0)),
         AnamorphicAsphere((-4.0, 3.0), (0.1, -2.0), (AnamorphicTerm(40.0, -0.2, 2), AnamorphicTerm(-3e4, 1.5, 3))),
         Offset(Conic(5.0), 1.5e-3),
         Offset(Offset(Toroid(-0.3, 0.2), -1e-3), 2e-3),
@@ -239,10 +251,30 @@ def test_media_with_one_name_that_differ_between_the_eyes_are_distinguished(tmp_
         assert_same_light(eyes[side], read.eyes[side])
 
 
-def test_an_unknown_dispersion_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    "medium",
+    [
+        Medium("flint", ((1.5, 0.02), (0.3, 0.0))),
+        Medium("schott", powers=((1.2, 0.0), (-0.01, 2.0), (0.011, -2.0))),
+        Medium("schott", ((0.2, 0.0),), powers=((1.0, 0.0), (0.011, -2.0))),
+        Medium.cauchy("cauchy", ((1.5, 0.0), (0.004, -2.0))),
+        Medium.abbe("abbe", 1.62, 36.0),
+    ],
+)
+def test_every_dispersion_survives(tmp_path, medium):
+    device = device_of_plate(surface_at("front", Conic(0.0), 0.04), BACK, medium)
+    first = save_device(device, tmp_path / "first.toml")
+    read = load_device(first).eyes["right"].see_through.steps[0].medium
+    assert read.name == medium.name
+    for wavelength_um in (0.4, 0.55, 0.7):
+        assert read.index(wavelength_um) == pytest.approx(medium.index(wavelength_um), abs=1e-15)
+    assert save_device(load_device(first), tmp_path / "second.toml").read_text() == first.read_text()
+
+
+def test_a_dispersion_that_the_format_cannot_state_is_refused(tmp_path):
     front = surface_at("front", Conic(0.0), 0.04)
-    device = device_of_plate(front, BACK, Medium("flint", ((1.5, 0.02),)))
-    with pytest.raises(BadInputError, match=r"Medium 'flint' cannot be written .*pmma_sultanova_2009"):
+    device = device_of_plate(front, BACK, Medium("odd", ((1.5, 0.02),), powers=((0.01, -2.0),)))
+    with pytest.raises(BadInputError, match=r"Medium 'odd' cannot be written .* Sellmeier and of Schott together"):
         save_device(device, tmp_path / "saved.toml")
     assert not list(tmp_path.iterdir())
 

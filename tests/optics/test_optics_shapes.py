@@ -7,7 +7,15 @@ from scipy.optimize import minimize
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.raised import FormError, raised
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, GaussianBump, Toroid, XYPolynomial
+from wlr_render.optics.sag_surfaces import (
+    AnamorphicAsphere,
+    AnamorphicTerm,
+    Asphere,
+    GaussianBump,
+    SumOfProfiles,
+    Toroid,
+    XYPolynomial,
+)
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
 
 COEFFICIENTS = np.array([[0.0, 0.02, -1.5, 30.0], [-0.01, 0.3, -8.0, 0.0], [-2.0, 10.0, 0.0, 0.0]])
@@ -33,6 +41,20 @@ def anamorphic_level(p):
     root = np.sqrt(1 - 0.9 * (x / 0.06) ** 2 - 0.8 * (y / 0.09) ** 2)
     base = (-(x**2) / 0.06 - y**2 / 0.09) / (1 + root)
     return z - base - 500.0 * (1.1 * x**2 + 0.9 * y**2) ** 2 + 9e4 * (0.5 * x**2 + 1.5 * y**2) ** 3
+
+
+def even_asphere_level(p):
+    r2 = p[0] ** 2 + p[1] ** 2
+    return p[2] - conic_sag(p[0], p[1], -7.0, -1.4) - 0.5 * r2 + 300.0 * r2**2 - 2e5 * r2**3
+
+
+def odd_asphere_level(p):
+    r = np.hypot(p[0], p[1])
+    return p[2] - 1.5 * r**2 + 20.0 * r**3 - 900.0 * r**5
+
+
+def sum_of_profiles_level(p):
+    return p[2] - conic_sag(p[0], 0.0, -9.0, 0.5) - conic_sag(0.0, p[1], 6.0, -2.0)
 
 
 # Form errors far larger than real ones, about an axis 20 degrees off the surface's own: a saddle, and a bump beside it.
@@ -64,6 +86,9 @@ SHAPES = {
     ),
     "offset sphere": (Offset(Conic(1 / 0.07), -0.004), lambda p: np.linalg.norm(p.T - [0, 0, 0.07], axis=1) - 0.074),
     "toroid": (Toroid(-0.08, 0.06), toroid_level),
+    "even asphere": (Asphere((0.5, 0.0, -300.0, 0.0, 2e5), -7.0, -1.4), even_asphere_level),
+    "odd asphere": (Asphere((1.5, -20.0, 0.0, 900.0)), odd_asphere_level),
+    "sum of profiles": (SumOfProfiles((-9.0, 6.0), (0.5, -2.0)), sum_of_profiles_level),
     "xy polynomial": (XYPolynomial(COEFFICIENTS, -5.0, 0.4), polynomial_level),
     "anamorphic": (
         AnamorphicAsphere(
@@ -89,6 +114,22 @@ SHAPES = {
         lambda p: polynomial_level(p) - raise_height(p),
     ),
 }
+
+
+@pytest.mark.parametrize("name", ["even asphere", "odd asphere", "sum of profiles"])
+def test_slopes_are_the_derivatives_of_the_sag(name):
+    """By central differences; also on the axis, where r itself has no derivative."""
+    shape, _ = SHAPES[name]
+    rng = np.random.default_rng(8)
+    x, y = np.append(rng.uniform(-0.02, 0.02, (2, 50)), [[0.0, 0.0, 0.01], [0.0, 0.01, 0.0]], axis=1)
+    sag, slope_x, slope_y = shape.sag_and_slopes(x, y)
+    step = 1e-7
+    ahead, behind = (shape.sag_and_slopes(x + sign * step, y)[0] for sign in (1, -1))
+    np.testing.assert_allclose(slope_x, (ahead - behind) / (2 * step), atol=2e-9)
+    above, below = (shape.sag_and_slopes(x, y + sign * step)[0] for sign in (1, -1))
+    np.testing.assert_allclose(slope_y, (above - below) / (2 * step), atol=2e-9)
+    assert np.isfinite(sag).all()
+    assert slope_x[50] == slope_y[50] == 0.0
 
 
 def random_rays(rng, count):

@@ -28,8 +28,10 @@ from wlr_render.optics.raised import FormError, Raised, RaisedSag, raised
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
     AnamorphicTerm,
+    Asphere,
     GaussianBump,
     SagSurface,
+    SumOfProfiles,
     Toroid,
     XYPolynomial,
 )
@@ -42,6 +44,8 @@ MM = 1e-3
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0])
 
 _GREEN_UM = 0.55
+_VISIBLE_UM = 0.45, 0.65
+_ABBE_NUMBERS = 5.0, 200.0
 _FAR_MM = 2000.0  # of anything in a headset from its origin
 _OPEN_MM = 10.0  # half the width of a surface without an aperture, at least
 _STEEPEST_SLOPE = 20.0  # of a surface given by its sag: 87 degrees
@@ -172,9 +176,35 @@ def _powers(sag: Table, key: str) -> tuple[int, int]:
     return m, n
 
 
+def _asphere(table: Table) -> Asphere:
+    sag = table.table("sag_mm")
+    powers = {key: _power_of_r(sag, key) for key in sag.keys()}  # noqa: SIM118 (a Table is no dictionary)
+    if not powers:
+        raise sag.fail("there is no coefficient; give at least one, such as r4.")
+    coefficients = [0.0] * (max(powers.values()) - 1)
+    for key, power in powers.items():
+        coefficients[power - 2] = sag.number(key) * MM ** (1 - power)
+    curvature = 1.0 / _length(table, "radius_mm", _FLAT_MM) if table.has("radius_mm") else 0.0
+    return Asphere(tuple(coefficients), curvature, table.number("conic", default=0.0) if curvature else 0.0)
+
+
+def _power_of_r(sag: Table, key: str) -> int:
+    match = re.fullmatch(r"r(\d{1,2})", key)
+    if match is None or not 2 <= int(match[1]) <= _HIGHEST_POWER:
+        raise sag.fail(f"{shown(key)} is no term of an asphere; write r2, r4 and so on, up to r{_HIGHEST_POWER}.")
+    return int(match[1])
+
+
+def _biconic(table: Table) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Curvatures in 1/m and conics along x and y; a profile without a radius is straight."""
+    keys = "radius_x_mm", "radius_y_mm"
+    if not any(map(table.has, keys)):
+        raise table.fail(f"neither {' nor '.join(keys)} is there; write at least one.")
+    x, y = (1.0 / _length(table, key, _FLAT_MM) if table.has(key) else 0.0 for key in keys)
+    return (x, y), (table.number("conic_x", default=0.0), table.number("conic_y", default=0.0))
+
+
 def _anamorphic(table: Table) -> AnamorphicAsphere:
-    curvature = tuple(1.0 / _length(table, key, _FLAT_MM) for key in ("radius_x_mm", "radius_y_mm"))
-    conic = tuple(table.number(key, default=0.0) for key in ("conic_x", "conic_y"))
     terms = []
     for entry in table.tables("term", required=False, most=_MOST):
         order = entry.number("order")
@@ -183,12 +213,14 @@ def _anamorphic(table: Table) -> AnamorphicAsphere:
         amplitude = entry.number("sag_mm") * MM ** (1 - order)
         terms.append(AnamorphicTerm(amplitude, entry.number("asymmetry", default=0.0), int(order) // 2))
         entry.finish()
-    return AnamorphicAsphere((curvature[0], curvature[1]), (conic[0], conic[1]), tuple(terms))
+    return AnamorphicAsphere(*_biconic(table), tuple(terms))
 
 
 _SAG_SHAPES: dict[str, Callable[[Table], SagSurface]] = {
     "toroid": lambda table: Toroid(*(_length(table, f"radius_{axis}_mm", _FLAT_MM) for axis in "xy")),
+    "asphere": _asphere,
     "xy_polynomial": _xy_polynomial,
+    "sum_of_profiles": lambda table: SumOfProfiles(*_biconic(table)),
     "anamorphic": _anamorphic,
     "bump": lambda table: GaussianBump(MM * table.number("height_mm"), MM * positive(table, "width_mm")),
 }
@@ -290,13 +322,69 @@ def _media(file: Table) -> dict[str, Medium]:
 
 
 def _medium(table: Table, name: str) -> Medium:
-    if table.has("formula"):
-        medium = Medium(name, FORMULAS[table.text("formula", choices=sorted(FORMULAS))])
-    else:
-        medium = Medium.constant(name, _index(table, "'index'", positive(table, "index")))
-    medium = medium.shifted(table.number("index_shift", default=0.0))
+    given = [key for key in _MEDIA if table.has(key)]
+    if len(given) != 1:
+        raise table.fail(f"give the index by one of {', '.join(_MEDIA)}; {' and '.join(given) or 'none'} is there.")
+    medium = _MEDIA[given[0]](table, name).shifted(table.number("index_shift", default=0.0))
     _index(table, "the index with 'index_shift'", medium.index(_GREEN_UM))
+    for wavelength_um in _VISIBLE_UM:
+        _index(table, f"the index at {wavelength_um:g} um", medium.index(wavelength_um))
     return medium
+
+
+def _named_formula(table: Table, name: str) -> Medium:
+    formula = table.text("formula")
+    if formula not in FORMULAS:
+        raise table.fail(
+            f"'formula' is {shown(formula)}; choose one of {', '.join(sorted(FORMULAS))}, or give any glass by "
+            "'sellmeier', or by 'nd' and 'vd'."
+        )
+    return Medium(name, FORMULAS[formula])
+
+
+def _sellmeier(table: Table, name: str) -> Medium:
+    pairs = table.vectors("sellmeier", 2)
+    if len(pairs) > _MOST:
+        raise table.fail(f"'sellmeier' has {len(pairs)} terms; {_MOST} is the most that is read.")
+    if np.any(pairs[:, 1] < 0):
+        raise table.fail("'sellmeier' has a negative pole; write [strength, pole in square micrometres] of each term.")
+    return Medium(name, tuple((strength, pole) for strength, pole in pairs.tolist()))
+
+
+def _schott(table: Table, name: str) -> Medium:
+    """n^2 by pairs of a factor and a power of the wavelength."""
+    pairs = table.vectors("schott", 2)
+    if len(pairs) > _MOST or np.any(np.abs(pairs[:, 1]) > _HIGHEST_POWER):
+        raise table.fail(
+            f"'schott' must be pairs [factor, power of the wavelength], at most {_MOST}, powers within "
+            f"{_HIGHEST_POWER}."
+        )
+    constant = sum(factor for factor, power in pairs.tolist() if power == 0.0)
+    rest = tuple((factor, power) for factor, power in pairs.tolist() if power != 0.0)
+    return Medium(name, powers=((constant - 1.0, 0.0), *rest))
+
+
+def _cauchy(table: Table, name: str) -> Medium:
+    factors = table.numbers("cauchy")
+    if not 1 <= len(factors) <= _HIGHEST_POWER // 4:
+        raise table.fail(f"'cauchy' must be 1 to {_HIGHEST_POWER // 4} numbers: A, B, C of n = A + B / L^2 + C / L^4.")
+    return Medium.cauchy(name, tuple((factor, -2.0 * place) for place, factor in enumerate(factors.tolist())))
+
+
+def _abbe(table: Table, name: str) -> Medium:
+    index = _index(table, "'nd'", positive(table, "nd"))
+    number = table.number("vd", least=_ABBE_NUMBERS[0], most=_ABBE_NUMBERS[1])
+    return Medium.abbe(name, index, number)
+
+
+_MEDIA: dict[str, Callable[[Table, str], Medium]] = {
+    "index": lambda table, name: Medium.constant(name, _index(table, "'index'", positive(table, "index"))),
+    "formula": _named_formula,
+    "sellmeier": _sellmeier,
+    "schott": _schott,
+    "cauchy": _cauchy,
+    "nd": _abbe,
+}
 
 
 def _index(table: Table, what: str, index: float) -> float:

@@ -22,7 +22,15 @@ from wlr_render.optics.device import (
 from wlr_render.optics.device_file import MM, base_chain
 from wlr_render.optics.media import AIR, FORMULAS, Medium
 from wlr_render.optics.raised import Raised, RaisedSag
-from wlr_render.optics.sag_surfaces import AnamorphicAsphere, AnamorphicTerm, GaussianBump, Toroid, XYPolynomial
+from wlr_render.optics.sag_surfaces import (
+    AnamorphicAsphere,
+    AnamorphicTerm,
+    Asphere,
+    GaussianBump,
+    SumOfProfiles,
+    Toroid,
+    XYPolynomial,
+)
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 from wlr_render.toml_files import write_toml
 
@@ -37,7 +45,7 @@ def save_device(device: Device, path: str | FilePath) -> FilePath:
     elsewhere, or is in no path, gets a base of its own.
 
     Raises:
-        BadInputError: a medium's dispersion is none that the format knows.
+        BadInputError: a medium has a dispersion that the format cannot state.
     """
     return write_toml(path, device_content(device))
 
@@ -66,13 +74,21 @@ def _medium_names(device: Device) -> dict[Medium, str]:
 def _medium(name: str, medium: Medium) -> Content:
     shift = {"index_shift": medium.index_shift} if medium.index_shift else {}
     for formula, terms in FORMULAS.items():
-        if medium.terms == terms:
+        if medium.terms == terms and not medium.powers:
             return {"name": name, "formula": formula} | shift
+    if medium.powers:
+        if any(pole for _, pole in medium.terms):
+            raise BadInputError(
+                f"Medium '{name}' cannot be written to a device file: it has terms of Sellmeier and of Schott "
+                "together; fit it by one of the two formulas."
+            )
+        # A term of Sellmeier with a pole of 0 is a constant of n^2, as is a factor of the power 0.
+        constant = 1.0 + sum(strength for strength, _ in medium.terms)
+        constant += sum(factor for factor, power in medium.powers if power == 0.0)
+        pairs = [[constant, 0.0], *([factor, power] for factor, power in medium.powers if power != 0.0)]
+        return {"name": name, "schott": pairs} | shift
     if any(pole for _, pole in medium.terms):
-        raise BadInputError(
-            f"Medium '{name}' cannot be written to a device file: its dispersion is none of the known formulas "
-            f"({', '.join(FORMULAS)}); use one of these or a constant index."
-        )
+        return {"name": name, "sellmeier": [list(term) for term in medium.terms]} | shift
     return {"name": name, "index": replace(medium, index_shift=0.0).index(1.0)} | shift
 
 
@@ -169,6 +185,12 @@ def _shape(shape: Shape) -> Content:
             return {"shape": "ellipsoid", "semi_axes_mm": _mm(shape.semi_axes)}
         case Toroid():
             return {"shape": "toroid", "radius_x_mm": shape.radius_x / MM, "radius_y_mm": shape.radius_y / MM}
+        case Asphere():
+            base = _base_conic(shape) if shape.curvature else {}
+            sag = {f"r{k}": each / MM ** (1 - k) for k, each in enumerate(shape.coefficients, start=2) if each}
+            return {"shape": "asphere"} | base | {"sag_mm": sag or {"r2": 0.0}}
+        case SumOfProfiles():
+            return {"shape": "sum_of_profiles"} | _biconic(shape)
         case XYPolynomial():
             base = _base_conic(shape) if shape.curvature else {}
             return {"shape": "xy_polynomial"} | base | {"sag_mm": _polynomial(shape.coefficients)}
@@ -179,7 +201,7 @@ def _shape(shape: Shape) -> Content:
     raise TypeError(f"a device file has no shape {type(shape).__name__}.")
 
 
-def _base_conic(shape: Conic | XYPolynomial) -> Content:
+def _base_conic(shape: Conic | Asphere | XYPolynomial) -> Content:
     return {"radius_mm": 1.0 / shape.curvature / MM, "conic": shape.conic}
 
 
@@ -194,15 +216,18 @@ def _term_key(m: int, n: int) -> str:
     return f"x{m}" * (m > 0) + f"y{n}" * (n > 0) or "x0"
 
 
-def _anamorphic(shape: AnamorphicAsphere) -> Content:
-    (curvature_x, curvature_y), (conic_x, conic_y) = shape.curvature, shape.conic
-    content = {
-        "radius_x_mm": 1.0 / curvature_x / MM,
-        "radius_y_mm": 1.0 / curvature_y / MM,
-        "conic_x": conic_x,
-        "conic_y": conic_y,
+def _biconic(shape: AnamorphicAsphere | SumOfProfiles) -> Content:
+    """Radii of the profiles that have one, and conics."""
+    radii = {
+        f"radius_{axis}_mm": 1.0 / curvature / MM
+        for axis, curvature in zip("xy", shape.curvature, strict=True)
+        if curvature
     }
-    return content | ({"term": [_term(term) for term in shape.terms]} if shape.terms else {})
+    return radii | {"conic_x": shape.conic[0], "conic_y": shape.conic[1]}
+
+
+def _anamorphic(shape: AnamorphicAsphere) -> Content:
+    return _biconic(shape) | ({"term": [_term(term) for term in shape.terms]} if shape.terms else {})
 
 
 def _term(term: AnamorphicTerm) -> Content:

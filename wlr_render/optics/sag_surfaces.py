@@ -1,8 +1,9 @@
-"""Surfaces z = sag(x, y), intersected by Newton's method: toroid, XY polynomial, anamorphic asphere, bump.
+"""Surfaces z = sag(x, y), intersected by Newton's method: aspheres, toroid, biconic, XY polynomial, bump.
 
 Same frame, units and column layout as `surfaces`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -99,6 +100,54 @@ def _conicoid(
 
 
 @dataclass(frozen=True)
+class Asphere(SagSurface):
+    """A conicoid of revolution with terms in powers of the distance r from its axis.
+
+    Attributes:
+        coefficients: by power of r from r^2 on; that of r^k in metres^(1 - k).
+        curvature: of the conic base in 1/m; 0 is none.
+        conic: k of the conic base.
+    """
+
+    coefficients: tuple[float, ...]
+    curvature: float = 0.0
+    conic: float = 0.0
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `SagSurface`; Horner in r, after r^2 is taken out."""
+        sag, slope_x, slope_y = _conicoid(x, y, (self.curvature, self.curvature), (self.conic, self.conic))
+        r_squared = x * x + y * y
+        if not any(self.coefficients[1::2]):
+            value, slope = _horner(self.coefficients[::2], r_squared)
+            rest = 2.0 * (value + r_squared * slope)
+        else:
+            r = np.sqrt(r_squared)
+            value, slope = _horner(self.coefficients, r)
+            rest = 2.0 * value + r * slope
+        return sag + r_squared * value, slope_x + rest * x, slope_y + rest * y
+
+
+@dataclass(frozen=True)
+class SumOfProfiles(SagSurface):
+    """A conic profile of x plus a conic profile of y, each with a root of its own.
+
+    Attributes:
+        curvature: (cx, cy) in 1/m.
+        conic: (kx, ky).
+    """
+
+    curvature: tuple[float, float]
+    conic: tuple[float, float] = (0.0, 0.0)
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """See `SagSurface`."""
+        (cx, cy), (kx, ky) = self.curvature, self.conic
+        sag_x, slope_x, _ = _conicoid(x, np.zeros_like(x), (cx, 0.0), (kx, 0.0))
+        sag_y, _, slope_y = _conicoid(np.zeros_like(y), y, (0.0, cy), (0.0, ky))
+        return sag_x + sag_y, slope_x, slope_y
+
+
+@dataclass(frozen=True)
 class XYPolynomial(SagSurface):
     """Sum of C[m, n] x^m y^n, on a conic base.
 
@@ -131,7 +180,7 @@ class XYPolynomial(SagSurface):
         return sag + base[0], slope_x + base[1], slope_y + base[2]
 
 
-def _horner(coefficients: list[float], x: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
+def _horner(coefficients: Sequence[float], x: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
     """Value and derivative of a polynomial, lowest power first; plain numbers where it is constant."""
     if not coefficients:
         return 0.0, 0.0
