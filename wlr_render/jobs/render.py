@@ -3,14 +3,19 @@
 Frames are written atomically and listed when they are finished, so that an interrupted sequence resumes where it
 stopped; `sequence.json` beside them holds the options of the job, the hashes of the files that the frames show, and the
 time stamp, viewpoint and head pose of each frame. A frame does not depend on which frames were drawn before it.
+Layers and labels of a frame are in `frame_labels.py`.
 """
 
 import contextlib
+import itertools
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.budget.error_map import ErrorMap, PredictedError
 from wlr_render.compositing.raster_painter import raster_painter, traced_instead
@@ -19,8 +24,20 @@ from wlr_render.files import output_folder, write_text
 from wlr_render.finished_files import LIST, FinishedFiles
 from wlr_render.input_files import hashes_of_inputs, naming
 from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
+from wlr_render.jobs.frame_labels import (
+    Labels,
+    frame_misalignment,
+    instance_annotations,
+    labels_file,
+    layers_file,
+    read_labels,
+    write_instances,
+    write_labels,
+    write_layers,
+    write_misalignment,
+)
 from wlr_render.jobs.frame_plan import PlannedFrame, gap_warnings, held_warnings, planned_frames, read_trajectories
-from wlr_render.jobs.headset import headset_path, open_colours, open_eye
+from wlr_render.jobs.headset import headset_path, is_model, open_colours, open_eye
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     ProgressArgument,
@@ -29,11 +46,12 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.sequence_record import RECORD, require_same_job, sequence_record
-from wlr_render.mappings import EyeChannels
+from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.progress import SILENT, Progress
+from wlr_render.rendering.frame_layers import INSTANCE, LAYERS, frame_layers
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
 from wlr_render.rendering.mitsuba_frames import PathTracedPainter, PathTracer
-from wlr_render.rendering.painters import Painter, TracedPainter, blank_warnings, is_blank
+from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
@@ -46,6 +64,27 @@ COLOURS = ("red", "green", "blue")
 _MOST_NAMES = 10  # of changed frames in a warning
 
 
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """What a job has read.
+
+    Attributes:
+        channels: mappings by eye, that the frames are drawn with.
+        truths: exact mappings by eye, that misalignment is computed with; empty without.
+        scene: what is drawn.
+        inputs: hashes of the files read, by path.
+    """
+
+    channels: Mapping[str, EyeChannels]
+    truths: Mapping[str, EyeMappings]
+    scene: Scene
+    inputs: Mapping[str, str]
+
+    def middle(self) -> dict[str, EyeMappings]:
+        """The only or the green channel of each eye."""
+        return {eye: of_eye[len(of_eye) // 2] for eye, of_eye in self.channels.items()}
+
+
 @job
 def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Draw the frames of a moving wearer that `options.out` does not hold yet.
@@ -56,24 +95,17 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
     """
     with hashes_of_inputs() as inputs:
         channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
-        scene = load_scene(options.scene)
-    raster = _open_raster(options, scene)
+        opened = _Opened(channels, _open_truths(options, channels), load_scene(options.scene), inputs)
+    raster = _open_raster(options, opened.scene)
     with raster.context if raster else contextlib.nullcontext():
-        return _render(options, channels, scene, raster, inputs, progress)
+        return _render(options, opened, raster, progress)
 
 
-def _render(
-    options: RenderOptions,
-    channels: dict[str, EyeChannels],
-    scene: Scene,
-    raster: SceneRaster | None,
-    inputs: Mapping[str, str],
-    progress: Progress,
-) -> Report:
-    """Draw what is missing; `inputs` are the hashes of the files read, `raster` is None where frames are ray traced."""
+def _render(options: RenderOptions, opened: _Opened, raster: SceneRaster | None, progress: Progress) -> Report:
+    """Draw what is missing; `raster` is None where frames are ray traced."""
     head, eyes = read_trajectories(options)
-    plan = planned_frames(options, {eye: of_eye[len(of_eye) // 2] for eye, of_eye in channels.items()}, head, eyes)
-    record = sequence_record(_job(options, raster), inputs, [_frame_record(planned) for planned in plan])
+    plan = planned_frames(options, opened.middle(), head, eyes)
+    record = sequence_record(_job(options, raster), opened.inputs, [_frame_record(planned) for planned in plan])
     predicted = _predicted(options, plan)
     folder = output_folder(options.out)
     trajectories = [path for path in (options.head, options.eye_track) if path]
@@ -81,21 +113,24 @@ def _render(
     finished = FinishedFiles(folder)
     missing = [planned for planned in plan if finished.not_whole(_files(folder, planned, options))]
     changed = [planned for planned in missing if finished.changed(_files(folder, planned, options))]
-    painters = _painters(options, channels, scene, raster) if missing else {}
     sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if missing:
-        for _ in progress(_drawn(folder, options, painters, missing, finished, predicted), len(missing), "frames"):
+        drawing = _Drawing.of(options, opened, raster, predicted)
+        for _ in progress(drawing.drawn(folder, missing, finished), len(missing), "frames"):
             pass
     pictures = [_picture_file(folder, planned) for planned in plan]
-    videos = [_video(folder, eye, plan, options) for eye in channels] if options.video else []
+    labels = [read_labels(labels_file(folder, planned.stem)) for planned in plan] if _has_labels(options) else []
+    joined = _joined(folder, options, opened, plan, labels)
+    videos = _videos(folder, plan, options) if options.video else []
     warnings = [
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
         *gap_warnings(options, head, eyes),
         *held_warnings(options, plan),
         *_redrawn_warnings(folder, changed, is_old),
-        *blank_warnings([path.name for path in pictures if finished.is_blank(path)], scene.name),
+        *blank_warnings([path.name for path in pictures if finished.is_blank(path)], opened.scene.name),
     ]
-    report = _report(options, plan, len(missing), predicted, [sequence, folder / LIST, *videos])
+    files = [sequence, folder / LIST, *joined, *videos]
+    report = _report(options, plan, len(missing), predicted, labels, files)
     return save_report(replace(report, warnings=warnings), folder)
 
 
@@ -103,6 +138,29 @@ def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
     if options.has_colours:
         return open_colours(options.headset, eye, options.red_model, options.blue_model)
     return (open_eye(options.headset, eye),)
+
+
+def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, EyeMappings]:
+    """Exact mappings of each eye, if misalignment is asked for.
+
+    Raises:
+        BadInputError: it is no device, or has another panel than the headset.
+    """
+    device = options.misalignment
+    if device is None:
+        return {}
+    if is_model(device):
+        raise BadInputError(
+            f"--misalignment {device}: is a fitted model; name the device, whose exact optics the eye looks through."
+        )
+    truths = {eye: open_colours(device, eye)[1] if options.has_colours else open_eye(device, eye) for eye in channels}
+    for eye, truth in truths.items():
+        if truth.display.panel != channels[eye][0].display.panel:
+            raise BadInputError(
+                f"--misalignment {device}: has another panel than {options.headset}; name the device that the headset "
+                "is a model of."
+            )
+    return truths
 
 
 def _predicted(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, PredictedError]:
@@ -123,6 +181,7 @@ def _report(
     plan: list[PlannedFrame],
     drawn: int,
     predicted: Mapping[str, PredictedError],
+    labels: Sequence[Labels],
     files: list[Path],
 ) -> Report:
     kept = len(plan) - drawn
@@ -132,7 +191,8 @@ def _report(
         own = [planned for planned in plan if planned.eye == eye]
         errors = [predicted[planned.stem] for planned in own if predicted]
         stated = [max(each.rms_arcmin for each in errors), max(each.radius_arcmin for each in errors)] if errors else []
-        rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *stated])
+        of_eye = [each for each, planned in zip(labels, plan, strict=False) if planned.eye == eye]
+        rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *stated, *_worst_misalignment(of_eye)])
         first = _picture_file(options.out, own[0])
         blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
     columns = ["eye", "frames", "first time stamp (s)", "last time stamp (s)"]
@@ -144,6 +204,12 @@ def _report(
             "frame where it is largest. STEM-error.tiff has the map of each frame: rms to the right, upwards and in "
             "all, arcminutes."
         ]
+    if options.misalignment is not None:
+        columns += ["median misalignment (arcmin)", "95 % misalignment (arcmin)", "max misalignment (arcmin)"]
+        notes.append(
+            "Misalignment: angle at the eye between what the frame shows and the real points, through the exact optics "
+            f"of {options.misalignment}, in the frame where each figure is largest."
+        )
     table = ReportTable("Frames by eye", columns, rows, notes)
     by_frame = [
         {"file": f"{stem}.png", "rms_arcmin": each.rms_arcmin, "radius_arcmin": each.radius_arcmin}
@@ -153,15 +219,29 @@ def _report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
         f"{drawn} frames drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
         blocks=[table, *blocks],
-        inputs=[*_drawn_from(options), *filter(None, (options.head, options.eye_track))],
+        inputs=[
+            *_drawn_from(options),
+            *map(headset_path, filter(None, [options.misalignment])),
+            *filter(None, (options.head, options.eye_track)),
+        ],
         files=files,
         record={"frames_drawn": drawn, "frames_kept": kept} | ({"predicted_error": by_frame} if by_frame else {}),
     )
 
 
+def _worst_misalignment(labels: Sequence[Labels]) -> list[Cell]:
+    """Largest median, 95 % and maximum over the frames of an eye that show something."""
+    found = [each["misalignment"] for each in labels if "misalignment" in each]
+    if not found:
+        return []
+    names = ("median_arcmin", "p95_arcmin", "max_arcmin")
+    return [max((each[name] for each in found if each["points"]), default=None) for name in names]
+
+
 def _counts_of_files(plan: list[PlannedFrame], options: RenderOptions) -> str:
     maps = sum(len(_map_files(options.out, planned, options)) for planned in plan)
-    return f"{len(plan)} PNG" + (f", {maps} {options.maps.upper()}" if options.maps else "")
+    layers = f", {len(plan)} EXR" if options.layers else ""
+    return f"{len(plan)} PNG" + (f", {maps} {options.maps.upper()}" if options.maps else "") + layers
 
 
 def _drawn_from(options: RenderOptions) -> list[Path]:
@@ -216,6 +296,7 @@ def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     if raster is None and options.method == "raster":
         job["method"] = "raytrace"
+    job["layers"] = [layer for layer in LAYERS if layer in options.layers]
     return {key: job[key] for key in job if key not in ("out", "video", "frame_limit", "backend")}
 
 
@@ -252,54 +333,137 @@ def _files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[
     maps = _map_files(folder, planned, options)
     beside = [_view_file(folder, planned)] if maps else []
     predicted = [_error_file(folder, planned)] if options.predicted_error else []
-    return [*maps, *beside, *predicted, _picture_file(folder, planned)]
+    layers = [layers_file(folder, planned.stem)] if options.layers else []
+    labels = [labels_file(folder, planned.stem)] if _has_labels(options) else []
+    return [*maps, *beside, *predicted, *layers, *labels, _picture_file(folder, planned)]
+
+
+def _has_labels(options: RenderOptions) -> bool:
+    return "instance" in options.layers or options.misalignment is not None
 
 
 def _painters(
-    options: RenderOptions, channels: dict[str, EyeChannels], scene: Scene, raster: SceneRaster | None
+    options: RenderOptions, opened: _Opened, raster: SceneRaster | None, renderer: RayRenderer | None
 ) -> dict[str, Painter]:
+    channels = opened.channels
     if options.method == "pathtrace":
-        tracer = PathTracer(scene, options.bounces)
+        tracer = PathTracer(opened.scene, options.bounces)
         return {
             eye: PathTracedPainter(each, tracer, options.samples, seed_of(options.seed, eye))
             for eye, each in channels.items()
         }
     if options.method == "raytrace":
-        renderer = RayRenderer(scene)
+        assert renderer is not None
         return {
             eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
         }
-    needs_rays = raster is None or options.map_from == "mesh"
-    mesh = RayRenderer(scene) if needs_rays else None
     return {
-        eye: raster_painter(each, raster, mesh, options.map_from, options.resolution, options.raster_camera)
+        eye: raster_painter(each, raster, renderer, options.map_from, options.resolution, options.raster_camera)
         for eye, each in channels.items()
     }
 
 
-def _drawn(
-    folder: Path,
-    options: RenderOptions,
-    painters: dict[str, Painter],
-    plan: list[PlannedFrame],
-    finished: FinishedFiles,
-    predicted: Mapping[str, PredictedError],
-) -> Iterator[PlannedFrame]:
-    """Draw the frames of a plan, one after the other."""
-    with_maps = options.maps is not None
-    for planned in plan:
-        frame = painters[planned.eye].paint(planned.viewpoint, planned.world_from_device, with_geometry=with_maps)
-        for path, source in zip(_map_files(folder, planned, options), frame.sources if with_maps else (), strict=True):
-            write_map(path, source)
-        if frame.view is not None:
-            write_view(_view_file(folder, planned), frame.view)
-        if predicted:
-            write_map(_error_file(folder, planned), predicted[planned.stem].map_arcmin)
-        write_png(_picture_file(folder, planned), frame.colour)
-        finished.add(_files(folder, planned, options), is_blank(frame.colour))
-        yield planned
+@dataclass(frozen=True, eq=False)
+class _Drawing:
+    """Draws frames and writes their files.
+
+    Attributes:
+        options: of the job.
+        painters, truths: by eye.
+        predicted: errors by the frames' stems.
+        renderer: of the scene; None where nothing is ray traced.
+    """
+
+    options: RenderOptions
+    painters: Mapping[str, Painter]
+    truths: Mapping[str, EyeMappings]
+    predicted: Mapping[str, PredictedError]
+    renderer: RayRenderer | None
+
+    @classmethod
+    def of(
+        cls,
+        options: RenderOptions,
+        opened: _Opened,
+        raster: SceneRaster | None,
+        predicted: Mapping[str, PredictedError],
+    ) -> "_Drawing":
+        """With painters that draw as the options say."""
+        is_traced = raster is None and options.method != "pathtrace"
+        needs_rays = is_traced or options.map_from == "mesh" or bool(options.layers)
+        renderer = RayRenderer(opened.scene) if needs_rays else None
+        painters = _painters(options, opened, raster, renderer)
+        return cls(options, painters, opened.truths, predicted, renderer)
+
+    def drawn(self, folder: Path, plan: list[PlannedFrame], finished: FinishedFiles) -> Iterator[PlannedFrame]:
+        """Draw the frames of a plan, one after the other."""
+        options, with_maps = self.options, self.options.maps is not None
+        with_geometry = with_maps or bool(self.truths)
+        for planned in plan:
+            painter = self.painters[planned.eye]
+            frame = painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
+            sources = frame.sources if with_maps else ()
+            for path, source in zip(_map_files(folder, planned, options), sources, strict=True):
+                write_map(path, source)
+            if with_maps and frame.view is not None:
+                write_view(_view_file(folder, planned), frame.view)
+            if self.predicted:
+                write_map(_error_file(folder, planned), self.predicted[planned.stem].map_arcmin)
+            self._label(folder, planned, frame)
+            write_png(_picture_file(folder, planned), frame.colour)
+            finished.add(_files(folder, planned, options), is_blank(frame.colour))
+            yield planned
+
+    def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> None:
+        """Write the layers and the labels of a frame, if they are asked for."""
+        labels: dict[str, Any] = {}
+        layers = self.options.layers
+        if layers:
+            assert self.renderer is not None
+            channels = frame_layers(self.renderer, frame.ray_map, planned.world_from_device, layers)
+            write_layers(layers_file(folder, planned.stem), planned, channels, layers)
+            if "instance" in layers:
+                labels["annotations"] = instance_annotations(channels[INSTANCE])
+        if self.truths:
+            labels["misalignment"] = frame_misalignment(self.truths[planned.eye], planned, frame)
+        if labels:
+            write_labels(labels_file(folder, planned.stem), labels)
 
 
-def _video(folder: Path, eye: str, plan: list[PlannedFrame], options: RenderOptions) -> Path:
-    pictures = (read_png(_picture_file(folder, planned)) for planned in plan if planned.eye == eye)
-    return write_video(folder / f"{eye}.mp4", pictures, options.frames_per_second)
+def _joined(
+    folder: Path, options: RenderOptions, opened: _Opened, plan: list[PlannedFrame], labels: Sequence[Labels]
+) -> list[Path]:
+    """Write the files that join the labels of all frames."""
+    files = []
+    if "instance" in options.layers:
+        panels = {eye: mappings.display.panel for eye, mappings in opened.middle().items()}
+        files.append(write_instances(folder, opened.scene, panels, plan, labels))
+    if options.misalignment is not None:
+        records = [_frame_record(planned) for planned in plan]
+        frames = [
+            {**record, "eye": planned.eye, **of_frame["misalignment"]}
+            for record, planned, of_frame in zip(records, plan, labels, strict=True)
+        ]
+        files.append(write_misalignment(folder, options.misalignment, frames))
+    return files
+
+
+def _videos(folder: Path, plan: list[PlannedFrame], options: RenderOptions) -> list[Path]:
+    """A video of each eye, and one of both side by side."""
+    pictures = {eye: [_picture_file(folder, each) for each in plan if each.eye == eye] for eye in eyes_of(options.eye)}
+    rate = options.frames_per_second
+    videos = [write_video(folder / f"{eye}.mp4", map(read_png, own), rate) for eye, own in pictures.items()]
+    if options.eye == "both":
+        pairs = zip(pictures["left"], pictures["right"], strict=True)
+        videos.append(write_video(folder / "stereo.mp4", itertools.starmap(_side_by_side, pairs), rate))
+    return videos
+
+
+def _side_by_side(left: Path, right: Path) -> NDArray[np.uint8]:
+    pictures = read_png(left), read_png(right)
+    if pictures[0].shape != pictures[1].shape:
+        raise BadInputError(
+            f"{left} and {right.name} have different sizes, so that no video has both; leave out --video, or draw one "
+            "eye. The PNG frames are complete."
+        )
+    return np.concatenate(pictures, axis=1)

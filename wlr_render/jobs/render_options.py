@@ -17,6 +17,7 @@ from wlr_render.jobs.options import (
     Seed,
     described,
 )
+from wlr_render.rendering.frame_layers import Layer
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,22 @@ class RenderOptions(Options):
         described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),
         OnlyWith("method", ("raster",)),
     ] = None
+    layers: Annotated[
+        tuple[Layer, ...],
+        described(
+            "Also write EYE-NNNNNN.exr with these layers of what each pixel shows, one or more (docs/frames.md); "
+            "instance: also instances.json, as COCO has it.",
+            many=True,
+            flag=True,
+        ),
+    ] = ()
+    misalignment: Annotated[
+        str | None,
+        described(
+            "Also compute how far each frame is misaligned to an eye that looks through the exact optics of this "
+            "device: misalignment.json."
+        ),
+    ] = None
     predicted_error: Annotated[
         float | None,
         described(
@@ -98,7 +115,9 @@ class RenderOptions(Options):
     ] = False
     red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
     blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
-    video: Annotated[bool, described("Also write EYE.mp4 (VP9).", flag=True)] = False
+    video: Annotated[
+        bool, described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True)
+    ] = False
     backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
     out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
 

@@ -14,7 +14,15 @@ from wlr_render.toml_files import parse_json
 RECORD = "sequence.json"
 _VERSION = 2
 _KIND = "the record of a sequence"
-_ABSENT_IN_OLD_RECORDS = {"raster_camera": "nearest", "predicted_error": None, "samples": 64, "bounces": 4, "seed": 0}
+_ABSENT_IN_OLD_RECORDS: dict[str, Any] = {
+    "raster_camera": "nearest",
+    "predicted_error": None,
+    "samples": 64,
+    "bounces": 4,
+    "seed": 0,
+    "layers": [],
+    "misalignment": None,
+}
 """Options that earlier versions did not write, with the value that stands for theirs."""
 
 

@@ -149,6 +149,41 @@ _SHADOW_BIAS = 2e-4
 
 
 @dataclass(frozen=True, eq=False)
+class MetSurfaces:
+    """The surfaces that rays hit, component by component, without the misses.
+
+    Attributes:
+        index: (m,) which of the rays.
+        on_surface: triangle, instance and barycentric weights, (m,) each.
+        distance: (m,) float32 along the ray, in lengths of its direction.
+        position: (3, m) float32 world frame, metres.
+        normal: (3, m) float32 world frame, unit, interpolated between the vertices, facing the ray's origin.
+    """
+
+    index: IndexArray
+    on_surface: SurfaceHits
+    distance: Float32Array
+    position: Float32Array
+    normal: Float32Array
+
+
+def meet_surfaces(
+    surfaces: Surfaces, hits: Intersections, origin: Float32Array, direction: Float32Array
+) -> MetSurfaces:
+    """What rays hit, without light; arguments as of `shade`."""
+    index = np.flatnonzero(hits.instance >= 0)
+    instance = hits.instance.take(index).astype(np.intp)
+    triangle = surfaces.first_triangle.take(instance) + hits.triangle.take(index)
+    on_surface = SurfaceHits(triangle, instance, hits.barycentric_u.take(index), hits.barycentric_v.take(index))
+    towards = _components(direction, index)
+    distance = hits.distance.take(index)
+    position = towards * distance
+    position += _components(origin, index)
+    normal = _facing(surfaces.normals(on_surface), towards)
+    return MetSurfaces(index, on_surface, distance, position, normal)
+
+
+@dataclass(frozen=True, eq=False)
 class Shaded:
     """The rays that hit something, component by component.
 
@@ -182,25 +217,18 @@ def shade(
         origin, direction: (n, 3) float32 world frame.
         shadow_tracer: of the same scene, if surfaces shall cast shadows.
     """
-    index = np.flatnonzero(hits.instance >= 0)
-    instance = hits.instance.take(index).astype(np.intp)
-    triangle = surfaces.first_triangle.take(instance) + hits.triangle.take(index)
-    on_surface = SurfaceHits(triangle, instance, hits.barycentric_u.take(index), hits.barycentric_v.take(index))
-    towards = _components(direction, index)
-    distance = hits.distance.take(index)
-    position = towards * distance
-    position += _components(origin, index)
-    normal = _facing(surfaces.normals(on_surface), towards)
+    met = meet_surfaces(surfaces, hits, origin, direction)
+    position, normal = met.position, met.normal
     irradiance = np.empty_like(normal)
     irradiance[:] = scene.ambient[:, None]
     for light in scene.lights:
         to_light, strength = _towards_light(light, position, normal)
         if shadow_tracer is not None:
-            _hide(strength, light, to_light, _raised(position, normal, distance), shadow_tracer)
+            _hide(strength, light, to_light, _raised(position, normal, met.distance), shadow_tracer)
         for channel in range(3):
             irradiance[channel] += light.colour[channel] * strength
-    irradiance *= surfaces.albedo(on_surface)
-    return Shaded(index, irradiance, position, normal)
+    irradiance *= surfaces.albedo(met.on_surface)
+    return Shaded(met.index, irradiance, position, normal)
 
 
 def _components(vector: Float32Array, index: IndexArray) -> Float32Array:

@@ -1,0 +1,175 @@
+"""Layers and labels of a frame, and the files that join the labels of a sequence.
+
+`STEM.exr` has the layers of `rendering/frame_layers.py`. `STEM-labels.json` has what instances the frame shows and how
+far it is misaligned; it is a finished file of its frame, so that a run that is resumed need not look at old frames.
+`instances.json` (the layout of COCO) and `misalignment.json` are written at the end from the labels of all frames.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.misalignment import misalignment_arcmin
+from wlr_render.files import write_text
+from wlr_render.geometry import transforms
+from wlr_render.input_files import LIMITS, read_text
+from wlr_render.jobs.frame_plan import PlannedFrame
+from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.rendering.exr_file import write_exr
+from wlr_render.rendering.frame_layers import MEANINGS, Layer
+from wlr_render.rendering.painters import Frame
+from wlr_render.rendering.scene import Scene
+from wlr_render.toml_files import parse_json
+
+INSTANCES, MISALIGNMENT = "instances.json", "misalignment.json"
+_KIND = "the labels of a frame"
+_GRID = 60, 60
+"""Pixels across and down whose misalignment is computed."""
+
+Labels = Mapping[str, Any]
+
+
+def layers_file(folder: Path, stem: str) -> Path:
+    """Path of the layers of a frame."""
+    return folder / f"{stem}.exr"
+
+
+def labels_file(folder: Path, stem: str) -> Path:
+    """Path of the labels of a frame."""
+    return folder / f"{stem}-labels.json"
+
+
+def write_layers(
+    path: Path, planned: PlannedFrame, channels: Mapping[str, NDArray[Any]], layers: Sequence[Layer]
+) -> Path:
+    """Write the layers of a frame; the header says what they are, and from where they are seen."""
+    texts = {
+        "format": "wlr-frame-layers 1",
+        "frame": "openxr (x right, y up, looking along -z); 0 in every channel where the pixel shows nothing",
+        "eye": planned.eye,
+        "time_s": repr(planned.time_s),
+        "viewpoint_in_device_m": json.dumps(planned.viewpoint.tolist()),
+        "world_from_device": json.dumps(planned.world_from_device.tolist()),
+    }
+    return write_exr(path, channels, texts | {layer: MEANINGS[layer] for layer in layers})
+
+
+def write_labels(path: Path, labels: Labels) -> Path:
+    """Write the labels of a frame."""
+    return write_text(path, json.dumps({"format": "wlr-frame-labels", "version": 1, **labels}) + "\n")
+
+
+def read_labels(path: Path) -> dict[str, Any]:
+    """Read what `write_labels` wrote.
+
+    Raises:
+        BadInputError: the file is missing or is no such file.
+    """
+    remedy = "draw the frames again"
+    labels = parse_json(path, read_text(path, _KIND, LIMITS.data_bytes, remedy), _KIND, remedy)
+    if labels.get("format") != "wlr-frame-labels" or labels.get("version") != 1:
+        raise BadInputError(f"{path}: is not {_KIND} of version 1; {remedy}.")
+    return labels
+
+
+def instance_annotations(instance: NDArray[np.uint32]) -> list[dict[str, Any]]:
+    """Box, area and mask of each instance that a picture shows, in the terms of COCO.
+
+    Args:
+        instance: (height, width) numbers of instances, 0 where there is none.
+
+    Returns:
+        By instance: `bbox` [x, y, width, height] and `area` in pixels, and the mask as run lengths that count down
+        each column, from the left column on, first those of pixels without.
+    """
+    height, width = instance.shape
+    flat = instance.T.ravel()
+    start = np.concatenate([[0], np.flatnonzero(np.diff(flat)) + 1])
+    end = np.append(start[1:], flat.size)
+    found = []
+    for number in np.unique(flat[start]):
+        if number == 0:
+            continue
+        first, beyond = (edge[flat[start] == number] for edge in (start, end))
+        edges = np.concatenate([[0], np.stack([first, beyond], axis=-1).ravel(), [flat.size]])
+        counts = np.diff(edges)
+        left, right = first[0] // height, (beyond[-1] - 1) // height
+        # A run on two columns has the lowest pixel of one and the highest of the next.
+        is_split = (first // height != (beyond - 1) // height).any()
+        top, bottom = (0, height - 1) if is_split else ((first % height).min(), ((beyond - 1) % height).max())
+        found.append(
+            {
+                "instance_id": int(number),
+                "bbox": [int(left), int(top), int(right - left + 1), int(bottom - top + 1)],
+                "area": int((beyond - first).sum()),
+                "iscrowd": 0,
+                "segmentation": {"size": [height, width], "counts": counts[: -1 if counts[-1] == 0 else None].tolist()},
+            }
+        )
+    return found
+
+
+def frame_misalignment(truth: EyeMappings, planned: PlannedFrame, frame: Frame) -> dict[str, Any]:
+    """Angles at the eye between what a frame shows and the real points, through other mappings than it is drawn with.
+
+    Args:
+        truth: the mappings that the eye looks through.
+        planned: viewpoint and head pose.
+        frame: drawn with its geometry.
+
+    Returns:
+        Number of judged pixels that show something, and rms, median, 95 % and maximum in arcminutes, None without any.
+    """
+    assert frame.position is not None
+    pixel = (np.floor(truth.display.panel.grid(*_GRID)) + 0.5).reshape(-1, 2)
+    position = frame.position[pixel[:, 1].astype(int), pixel[:, 0].astype(int)].astype(np.float64)
+    shown = np.isfinite(position[:, 0])
+    point = transforms.apply(transforms.inverse(planned.world_from_device), position[shown])
+    error = summary(misalignment_arcmin(truth, planned.viewpoint, pixel[shown], point))
+    names = {"rms_arcmin": error.rms, "median_arcmin": error.median, "p95_arcmin": error.p95}
+    values = {**names, "max_arcmin": error.maximum}
+    return {"points": error.count} | {name: value if error.count else None for name, value in values.items()}
+
+
+def write_instances(
+    folder: Path, scene: Scene, panels: Mapping[str, Panel], plan: Sequence[PlannedFrame], labels: Iterable[Labels]
+) -> Path:
+    """Write `instances.json`, the instances that each frame shows in the layout of COCO.
+
+    A category is the name of a mesh. `instances` lists the placements that `instance_id`, and the values of the layer,
+    count.
+    """
+    kinds = list(dict.fromkeys(mesh.name for mesh in scene.meshes))
+    category = [1 + kinds.index(scene.mesh_of(instance).name) for instance in scene.instances]
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    for number, (planned, of_frame) in enumerate(zip(plan, labels, strict=True), start=1):
+        panel = panels[planned.eye]
+        size = {"width": panel.width_px, "height": panel.height_px}
+        images.append({"id": number, "file_name": f"{planned.stem}.png", **size, "time_s": planned.time_s})
+        for each in of_frame["annotations"]:
+            head = {"id": len(annotations) + 1, "image_id": number, "category_id": category[each["instance_id"] - 1]}
+            annotations.append(head | each)
+    named = zip(scene.instances, category, strict=True)
+    content = {
+        "info": {"description": f"Instances of the scene '{scene.name}'", "format": "wlr-instances", "version": "1"},
+        "images": images,
+        "categories": [{"id": k, "name": name, "supercategory": ""} for k, name in enumerate(kinds, start=1)],
+        "instances": [
+            {"id": k, "name": each.name, "category_id": kind} for k, (each, kind) in enumerate(named, start=1)
+        ],
+        "annotations": annotations,
+    }
+    return write_text(folder / INSTANCES, json.dumps(content) + "\n")
+
+
+def write_misalignment(folder: Path, device: str, frames: Sequence[Mapping[str, Any]]) -> Path:
+    """Write `misalignment.json`: what `frame_misalignment` found for each frame, with its time and viewpoint."""
+    content = {"format": "wlr-misalignment", "version": 1, "frame": "openxr", "truth": device, "frames": frames}
+    return write_text(folder / MISALIGNMENT, json.dumps(content, indent=1) + "\n")
