@@ -1,6 +1,7 @@
 """Layers and labels of `render`: the files beside the frames, the index of instances, misalignment, videos."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from small_headsets import changed_device
 
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.misalignment import misalignment_arcmin
+from wlr_render.extras import MissingExtraError
 from wlr_render.geometry import transforms
 from wlr_render.jobs.frame_labels import instance_annotations, read_labels
 from wlr_render.jobs.headset import open_eye
@@ -221,6 +223,13 @@ def test_frames_that_show_nothing_have_no_misalignment_and_no_annotations(labell
     assert [(each["points"], each["median_arcmin"]) for each in frames] == [(0, None)] * 4
     assert json.loads((job.out / "instances.json").read_text())["annotations"] == []
     assert report.tables[0].rows[0][4:] == [None, None, None]
+
+
+def test_layers_without_openexr_leave_nothing_behind(labelled, monkeypatch):
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    with pytest.raises(MissingExtraError, match=r"--layers: .*pip install 'wlr_render\[exr\]'"):
+        render(labelled)
+    assert not labelled.out.exists()
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,7 @@ from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.sequence_record import RECORD, require_same_job, sequence_record
 from wlr_render.mappings import EyeChannels, EyeMappings
 from wlr_render.progress import SILENT, Progress
+from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.frame_layers import INSTANCE, LAYERS, frame_layers
 from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
 from wlr_render.rendering.mitsuba_frames import PathTracedPainter, PathTracer
@@ -113,9 +114,9 @@ def _render(options: RenderOptions, opened: _Opened, raster: SceneRaster | None,
     finished = FinishedFiles(folder)
     missing = [planned for planned in plan if finished.not_whole(_files(folder, planned, options))]
     changed = [planned for planned in missing if finished.changed(_files(folder, planned, options))]
+    drawing = _Drawing.of(options, opened, raster, predicted) if missing else None
     sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
-    if missing:
-        drawing = _Drawing.of(options, opened, raster, predicted)
+    if drawing:
         for _ in progress(drawing.drawn(folder, missing, finished), len(missing), "frames"):
             pass
     pictures = [_picture_file(folder, planned) for planned in plan]
@@ -388,7 +389,13 @@ class _Drawing:
         raster: SceneRaster | None,
         predicted: Mapping[str, PredictedError],
     ) -> "_Drawing":
-        """With painters that draw as the options say."""
+        """With painters that draw as the options say.
+
+        Raises:
+            MissingExtraError: a library that the options need is not installed.
+        """
+        if options.layers:
+            require_exr("--layers")
         is_traced = raster is None and options.method != "pathtrace"
         needs_rays = is_traced or options.map_from == "mesh" or bool(options.layers)
         renderer = RayRenderer(opened.scene) if needs_rays else None

@@ -18,6 +18,16 @@ _OWN = "wlr:"
 """Start of the names of our texts in a header: other programs' attributes have none of these names."""
 
 
+def require_exr(use: str) -> None:
+    """Check that OpenEXR files can be written; `use` begins the sentence, e.g. an option.
+
+    Raises:
+        MissingExtraError: the library OpenEXR is not installed.
+    """
+    with installed_by("exr", use):
+        import OpenEXR  # noqa: F401
+
+
 def write_exr(path: str | Path, channels: Mapping[str, NDArray[Any]], texts: Mapping[str, str] | None = None) -> Path:
     """Write channels without loss (ZIP), the first row on top.
 
