@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render import cluster
 from wlr_render.errors import BadInputError
 from wlr_render.escapes import plain_figure
 from wlr_render.input_files import shown
@@ -100,7 +101,8 @@ def output_folder(path: str | Path) -> Path:
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInputError(f"{folder}: cannot write to this output folder ({reason}); choose another.") from error
-    remove_abandoned(folder.resolve())
+    if not cluster.is_cluster_worker:  # the locks of other machines' files may not be seen here
+        remove_abandoned(folder.resolve())
     return folder
 
 

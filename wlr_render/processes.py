@@ -1,4 +1,4 @@
-"""Work spread over the processor's cores.
+"""Work spread over the processor's cores, or over the machines of a cluster.
 
 Not joblib: its loky prints a traceback on Ctrl-C, and its workers outlive a parent that is killed.
 """
@@ -12,8 +12,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import TypeVar
 
 from wlr_render.errors import BadInputError
@@ -26,21 +28,57 @@ _GRACE_S = 1.0
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
-def as_finished(run: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None) -> Iterator[Result]:
+@dataclass(frozen=True)
+class Spread:
+    """Where tasks run.
+
+    Attributes:
+        workers: processes of this machine, or None for one per usable core.
+        scheduler: address of a Dask scheduler, e.g. "tcp://host:8786", whose workers run the tasks instead.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+
+    def at_most(self, workers: int) -> "Spread":
+        """Fewer processes by default: for tasks of which each takes much memory."""
+        return self if self.workers else replace(self, workers=min(usable_cores(), workers))
+
+
+THIS_MACHINE = Spread()
+"""All usable cores."""
+
+
+def as_finished(
+    run: Callable[[Task], Result], tasks: Sequence[Task], spread: Spread, folder: Path | None = None
+) -> Iterator[Result]:
     """Results of all tasks, in the order in which they are finished.
 
     Every process calculates with one thread, so that sums are taken in one order whatever the number of workers.
-    The workers end with this process, however it ends, and as soon as its caller stops listening or is interrupted:
-    the tasks at work are given up.
+    The processes end with this one, however it ends, and as soon as its caller stops listening or is interrupted:
+    the tasks at work are given up. The workers of a cluster finish them.
 
     Args:
         run: what is done; it and its results go between processes.
         tasks: in the order in which they are begun.
-        workers: processes, or None for one per usable core.
+        spread: where they run.
+        folder: that they write into; the machines of a cluster have to share it.
 
     Raises:
-        BadInputError: a worker was killed, e.g. because the memory was full.
+        BadInputError: a worker was killed, e.g. because the memory was full, or the cluster cannot run the tasks.
+        MissingExtraError: there is a scheduler, and Dask is not installed.
     """
+    if not tasks:
+        return
+    if spread.scheduler is not None:
+        from wlr_render.cluster import as_finished_by_cluster
+
+        yield from as_finished_by_cluster(run, tasks, spread.scheduler, folder)
+    else:
+        yield from _as_finished_here(run, tasks, spread.workers)
+
+
+def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None) -> Iterator[Result]:
     context = multiprocessing.get_context("spawn")
     # Only this process can write: the workers read the end of the pipe when it is closed here, or by the system.
     watched, alive = context.Pipe(duplex=False)
@@ -59,11 +97,6 @@ def as_finished(run: Callable[[Task], Result], tasks: Sequence[Task], workers: i
         finally:
             alive.close()
             pool.shutdown(cancel_futures=True)
-
-
-def few_workers(most: int) -> int:
-    """One worker per usable core, but not more than `most`: for tasks of which each takes much memory."""
-    return min(usable_cores(), most)
 
 
 def usable_cores() -> int:

@@ -22,14 +22,14 @@ from benchmarks.photographs.bench_trial import DEVICES
 from wlr_render.budget.statement import REGIONS
 from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.kept_trials import finished_trials
-from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
+from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
 
 
 @dataclass(frozen=True)
-class BudgetStudyOptions(Options):
+class BudgetStudyOptions(SpreadOptions):
     """Options of `budget`."""
 
     _: KW_ONLY
@@ -37,6 +37,7 @@ class BudgetStudyOptions(Options):
     first: Annotated[int, described("Number of the first session."), Range(0, 100_000)] = 0
     resume: Annotated[bool, described("Keep the sessions that an earlier run of the same program left there.")] = False
     workers: Workers = None
+    scheduler: Scheduler = None
     record: Annotated[Path | None, described("Folder in which budget.md is kept, too.")] = None
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/budget")
@@ -60,7 +61,7 @@ def run(options: BudgetStudyOptions = _DEFAULTS, *, progress: ProgressArgument =
         seed=options.seed,
         folder=folder / "trials",
         resume=options.resume,
-        workers=options.workers,
+        spread=options.spread,
     )
     outcomes: list[BudgetOutcome] = []
     try:

@@ -11,7 +11,7 @@ from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, loaded_
 from benchmarks.intervals import mean_ratio
 from wlr_render.files import output_folder
 from wlr_render.jobs.kept_trials import finished_trials
-from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
+from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
@@ -21,7 +21,7 @@ Headset = Literal["northstar", "freeform40", "birdbath28"]
 
 
 @dataclass(frozen=True)
-class DesignOptions(Options):
+class DesignOptions(SpreadOptions):
     """Options of `design`."""
 
     _: KW_ONLY
@@ -36,6 +36,7 @@ class DesignOptions(Options):
     ] = False
     resume: Annotated[bool, described("Keep the sessions that an earlier run of the same program left there.")] = False
     workers: Workers = None
+    scheduler: Scheduler = None
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/design")
 
@@ -56,7 +57,7 @@ def run(options: DesignOptions = DesignOptions(), *, progress: ProgressArgument 
         seed=options.seed,
         folder=folder / "trials",
         resume=options.resume,
-        workers=options.workers,
+        spread=options.spread,
     )
     outcomes = sorted(progress(finished, len(tasks), "sessions"), key=lambda each: each.trial.number)
     where = "in depth" if options.in_depth else "in the middle plane"

@@ -14,7 +14,7 @@ from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKi
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.files import output_folder
 from wlr_render.jobs.kept_trials import finished_trials
-from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
+from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
@@ -39,7 +39,7 @@ _OF_CAPTURES = (Condition.REPEATABILITY, Condition.SHARED)  # at run time there 
 
 
 @dataclass(frozen=True)
-class DiagnosisOptions(Options):
+class DiagnosisOptions(SpreadOptions):
     """Options of `diagnosis`."""
 
     _: KW_ONLY
@@ -61,6 +61,7 @@ class DiagnosisOptions(Options):
     resume: Annotated[bool, described("Keep the trials that an earlier run of the same program left there.")] = False
     seed: Seed = 1
     workers: Workers = None
+    scheduler: Scheduler = None
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/diagnosis")
 
 
@@ -80,7 +81,7 @@ def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = S
             seed=options.seed,
             folder=folder / _TRIALS,
             resume=options.resume,
-            workers=options.workers,
+            spread=options.spread,
         )
         for outcome in progress(finished, len(tasks), "trials"):
             outcomes.append(outcome)

@@ -19,7 +19,16 @@ from benchmarks.photographs.session_truth import compare_with_truth, truth_table
 from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
 from wlr_render.jobs.kept_trials import finished_trials
-from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, Workers, described
+from wlr_render.jobs.options import (
+    OnlyWith,
+    ProgressArgument,
+    Range,
+    Scheduler,
+    Seed,
+    SpreadOptions,
+    Workers,
+    described,
+)
 from wlr_render.optics.device_file import load_device
 from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Report, ReportTable
@@ -34,7 +43,7 @@ _TRIALS = "trials"
 
 
 @dataclass(frozen=True)
-class PhotographsOptions(Options):
+class PhotographsOptions(SpreadOptions):
     """Options of `photographs`."""
 
     _: KW_ONLY
@@ -56,6 +65,7 @@ class PhotographsOptions(Options):
         described("Keep the trials of benches that an earlier run of the same program left there."),
     ] = False
     workers: Workers = None
+    scheduler: Scheduler = None
     record: Annotated[Path | None, described("Folder in which photographs-PARTS.md is kept, too.")] = None
     session: Annotated[
         Path | None, described("Also compare the calibration of this simulated session with the truth.")
@@ -130,6 +140,6 @@ def _outcomes(
         seed=options.seed,
         folder=folder / _TRIALS,
         resume=options.resume,
-        workers=options.workers,
+        spread=options.spread,
     )
     return progress(finished, len(tasks), "benches")

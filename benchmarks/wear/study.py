@@ -22,7 +22,7 @@ from benchmarks.wear.simulated_wear import (
     worn_eye,
 )
 from wlr_render.files import output_folder, write_figure
-from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, Workers, described
+from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.processes import as_finished
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Picture, Report, ReportTable
@@ -35,7 +35,7 @@ _DRAWS = 2000  # of the bootstrap
 
 
 @dataclass(frozen=True)
-class WearOptions(Options):
+class WearOptions(SpreadOptions):
     """Options of `wear`."""
 
     device: Annotated[tuple[str, ...], described("Shipped devices.", name=("--devices", "--device"), many=True)] = (
@@ -54,6 +54,7 @@ class WearOptions(Options):
     ] = 0.5
     seed: Seed = 1
     workers: Workers = None
+    scheduler: Scheduler = None
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/wear")
 
 
@@ -71,7 +72,7 @@ def run(options: WearOptions = WearOptions(), *, progress: ProgressArgument = SI
     """
     folder = output_folder(options.out)
     tasks = [_Task(device, model) for model in range(options.models) for device in dict.fromkeys(options.device)]
-    finished = as_finished(partial(_worn, options), tasks, options.workers)
+    finished = as_finished(partial(_worn, options), tasks, options.spread)
     found = dict(progress(finished, len(tasks), "calibrations"))
     results: dict[str, list[WearResult]] = {device: [] for device in options.device}
     for task in tasks:

@@ -39,7 +39,7 @@ IMPERFECTIONS = replace(BenchImperfections(), extrinsics_mm=0.02, extrinsics_deg
 for the lens: near dots are a twelfth of these small pictures, and rational terms bend the dots themselves."""
 
 
-def in_this_process(run, tasks, workers):
+def in_this_process(run, tasks, spread, folder=None):
     """As `processes.as_finished`, without the seconds that starting processes takes."""
     return map(run, tasks)
 

@@ -30,7 +30,7 @@ from wlr_render.captures.photographs import (
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_arrays
 from wlr_render.input_files import LIMITS, read_arrays, read_bytes
-from wlr_render.processes import as_finished, few_workers
+from wlr_render.processes import THIS_MACHINE, Spread, as_finished
 from wlr_render.progress import SILENT, Progress
 
 _VERSION = 5  # of the way of reading: results of another one are read again
@@ -113,20 +113,20 @@ class Reading:
 
 
 def read_session(
-    session: PhotoSession, folder: Path, workers: int | None = None, progress: Progress = SILENT
+    session: PhotoSession, folder: Path, spread: Spread = THIS_MACHINE, progress: Progress = SILENT
 ) -> Reading:
     """Find the board and decode the panel wherever the session has photographs of them.
 
     Args:
         session: names the photographs.
         folder: in which what was read is kept, and found again by the next run.
-        workers: processes, or None for one per core, but not more than memory allows.
+        spread: where it is done; by default on all cores, but not more than memory allows.
         progress: shows how far the work is.
     """
     panels, boards = list(_panel_tasks(session)), list(_board_tasks(session))
     tasks: list[_Task] = [*panels, *boards]  # the long ones first
     waiting = [(task, folder) for task in tasks if _kept(task, folder) is None]
-    finished = as_finished(_do_task, waiting, workers or few_workers(_MOST_WORKERS))
+    finished = as_finished(_do_task, waiting, spread.at_most(_MOST_WORKERS), folder)
     outcomes = list(progress(finished, len(waiting), "photographs"))
     order = {task.name: number for number, task in enumerate(tasks)}
     return Reading(

@@ -11,7 +11,7 @@ from typing import Any, Protocol, TypeVar
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.input_files import parsing, read_text
-from wlr_render.processes import as_finished
+from wlr_render.processes import Spread, as_finished
 from wlr_render.toml_files import parse_json
 
 
@@ -42,7 +42,7 @@ def finished_trials(
     seed: int,
     folder: Path,
     resume: bool,
-    workers: int | None,
+    spread: Spread,
 ) -> Iterator[Outcome]:
     """Outcomes in the order in which they are finished, see `as_finished`; those of another seed are kept apart.
 
@@ -52,10 +52,10 @@ def finished_trials(
         seed: of all trials.
         folder: where outcomes are kept.
         resume: whether the outcomes that are there already are used instead of being deleted.
-        workers: processes, or None for one per usable core.
+        spread: where the trials run.
     """
     own = outcome_folder(folder, seed, resume)
-    return as_finished(partial(kept_outcome, run, load, own, seed), tasks, workers)
+    return as_finished(partial(kept_outcome, run, load, own, seed), tasks, spread, own)
 
 
 def outcome_folder(folder: Path, seed: int, resume: bool) -> Path:

@@ -18,6 +18,7 @@ from cyclopts import Parameter, Token
 
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import shown
+from wlr_render.processes import Spread
 from wlr_render.progress import Progress
 
 Length = TypeVar("Length", int, float)
@@ -225,6 +226,33 @@ Workers = Annotated[
     described("Number of processes (default: one per core, fewer where memory limits)."),
     Range(at_least=1, at_most=256),
 ]
+Scheduler = Annotated[
+    str | None,
+    described(
+        "Address of a Dask scheduler, e.g. tcp://host:8786: its workers do the work, instead of processes of this "
+        "machine (docs/clusters.md)."
+    ),
+]
+
+
+class SpreadOptions(Options):
+    """Base of the options of verbs whose work is spread over processes or machines."""
+
+    # No fields of the base, which would stand before a verb's own ones: each verb states them where they belong.
+    workers: int | None
+    scheduler: str | None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.workers is not None and self.scheduler is not None:
+            raise BadInputError("--workers has no use with --scheduler, which has its own workers; leave out one.")
+
+    @property
+    def spread(self) -> Spread:
+        """Where the work is done."""
+        return Spread(self.workers, self.scheduler)
+
+
 Degree = Range(at_least=1, at_most=12)
 """Limits of polynomial degrees and of rays per pixel and axis: more only costs time."""
 

@@ -8,7 +8,17 @@ from typing import Annotated, Any, Literal
 from wlr_render.input_files import LIMITS
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, Seed, Workers, described, described_size
+from wlr_render.jobs.options import (
+    Eye,
+    ProgressArgument,
+    Range,
+    Scheduler,
+    Seed,
+    SpreadOptions,
+    Workers,
+    described,
+    described_size,
+)
 from wlr_render.jobs.targets import Code
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -19,7 +29,7 @@ from wlr_render.simulation.photographs.simulate_photo_session import simulate_ph
 
 
 @dataclass(frozen=True)
-class SimulateOptions(Options):
+class SimulateOptions(SpreadOptions):
     """Options of `simulate`."""
 
     session: Annotated[Path, described("Folder of the session; an interrupted simulation continues there.")]
@@ -85,6 +95,7 @@ class SimulateOptions(Options):
     ] = None
     seed: Seed = 1
     workers: Workers = None
+    scheduler: Scheduler = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -138,7 +149,7 @@ def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -
     Raises:
         BadInputError: an unknown device or eye, or the folder holds a session made in another way.
     """
-    made = simulate_photo_session(options.session, options.recipe, options.workers, progress)
+    made = simulate_photo_session(options.session, options.recipe, options.spread, progress)
     return Report(
         f"Simulated session {options.session.name}",
         verdict=f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {options.session}",

@@ -22,7 +22,7 @@ from wlr_render.jobs.calibrate.fit import (
 from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, session_blocks, set_names
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Options, ProgressArgument, Workers, described
+from wlr_render.jobs.options import ProgressArgument, Scheduler, SpreadOptions, Workers, described
 from wlr_render.models.model_file import remove_eye_models
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -36,12 +36,13 @@ READ = "read"
 
 
 @dataclass(frozen=True)
-class CalibratePhotosOptions(Options):
+class CalibratePhotosOptions(SpreadOptions):
     """Options of `calibrate photos`."""
 
     session: Annotated[Path, described("Folder of photographs with session.toml.")]
     _: KW_ONLY
     workers: Workers = None
+    scheduler: Scheduler = None
     fit: FitOptions = DEFAULT_FIT
     out: OutputFolder = Path("out/calibrate")
 
@@ -64,7 +65,7 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
         options.fit.prescription_of(eye)
     folder = output_folder(options.out)
     _remove_results(folder, session.eyes)
-    reading = read_session(session, folder / READ, options.workers, progress)
+    reading = read_session(session, folder / READ, options.spread, progress)
     progress.say("calibrating the bench, fitting the models")
     with naming(options.session):
         return calibrate_session(session, reading, folder, options.fit.fit)

@@ -23,7 +23,7 @@ from wlr_render.jobs.evaluate.trials import (
     truth,
 )
 from wlr_render.jobs.kept_trials import damaged_outcomes
-from wlr_render.jobs.options import BoxSize, Eyes, Options, Seed, Workers, described, eyes_of
+from wlr_render.jobs.options import BoxSize, Eyes, Scheduler, Seed, SpreadOptions, Workers, described, eyes_of
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import Progress
@@ -37,7 +37,7 @@ Lines = dict[str, tuple[Sequence[float], Sequence[float]]]
 
 
 @dataclass(frozen=True)
-class StudyOptions(Options):
+class StudyOptions(SpreadOptions):
     """Options of every study."""
 
     device: Annotated[
@@ -53,6 +53,7 @@ class StudyOptions(Options):
     box: BoxSize = None
     seed: Seed = 1
     workers: Workers = None
+    scheduler: Scheduler = None
     resume: Annotated[
         bool, described("Continue a run of the same program that was cut off: outcomes in the output folder are kept.")
     ] = False
@@ -126,7 +127,7 @@ def run_study(
     for experiment in experiments.values():
         experiment(Study(eyes, record, repeats))
     damaged = damaged_outcomes(folder / "trials", options.seed) if options.resume else []
-    outcomes = run_trials(needed, options.seed, options.workers, progress, folder / "trials", options.resume)
+    outcomes = run_trials(needed, options.seed, options.spread, progress, folder / "trials", options.resume)
     study = Study(eyes, outcomes.__getitem__, repeats)
     found = {name: experiment(study) for name, experiment in experiments.items()}
     blocks: list[Block] = [_conditions(eyes)]

@@ -28,11 +28,12 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Backend,
     MapFrom,
-    Options,
     ProgressArgument,
     Range,
     RasterCamera,
+    Scheduler,
     Seed,
+    SpreadOptions,
     Workers,
     described,
 )
@@ -69,7 +70,7 @@ _SUPERSAMPLE = 3  # rays per display pixel and axis: the target's dots must not 
 
 
 @dataclass(frozen=True)
-class VerifySessionOptions(Options):
+class VerifySessionOptions(SpreadOptions):
     """Options of `verify session`."""
 
     session: Annotated[Path, described("Folder of a simulated session, whose bench is used again.")]
@@ -111,6 +112,7 @@ class VerifySessionOptions(Options):
     map_from: MapFrom = "depth"
     backend: Backend = "auto"
     workers: Workers = None
+    scheduler: Scheduler = None
     out: Annotated[Path, described("Output folder.")] = Path("out/verify")
 
     def __post_init__(self) -> None:
@@ -171,7 +173,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     )
     for number, images in enumerate(progress(drawn, len(calibrations) * len(frames), "frames")):
         frames[number % len(frames)] |= images
-    photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.workers)
+    photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.spread)
     methods = [method for method in METHODS if calibrations[0].prefix + method in frames[0]]
     judged = [
         one

@@ -21,7 +21,7 @@ from wlr_render.files import output_folder
 from wlr_render.finished_files import FinishedFiles, digest_of
 from wlr_render.input_files import hashes_of_inputs
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.processes import as_finished, few_workers
+from wlr_render.processes import THIS_MACHINE, Spread, as_finished
 from wlr_render.progress import SILENT, Progress
 from wlr_render.simulation.photographs import recipe as recipe_file
 from wlr_render.simulation.photographs.camera import SimulatedLens
@@ -56,7 +56,7 @@ class TakenPhotographs:
 
 
 def simulate_photo_session(
-    folder: Path, recipe: SimulationRecipe, workers: int | None = None, progress: Progress = SILENT
+    folder: Path, recipe: SimulationRecipe, spread: Spread = THIS_MACHINE, progress: Progress = SILENT
 ) -> TakenPhotographs:
     """Take all photographs of a session that an earlier run has not taken.
 
@@ -89,7 +89,8 @@ def simulate_photo_session(
     tasks = [(pose, missing) for pose, paths in tasks if (missing := finished.not_whole(paths))]
     changed = finished.changed(path for _, missing in tasks for path in missing)
     taken = 0
-    for paths in progress(as_finished(_take, tasks, workers or few_workers(_MOST_WORKERS)), len(tasks), "camera poses"):
+    finishing = as_finished(_take, tasks, spread.at_most(_MOST_WORKERS), root)
+    for paths in progress(finishing, len(tasks), "camera poses"):
         finished.add(paths)
         taken += len(paths)
     save_board(session.board, root / BOARD)

@@ -1,0 +1,167 @@
+"""Work on a Dask cluster: what local processes give, workers that are killed, and clusters that cannot do it."""
+
+import logging
+import os
+import signal
+import socket
+import sys
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from wlr_render import cluster, files
+from wlr_render.errors import BadInputError
+from wlr_render.extras import MissingExtraError
+from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
+from wlr_render.processes import Spread, as_finished
+
+distributed = pytest.importorskip(
+    "distributed", reason="Dask is not installed; install it: pip install 'wlr_render[dask]'"
+)
+
+
+@pytest.fixture(scope="module")
+def dask_cluster():
+    with distributed.LocalCluster(
+        2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+    ) as started:
+        yield started
+
+
+@pytest.fixture
+def address(dask_cluster):
+    return dask_cluster.scheduler_address
+
+
+def done(address, run, tasks, folder=None):
+    return list(as_finished(run, tasks, Spread(scheduler=address), folder))
+
+
+def square_in_a_worker_that_is_killed_once(folder, number):
+    """The first worker that has the number 3 is killed, before it answers."""
+    mark = folder / "killed"
+    if number == 3 and not mark.exists():
+        mark.write_text(str(os.getpid()))
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number * number, os.getpid()
+
+
+def test_the_tasks_of_a_killed_worker_are_done_by_another(address, tmp_path):
+    answers = done(address, partial(square_in_a_worker_that_is_killed_once, tmp_path), range(12), tmp_path)
+    assert sorted(answer for answer, _ in answers) == [number * number for number in range(12)]
+    killed = int((tmp_path / "killed").read_text())
+    assert killed not in {process for answer, process in answers if answer == 9}
+    assert [path.name for path in tmp_path.iterdir()] == ["killed"], "the mark of the folder is left"
+
+
+def kill_this_worker(_):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_task_that_kills_its_workers_is_refused_in_one_sentence(dask_cluster, address, monkeypatch):
+    monkeypatch.setattr(dask_cluster.scheduler, "allowed_failures", 0)  # 3 by default: minutes on a slow machine
+    with pytest.raises(BadInputError, match=r"one task has ended 1 workers, the last at tcp://.*--memory-limit"):
+        done(address, kill_this_worker, [0])
+
+
+def where_it_runs(_):
+    return os.getcwd(), os.environ["OPENBLAS_NUM_THREADS"]
+
+
+def test_a_task_runs_in_the_current_folder_with_one_thread(address, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert done(address, where_it_runs, [0]) == [(str(tmp_path), "1")]
+
+
+def test_the_temporary_files_of_other_machines_are_left(address, tmp_path):
+    (tmp_path / ".wlr-part-of-another.png").touch()
+    done(address, files.output_folder, [tmp_path], tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    files.remove_abandoned.cache_clear()
+    files.output_folder(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def fail(_):
+    raise BadInputError("a.toml: has no such key.")
+
+
+def test_the_sentence_of_a_task_comes_back(address):
+    with pytest.raises(BadInputError, match=r"^a\.toml: has no such key\.$"):
+        done(address, fail, [0])
+
+
+def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path):
+    few = {"experiment": ("camera-positions",), "counts": (5, 9), "degrees": (3,)}
+    here = evaluate(EvaluateOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
+    options = EvaluateOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there")
+    assert evaluate(options).blocks == here.blocks
+    first, *others = sorted((tmp_path / "there" / "trials").glob("*/*.json"))
+    written = [path.stat().st_mtime_ns for path in (first, *others)]
+    first.unlink()
+    assert evaluate(replace(options, resume=True)).blocks == here.blocks
+    again = [path.stat().st_mtime_ns for path in (first, *others)]
+    assert again[0] != written[0]
+    assert again[1:] == written[1:]
+
+
+@pytest.mark.parametrize("given", ["host", "tcp://", "fax://host:1", "tcp://127.0.0.1:{free}"])
+def test_an_address_where_nobody_answers(given, monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # nobody listens
+        given = given.format(free=taken.getsockname()[1])
+        with pytest.raises(BadInputError, match=rf"--scheduler {given}: no Dask scheduler answers there"):
+            done(given, abs, [1])
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"wlr_render": "0.0.1"}, r"has wlr_render \S+ installed, and this machine 0\.0\.1; install the same version"),
+        ({"left_out": "1.0"}, "has left_out not installed, and this machine 1.0"),
+    ],
+)
+def test_workers_with_other_versions(address, monkeypatch, change, sentence):
+    own = cluster._versions()
+    monkeypatch.setattr(cluster, "_versions", lambda: own | change)
+    with pytest.raises(BadInputError, match=sentence):
+        done(address, abs, [1])
+
+
+def test_a_worker_that_does_not_see_the_folder(address, tmp_path, monkeypatch):
+    """Another machine's folder of that name is one without the mark."""
+    monkeypatch.setattr(cluster, "_marked", lambda folder: cluster.contextlib.nullcontext(str(folder / "mark")))
+    with pytest.raises(BadInputError, match=rf"does not see the output folder {tmp_path} of this machine"):
+        done(address, abs, [1], tmp_path)
+
+
+def test_a_cluster_without_workers_is_not_waited_for_forever(monkeypatch):
+    monkeypatch.setattr(cluster, "_NO_WORKER_S", 0.2)
+    with (
+        distributed.SpecCluster({}, {"cls": distributed.Scheduler, "options": {"dashboard_address": ":0"}}) as empty,
+        pytest.raises(BadInputError, match="it has had no worker for 0 s; start some with 'dask worker"),
+    ):
+        done(empty.scheduler_address, abs, [1])
+
+
+def test_a_worker_with_several_threads(tmp_path):
+    with (
+        distributed.LocalCluster(
+            1, threads_per_worker=2, processes=False, dashboard_address=":0", silence_logs=logging.CRITICAL
+        ) as threaded,
+        pytest.raises(BadInputError, match="has 2 threads, and a task needs a process of its own"),
+    ):
+        done(threaded.scheduler_address, abs, [1])
+
+
+def test_without_dask_the_sentence_says_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "dask", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'wlr_render\[dask\]'"):
+        done("tcp://127.0.0.1:8786", abs, [1])
+
+
+def test_workers_and_scheduler_exclude_each_other():
+    with pytest.raises(BadInputError, match="--workers has no use with --scheduler"):
+        EvaluateOptions(workers=2, scheduler="tcp://host:8786")
