@@ -3,12 +3,17 @@
     python 10_openxr.py              poses of a headless session (XR_MND_headless); this program drives the panels
     python 10_openxr.py swap-chain   composes into the runtime's swap chain (XR_MNDX_egl_enable); needs no window
 
+Writes what the runtime locates to recording.jsonl, which `wlr-render render --head recording.jsonl --eye-track
+recording.jsonl` draws again.
+
 Needs `pip install 'wlr_render[xr]'` and a running OpenXR runtime: docs/openxr.md has one with a simulated headset.
 """
 
 import ctypes
+import json
 import sys
 import time
+from pathlib import Path
 
 import moderngl
 import numpy as np
@@ -183,6 +188,21 @@ class Runtime:
             self._last_pose = rigid(located.pose) @ transforms.inverse(device_from_view)
         return self._last_pose
 
+    def recorded(self, at):
+        """Lines of a recording (docs/files.md): head, eyes and gaze as OpenXR locates them at a time."""
+        head = xr.locate_space(self.view, self.world, at)
+        _, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
+        found = [("view", "local", head.location_flags, head.pose)]
+        found += [(f"{eye}_view", "view", 3, view.pose) for eye, view in zip(models, views, strict=True)]
+        if self._gaze:
+            gaze = xr.locate_space(self._gaze[2], self.view, at)
+            found.append(("gaze", "view", gaze.location_flags, gaze.pose))
+        for space, base_space, flags, pose in found:
+            turn = dict(zip("xyzw", map(float, pose.orientation), strict=True))
+            place = dict(zip("xyz", map(float, pose.position), strict=True))
+            located = {"locationFlags": int(flags), "pose": {"orientation": turn, "position": place}}
+            yield {"time": int(at), "space": space, "base_space": base_space, **located}
+
     def eye_models(self, at):
         """By eye, an eye that turns: the runtime's view poses are where pupils are that look ahead."""
         _, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
@@ -272,6 +292,7 @@ boxes = {eye: each.eye_box.centre for eye, each in models.items()}
 synthetic = eye_motion(boxes, seed=3)  # stands in where no eye is tracked
 filters = {eye: ViewpointFilter(centre) for eye, centre in boxes.items()}
 heads, pose_ms, frame_ms, started = [], [], [], None
+recording = [{"format": "wlr-openxr-recording", "version": 1, "device_from_view": device_from_view.tolist()}]
 for number in range(FRAMES):
     at = chains.begin() if chains else runtime.now() + TO_FIRST_ROW_NS
     started = at if started is None else started
@@ -301,6 +322,7 @@ for number in range(FRAMES):
         for eye, name in names.items():
             panels[eye] = ctx.framebuffer([ctx.external_texture(name, SIZE, 4, 0, "f1")])
     heads.append(head[:3, 3])
+    recording += runtime.recorded(at)
     if chains and number < FRAMES - 1:
         chains.end(at)
     frame_ms.append(1e3 * (time.perf_counter() - begun))
@@ -313,6 +335,7 @@ for eye, panel in panels.items():
         print(f"{eye} eye: the swap chain's image differs from the compositor's by {difference} codes at most")
 if chains:
     chains.end(at)
+Path("recording.jsonl").write_text("".join(json.dumps(each) + "\n" for each in recording), encoding="utf-8")
 moved_mm = 1e3 * np.ptp(heads, axis=0).max()
 gaze = "tracked by the runtime" if runtime.tracks_gaze else "synthetic, as the runtime tracks no eyes"
 print(f"{runtime.name}: {FRAMES} frames; the head moved {moved_mm:.1f} mm; gaze {gaze}")

@@ -23,6 +23,7 @@ from corpus.base_texts import (
     LENS_XML,
     LENS_YAML,
     PHOTO_SESSION,
+    RECORDING,
     SCENE_WITH_MESH,
     STATION,
 )
@@ -67,6 +68,7 @@ def _write_texts(folder: Path) -> None:
         "head.csv": HEAD_CSV,
         "eyes.txt": EYES,
         "gaze.txt": GAZE,
+        "recording.jsonl": RECORDING,
         "causes.py": CAUSES,
     }
     for name, text in texts.items():

@@ -139,6 +139,12 @@ GAZE = """# format: wlr-eye-trajectory 1
 0.0 right 0 0 -1
 0.4 right 0 0 -1
 """
+_POSE = '"pose": {"orientation": {"x": 0, "y": 0, "z": 0, "w": 1}, "position": {"x": 0, "y": 0, "z": 0}}'
+RECORDING = '{"format": "wlr-openxr-recording", "version": 1}\n' + "".join(
+    f'{{"time": {10**8 * step}, "space": "{space}", "base_space": "{base}", "locationFlags": 3, {_POSE}}}\n'
+    for step in range(5)
+    for space, base in (("view", "local"), ("right_view", "view"), ("gaze", "view"))
+)
 CAUSES = '''"""A cause of the user's own."""
 
 import numpy as np

@@ -32,6 +32,11 @@ from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 EXAMPLES = int(os.environ.get("WLR_DAMAGE_EXAMPLES", "25"))
 """Random damages of each file: few in every run of the tests, more when a reader has changed."""
 
+
+def _read_recording(path: Path) -> object:
+    return read_head_trajectory(path), read_eye_trajectory(path)
+
+
 # The file and the reader of each, by the name of what it damages. A reader of a folder gets the folder.
 READERS: dict[str, Callable[[Path], object]] = {
     "device.toml": load_device,
@@ -50,6 +55,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "head.csv": read_head_trajectory,
     "eyes.txt": read_eye_trajectory,
     "gaze.txt": read_eye_trajectory,
+    "recording.jsonl": _read_recording,
     "bench/bench.toml": lambda path: load_session(path.parent),
     "bench/display.csv.gz": lambda path: load_session(path.parent),
     "photos/session.toml": lambda path: load_photo_session(path.parent),

@@ -44,6 +44,14 @@ def test_tum_and_euroc_of_one_motion_agree(tmp_path):
     np.testing.assert_allclose(quarter, [-0.96, 0, -0.28], atol=1e-15)
 
 
+def test_euroc_as_monado_writes_it_is_read(tmp_path):
+    """Its recorder ends lines with CR LF, and pads nothing."""
+    path = tmp_path / "data.csv"
+    rows = "#timestamp [ns],p_RS_R_x [m]\r\n1000000000,1,2,3,0.8,0,0.6,0\r\n1500000000,2,2,3,1,0,0,0\r\n"
+    path.write_bytes(rows.encode())
+    np.testing.assert_allclose(read_head_trajectory(path).position_in_world, [[1, 2, 3], [2, 2, 3]])
+
+
 def test_a_quaternion_rounded_in_print_is_normalised(tmp_path):
     head = read_head_trajectory(written(tmp_path, "0 0 0 0 0 0.6004 0 0.8\n1 0 0 0 0 0 0 1\n"))
     np.testing.assert_allclose(np.linalg.norm(head.world_from_device_xyzw, axis=1), 1, atol=1e-15)

@@ -29,10 +29,14 @@ class RenderOptions(Options):
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to draw.")] = "right"
     head: Annotated[
-        Path | None, described("Head trajectory, TUM or EuRoC (default: a head at rest at the world's origin).")
+        Path | None,
+        described(
+            "Head trajectory, TUM, EuRoC or an OpenXR recording (default: a head at rest at the world's origin)."
+        ),
     ] = None
     eye_track: Annotated[
-        Path | None, described("Eye trajectory (default: pupils at rest at the centres of the eye boxes).")
+        Path | None,
+        described("Eye trajectory, or an OpenXR recording (default: pupils at rest at the centres of the eye boxes)."),
     ] = None
     frames_per_second: Annotated[
         float,

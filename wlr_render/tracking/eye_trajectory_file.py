@@ -8,7 +8,8 @@
 
 `viewpoint` rows are `time eye x y z`, the entrance pupil in the device frame. `gaze` rows are `time eye dx dy dz`, a
 unit direction; then the header also states `# rotation_centre_right_m: x y z` for each eye in the file, and may state
-`# pupil_distance_m: d`. Rows of the two eyes may interleave; each eye's times ascend.
+`# pupil_distance_m: d`. Rows of the two eyes may interleave; each eye's times ascend. `.jsonl` is an OpenXR recording
+(`openxr_recording.py`).
 """
 
 from pathlib import Path
@@ -20,6 +21,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.input_files import require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, RotatingEye
+from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_eyes
 from wlr_render.tracking.text_rows import (
     Row,
     TextTable,
@@ -37,13 +39,15 @@ _PUPIL_DISTANCE_M = 0.0, 0.03
 
 
 def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
-    """Read an eye trajectory.
+    """Read an eye trajectory, or the eyes of an OpenXR recording (.jsonl).
 
     Raises:
         BadInputError: unreadable or empty file, a missing or unknown header, wrong column count, unknown eye, a value
             that is not finite, a gaze that is not of unit length or looks backwards, times that do not ascend, times
             or positions of another unit.
     """
+    if Path(path).suffix == SUFFIX:
+        return read_openxr_eyes(path)
     table = read_text_table(path)
     header = _Header(table)
     gaze = header.text("kind", ("viewpoint", "gaze")) == "gaze"

@@ -1,4 +1,6 @@
-"""Read head trajectories in TUM or EuRoC text files, and write TUM. Errors name the file and the line.
+"""Read head trajectories in TUM or EuRoC text files or OpenXR recordings, and write TUM.
+
+Errors name the file and the line. `.jsonl` is an OpenXR recording (`openxr_recording.py`).
 
 TUM has rows `time tx ty tz qx qy qz qw`, separated by blanks, in seconds. EuRoC ground truth has commas, integer
 nanoseconds, position, quaternion wxyz, and possibly nine columns of velocity and biases, which are ignored. A comma in
@@ -15,6 +17,7 @@ import numpy as np
 
 from wlr_render import files
 from wlr_render.input_files import shown
+from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_head
 from wlr_render.tracking.text_rows import (
     Row,
     read_text_table,
@@ -28,12 +31,14 @@ _FAR_M = 1000.0  # from the origin of the world
 
 
 def read_head_trajectory(path: str | Path) -> HeadTrajectory:
-    """Read TUM or EuRoC poses.
+    """Read TUM or EuRoC poses, or those of an OpenXR recording (.jsonl).
 
     Raises:
         BadInputError: unreadable or empty file, wrong column count, a value that is not finite, a quaternion that is
             not of unit length, times that do not ascend, times or positions of another unit.
     """
+    if Path(path).suffix == SUFFIX:
+        return read_openxr_head(path)
     table = read_text_table(path)
     read_row = _euroc_row if table.comma_separated else _tum_row
     content = np.array([read_row(row) for row in table.rows])

@@ -1,0 +1,179 @@
+"""Recordings of what an OpenXR program locates: head, eyes and gaze. Errors name the file and the line.
+
+OpenXR defines no file for poses. This one is JSON Lines, one `xrLocateSpace` or `xrLocateViews` result a line, with the
+names of OpenXR's structures; the first line is a header:
+
+    {"format": "wlr-openxr-recording", "version": 1}
+    {"time": 1000000000, "space": "view", "base_space": "local", "locationFlags": 15,
+     "pose": {"orientation": {"x": 0, "y": 0, "z": 0, "w": 1}, "position": {"x": 0, "y": 0, "z": 0}}}
+
+`time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`; `left_view`,
+`right_view` (views of xrLocateViews) and `gaze` (XR_EXT_eye_gaze_interaction) are located in `view`. Lines of other
+spaces are left out, and those without valid position and orientation. OpenXR's axes and units are ours, so that only
+the place of the headset's VIEW space is needed: `device_from_view` of the header, 4 rows of 4, or the identity.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import normalised
+from wlr_render.input_files import LIMITS, read_text, require_length
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.toml_files import Table, parse_json
+from wlr_render.tracking.eye_model import RotatingEye
+from wlr_render.tracking.text_rows import UNIT_TOLERANCE, require_plausible_motion
+from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTrack, HeadTrajectory, ViewpointTrack
+
+SUFFIX = ".jsonl"
+"""Files with this suffix are read as recordings."""
+FORMAT, _VERSION = "wlr-openxr-recording", 1
+_KIND = "an OpenXR recording"
+_WORLD_SPACES = ("local", "stage", "local_floor")
+_SPACES = ("view", *(f"{eye}_view" for eye in EYES), "gaze")
+_VALID = 3  # XR_SPACE_LOCATION_ORIENTATION_VALID_BIT | XR_SPACE_LOCATION_POSITION_VALID_BIT
+_FIXATION_M = 1.0
+"""How far along the gaze both eyes are taken to look."""
+_HEAD_FAR_M, _EYE_FAR_M = 1000.0, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """Where a space was found: times (n,), positions (n, 3) and quaternions xyzw (n, 4) in its base space."""
+
+    time_s: FloatArray
+    position: FloatArray
+    xyzw: FloatArray
+
+    def poses(self) -> FloatArray:
+        """(n, 4, 4)."""
+        return transforms.rigid(Rotation.from_quat(self.xyzw).as_matrix(), self.position)
+
+
+def read_openxr_head(path: str | Path) -> HeadTrajectory:
+    """Head trajectory of a recording, poses of the device frame.
+
+    Raises:
+        BadInputError: unreadable file, a line that is no location, no pose of the head, base spaces that change, times
+            that do not ascend, times or positions of another unit.
+    """
+    device_from_view, located = _read(path)
+    if "view" not in located:
+        raise BadInputError(
+            f"{path}: has no valid pose of 'view', the head; record VIEW space in LOCAL or STAGE space."
+        )
+    head = located["view"]
+    world_from_device = head.poses() @ transforms.inverse(device_from_view)
+    require_plausible_motion(str(path), head.time_s, head.position, _HEAD_FAR_M)
+    xyzw = Rotation.from_matrix(world_from_device[:, :3, :3]).as_quat()
+    return HeadTrajectory(head.time_s, world_from_device[:, :3, 3], xyzw, str(path))
+
+
+def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
+    """Eye trajectories of a recording: from the gaze where there is one, else the places of the views.
+
+    The views' places are where the pupils are that look ahead. With gaze each eye turns about the point behind its
+    place (`RotatingEye`) towards the point 1 m along the gaze.
+
+    Raises:
+        BadInputError: as `read_openxr_head`, or no places of the views.
+    """
+    device_from_view, located = _read(path)
+    tracks: dict[str, EyeTrack] = {}
+    for eye in EYES:
+        if f"{eye}_view" not in located:
+            continue
+        view = located[f"{eye}_view"]
+        place = transforms.apply(device_from_view, view.position)
+        name = f"{path} ({eye} eye)"
+        require_plausible_motion(name, view.time_s, place, _EYE_FAR_M)
+        if "gaze" in located:
+            gaze = located["gaze"]
+            device_from_gaze = device_from_view @ gaze.poses()
+            fixated = device_from_gaze[:, :3, 3] - _FIXATION_M * device_from_gaze[:, :3, 2]
+            turning = RotatingEye.looking_ahead_from(np.median(place, axis=0))
+            gaze_dir = normalised(fixated - turning.rotation_centre_in_device)
+            if (gaze_dir[:, 2] >= 0).any():
+                raise BadInputError(
+                    f"{path}: the pose of 'gaze' looks backwards; it looks along its -z, and must be located in 'view'."
+                )
+            tracks[eye] = GazeTrack(gaze.time_s, gaze_dir, turning, name)
+        else:
+            tracks[eye] = ViewpointTrack(view.time_s, place, name)
+    if not tracks:
+        raise BadInputError(
+            f"{path}: has no pose of 'left_view' or 'right_view', the places of the eyes; record xrLocateViews in VIEW "
+            "space as well."
+        )
+    return EyeTrajectory(tracks, str(path))
+
+
+def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
+    """`device_from_view`, and each space's poses."""
+    lines = read_text(path, _KIND, LIMITS.table_bytes).splitlines()
+    if len(lines) > LIMITS.rows:
+        raise BadInputError(f"{path}: has {len(lines)} lines, more than {LIMITS.rows}; cut it into parts.")
+    tables = [
+        Table(parse_json(where, line, _KIND, "write it again"), where)
+        for where, line in ((f"{path} line {number}", line) for number, line in enumerate(lines, start=1))
+        if line.strip()
+    ]
+    if not tables:
+        raise BadInputError(f"{path}: has no lines; is the recording empty?")
+    header, *rows = tables
+    header.text("format", choices=(FORMAT,))
+    if header.number("version") != _VERSION:
+        raise header.fail(f"'version' is {header.number('version'):g}; this program reads version {_VERSION}.")
+    found: dict[str, list[tuple[Table, list[float]]]] = {}
+    bases: set[str] = set()
+    for row in rows:
+        space = row.text("space")
+        if space not in _SPACES:
+            continue
+        base = row.text("base_space", choices=_WORLD_SPACES if space == "view" else ("view",))
+        if space == "view":
+            bases.add(base)
+        if len(bases) > 1:
+            raise row.fail(f"'base_space' changes from {' to '.join(sorted(bases))}; record the head in one space.")
+        if row.whole("locationFlags", most=2**32) & _VALID == _VALID:
+            found.setdefault(space, []).append((row, _numbers(row)))
+    return _device_from_view(header), {space: _located(entries) for space, entries in found.items()}
+
+
+def _numbers(row: Table) -> list[float]:
+    """Time in seconds, position and quaternion xyzw of a line."""
+    pose = row.table("pose")
+    place, turn = pose.table("position"), pose.table("orientation")
+    xyzw = [turn.number(axis) for axis in "xyzw"]
+    length = float(np.linalg.norm(xyzw))
+    if abs(length - 1.0) > UNIT_TOLERANCE:
+        raise turn.fail(f"the quaternion has length {length:.6g}, not 1; correct it.")
+    return [row.number("time") / 1e9, *(place.number(axis) for axis in "xyz"), *(each / length for each in xyzw)]
+
+
+def _located(entries: Sequence[tuple[Table, list[float]]]) -> _Located:
+    content = np.array([numbers for _, numbers in entries])
+    late = np.flatnonzero(np.diff(content[:, 0]) <= 0)
+    if late.size:
+        raise entries[int(late[0]) + 1][0].fail(
+            "'time' does not come after that of the same space before it; sort the lines, drop duplicates."
+        )
+    return _Located(content[:, 0], content[:, 1:4], content[:, 4:])
+
+
+def _device_from_view(header: Table) -> FloatArray:
+    if not header.has("device_from_view"):
+        return np.eye(4)
+    matrix = header.vectors("device_from_view", 4)
+    is_whole = matrix.shape == (4, 4) and (matrix[3] == [0, 0, 0, 1]).all()
+    if not is_whole or not transforms.is_rotation(matrix[:3, :3]):
+        raise header.fail(
+            "'device_from_view' must be a rigid transform, 4 rows of 4, the last one 0 0 0 1; correct it."
+        )
+    require_length(f"{header.where}: 'device_from_view'", matrix[:3, 3], _EYE_FAR_M)
+    return matrix
