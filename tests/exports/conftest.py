@@ -1,10 +1,14 @@
 """Views that the tests of formats write."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import pytest
+from small_headsets import changed_device
 
 from wlr_render.jobs.export import ExportOptions, first_view
+from wlr_render.mappings import Status
 
 
 @pytest.fixture(scope="session")
@@ -17,3 +21,56 @@ def northstar_view(small_northstar):
 def view(northstar_view):
     """A copy, whose maps are its own."""
     return replace(northstar_view)
+
+
+@pytest.fixture(scope="session")
+def nearest_view(small_northstar):
+    """The same with the source camera nearest to the rays."""
+    return first_view(ExportOptions("stmap", small_northstar, raster_camera="nearest"), "right")
+
+
+@pytest.fixture
+def near_view(northstar_view):
+    """The same for points half a metre deep."""
+    return replace(northstar_view, depth_m=0.5)
+
+
+@pytest.fixture
+def holed_view(view):
+    """The same, with a panel pixel in row 5 and column 7 that has no ray."""
+    rays = np.array(view.slope_offset("all"))
+    rays[:, 5, 7] = np.nan
+    holed = replace(view)
+    holed.__dict__["_slope_offsets"] = (rays,)
+    return holed
+
+
+@pytest.fixture(scope="session")
+def coloured_view(tmp_path_factory):
+    """A prism whose glass has colours, traced in red, green and blue."""
+    glass = ("index = 1.492", 'formula = "pmma_sultanova_2009"')
+    device = changed_device(tmp_path_factory.mktemp("device"), "prism5701202", glass, ("[1280, 960]", "[160, 120]"))
+    return first_view(ExportOptions("stmap", device, per_colour=True), "right")
+
+
+@dataclass(frozen=True)
+class LeftHalf:
+    """A display whose right half shows nothing."""
+
+    whole: Any
+
+    def __getattr__(self, name):
+        return getattr(self.whole, name)
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        found = self.whole.view_dir_of_pixel(pixel, viewpoint)
+        is_dark = np.broadcast_to(np.asarray(pixel)[..., 0] > 0.5 * self.whole.panel.width_px, found.status.shape)
+        value = np.where(is_dark[..., None], np.nan, found.value)
+        return replace(found, value=value, status=np.where(is_dark, Status.MISS, found.status).astype(np.uint8))
+
+
+@pytest.fixture
+def view_of_half_a_panel(straight_device):
+    whole = first_view(ExportOptions("mesh", straight_device), "right")
+    (eye,) = whole.channels
+    return replace(whole, channels=(replace(eye, display=LeftHalf(eye.display)),))

@@ -95,7 +95,7 @@ class WarpMesh:
         self._plan = EyePlan.of(self._channels, self.size_px, resolution, raster_camera, margin)
         check_camera_size(self._plan)
         axes = self._plan.device_from_camera
-        grids = [_chosen_grid(mappings, axes, self.size_px, _SEARCHED * tolerance) for mappings in self._channels]
+        grids = [mesh_grid(mappings, axes, self.size_px, _SEARCHED * tolerance) for mappings in self._channels]
         grid = min(grids, key=lambda each: float(each.step_px.min()))
         plans = [_plan(mappings, axes, grid) for mappings in self._channels]
         self._ray_maps = [FilledRayMaps(*each) for each in zip(self._channels, plans, strict=True)]
@@ -105,7 +105,7 @@ class WarpMesh:
         )
         self.samples_per_axis = self._plan.samples_per_axis
         self.panel_position = (grid.panel_pixel() / grid.panel.size_px).reshape(-1, 2).astype(np.float32)
-        self.triangles = _triangles(grid)
+        self.triangles = mesh_triangles(grid)
 
     def camera(self, pose: FloatArray, viewpoint: FloatArray) -> EyeCamera:
         """The camera to draw the eye's picture with.
@@ -158,8 +158,8 @@ class WarpMesh:
         return checked_viewpoints(viewpoint, self._models)[self.eye]
 
 
-def _triangles(grid: WarpGrid) -> NDArray[np.uint32]:
-    """(m, 3) indices; rows of the grid in memory one after the other."""
+def mesh_triangles(grid: WarpGrid) -> NDArray[np.uint32]:
+    """The two triangles of each cell, (m, 3) indices of a grid's points, row by row; counter-clockwise."""
     column, row = np.meshgrid(np.arange(grid.columns - 1), np.arange(grid.rows - 1))
     corner = np.stack([column, row], axis=-1).reshape(-1, 1, 1, 2) + _TRIANGLES
     return np.asarray((corner[..., 1] * grid.columns + corner[..., 0]).reshape(-1, 3), np.uint32)
@@ -173,9 +173,7 @@ def _node_count(mappings: EyeMappings) -> int:
     return choose_plan(mappings, _NODES_TOLERANCE_PX).node_count
 
 
-def _chosen_grid(
-    mappings: EyeMappings, axes: FloatArray, size_px: tuple[int, int], tolerance_arcmin: float
-) -> WarpGrid:
+def mesh_grid(mappings: EyeMappings, axes: FloatArray, size_px: tuple[int, int], tolerance_arcmin: float) -> WarpGrid:
     """The coarsest grid of square cells whose triangles are within the tolerance; no finer than the picture."""
     panel = mappings.display.panel
     finest_px, coarsest_px = float(np.min(panel.size_px / size_px)), float(np.min(panel.size_px)) / _COARSEST_CELLS

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.exports.format import Format
+from wlr_render.exports.format import Carries, Format
 from wlr_render.exports.view import ExportedView
 from wlr_render.files import write_text
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
@@ -33,32 +33,50 @@ class Loss:
     max_arcmin: float | None
 
 
-def losses(view: ExportedView, has_every_depth: bool) -> list[Loss]:
-    """What a map of this view loses at `JUDGED_DEPTH_M`, and with the pupil `PUPIL_SHIFT_M` to any side.
+def losses(view: ExportedView, carries: Carries) -> list[Loss]:
+    """What the numbers of a view lose, as it was made for, at `JUDGED_DEPTH_M`, and with another pupil.
 
-    Directions are those from the source camera to the points that the panel's pixels show and should show. The pupil
-    moves right, left, up and down in the device as far as the eye box allows; the errors are of all these together.
+    The first one is left out where the format approximates between panel pixels: its page has the tolerance.
+
+    Directions are those from the source camera to the points that the panel's pixels show and should show, by the
+    mappings. The pupil moves `PUPIL_SHIFT_M` right, left, up and down in the device, as far as the eye box allows; the
+    errors are of all these together.
     """
     colour = view.middle_colour
-    pixel = view.mappings(colour).display.panel.grid(_JUDGED_PIXELS, _JUDGED_PIXELS)
-    made_for = np.moveaxis(view.rays_at(colour, pixel), -1, 0)
+    mappings = view.mappings(colour)
+    pixel = _pixel_centres(view.panel_size_px)
+    due = np.moveaxis(view.rays_at(colour, pixel), -1, 0)
+    column, row = np.floor(pixel).astype(int).T
+    shown = view.tangents(view.slope_offset(colour)[:, row, column].astype(np.float64))
+    if not carries.between_pixels:
+        camera = view.source.camera
+        shown = camera.tangents_of_pixel(np.floor(camera.pixel_of_tangents(shown)) + 0.5)
     found = []
-    if not has_every_depth:
-        found.append(_loss(f"points at {JUDGED_DEPTH_M:g} m", [_arcmin(view, made_for, made_for, JUDGED_DEPTH_M)]))
-    box = view.mappings(colour).eye_box
+    if carries.every_pixel:
+        points = "points at any depth" if carries.every_depth else f"points {_depth_words(view.depth_m)}"
+        found.append(_loss(f"{points}, as the file is made for", [_arcmin(shown, due, view.depth_m)]))
+    if not carries.every_depth:
+        found.append(_loss(f"points {_depth_words(JUDGED_DEPTH_M)}", [_arcmin(shown, due, JUDGED_DEPTH_M)]))
     steps = PUPIL_SHIFT_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
-    moved = [view.viewpoint + step for step in steps if box.contains(view.viewpoint + step)]
-    errors = [
-        _arcmin(view, made_for, np.moveaxis(view.rays_at(colour, pixel, pupil), -1, 0), view.depth_m) for pupil in moved
-    ]
-    found.append(_loss(f"pupil {1e3 * PUPIL_SHIFT_M:g} mm aside", errors))
-    return found
+    moved = [view.viewpoint + step for step in steps if mappings.eye_box.contains(view.viewpoint + step)]
+    errors = [_arcmin(shown, np.moveaxis(view.rays_at(colour, pixel, pupil), -1, 0), view.depth_m) for pupil in moved]
+    return [*found, _loss(f"pupil {1e3 * PUPIL_SHIFT_M:g} mm aside", errors)]
 
 
-def _arcmin(view: ExportedView, shown: FloatArray, due: FloatArray, depth_m: float) -> FloatArray:
-    """Angles between what pixels show, by a map for `view.depth_m`, and what they should, at `depth_m`."""
+def _pixel_centres(size_px: tuple[int, int]) -> FloatArray:
+    """Centres (n, 2) of pixels all over a panel."""
+    u, v = (np.floor(np.linspace(0, size - 1, _JUDGED_PIXELS)) + 0.5 for size in size_px)
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+
+
+def _depth_words(depth_m: float) -> str:
+    return f"{depth_m:g} m deep" if math.isfinite(depth_m) else "at infinity"
+
+
+def _arcmin(shown_tangents: FloatArray, due: FloatArray, depth_m: float) -> FloatArray:
+    """Angles between tangents (n, 2) that are shown and those of rays (4, n) at a depth."""
     due_tangents = np.moveaxis(due[:2] + due[2:] / depth_m, 0, -1)
-    return arcmin_between(dir_of_tangents(view.tangents(shown)), dir_of_tangents(due_tangents))
+    return arcmin_between(dir_of_tangents(shown_tangents), dir_of_tangents(due_tangents))
 
 
 def _loss(case: str, errors: list[FloatArray]) -> Loss:
@@ -92,7 +110,7 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
             "device_from_camera": view.source.device_from_camera.tolist(),
         },
         "convention": list(form.convention),
-        "loses": [asdict(loss) for loss in losses(view, form.carries.every_depth)],
+        "loses": [asdict(loss) for loss in losses(view, form.carries)],
     }
 
 

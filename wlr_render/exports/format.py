@@ -18,6 +18,7 @@ class Carries:
         pupils: several pupil positions, in a file each or in one.
         asymmetric_field: borders of the source picture at different angles to the left and right, or up and down.
         between_pixels: positions between the pixels of the source picture.
+        every_pixel: a position or ray for each panel pixel, not an approximation between some.
     """
 
     every_depth: bool = False
@@ -25,6 +26,7 @@ class Carries:
     pupils: bool = True
     asymmetric_field: bool = True
     between_pixels: bool = True
+    every_pixel: bool = True
 
 
 class Format(Protocol):

@@ -2,11 +2,16 @@
 
 from typing import Literal
 
+from wlr_render.exports.ffmpeg import Ffmpeg
+from wlr_render.exports.float_maps import FloatMap
 from wlr_render.exports.format import Format
+from wlr_render.exports.mesh import Mesh
+from wlr_render.exports.npz import Npz
+from wlr_render.exports.rays import Rays
 from wlr_render.exports.stmap import StMap
 
-FormatName = Literal["stmap"]
-FORMATS: tuple[Format, ...] = (StMap(),)
+FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh"]
+FORMATS: tuple[Format, ...] = (StMap(), Rays(), FloatMap("pfm"), FloatMap("tiff"), Ffmpeg(), Npz(), Mesh())
 
 
 def format_of(name: str) -> Format:

@@ -25,7 +25,6 @@ class StMap:
         "G is the position from its bottom border, 0, to its top border, 1; B is 0.",
         "Values are those of the centres of the panel's pixels; the first row of the file is the panel's top row.",
         "R = G = -1 where a panel pixel has no ray: show black there.",
-        "Colours are interpolated in linear light.",
     )
     use = (
         "Draw the source picture with the camera of the table below, and show the warped picture on the panel pixel by "

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.exports.facts import Loss, losses
+from wlr_render.exports.check_pictures import CHECK_PANEL, CHECK_SOURCE, write_check
+from wlr_render.exports.facts import losses
 from wlr_render.exports.format import Format
 from wlr_render.exports.formats import FormatName, format_of
 from wlr_render.exports.view import ExportedView, Origin, ray_map_plans
@@ -36,7 +37,7 @@ from wlr_render.progress import SILENT
 from wlr_render.rendering.raster_camera import RasterPosition, intermediate_camera
 from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.rendering.view import View
-from wlr_render.report.blocks import Block, Cell, Report, ReportTable, Section, Text
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, Text
 from wlr_render.report.save import save_report
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory
@@ -172,10 +173,23 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
         track = read_eye_trajectory(options.eye_track) if options.eye_track else None
     views, warnings = _planned(options, channels, track, _own_hashes(options, inputs))
     folder = output_folder(options.out)
-    # A copy of each view solves its maps, which are large, and is dropped when it is written.
-    fresh = (replace(view) for view in progress(views, len(views), "views"))
-    files = list(form.write(fresh, folder))
+    files = list(form.write(_solved(progress(views, len(views), "views"), warnings), folder))
+    files += write_check(folder, replace(views[0]), form.carries)
     return save_report(replace(_report(options, form, views, files), warnings=warnings), folder)
+
+
+def _solved(views: Iterator[ExportedView], warnings: list[str]) -> Iterator[ExportedView]:
+    """A copy of each view, whose maps are large and go with it; warns of panel pixels that a map serves nothing."""
+    for planned in views:
+        view = replace(planned)
+        yield view
+        source = view.source_px(view.middle_colour)
+        has_ray = np.isfinite(source).all(axis=-1)
+        with np.errstate(invalid="ignore"):
+            is_inside = ((source >= 0) & (source <= view.source.camera.size_px)).all(axis=-1)
+        for count, what in ((np.sum(~has_ray), "have no ray"), (np.sum(has_ray & ~is_inside), "lead past the picture")):
+            if count:
+                warnings.append(f"{view.stem}: {count} of {has_ray.size} panel pixels {what}.")
 
 
 def _open_channels(options: ExportOptions, eye: str) -> EyeChannels:
@@ -197,15 +211,14 @@ def _planned(
     planned = planned_frames(options, greens, None, track) if track else []
     for eye, of_eye in channels.items():
         first = _central_view(options, of_eye, sha256)
-        axes = first.source.device_from_camera
-        place_of = RasterPosition(greens[eye], axes).at if options.raster_camera == "nearest" else None
+        place_of = _source_place(options, greens[eye], first.source.device_from_camera)
         pupils: list[tuple[str, FloatArray, float | None]]
         if track:
             pupils = [(frame.stem, frame.viewpoint, frame.time_s) for frame in planned if frame.eye == eye]
         else:
             pupils = [(stem, pupil, None) for stem, pupil in _still_pupils(options, greens[eye])]
         for stem, pupil, time_s in pupils:
-            source = replace(first.source, position_in_device=place_of(pupil) if place_of else pupil)
+            source = replace(first.source, position_in_device=place_of(pupil))
             views.append(replace(first, stem=stem, viewpoint=pupil, source=source, time_s=time_s))
     if track is None:
         return views, []
@@ -237,9 +250,16 @@ def _central_view(options: ExportOptions, channels: EyeChannels, sha256: dict[st
     camera = intermediate_camera(channels, axes, options.resolution, (panel.width_px, panel.height_px), 0.0)
     if options.source_size:
         camera = Pinhole(*options.source_size, camera.tangent_min, camera.tangent_max)
-    source = View(camera, centre, np.eye(4), axes)
+    source = View(camera, _source_place(options, middle, axes)(centre), np.eye(4), axes)
     origin, depth_m = Origin(middle.name, sha256), options.depth_m or math.inf
     return ExportedView(origin, middle.eye, channels, ray_map_plans(channels, axes), source, centre, depth_m)
+
+
+def _source_place(
+    options: ExportOptions, mappings: EyeMappings, device_from_camera: FloatArray
+) -> Callable[[FloatArray], FloatArray]:
+    """Place of the source camera as a function of the viewpoint."""
+    return RasterPosition(mappings, device_from_camera).at if options.raster_camera == "nearest" else np.array
 
 
 def _still_pupils(options: ExportOptions, mappings: EyeMappings) -> Iterator[tuple[str, FloatArray]]:
@@ -271,13 +291,21 @@ def _report(options: ExportOptions, form: Format, views: list[ExportedView], fil
         Section("What the files do not hold"),
         Text("Of what the headset does:", _not_held(form)),
         _loss_table(options, form, views),
+        Section("How to check your program"),
+        Text(
+            f"Warp the first picture with {files[0].name}: the second one must come out. It was drawn by our own "
+            f"sampling, {'bilinear' if form.carries.between_pixels else 'nearest pixel'}, of the codes as they are "
+            "stored, for points at the depth above (infinity if the files hold every depth)."
+        ),
+        Picture("Source picture", options.out / CHECK_SOURCE, "u to the right in red, v downwards in green"),
+        Picture("Picture for the panel", options.out / CHECK_PANEL, f"the {first.eye} panel, pixel by pixel"),
         Section("Files"),
         _views_table(views),
     ]
     return Report(
         f"Export of {first.origin.name}: {form.title}",
-        f"{len(files)} files of the {eyes}, for {depth}, in {options.out}; this page tells a reader who has only these "
-        "files how to use them.",
+        f"{len(views)} view{'s' if len(views) > 1 else ''} of the {eyes}, for {depth}. The files and this page are all "
+        "that a reader needs.",
         blocks=blocks,
         inputs=[*_headset_files(options), *filter(None, [options.eye_track])],
         files=files,
@@ -334,15 +362,14 @@ def _source_cameras(views: list[ExportedView]) -> ReportTable:
 def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView]) -> ReportTable:
     rows: list[list[Cell]] = []
     for eye in eyes_of(options.eye):
-        view = next(each for each in views if each.eye == eye)
-        found: list[Loss] = losses(view, form.carries.every_depth)
-        rows += [[view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin] for loss in found]
+        view = replace(next(each for each in views if each.eye == eye))
+        rows += [[view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin] for loss in losses(view, form.carries)]
     columns = ["map", "used for", "rms (arcmin)", "max (arcmin)"]
     notes = [
-        "Computed with this headset's own mappings, over the panel, pupils moved to the right, left, up and down as "
-        "far as the eye box allows."
+        "Against this headset's own mappings, over the panel; pupils moved to the right, left, up and down as far as "
+        "the eye box allows."
     ]
-    return ReportTable("Misalignment where a map is used for what it was not made for", columns, rows, notes)
+    return ReportTable("Misalignment of what a map shows", columns, rows, notes)
 
 
 def _views_table(views: list[ExportedView]) -> ReportTable:

@@ -1,0 +1,68 @@
+import shutil
+import subprocess
+
+import cv2
+import numpy as np
+import pytest
+from export_readers import our_warp, smooth_picture
+
+from wlr_render.exports.ffmpeg import NOTHING, Ffmpeg
+
+needs_ffmpeg = pytest.mark.skipif(
+    shutil.which("ffmpeg") is None, reason="ffmpeg is not installed: apt-get install ffmpeg"
+)
+
+
+def ffmpeg(folder, *arguments):
+    subprocess.run(["ffmpeg", "-v", "error", "-y", *arguments], cwd=folder, check=True, timeout=60)
+
+
+def nearest(picture, view, colour):
+    column, row = np.moveaxis(np.floor(np.nan_to_num(view.source_px(colour))).astype(int), -1, 0)
+    return picture[row, column]
+
+
+def test_pair_names_whole_pixels(view, tmp_path):
+    across, down, _ = Ffmpeg().write([view], tmp_path)
+    column_row = np.stack([cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in (across, down)], axis=-1)
+    assert column_row.dtype == np.uint16
+    assert across.read_bytes()[:2] == b"P5"
+    off_px = np.abs(column_row + 0.5 - view.source_px("all"))
+    assert off_px.max() <= 0.5
+    assert off_px.mean() == pytest.approx(0.25, abs=0.01)
+
+
+def test_pixels_without_a_ray_are_left_to_the_fill(holed_view, tmp_path):
+    across, down, _ = Ffmpeg().write([holed_view], tmp_path)
+    for path in (across, down):
+        values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        assert np.argwhere(values == NOTHING).tolist() == [[5, 7]]
+
+
+@needs_ffmpeg
+def test_ffmpeg_draws_the_nearest_pixels_bit_for_bit(holed_view, tmp_path):
+    list(Ffmpeg().write([holed_view], tmp_path))
+    picture = smooth_picture(holed_view.source.camera.size_px).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "source.png"), picture)
+    remap = ["-i", "source.png", "-i", "right-x.pgm", "-i", "right-y.pgm", "-lavfi", "remap=fill=black"]
+    ffmpeg(tmp_path, *remap, "panel.png")
+    expected = nearest(picture, holed_view, "all")
+    expected[5, 7] = 0
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "panel.png")), expected)
+    assert not np.array_equal(our_warp(picture, holed_view)[0], expected)  # which interpolates
+
+
+@needs_ffmpeg
+def test_ffmpeg_draws_each_colour_by_its_own_map(coloured_view, tmp_path):
+    list(Ffmpeg().write([coloured_view], tmp_path))
+    picture = smooth_picture(coloured_view.source.camera.size_px).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "source.png"), picture[..., ::-1])
+    pairs = [part for name in coloured_view.colours for axis in "xy" for part in ("-i", f"right-{name}-{axis}.pgm")]
+    ffmpeg(tmp_path, "-i", "source.png", *pairs, "-filter_complex", PER_COLOUR, "panel.png")
+    drawn = cv2.imread(str(tmp_path / "panel.png"))[..., ::-1]
+    for plane, name in enumerate(coloured_view.colours):
+        np.testing.assert_array_equal(drawn[..., plane], nearest(picture, coloured_view, name)[..., plane])
+    assert not np.array_equal(drawn[..., 0], nearest(picture, coloured_view, "blue")[..., 0])
+
+
+PER_COLOUR = next(step for step in Ffmpeg.use if "mergeplanes" in step).split('"')[1]

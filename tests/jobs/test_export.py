@@ -1,0 +1,139 @@
+import sys
+from pathlib import Path
+from typing import get_args
+
+import cv2
+import numpy as np
+import pytest
+from command_line import refused
+
+from wlr_render.cli import main
+from wlr_render.errors import BadInputError
+from wlr_render.escapes import markdown_text
+from wlr_render.exports.formats import FORMATS, FormatName
+from wlr_render.input_files import LIMITS
+from wlr_render.jobs.export import ExportOptions, export
+from wlr_render.rendering.exr_file import read_exr
+from wlr_render.rendering.image_files import read_map, read_png
+
+
+def exported(form, model, folder, **options):
+    return export(ExportOptions(form, model, out=folder, **options))
+
+
+def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
+    assert tuple(form.name for form in FORMATS) == get_args(FormatName)
+    for form in FORMATS:
+        if not form.carries.every_pixel:
+            continue  # takes seconds, and has tests of its own
+        report = exported(form.name, straight_device, tmp_path / form.name)
+        page = (tmp_path / form.name / "report.md").read_text(encoding="utf-8")
+        assert all(path.is_file() for path in report.files)
+        assert all(markdown_text(sentence) in page for sentence in (*form.convention, *form.use))
+        assert {"check-source.png", "check-panel.png"} <= {path.name for path in report.files}
+
+
+def test_page_states_what_the_map_loses(small_northstar, tmp_path):
+    report = exported("stmap", small_northstar, tmp_path, depth_m=2.0)
+    (table,) = [each for each in report.tables if each.title.startswith("Misalignment")]
+    own, at_half_a_metre, aside = table.rows
+    assert own[1] == "points 2 m deep, as the file is made for"
+    assert own[3] < 0.01
+    assert at_half_a_metre[2] == pytest.approx(1.37 * (1 / 0.5 - 1 / 2) / (1 / 0.5), rel=0.03)
+    parallax = 60 * np.rad2deg(0.002 / 2.0)  # between a point at infinity, for which it is 30', and one 2 m deep
+    assert 30 - parallax < aside[2] < 30
+
+
+def test_check_picture_is_what_opencv_draws_from_the_file(small_northstar, tmp_path):
+    exported("tiff", small_northstar, tmp_path, raster_camera="nearest")
+    source, panel = read_png(tmp_path / "check-source.png"), read_png(tmp_path / "check-panel.png")
+    u, v, _ = np.moveaxis(read_map(tmp_path / "right-map.tiff"), -1, 0)
+    drawn = cv2.remap(source, u - 0.5, v - 0.5, cv2.INTER_LINEAR)
+    assert np.abs(drawn.astype(int) - panel).max() <= 1
+    assert np.ptp(panel) > 100
+
+
+def test_source_picture_has_the_size_that_is_asked_for(straight_device, tmp_path):
+    exported("stmap", straight_device, tmp_path / "own")
+    exported("stmap", straight_device, tmp_path / "sized", source_size=(320, 100))
+    assert read_png(tmp_path / "sized" / "check-source.png").shape == (100, 320, 3)
+    own, sized = (read_exr(tmp_path / name / "right-stmap.exr")[0] for name in ("own", "sized"))
+    np.testing.assert_allclose(own["R"], sized["R"], atol=1e-6)  # the same borders
+
+
+def test_device_axes_turn_the_source_camera(small_northstar, tmp_path):
+    report = exported("stmap", small_northstar, tmp_path, source_axes="device")
+    (cameras,) = [each for each in report.tables if each.title == "Source cameras"]
+    assert str(cameras.rows[0][-1]).startswith("1.000000 0.000000 0.000000;")
+
+
+def test_a_grid_of_pupils_has_a_map_for_each_pupil_and_eye(straight_device, tmp_path):
+    report = exported("pfm", straight_device, tmp_path, eye="both", pupils=2)
+    maps = sorted(path.stem for path in report.files if path.suffix == ".pfm")
+    assert maps == [
+        f"{eye}-row{row}-column{column}-map" for eye in ("left", "right") for row in (0, 1) for column in (0, 1)
+    ]
+    first, last = (read_map(tmp_path / f"{stem}.pfm") for stem in maps[-4::3])
+    assert np.abs(first - last).max() > 1  # px
+
+
+def test_a_trajectory_has_a_map_for_each_frame(small_northstar, tmp_path):
+    track = Path("examples/data/eyes.txt").resolve()
+    report = exported("npz", small_northstar, tmp_path, eye_track=track, frames_per_second=2, frame_limit=3)
+    assert sorted(path.name for path in report.files if path.suffix == ".npz") == [
+        f"right-00000{index}-rays.npz" for index in range(3)
+    ]
+    (views,) = [each for each in report.tables if each.title == "Views"]
+    assert [row[1] for row in views.rows] == [0.0, 0.5, 1.0]
+    rays = [np.load(tmp_path / f"right-00000{index}-rays.npz")["rays"] for index in range(3)]
+    assert np.abs(rays[0] - rays[2]).max() > 1e-3
+
+
+def test_each_colour_has_its_map(prism_of_plastic, tmp_path):
+    report = exported("ffmpeg", prism_of_plastic, tmp_path, per_colour=True)
+    pairs = {path.name for path in report.files if path.suffix == ".pgm"}
+    assert pairs == {f"right-{colour}-{axis}.pgm" for colour in ("red", "green", "blue") for axis in "xy"}
+    red, blue = (cv2.imread(str(tmp_path / f"right-{colour}-y.pgm"), -1) for colour in ("red", "blue"))
+    assert not np.array_equal(red, blue)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"format": "rays", "depth_m": 1.0}, "--depth-m has no use with rays"),
+        ({"viewpoint_mm": (32.0, 0.0, -30.0), "pupils": 3}, "--viewpoint-mm and --pupils exclude each other"),
+        ({"pupils": 3, "eye_track": Path("eyes.txt")}, "--pupils and --eye-track exclude each other"),
+        ({"viewpoint_mm": (0.0, 0.0, 0.0), "eye": "both"}, "--viewpoint-mm is of one eye"),
+        ({"frame_limit": 3}, "--frames is used with --eye-track only"),
+        ({"red_model": Path("red.json")}, "--red-model and --blue-model go together"),
+        ({"source_size": (100, 100), "resolution": 2.0}, "--resolution has no use with --source-size"),
+        ({"source_size": (LIMITS.picture_side + 1, 1)}, "--source-size"),
+        ({"format": "openfx"}, "choose from stmap"),
+        ({"pupils": 1}, "--pupils is 1"),
+        ({"depth_m": 500.0}, "metres"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options, words):
+    with pytest.raises(BadInputError, match=r"^[^\n]*$") as refusal:
+        ExportOptions(**{"format": "stmap", "model": "northstar", **options})
+    assert words in str(refusal.value)
+
+
+def test_a_pupil_outside_the_eye_box_is_refused(small_northstar, tmp_path, capsys):
+    place = ["--viewpoint-mm", "-60", "0", "-30", "--out", str(tmp_path / "out")]
+    assert "outside the eye box" in refused(["export", "stmap", small_northstar, *place], capsys)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_line_takes_a_pupil_position(small_northstar, tmp_path, capsys):
+    place = ["--viewpoint-mm", "33.5", "-0.5", "-30", "--out", str(tmp_path)]
+    assert main(["export", "stmap", small_northstar, *place]) == 0
+    assert "33.500, -0.500, -30.000" in (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "Misalignment of what a map shows" in capsys.readouterr().out
+
+
+def test_without_openexr_one_sentence_says_how_to_install_it(small_northstar, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    sentence = refused(["export", "stmap", small_northstar, "--out", str(tmp_path / "out")], capsys)
+    assert "pip install 'wlr_render[exr]'" in sentence
+    assert not list(tmp_path.rglob("*.exr"))
