@@ -129,6 +129,12 @@ VERBS = (
         "import_session:import_session",
         "Convert a third-party data set into a bench session or capture files.",
     ),
+    Verb(
+        "pack",
+        DATA,
+        "pack:pack",
+        "Pack the frames of `render` as a data set for WebDataset or Hugging Face's datasets.",
+    ),
     Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
     Verb(
         "capture",

@@ -6,7 +6,7 @@ far it is misaligned; it is a finished file of its frame, so that a run that is 
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
-from wlr_render.files import write_text
+from wlr_render.files import disk_errors, write_text, written_whole
 from wlr_render.geometry import transforms
 from wlr_render.input_files import LIMITS, read_text
 from wlr_render.jobs.frame_plan import PlannedFrame
@@ -137,36 +137,47 @@ def frame_misalignment(truth: EyeMappings, planned: PlannedFrame, frame: Frame) 
     return {"points": error.count} | {name: value if error.count else None for name, value in values.items()}
 
 
-def write_instances(
-    folder: Path, scene: Scene, panels: Mapping[str, Panel], plan: Sequence[PlannedFrame], labels: Iterable[Labels]
-) -> Path:
-    """Write `instances.json`, the instances that each frame shows in the layout of COCO.
+def named_annotations(instance: NDArray[np.uint32], scene: Scene) -> list[dict[str, Any]]:
+    """`instance_annotations` with the names of each instance and of its category, the mesh."""
+    found = instance_annotations(instance)
+    placed = [scene.instances[each["instance_id"] - 1] for each in found]
+    return [
+        {"instance": of.name, "category": scene.mesh_of(of).name, **each}
+        for of, each in zip(placed, found, strict=True)
+    ]
+
+
+def write_instances(folder: Path, scene: Scene, panels: Mapping[str, Panel], plan: Sequence[PlannedFrame]) -> Path:
+    """Write `instances.json`, the instances that each frame shows in the layout of COCO, from the frames' labels.
 
     A category is the name of a mesh. `instances` lists the placements that `instance_id`, and the values of the layer,
-    count.
+    count. Annotations are written one by one: those of a long sequence need not fit into memory.
     """
     kinds = list(dict.fromkeys(mesh.name for mesh in scene.meshes))
     category = [1 + kinds.index(scene.mesh_of(instance).name) for instance in scene.instances]
-    images: list[dict[str, Any]] = []
-    annotations: list[dict[str, Any]] = []
-    for number, (planned, of_frame) in enumerate(zip(plan, labels, strict=True), start=1):
-        panel = panels[planned.eye]
-        size = {"width": panel.width_px, "height": panel.height_px}
-        images.append({"id": number, "file_name": f"{planned.stem}.png", **size, "time_s": planned.time_s})
-        for each in of_frame["annotations"]:
-            head = {"id": len(annotations) + 1, "image_id": number, "category_id": category[each["instance_id"] - 1]}
-            annotations.append(head | each)
+    sizes = {eye: {"width": panel.width_px, "height": panel.height_px} for eye, panel in panels.items()}
     named = zip(scene.instances, category, strict=True)
-    content = {
+    head = {
         "info": {"description": f"Instances of the scene '{scene.name}'", "format": "wlr-instances", "version": "1"},
-        "images": images,
+        "images": [
+            {"id": number, "file_name": f"{planned.stem}.png", **sizes[planned.eye], "time_s": planned.time_s}
+            for number, planned in enumerate(plan, start=1)
+        ],
         "categories": [{"id": k, "name": name, "supercategory": ""} for k, name in enumerate(kinds, start=1)],
         "instances": [
             {"id": k, "name": each.name, "category_id": kind} for k, (each, kind) in enumerate(named, start=1)
         ],
-        "annotations": annotations,
     }
-    return write_text(folder / INSTANCES, json.dumps(content) + "\n")
+    path, count = folder / INSTANCES, 0
+    with written_whole(path) as temporary, disk_errors(path), temporary.open("w", encoding="utf-8") as file:
+        file.write(json.dumps(head)[:-1] + ', "annotations": [')
+        for number, planned in enumerate(plan, start=1):
+            for each in read_labels(labels_file(folder, planned.stem))["annotations"]:
+                count += 1
+                numbers = {"id": count, "image_id": number, "category_id": category[each["instance_id"] - 1]}
+                file.write((",\n" if count > 1 else "\n") + json.dumps(numbers | each))
+        file.write("\n]}\n")
+    return path
 
 
 def write_misalignment(folder: Path, device: str, frames: Sequence[Mapping[str, Any]]) -> Path:

@@ -27,9 +27,9 @@ from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.frame_labels import (
     Labels,
     frame_misalignment,
-    instance_annotations,
     labels_file,
     layers_file,
+    named_annotations,
     read_labels,
     write_instances,
     write_labels,
@@ -120,8 +120,8 @@ def _render(options: RenderOptions, opened: _Opened, raster: SceneRaster | None,
         for _ in progress(drawing.drawn(folder, missing, finished), len(missing), "frames"):
             pass
     pictures = [_picture_file(folder, planned) for planned in plan]
-    labels = [read_labels(labels_file(folder, planned.stem)) for planned in plan] if _has_labels(options) else []
-    joined = _joined(folder, options, opened, plan, labels)
+    misaligned = _misalignments(folder, options, plan)
+    joined = _joined(folder, options, opened, plan, misaligned)
     videos = _videos(folder, plan, options) if options.video else []
     warnings = [
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
@@ -131,7 +131,7 @@ def _render(options: RenderOptions, opened: _Opened, raster: SceneRaster | None,
         *blank_warnings([path.name for path in pictures if finished.is_blank(path)], opened.scene.name),
     ]
     files = [sequence, folder / LIST, *joined, *videos]
-    report = _report(options, plan, len(missing), predicted, labels, files)
+    report = _report(options, plan, len(missing), predicted, misaligned, files)
     return save_report(replace(report, warnings=warnings), folder)
 
 
@@ -182,7 +182,7 @@ def _report(
     plan: list[PlannedFrame],
     drawn: int,
     predicted: Mapping[str, PredictedError],
-    labels: Sequence[Labels],
+    misaligned: Sequence[Labels],
     files: list[Path],
 ) -> Report:
     kept = len(plan) - drawn
@@ -192,7 +192,7 @@ def _report(
         own = [planned for planned in plan if planned.eye == eye]
         errors = [predicted[planned.stem] for planned in own if predicted]
         stated = [max(each.rms_arcmin for each in errors), max(each.radius_arcmin for each in errors)] if errors else []
-        of_eye = [each for each, planned in zip(labels, plan, strict=False) if planned.eye == eye]
+        of_eye = [each for each, planned in zip(misaligned, plan, strict=False) if planned.eye == eye]
         rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *stated, *_worst_misalignment(of_eye)])
         first = _picture_file(options.out, own[0])
         blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
@@ -230,9 +230,15 @@ def _report(
     )
 
 
-def _worst_misalignment(labels: Sequence[Labels]) -> list[Cell]:
+def _misalignments(folder: Path, options: RenderOptions, plan: list[PlannedFrame]) -> list[Labels]:
+    """Misalignment of each frame, from its labels; none if it is not asked for."""
+    if options.misalignment is None:
+        return []
+    return [read_labels(labels_file(folder, planned.stem))["misalignment"] for planned in plan]
+
+
+def _worst_misalignment(found: Sequence[Labels]) -> list[Cell]:
     """Largest median, 95 % and maximum over the frames of an eye that show something."""
-    found = [each["misalignment"] for each in labels if "misalignment" in each]
     if not found:
         return []
     names = ("median_arcmin", "p95_arcmin", "max_arcmin")
@@ -430,7 +436,7 @@ class _Drawing:
             channels = frame_layers(self.renderer, frame.ray_map, planned.world_from_device, layers)
             write_layers(layers_file(folder, planned.stem), planned, channels, layers)
             if "instance" in layers:
-                labels["annotations"] = instance_annotations(channels[INSTANCE])
+                labels["annotations"] = named_annotations(channels[INSTANCE], self.renderer.scene)
         if self.truths:
             labels["misalignment"] = frame_misalignment(self.truths[planned.eye], planned, frame)
         if labels:
@@ -438,18 +444,18 @@ class _Drawing:
 
 
 def _joined(
-    folder: Path, options: RenderOptions, opened: _Opened, plan: list[PlannedFrame], labels: Sequence[Labels]
+    folder: Path, options: RenderOptions, opened: _Opened, plan: list[PlannedFrame], misaligned: Sequence[Labels]
 ) -> list[Path]:
     """Write the files that join the labels of all frames."""
     files = []
     if "instance" in options.layers:
         panels = {eye: mappings.display.panel for eye, mappings in opened.middle().items()}
-        files.append(write_instances(folder, opened.scene, panels, plan, labels))
+        files.append(write_instances(folder, opened.scene, panels, plan))
     if options.misalignment is not None:
         records = [_frame_record(planned) for planned in plan]
         frames = [
-            {**record, "eye": planned.eye, **of_frame["misalignment"]}
-            for record, planned, of_frame in zip(records, plan, labels, strict=True)
+            {**record, "eye": planned.eye, **of_frame}
+            for record, planned, of_frame in zip(records, plan, misaligned, strict=True)
         ]
         files.append(write_misalignment(folder, options.misalignment, frames))
     return files

@@ -1,0 +1,176 @@
+"""Data sets from the frames of `render`, read back by their own libraries and without them."""
+
+import json
+import tarfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.jobs.pack import PackOptions, pack
+from wlr_render.jobs.render import RenderOptions, render
+from wlr_render.rendering.image_files import read_png
+
+KEYS = [f"{eye}-00000{number}" for number in (0, 1) for eye in ("left", "right")]
+
+
+@pytest.fixture(scope="module")
+def frames_of(tmp_path_factory, straight_device, scene_file):
+    """A function that draws two frames of each eye, with any layers, into a folder that nobody else has."""
+
+    def draw(**others):
+        folder = tmp_path_factory.mktemp("sequence")
+        (folder / "head.tum").write_text("0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 1\n")
+        given = {"head": folder / "head.tum", "frames_per_second": 10.0, "eye": "both", "method": "raytrace"}
+        options = RenderOptions(straight_device, scene_file, out=folder / "frames", **given, **others)
+        render(options)
+        return options
+
+    return draw
+
+
+@pytest.fixture
+def labelled(frames_of, straight_device):
+    pytest.importorskip("OpenEXR")
+    return frames_of(layers=("depth", "instance"), misalignment=straight_device)
+
+
+def members(path):
+    with tarfile.open(path) as shard:
+        return {about.name: shard.extractfile(about).read() for about in shard.getmembers()}
+
+
+def test_shards_hold_each_frame_with_its_layers_and_metadata(labelled, tmp_path):
+    options = PackOptions("webdataset", labelled.out, frames_per_shard=3, out=tmp_path / "set")
+    report = pack(options)
+    assert report.verdict == "4 frames in 2 tar files, for webdataset."
+    shards = [members(options.out / f"frames-00000{number}.tar") for number in (0, 1)]
+    expected = [
+        [f"{key}.{suffix}" for key in keys for suffix in ("exr", "json", "png")] for keys in (KEYS[:3], KEYS[3:])
+    ]
+    assert [list(shard) for shard in shards] == expected
+    index = json.loads((labelled.out / "instances.json").read_text())
+    record = json.loads((labelled.out / "sequence.json").read_text())
+    misalignment = json.loads((labelled.out / "misalignment.json").read_text())["frames"]
+    for number, key in enumerate(KEYS):
+        shard = shards[number // 3]
+        for suffix in ("exr", "png"):
+            assert shard[f"{key}.{suffix}"] == (labelled.out / f"{key}.{suffix}").read_bytes()
+        stated = json.loads(shard[f"{key}.json"])
+        assert (stated["eye"], stated["index"], stated["key"]) == (key.split("-")[0], number // 2, key)
+        drawn = record["frames"][number]
+        assert all(stated[name] == drawn[name] for name in ("time_s", "viewpoint_in_device_m", "world_from_device"))
+        assert stated["misalignment"].items() <= misalignment[number].items()
+        own = [each for each in index["annotations"] if each["image_id"] == number + 1]
+        assert stated["objects"] == [
+            {name: value for name, value in each.items() if name not in ("id", "image_id", "category_id")}
+            for each in own
+        ]
+        assert {each["instance"] for each in stated["objects"]} == {"ball", "wall"}
+    again = replace(options, out=tmp_path / "again")
+    pack(again)
+    for name in ("frames-000000.tar", "frames-000001.tar"):
+        assert (again.out / name).read_bytes() == (options.out / name).read_bytes()
+
+
+def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled, tmp_path):
+    options = PackOptions("huggingface", labelled.out, out=tmp_path / "set")
+    pack(options)
+    folder = options.out / "train"
+    rows = [json.loads(line) for line in (folder / "metadata.jsonl").read_text().splitlines()]
+    assert [row["file_name"] for row in rows] == [f"{key}.png" for key in KEYS]
+    for row in rows:
+        for name in (row["file_name"], row["layers"]):
+            assert (folder / name).read_bytes() == (labelled.out / name).read_bytes()
+        assert set(map(len, row["objects"].values())) == {2}
+        assert row["objects"]["category"] == ["ball", "plane"]
+    assert len(list(folder.iterdir())) == 9
+
+
+def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):
+    """pip install datasets."""
+    monkeypatch.setenv("HF_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    datasets = pytest.importorskip("datasets", reason="datasets is not installed: pip install datasets.")
+    options = PackOptions("huggingface", labelled.out, out=tmp_path / "set")
+    pack(options)
+    read = datasets.load_dataset(
+        "imagefolder", data_dir=str(options.out), split="train", cache_dir=str(tmp_path / "cache")
+    )
+    assert read["key"][:] == KEYS
+    for row in read:
+        np.testing.assert_array_equal(np.asarray(row["image"]), read_png(labelled.out / f"{row['key']}.png"))
+        assert np.shape(row["world_from_device"]) == (4, 4)
+        assert row["objects"]["instance"] == ["ball", "wall"]
+        assert row["misalignment"]["points"] > 100
+
+
+def test_webdataset_reads_the_shards(labelled, tmp_path):
+    """pip install webdataset."""
+    webdataset = pytest.importorskip("webdataset", reason="webdataset is not installed: pip install webdataset.")
+    options = PackOptions("webdataset", labelled.out, frames_per_shard=2, out=tmp_path / "set")
+    pack(options)
+    urls = [str(options.out / f"frames-00000{number}.tar") for number in (0, 1)]
+    samples = list(webdataset.WebDataset(urls, shardshuffle=False).decode("rgb8"))
+    assert [sample["__key__"] for sample in samples] == KEYS
+    for sample in samples:
+        np.testing.assert_array_equal(sample["png"], read_png(labelled.out / f"{sample['__key__']}.png"))
+        assert [each["instance"] for each in sample["json"]["objects"]] == ["ball", "wall"]
+        assert sample["exr"] == (labelled.out / f"{sample['__key__']}.exr").read_bytes()
+
+
+def test_frames_without_layers_are_packed_too(frames_of, tmp_path):
+    drawn = frames_of()
+    pack(PackOptions("webdataset", drawn.out, out=tmp_path / "tar"))
+    found = members(tmp_path / "tar" / "frames-000000.tar")
+    assert list(found) == [f"{key}.{suffix}" for key in KEYS for suffix in ("json", "png")]
+    assert "objects" not in json.loads(found["left-000000.json"])
+    pack(PackOptions("huggingface", drawn.out, out=tmp_path / "folder"))
+    assert len(list((tmp_path / "folder" / "train").iterdir())) == 5
+
+
+@pytest.mark.parametrize("layout", ["webdataset", "huggingface"])
+@pytest.mark.parametrize("name", ["right-000001.png", "left-000001.exr", "left-000000-labels.json"])
+def test_a_frame_that_is_not_as_it_was_drawn_is_refused(labelled, tmp_path, layout, name):
+    path = labelled.out / name
+    path.write_bytes(path.read_bytes()[:-1] + b"x")
+    with pytest.raises(BadInputError, match=rf"{name}: is missing, or is not as it was drawn; draw it again"):
+        pack(PackOptions(layout, labelled.out, out=tmp_path / "set"))
+    if layout == "huggingface":
+        assert not (tmp_path / "set" / "train" / "metadata.jsonl").exists()
+    render(labelled)
+    pack(PackOptions(layout, labelled.out, out=tmp_path / "mended"))
+
+
+def test_a_folder_with_a_data_set_is_left_as_it_is(frames_of, tmp_path):
+    drawn = frames_of()
+    for layout in ("webdataset", "huggingface"):
+        options = PackOptions(layout, drawn.out, out=tmp_path / layout)
+        pack(options)
+        with pytest.raises(BadInputError, match="holds a data set already; choose another folder or empty it"):
+            pack(options)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda record: record.clear(), "key 'format' is missing"),
+        (lambda record: record["frames"][1].update(file="../../etc/passwd"), "which is no frame of `render`"),
+        (lambda record: record["frames"][1].update(time_s="soon"), "'time_s' must be a number"),
+        (lambda record: record.update(frames=3), "'frames' must be an array of tables"),
+    ],
+)
+def test_a_record_that_is_none_is_refused(frames_of, tmp_path, change, complaint):
+    drawn = frames_of()
+    path = drawn.out / "sequence.json"
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match=complaint):
+        pack(PackOptions("webdataset", drawn.out, out=tmp_path / "set"))
+
+
+def test_a_folder_without_frames_is_refused(tmp_path):
+    with pytest.raises(BadInputError, match=r"sequence\.json"):
+        pack(PackOptions("webdataset", tmp_path, out=tmp_path / "set"))
