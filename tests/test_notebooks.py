@@ -1,0 +1,74 @@
+"""The notebooks run as they stand, hold no outputs, and their text states no number that a cell does not print."""
+
+import os
+import re
+import shutil
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+NOTEBOOKS = sorted((EXAMPLES / "notebooks").glob("*.ipynb"))
+PICTURES = {"01_calibrate_and_render": 2, "02_diagnose_a_bench": 1, "03_error_budget": 2}
+WORDS = {
+    "01_calibrate_and_render": ["Model of northstar", "our model, pupil near a corner: 0.0", "arcmin in the median"],
+    "02_diagnose_a_bench": ["Explained: printed size of the target", "[target] scale = [0.997"],
+    "03_error_budget": ["Improve this first: the noise of the head tracker", "head tracker: noise: 1"],
+}
+CODE_OR_LINK = re.compile(r"`[^`]*`|\]\([^)]*\)")
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+def read(path):
+    return nbformat.read(path, as_version=4)
+
+
+def stated_numbers(notebook):
+    text = "\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    return set(NUMBER.findall(CODE_OR_LINK.sub("", text)))
+
+
+def shown(notebook):
+    """Text and pictures that the cells of a notebook show."""
+    texts, pictures = [], 0
+    for output in (output for cell in notebook.cells for output in cell.get("outputs", [])):
+        data = output.get("data", {})
+        pictures += "image/png" in data
+        texts.append(output.get("text") or data.get("text/html") or data.get("text/plain", ""))
+    return "\n".join(texts), pictures
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_holds_no_outputs_and_is_valid(path):
+    notebook = read(path)
+    nbformat.validate(notebook)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(cell.outputs == [] and cell.execution_count is None for cell in code)
+    assert notebook.metadata.keys() == {"kernelspec", "language_info"}
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_prints_the_numbers_of_its_text(path, tmp_path):
+    shutil.copytree(EXAMPLES / "data", tmp_path / "data")
+    folder = tmp_path / "notebooks"
+    folder.mkdir()
+    notebook = read(path)
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "IPYTHONDIR": str(tmp_path / "ipython")}
+    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(folder)}}).execute(env=environment)
+    text, pictures = shown(notebook)
+    for words in WORDS[path.stem]:
+        assert words in text
+    assert pictures == PICTURES[path.stem]
+    assert stated_numbers(notebook) <= set(NUMBER.findall(text))
+    assert {entry.name for entry in folder.iterdir()} <= {"out"}
+
+
+def test_every_notebook_is_tested():
+    assert {path.stem for path in NOTEBOOKS} == set(WORDS)
+
+
+def test_numbers_in_prose_are_found_but_not_those_of_code_and_links():
+    cell = nbformat.v4.new_markdown_cell("It is 0.25 in 16 of `case 3`, [here](02_b.ipynb).")
+    assert stated_numbers(nbformat.v4.new_notebook(cells=[cell])) == {"0.25", "16"}
