@@ -16,6 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
+from wlr_render.jobs.headset import open_eye
+from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
+from wlr_render.tracking.head_trajectory_file import read_head_trajectory
+
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples/10_openxr.py"
 RUNTIME = Path("/usr/share/openxr/1/openxr_monado.json")
 WINDOW = 960, 540  # of Monado for a headset of 1920 x 1080
@@ -87,6 +91,19 @@ def test_poses_of_a_headless_session_move_the_pictures(swaying, tmp_path):
     assert float(re.search(r"20 frames; the head moved ([\d.]+) mm", printed)[1]) > 0.5
     assert "OpenGL: GL_NO_ERROR" in printed
     check_pictures(*pictures)
+
+
+def test_what_the_runtime_locates_is_recorded_and_read_as_trajectories(swaying, tmp_path):
+    printed, _ = run(swaying, tmp_path)
+    head, eyes = (read(tmp_path / "recording.jsonl") for read in (read_head_trajectory, read_eye_trajectory))
+    moved_mm = 1e3 * np.ptp(head.position_in_world, axis=0).max()
+    assert len(head.time_s) == 20
+    assert moved_mm == pytest.approx(float(re.search(r"the head moved ([\d.]+) mm", printed)[1]), abs=0.2)
+    # Monado's simulated headset has its views 63 mm apart; the device has VIEW space midway between its eye boxes.
+    boxes = [open_eye("northstar", eye).eye_box.centre for eye in ("left", "right")]
+    left, right = (eyes.viewpoint_at(eye, head.time_s[3:5]) for eye in ("left", "right"))
+    np.testing.assert_allclose(right - left, [[0.063, 0, 0]] * 2, atol=1e-4)
+    np.testing.assert_allclose((left + right) / 2, [np.mean(boxes, axis=0)] * 2, atol=1e-4)
 
 
 def test_the_swap_chain_holds_what_the_compositor_composed(swaying, tmp_path):
