@@ -169,7 +169,9 @@ def test_the_script_beside_the_package_runs_the_verbs(arguments, called, tmp_pat
 @every_verb
 def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    needed = ["--panel", "64x48"] if verb.words == "pattern" else []
+    needed = {"pattern": ["--panel", "64x48"], "import-optics": ["--panel", "64x48", "--panel-mm", "8x6"]}.get(
+        verb.words, []
+    )
     sentence = refused([*verb.words.split(), *needed, "--nonsense"], capsys)
     assert sentence.startswith("wlr-render: Unknown option: --nonsense.")
     assert not list(tmp_path.iterdir())

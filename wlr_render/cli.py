@@ -127,7 +127,13 @@ VERBS = (
         "import",
         DATA,
         "import_session:import_session",
-        "Convert a third-party data set into a bench session or capture files.",
+        "Convert a third-party data set into a bench session or capture files (lens files: import-optics).",
+    ),
+    Verb(
+        "import-optics",
+        DATA,
+        "import_optics:import_optics",
+        "Convert a lens file of Zemax, Optiland or rayoptics into a device file.",
     ),
     Verb(
         "pack",

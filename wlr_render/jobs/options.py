@@ -271,6 +271,10 @@ def _pixel_size(_: type, tokens: Sequence[Token]) -> tuple[int, ...]:
     return _lengths(tokens[0], int, 2, "width and height in pixels, e.g. 1280x1024")
 
 
+def _size_in_mm(_: type, tokens: Sequence[Token]) -> tuple[float, ...]:
+    return _lengths(tokens[0], float, 2, "width and height in mm, e.g. 10.1x5.7")
+
+
 def _lengths(token: Token, kind: Callable[[str], Length], count: int, wanted: str) -> tuple[Length, ...]:
     try:
         lengths = tuple(kind(each) for each in token.value.lower().split("x"))
@@ -289,10 +293,10 @@ BoxSize = Annotated[
 """Edge lengths of an eye box in millimetres; None for the device's own eye box."""
 
 
-def described_size(text: str, *, optional: bool = False) -> Parameter:
-    """Help text of an option that is a size in pixels, e.g. 1920x1080."""
+def described_size(text: str, *, optional: bool = False, in_mm: bool = False) -> Parameter:
+    """Help text of an option that is a size in pixels, e.g. 1920x1080, or in millimetres, e.g. 10.1x5.7."""
     return Parameter(
-        converter=_pixel_size,
+        converter=_size_in_mm if in_mm else _pixel_size,
         n_tokens=1,
         accepts_keys=False,
         metavar="WxH",

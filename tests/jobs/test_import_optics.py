@@ -1,0 +1,151 @@
+"""From a lens file to a headset: which surface is the eye, which the panel, whichever way the file's light runs."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wlr_render.cli import main
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.jobs.import_optics import ImportOpticsOptions, import_optics
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import TracedDisplay
+
+LENSES = Path(__file__).resolve().parent.parent / "optics" / "data" / "lens_files"
+LOUPE = """UNIT MM
+SURF 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  DISZ 20
+SURF 2
+  CURV 0.02
+  DISZ 5
+  GLAS ___BLANK 1 0 1.5 60
+SURF 3
+  CURV -0.02
+  DISZ 45
+  DIAM 20 1
+SURF 4
+  CURV 0.0
+  DISZ 0
+"""
+BACKWARDS = """UNIT MM
+SURF 0
+  DISZ 45
+SURF 1
+  CURV 0.02
+  DISZ 5
+  GLAS ___BLANK 1 0 1.5 60
+SURF 2
+  CURV -0.02
+  DISZ 20
+SURF 3
+  STOP
+  DISZ 100
+SURF 4
+  DISZ 0
+"""
+
+
+def imported(tmp_path, text, **options):
+    file = tmp_path / "lens.zmx"
+    file.write_text(text)
+    given = ImportOpticsOptions(file, panel=(800, 600), panel_mm=(16.0, 12.0), out=tmp_path / "out")
+    report = import_optics(replace(given, **options))
+    return report, load_device(tmp_path / "out" / "lens.toml")
+
+
+def pixels(device, side="right"):
+    eye = device.eyes[side]
+    view_dir = dir_of_tangents(np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.05]]))
+    return TracedDisplay(eye, 0.5875618).plane_pixel(view_dir, eye.eye_box.centre)[0]
+
+
+def test_a_loupe_becomes_a_headset_with_an_upright_picture(tmp_path):
+    report, device = imported(tmp_path, LOUPE)
+    optics = device.eyes["right"]
+    assert [step.surface.name for step in optics.display.steps] == ["s2", "s3"]
+    np.testing.assert_allclose(optics.panel.device_from_panel[:3, 3], [0, 0, -0.07], atol=1e-15)
+    centre, right, up = pixels(device)
+    np.testing.assert_allclose(centre, [400, 300], atol=1e-9)
+    # The focal length is 51.4 mm by the lens maker's equation, and the panel's pixels are 0.02 mm.
+    assert right - centre == pytest.approx([0.1 * 50 / 0.02, 0.0], rel=0.1)
+    assert up - centre == pytest.approx([0.0, -0.05 * 50 / 0.02], rel=0.1)
+    assert "the pupil stands at surface 1, the aperture stop, the panel is surface 4" in report.verdict
+    assert not report.warnings
+    assert report.tables[0].rows[2][:3] == [2, None, "s2"]
+
+
+def test_a_file_that_starts_at_the_panel_gives_the_same_headset(tmp_path):
+    _, forwards = imported(tmp_path, LOUPE)
+    _, backwards = imported(tmp_path, BACKWARDS, starts_at="panel")
+    assert [step.surface.name for step in backwards.eyes["right"].display.steps] == ["s2", "s1"]
+    np.testing.assert_allclose(pixels(backwards), pixels(forwards), atol=1e-9)
+
+
+def test_eye_centre_side_and_relief_are_taken(tmp_path):
+    _, device = imported(tmp_path, LOUPE, eye_centre_mm=(-32.0, 1.0, 2.0), eye="left", eye_relief_mm=20.0)
+    np.testing.assert_allclose(device.eyes["left"].eye_box.centre, [-0.032, 0.001, 0.002], atol=1e-15)
+    _, at_stop = imported(tmp_path, LOUPE)
+    np.testing.assert_allclose(pixels(device, "left"), pixels(at_stop), atol=1e-9)
+
+
+def test_semi_diameters_are_apertures_if_asked_for(tmp_path):
+    def high(**options):
+        return imported(tmp_path, LOUPE, **options)[1].eyes["right"].display.steps[1].surface.aperture.high[0]
+
+    assert np.isinf(high())
+    assert high(semi_diameters=True) == pytest.approx(0.02)
+
+
+def test_a_bowed_image_makes_a_bowed_panel(tmp_path):
+    report, device = imported(tmp_path, LOUPE.replace("CURV 0.0\n  DISZ 0", "CURV -0.01\n  DISZ 0"))
+    panel = device.eyes["right"].panel
+    edge = panel.point_of_pixel(np.array([800.0, 300.0]))
+    # A sphere of 100 mm with its centre towards the eye: its edge is nearer to the eye than its middle.
+    assert edge[2] + 0.07 == pytest.approx(0.008**2 / 0.2, rel=1e-6)
+    assert report.tables[1].rows[0][1] == "CURV"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "options", "sentence"),
+    [
+        ("  STOP\n", "", {}, "names no aperture stop; say where the eye is"),
+        ("SURF 1\n  STOP", "SURF 1", {"pupil_surface": 9}, "--pupil-surface is 9; the surfaces are 0 to 4"),
+        ("DISZ 20", "DISZ 20", {"pupil_surface": 3}, "cannot stand at surface 3: the optics of surface 2, 3"),
+        ("DISZ 20", "DISZ 20", {"starts_at": "panel"}, "surface 0, the panel, lies at infinity"),
+        ("DISZ 20", "DISZ 20", {"panel_surface": 1}, "no mirror or glass lies between"),
+        ("DISZ 45", "DISZ 4500", {}, "lens.zmx, as a device.*has a length of 4.5e.03|more than the plausible"),
+    ],
+)
+def test_an_eye_or_panel_that_cannot_be_told_is_refused(tmp_path, old, new, options, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        imported(tmp_path, LOUPE.replace(old, new), **options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_shapes_that_are_not_read_are_warned_of(tmp_path):
+    text = LOUPE.replace("  CURV -0.02\n", "  TYPE SZERNSAG\n  CURV -0.02\n  XDAT 3 0.2\n")
+    report, _ = imported(tmp_path, text)
+    assert report.warnings == [
+        "Rays run otherwise than in the file, because of surface 3: the table of what was not taken says why."
+    ]
+
+
+@pytest.mark.parametrize("name", ["HoO-V2C18Ex27.zmx", "Sasian Triplet.roa", "shapes.json"])
+def test_files_of_three_programs_by_the_verb(tmp_path, name, capsys):
+    shutil.copy(LENSES / name, tmp_path)
+    out = tmp_path / "out"
+    command = ["import-optics", str(tmp_path / name), "--panel", "640x480", "--panel-mm", "8x6", "--out", str(out)]
+    more = ["--eye-relief-mm", "20", "--glasses", str(LENSES / "some_glasses.agf")]
+    assert main(command + more) == 0
+    (device,) = out.glob("*.toml")
+    assert load_device(device).eyes["right"].panel.pixels.width_px == 640
+    record = json.loads((out / "report.json").read_text())
+    assert "display path" in capsys.readouterr().out
+    assert record["tables"][0]["rows"]

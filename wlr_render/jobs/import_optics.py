@@ -1,0 +1,191 @@
+"""Convert a sequential prescription of Zemax, Optiland or rayoptics into a device file."""
+
+import re
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+
+from wlr_render.files import output_folder
+from wlr_render.jobs import limits
+from wlr_render.jobs.job import job
+from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, described, described_size
+from wlr_render.optics.device import Device
+from wlr_render.optics.device_file import device_of
+from wlr_render.optics.device_writer import device_content, save_device
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
+from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, ImportedHeadset, headset_of_lens
+from wlr_render.optics.lens_files.lens_file import read_lens_file
+from wlr_render.optics.lens_files.sequence import LensFile, NotTaken
+from wlr_render.optics.surfaces import Shape
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Cell, Report, ReportTable
+from wlr_render.report.save import save_report
+from wlr_render.toml_files import Table
+
+_MM = 1e-3
+_SIDE_MM = Range(at_least=0.1, at_most=200, unit="millimetres")
+_NUMBER = Range(at_least=0, at_most=1000)
+_PLACE_MM = Range(at_least=-1000, at_most=1000, unit="millimetres")
+
+
+@dataclass(frozen=True)
+class ImportOpticsOptions(Options):
+    """Options of `import-optics`."""
+
+    file: Annotated[Path, described("Lens file: Zemax (.zmx, sequential), Optiland (.json) or rayoptics (.roa).")]
+    _: KW_ONLY
+    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), limits.PIXELS]
+    panel_mm: Annotated[
+        tuple[float, float], described_size("Lit area of the panel in mm, e.g. 10.1x5.7.", in_mm=True), _SIDE_MM
+    ]
+    eye_box_mm: Annotated[
+        tuple[float, float, float],
+        described("Size of the eye box in mm: to the right, up and back; the pupil is its centre."),
+        _SIDE_MM,
+    ] = (8.0, 6.0, 4.0)
+    eye_centre_mm: Annotated[
+        tuple[float, float, float],
+        described("Place of the pupil in the device in mm (x right, y up, z back)."),
+        _PLACE_MM,
+    ] = (0.0, 0.0, 0.0)
+    eye: Annotated[Eye, described("Side of the eye.")] = "right"
+    starts_at: Annotated[
+        Literal["eye", "panel"], described("Where the light of the file begins; most designs are traced from the eye.")
+    ] = "eye"
+    pupil_surface: Annotated[
+        int | None, described("Number of the surface at the eye's pupil (default: the aperture stop)."), _NUMBER
+    ] = None
+    eye_relief_mm: Annotated[
+        float | None,
+        described("Distance of the pupil from the first surface that bends rays, in place of --pupil-surface."),
+        Range(at_least=1, at_most=500, unit="millimetres"),
+    ] = None
+    panel_surface: Annotated[
+        int | None, described("Number of the panel's surface (default: the image, or the object)."), _NUMBER
+    ] = None
+    glasses: Annotated[
+        tuple[Path, ...], described("Glass catalogues of Zemax (.agf), searched in this order.", many=True)
+    ] = ()
+    semi_diameters: Annotated[
+        bool, described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True)
+    ] = False
+    out: Annotated[Path, described("Output folder.")] = Path("out/import")
+
+
+@job
+def import_optics(options: ImportOpticsOptions, *, progress: ProgressArgument = SILENT) -> Report:
+    """Convert a lens file into a device file, NAME.toml in `options.out`.
+
+    Raises:
+        BadInputError: the file is faulty, names a glass that no catalogue has, does not tell eye and panel, or the
+            folder cannot be written.
+    """
+    progress.say("reading the lens file")
+    program, lens = read_lens_file(options.file, GlassCatalogue(options.glasses))
+    headset = headset_of_lens(options.file, lens, _choices(options, program, lens))
+    _require_readable(options.file, headset.device)
+    folder = output_folder(options.out)
+    written = save_device(headset.device, folder / f"{headset.device.name}.toml")
+    changed = sorted({note.surface for note in headset.not_taken if note.bends_rays and note.surface is not None})
+    report = Report(
+        f"Import of {options.file.name}",
+        f"{len(headset.path)} surfaces of {program}'s {options.file.name} are the display path of "
+        f"'{headset.device.name}': the pupil stands {headset.pupil_text}, the panel is surface {headset.panel_number}.",
+        advice=[
+            f"Draw it and find where rays are lost: wlr-render trace {written} --eye {options.eye}",
+            "Add what a lens file does not have: see_through_path (the real world is seen past the optics now), "
+            "field_deg, and also_mirrored for the other eye (devices/README.md).",
+        ],
+        warnings=_warnings(headset, changed),
+        blocks=[_surface_table(lens, headset), *_not_taken_table(headset)],
+        inputs=[options.file, *options.glasses],
+        files=[written],
+        record={"not_taken": list(headset.not_taken), "path": headset.path, "passed_over": headset.passed_over},
+    )
+    return save_report(report, folder)
+
+
+def _choices(options: ImportOpticsOptions, program: str, lens: LensFile) -> HeadsetChoices:
+    name = re.sub(r"[^\w.-]", "_", options.file.stem).lstrip("-.")[:60] or "lens"
+    title = f": {lens.title}" if lens.title else ""
+    width, height = (_MM * side for side in options.panel_mm)
+    box, centre = (tuple(_MM * each for each in sides) for sides in (options.eye_box_mm, options.eye_centre_mm))
+    return HeadsetChoices(
+        name,
+        f"{program} file {options.file.name}{title}",
+        options.starts_at,
+        options.pupil_surface,
+        None if options.eye_relief_mm is None else _MM * options.eye_relief_mm,
+        options.panel_surface,
+        (width, height),
+        options.panel,
+        (box[0], box[1], box[2]),
+        (centre[0], centre[1], centre[2]),
+        options.eye,
+        options.semi_diameters,
+    )
+
+
+def _require_readable(path: Path, device: Device) -> None:
+    """Refuse what `load_device` would refuse, before anything is written."""
+    device_of(Table(device_content(device), f"{path}, as a device"))
+
+
+def _warnings(headset: ImportedHeadset, changed: list[int]) -> list[str]:
+    warnings = []
+    if changed:
+        listed = ", ".join(map(str, changed))
+        warnings.append(
+            f"Rays run otherwise than in the file, because of surface {listed}: the table of what was not taken says "
+            "why."
+        )
+    if any(note.surface is None and note.bends_rays for note in headset.not_taken):
+        warnings.append("The file has several configurations; the one that was saved as current is taken.")
+    return warnings
+
+
+def _surface_table(lens: LensFile, headset: ImportedHeadset) -> ReportTable:
+    """What became of each surface of the file."""
+    optics = headset.device.eyes[next(iter(headset.device.eyes))]
+    steps = dict(zip(headset.path, optics.display.steps, strict=True))
+    rows: list[list[Cell]] = []
+    for surface in lens.surfaces:
+        step = steps.get(surface.number)
+        if step is not None:
+            what, name = str(step.interaction), step.surface.name
+        elif surface.number == headset.panel_number:
+            what, name = "panel", "panel"
+        else:
+            what, name = "left out: bends no ray" if surface.number in headset.passed_over else "not between them", None
+        medium = step.medium.name if step is not None else None
+        rows.append([surface.number, surface.label or None, name, _shape_text(surface.shape), what, medium])
+    columns = ("surface", "comment", "name in the device", "shape", "becomes", "into, from the eye")
+    return ReportTable("Surfaces of the file", columns, rows)
+
+
+def _shape_text(shape: Shape) -> str:
+    curvature = getattr(shape, "curvature", None)
+    kind = re.sub(r"(?<!^)(?=[A-Z][a-z])", " ", type(shape).__name__).lower()
+    if isinstance(curvature, float):
+        return "plane" if kind == "conic" and curvature == 0.0 else f"{kind}, radius {_radius_text(curvature)}"
+    return kind
+
+
+def _radius_text(curvature: float) -> str:
+    return f"{1e3 / curvature:.6g} mm" if curvature and np.isfinite(1.0 / curvature) else "none"
+
+
+def _not_taken_table(headset: ImportedHeadset) -> list[ReportTable]:
+    if not headset.not_taken:
+        return []
+    rows = [_not_taken_row(note) for note in headset.not_taken]
+    notes = ("Keys of drawing, coating, solves and tolerances, of fields and wavelengths are not listed.",)
+    columns = ("surface", "key", "value", "bends rays", "reason")
+    return [ReportTable("Not taken, or not as it stands", columns, rows, notes)]
+
+
+def _not_taken_row(note: NotTaken) -> list[Cell]:
+    surface = "all" if note.surface is None else str(note.surface)
+    return [surface, note.key, note.value, "yes" if note.bends_rays else "no", note.reason]

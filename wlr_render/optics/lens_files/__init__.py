@@ -1,0 +1,1 @@
+"""Sequential prescriptions of Zemax, Optiland and rayoptics, and the headsets they become."""

@@ -1,0 +1,251 @@
+"""A headset from a sequential prescription: which surface is the eye and which the panel, and what the file lacks."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.geometry.transforms import rigid
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import ClearAperture, Device, EyeOptics, Interaction, PlacedPanel, PlacedSurface, Step
+from wlr_render.optics.device import Path as RayPath
+from wlr_render.optics.lens_files.sequence import LensFile, LensSurface, NotTaken, box_aperture
+from wlr_render.optics.media import AIR
+from wlr_render.optics.surfaces import Conic
+from wlr_render.optics.tracer import trace
+
+_GREEN_UM = 0.55
+_PROBE = 0.01  # tangent, by which the image on the panel is found upright or not
+_MOST_SURFACES = 100  # that a device file may have
+_SAME_UM = 0.1  # a difference between two forms of a panel that is not worth a word
+
+
+@dataclass(frozen=True)
+class HeadsetChoices:
+    """What a lens file does not say about a headset; lengths in metres.
+
+    Attributes:
+        name: of the device.
+        source: of its numbers.
+        starts_at: where the light of the file begins.
+        pupil: number of the surface at the eye's pupil; None for the aperture stop.
+        eye_relief: distance of the pupil from the first surface that bends rays, in place of `pupil`.
+        panel: number of the panel's surface; None for the image, or for the object if the light starts there.
+        panel_size: (width, height) of the lit area.
+        pixels: of the panel.
+        eye_box_size: (3,) along right, up and back.
+        eye_centre: (3,) the pupil in the device.
+        side: of the eye.
+        use_semi_diameters: whether the semi-diameters up to which surfaces are drawn are clear apertures.
+    """
+
+    name: str
+    source: str
+    starts_at: Literal["eye", "panel"]
+    pupil: int | None
+    eye_relief: float | None
+    panel: int | None
+    panel_size: tuple[float, float]
+    pixels: tuple[int, int]
+    eye_box_size: tuple[float, float, float]
+    eye_centre: tuple[float, float, float]
+    side: str
+    use_semi_diameters: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedHeadset:
+    """A headset and how it came from the file.
+
+    Attributes:
+        device: the headset, of one eye, whose real world is seen past the optics.
+        path: numbers of the surfaces that the display path passes, from the eye to the panel.
+        passed_over: surfaces between eye and panel without effect on rays.
+        not_taken: of the file, and of the panel's form.
+        panel_number: surface of the panel.
+        pupil_text: where the pupil was put.
+    """
+
+    device: Device
+    path: tuple[int, ...]
+    passed_over: tuple[int, ...]
+    not_taken: tuple[NotTaken, ...]
+    panel_number: int
+    pupil_text: str
+
+
+def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> ImportedHeadset:
+    """Build a headset of one eye from a sequential prescription.
+
+    Args:
+        path: of the lens file, for messages.
+        lens: its content.
+        choices: what the file does not say.
+
+    Raises:
+        BadInputError: the pupil or the panel cannot be told, or nothing lies between them.
+    """
+    places = {surface.number: place for place, surface in enumerate(lens.surfaces)}
+    from_eye = choices.starts_at == "eye"
+    panel_place = _panel_place(path, lens, choices, places)
+    bending = [place for place in range(len(lens.surfaces)) if lens.bends_rays(place) and place != panel_place]
+    bending = [place for place in bending if (place < panel_place) == from_eye]
+    if not bending:
+        raise BadInputError(f"{path}: no mirror or glass lies between the eye and the panel; check --starts-at.")
+    if len(bending) > _MOST_SURFACES:
+        raise BadInputError(f"{path}: {len(bending)} surfaces bend rays; a device file has at most {_MOST_SURFACES}.")
+    at_eye = lens.medium_before(bending[0]) if from_eye else lens.surfaces[bending[-1]].medium
+    if at_eye != AIR:
+        raise BadInputError(f"{path}: the eye would be in {at_eye.name}; in a headset it is in air: check --starts-at.")
+    file_from_pupil, pupil_text = _pupil(path, lens, choices, places, bending)
+    device_from_file = _device_from_pupil(choices) @ np.linalg.inv(file_from_pupil)
+    ordered = bending if from_eye else bending[::-1]
+    steps, names = [], set[str]()
+    for place in ordered:
+        surface = lens.surfaces[place]
+        placed = PlacedSurface(
+            _name(surface, names),
+            surface.shape,
+            device_from_file @ surface.file_from_surface,
+            _aperture(surface, choices.use_semi_diameters),
+        )
+        medium = surface.medium if from_eye or surface.reflects else lens.medium_before(place)
+        steps.append(Step(placed, Interaction.REFLECT if surface.reflects else Interaction.REFRACT, medium))
+    display = RayPath(tuple(steps))
+    panel_surface = lens.surfaces[panel_place]
+    eye_box = EyeBox(np.array(choices.eye_centre), np.array(choices.eye_box_size))
+    panel = _panel(device_from_file @ panel_surface.file_from_surface, display, eye_box.centre, choices)
+    panel, notes = _bowed(panel, panel_surface, device_from_file)
+    device = Device(choices.name, choices.source, {choices.side: EyeOptics(display, RayPath(), panel, eye_box)})
+    between = range(min(*ordered, panel_place), max(*ordered, panel_place) + 1)
+    passed_over = tuple(lens.surfaces[place].number for place in between if place not in (*ordered, panel_place))
+    return ImportedHeadset(
+        device,
+        tuple(lens.surfaces[place].number for place in ordered),
+        passed_over,
+        (*lens.not_taken, *notes),
+        panel_surface.number,
+        pupil_text,
+    )
+
+
+def _panel_place(path: Path, lens: LensFile, choices: HeadsetChoices, places: dict[int, int]) -> int:
+    if choices.panel is not None:
+        place = _place(path, places, choices.panel, "--panel-surface")
+    else:
+        place = len(lens.surfaces) - 1 if choices.starts_at == "eye" else 0
+    if not np.isfinite(lens.surfaces[place].file_from_surface).all():
+        raise BadInputError(
+            f"{path}: surface {lens.surfaces[place].number}, the panel, lies at infinity; name another with "
+            "--panel-surface, or leave out --starts-at panel if the light of the file starts at the eye."
+        )
+    return place
+
+
+def _place(path: Path, places: dict[int, int], number: int, option: str) -> int:
+    if number not in places:
+        raise BadInputError(
+            f"{path}: {option} is {number}; the surfaces are {min(places)} to {max(places)}, without coordinate breaks."
+        )
+    return places[number]
+
+
+def _pupil(
+    path: Path, lens: LensFile, choices: HeadsetChoices, places: dict[int, int], bending: list[int]
+) -> tuple[FloatArray, str]:
+    """Frame of the pupil in the file, the eye looking along its z, and where it was put."""
+    from_eye = choices.starts_at == "eye"
+    nearest = bending[0] if from_eye else bending[-1]
+    mirrors = sum(lens.surfaces[place].reflects for place in bending)
+    look = 1.0 if from_eye else -1.0 if mirrors % 2 == 0 else 1.0
+    turned = np.eye(4) if look > 0 else np.diag([-1.0, 1.0, -1.0, 1.0])
+    first = lens.surfaces[nearest]
+    if choices.eye_relief is not None:
+        axes = lens.surfaces[1 if from_eye else len(lens.surfaces) - 1].file_from_surface
+        pose = rigid(axes[:3, :3], first.file_from_surface[:3, 3]) @ turned
+        text = f"{1e3 * choices.eye_relief:g} mm before surface {first.number}, as --eye-relief-mm says"
+        return pose @ rigid(np.eye(3), np.array([0.0, 0.0, -choices.eye_relief])), text
+    if choices.pupil is not None:
+        place, text = _place(path, places, choices.pupil, "--pupil-surface"), f"at surface {choices.pupil}"
+    else:
+        stops = [place for place, surface in enumerate(lens.surfaces) if surface.is_stop]
+        if not stops:
+            raise BadInputError(
+                f"{path}: names no aperture stop; say where the eye is: --pupil-surface, --eye-relief-mm."
+            )
+        place, text = stops[0], f"at surface {lens.surfaces[stops[0]].number}, the aperture stop"
+    between = [each for each in bending if (each <= place if from_eye else each >= place)]
+    if between or not np.isfinite(lens.surfaces[place].file_from_surface).all():
+        listed = ", ".join(str(lens.surfaces[each].number) for each in between[:5]) or "infinity"
+        raise BadInputError(
+            f"{path}: the eye's pupil cannot stand at surface {lens.surfaces[place].number}: the optics of surface "
+            f"{listed} would be behind the eye or at it; give --eye-relief-mm, --pupil-surface, or --starts-at."
+        )
+    return lens.surfaces[place].file_from_surface @ turned, text
+
+
+def _device_from_pupil(choices: HeadsetChoices) -> FloatArray:
+    """The eye looks along -z of the device and along z of the pupil's frame; y is up in both."""
+    return rigid(np.diag([-1.0, 1.0, -1.0]), np.array(choices.eye_centre))
+
+
+def _name(surface: LensSurface, names: set[str]) -> str:
+    words = "".join(each if each.isascii() and each.isalnum() else "_" for each in surface.label.lower())
+    name = f"s{surface.number}_{words}".strip("_")[:60]
+    names.add(name)
+    return name
+
+
+def _aperture(surface: LensSurface, use_semi_diameters: bool) -> ClearAperture:
+    half = surface.semi_diameter
+    if use_semi_diameters and not np.isfinite(surface.aperture.low).any() and half > 0:
+        return box_aperture((-half, -half), (half, half))
+    return surface.aperture
+
+
+def _panel(
+    device_from_surface: FloatArray, display: RayPath, viewpoint: FloatArray, choices: HeadsetChoices
+) -> PlacedPanel:
+    """The panel in its surface's plane, so turned by steps of 90 degrees that its picture is seen upright."""
+    flat = PlacedPanel(device_from_surface, np.ones(2), Panel(1, 1))
+    tangents = _PROBE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    traced = trace(display, viewpoint, dir_of_tangents(tangents), _GREEN_UM)
+    right, left, up, down = flat.pixel_of_ray(traced.origin, traced.direction)
+    jacobian = np.stack([right - left, up - down], axis=-1)
+    if not np.isfinite(jacobian).all():
+        jacobian = np.diag([-1.0, 1.0])  # as in the file
+    along = int(np.argmax(np.abs(jacobian[:, 0])))
+    axes = np.zeros((3, 3))
+    axes[along, 0] = np.copysign(1.0, jacobian[along, 0])
+    axes[1 - along, 1] = -np.copysign(1.0, jacobian[1 - along, 1])
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    pose = device_from_surface @ rigid(axes, np.zeros(3))
+    return PlacedPanel(pose, np.array(choices.panel_size), Panel(*choices.pixels))
+
+
+def _bowed(
+    panel: PlacedPanel, surface: LensSurface, device_from_file: FloatArray
+) -> tuple[PlacedPanel, list[NotTaken]]:
+    """The panel with the curvature of its surface, which a device file has as a paraboloid."""
+    shape = surface.shape
+    if not isinstance(shape, Conic):
+        note = NotTaken(
+            surface.number, "shape", type(shape).__name__, "a panel is flat or a paraboloid: taken flat", True
+        )
+        return panel, [note]
+    if shape.curvature == 0.0:
+        return panel, []
+    towards = panel.device_from_panel[:3, 2] @ (device_from_file @ surface.file_from_surface)[:3, 2]
+    r_squared = 0.25 * float(np.sum(panel.size**2))
+    root = np.sqrt(max(1.0 - (1.0 + shape.conic) * shape.curvature**2 * r_squared, 0.0))
+    off_um = 1e6 * abs(shape.curvature * r_squared * (1.0 / (1.0 + root) - 0.5))
+    bowed = replace(panel, curvature=np.full(2, np.copysign(shape.curvature, shape.curvature * towards)))
+    if off_um < _SAME_UM:
+        return bowed, []
+    value = f"radius {1e3 / shape.curvature:g} mm"
+    reason = f"a bowed panel is a paraboloid in a device file: off by {off_um:.2g} um at its corners"
+    return bowed, [NotTaken(surface.number, "CURV", value, reason, True)]

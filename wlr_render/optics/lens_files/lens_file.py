@@ -1,0 +1,30 @@
+"""Read a sequential prescription of Zemax, Optiland or rayoptics; the format is told by the file itself."""
+
+from pathlib import Path
+
+from wlr_render.errors import BadInputError
+from wlr_render.input_files import LIMITS, read_bytes
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
+from wlr_render.optics.lens_files.optiland_json import is_optiland, read_optiland
+from wlr_render.optics.lens_files.rayoptics_json import is_rayoptics, read_rayoptics
+from wlr_render.optics.lens_files.sequence import LensFile
+from wlr_render.optics.lens_files.zemax import read_zemax
+from wlr_render.toml_files import read_json
+
+_KINDS = "a lens file of Zemax (.zmx, sequential), Optiland (.json) or rayoptics (.roa)"
+
+
+def read_lens_file(path: Path, catalogue: GlassCatalogue) -> tuple[str, LensFile]:
+    """Read a lens file: the program it is of, and its content.
+
+    Raises:
+        BadInputError: the file is none of the three formats, or breaks its format; the sentence says where.
+    """
+    if not read_bytes(path, LIMITS.data_bytes).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
+        return "Zemax", read_zemax(path, catalogue)
+    content = read_json(path, _KINDS, "name another file")
+    if is_optiland(content):
+        return "Optiland", read_optiland(path, content, catalogue)
+    if is_rayoptics(content):
+        return "rayoptics", read_rayoptics(path, content, catalogue)
+    raise BadInputError(f"{path}: is not {_KINDS}; name another file.")

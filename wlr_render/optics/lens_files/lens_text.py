@@ -1,0 +1,26 @@
+"""Text of lens design programs: UTF-16 or UTF-8, with or without byte order mark, or Latin-1."""
+
+import codecs
+from pathlib import Path
+
+from wlr_render.errors import BadInputError
+from wlr_render.input_files import parsing
+
+
+def decode_lens_text(path: Path, content: bytes, kind: str) -> str:
+    """Decode the text of a Zemax file.
+
+    Raises:
+        BadInputError: the content is not text; the sentence says that it is not `kind`.
+    """
+    with parsing(path, kind, "name another file, or save it as text"):
+        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            return content.decode("utf-16")
+        if content[1:200:2].count(0) > content[0:200:2].count(0):
+            return content.decode("utf-16-le")
+        if 0 in content:
+            raise BadInputError(f"{path}: has bytes of zero, so this is not {kind}; name another file.")
+        try:
+            return content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            return content.decode("latin-1")

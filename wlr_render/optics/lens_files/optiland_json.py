@@ -1,0 +1,239 @@
+"""Read the JSON files of Optiland: every surface has its place in one frame."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.input_files import shown
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import ClearAperture
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass
+from wlr_render.optics.lens_files.sequence import (
+    LensFile,
+    LensSurface,
+    NotTaken,
+    box_aperture,
+    conic_or_asphere,
+    finite,
+    require_surfaces,
+    shift,
+    turn,
+)
+from wlr_render.optics.media import AIR, Medium
+from wlr_render.optics.sag_surfaces import SumOfProfiles, Toroid, XYPolynomial
+from wlr_render.optics.surfaces import Conic, Shape
+from wlr_render.toml_files import Table
+
+_MM = 1e-3
+_MOST_TERMS = 21  # powers of x or y, from 0 on
+_DEEPEST = 20  # frames stated in other frames
+_OPEN = (-np.inf, -np.inf), (np.inf, np.inf)
+Notes = list[NotTaken]
+
+
+def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFile:
+    """Read a file that Optiland's `save_optiland_file` wrote.
+
+    Args:
+        path: for messages.
+        file: its content.
+        catalogue: where glasses that it names are looked up.
+
+    Raises:
+        BadInputError: something is missing or no number, or a glass is in no catalogue.
+    """
+    entries = file.table("surface_group").tables("surfaces", most=1000)
+    require_surfaces(path, len(entries))
+    notes: Notes = []
+    surfaces: list[LensSurface] = []
+    medium = AIR
+    for number, entry in enumerate(entries):
+        geometry = entry.table("geometry")
+        model = entry.unchecked("interaction_model")
+        reflects = isinstance(model, dict) and bool(model.get("is_reflective"))
+        if isinstance(model, dict) and model.get("type") not in (None, "RefractiveReflectiveModel"):
+            _leave(notes, number, "interaction_model", model.get("type"), "bends rays in another way", True)
+        medium = medium if reflects else _medium(entry, number, catalogue, notes)
+        surfaces.append(
+            LensSurface(
+                number,
+                str(entry.unchecked("comment") or "")[:100],
+                _shape(geometry, number, notes),
+                _pose(geometry.table("cs"), infinite=number == 0),
+                medium,
+                reflects,
+                bool(entry.unchecked("is_stop")),
+                _aperture(entry, number, notes),
+            )
+        )
+    return LensFile(str(file.unchecked("name") or "")[:200], tuple(surfaces), tuple(notes))
+
+
+def _leave(notes: Notes, number: int, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
+    notes.append(NotTaken(number, key, shown(value, quoted=False), reason, bends_rays))
+
+
+def _number(table: Table, key: str, default: float | None = None, infinite: bool = False) -> float:
+    value = table.unchecked(key)
+    if value is None and default is not None:
+        return default
+    return finite(value, f"{table.where}: '{key}'", infinite)
+
+
+def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
+    """A frame by its place and its turns about the axes x, y, z of the frame it is stated in, in this order."""
+    if depth > _DEEPEST:
+        raise frame.fail(f"frames are stated in one another more than {_DEEPEST} deep; write them in the global frame.")
+    x, y, z = (_number(frame, key, 0.0, infinite) for key in "xyz")
+    if not np.isfinite([x, y, z]).all():
+        return np.full((4, 4), np.nan)
+    pose = shift(_MM * x, _MM * y, _MM * z)
+    for axis in "zyx":
+        pose = pose @ turn(axis, _number(frame, f"r{axis}", 0.0))
+    if frame.unchecked("reference_cs") is None:
+        return pose
+    return _pose(frame.table("reference_cs"), infinite, depth + 1) @ pose
+
+
+def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) -> Medium:
+    material = entry.table("material_post")
+    kind = material.text("type")
+    if kind == "IdealMaterial":
+        index = _number(material, "index")
+        return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), material.where)
+    if kind == "AbbeMaterial":
+        index, abbe = _number(material, "index"), _number(material, "abbe")
+        _leave(
+            notes, number, "AbbeMaterial", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ"
+        )
+        called = f"nd{index:g}_vd{abbe:g}"
+        medium = Medium.abbe(called, index, abbe) if abbe > 0 else Medium.constant(called, index)
+        return require_glass(medium, material.where)
+    if kind == "Material":
+        name = material.text("name")
+        reference = material.unchecked("reference")
+        medium_found = catalogue.find(name, (reference,) if isinstance(reference, str) else ())
+        if medium_found is not None:
+            return medium_found
+        raise material.fail(
+            f"no catalogue has the glass {shown(name)}; name Zemax's catalogue file with --glasses FILE.agf, or "
+            "install one: pip install 'wlr_render[glasses]'."
+        )
+    raise material.fail(f"material {shown(kind)} is not read; write it as IdealMaterial, AbbeMaterial or Material.")
+
+
+def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
+    if entry.unchecked("aperture") is None:
+        return box_aperture(*_OPEN)
+    aperture = entry.table("aperture")
+    kind = aperture.text("type")
+    if kind == "RectangularAperture":
+        low, high = ([_MM * _number(aperture, f"{axis}_{end}") for axis in "xy"] for end in ("min", "max"))
+        return box_aperture(low, high)
+    if kind in ("RadialAperture", "OffsetRadialAperture"):
+        half = _MM * _number(aperture, "r_max")
+        x, y = (_MM * _number(aperture, key, 0.0) for key in ("offset_x", "offset_y"))
+        _leave(notes, number, "aperture", kind, "a circle: the square around it is the clear aperture")
+        if _number(aperture, "r_min", 0.0) > 0:
+            _leave(notes, number, "r_min", _number(aperture, "r_min"), "rays pass the middle of the ring")
+        return box_aperture((x - half, y - half), (x + half, y + half))
+    _leave(notes, number, "aperture", kind, "this form is not read: the surface is open")
+    return box_aperture(*_OPEN)
+
+
+def _curvature(geometry: Table, key: str = "radius") -> float:
+    """1 / radius in 1/mm; 0 for a radius that is infinite or 0."""
+    radius = _number(geometry, key, np.inf, infinite=True)
+    return 1.0 / radius if radius and np.isfinite(radius) else 0.0
+
+
+def _coefficients(geometry: Table) -> FloatArray:
+    value = geometry.unchecked("coefficients")
+    try:
+        array = np.array([] if value is None else value, dtype=float)
+    except (ValueError, TypeError) as error:
+        raise geometry.fail(f"'coefficients' is {shown(value)}; it must be numbers.") from error
+    if not np.isfinite(array).all() or array.ndim > 2 or max(array.shape, default=0) > _MOST_TERMS:
+        raise geometry.fail(f"'coefficients' must be finite, and at most {_MOST_TERMS} along each axis.")
+    return array
+
+
+def _shape(geometry: Table, number: int, notes: Notes) -> Shape:
+    kind = geometry.text("type")
+    read = _SHAPES.get(kind)
+    if read is None:
+        _leave(notes, number, "geometry", kind, "this shape is not read: its conic stands in its place", True)
+        return _conic(geometry, number, notes)
+    return read(geometry, number, notes)
+
+
+def _conic(geometry: Table, number: int, notes: Notes) -> Shape:
+    return Conic(_curvature(geometry) / _MM, _number(geometry, "conic", 0.0))
+
+
+def _asphere_of(step: int) -> Callable[[Table, int, Notes], Shape]:
+    """Reader of terms r^step, r^(2 step), ..."""
+
+    def read(geometry: Table, number: int, notes: Notes) -> Shape:
+        terms: dict[int, float] = {step * (k + 1): c for k, c in enumerate(_coefficients(geometry).ravel().tolist())}
+        if terms.get(1):
+            _leave(notes, number, "coefficients[0]", terms[1], "the term in r, a tip on the axis, is not read", True)
+        if any(value for power, value in terms.items() if power > 20):
+            _leave(notes, number, "coefficients", "above r20", "powers that a device file does not have", True)
+        by_power = [terms.get(power, 0.0) for power in range(2, 21)]
+        return conic_or_asphere(_curvature(geometry), _number(geometry, "conic", 0.0), by_power, _MM)
+
+    return read
+
+
+def _polynomial(geometry: Table, number: int, notes: Notes) -> Shape:
+    in_mm = np.atleast_2d(_coefficients(geometry))
+    if not in_mm.any():
+        return _conic(geometry, number, notes)
+    m, n = np.indices(in_mm.shape)
+    if np.any(in_mm[m + n > 20]):
+        _leave(notes, number, "coefficients", "above order 20", "orders that a device file does not have", True)
+    curvature = _curvature(geometry) / _MM
+    coefficients = np.where(m + n > 20, 0.0, in_mm) * _MM ** (1.0 - m - n)
+    return XYPolynomial(coefficients, curvature, _number(geometry, "conic", 0.0) if curvature else 0.0)
+
+
+def _biconic(geometry: Table, number: int, notes: Notes) -> Shape:
+    """Optiland adds two profiles, where Zemax and others have one root of both coordinates."""
+    x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
+    if not x and not y:
+        return Conic(0.0)
+    return SumOfProfiles((x, y), (_number(geometry, "conic_x", 0.0), _number(geometry, "conic_y", 0.0)))
+
+
+def _toroid(geometry: Table, number: int, notes: Notes) -> Shape:
+    x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
+    conic, terms = _number(geometry, "conic_yz", 0.0), geometry.unchecked("coeffs_poly_y")
+    if terms and np.any(np.array(terms, dtype=float)):
+        _leave(notes, number, "coeffs_poly_y", terms, "terms of y of a toroid are not read", True)
+    if not x:
+        return SumOfProfiles((0.0, y), (0.0, conic)) if y else Conic(0.0)
+    if not y:
+        return SumOfProfiles((x, 0.0))
+    if conic:
+        _leave(notes, number, "conic_yz", conic, "the conic of a toroid is not read: it is a circle", True)
+    return Toroid(1.0 / x, 1.0 / y)
+
+
+_SHAPES: dict[str, Callable[[Table, int, Notes], Shape]] = {
+    "Plane": lambda geometry, number, notes: Conic(0.0),
+    "StandardGeometry": _conic,
+    "EvenAsphere": _asphere_of(2),
+    "OddAsphere": _asphere_of(1),
+    "PolynomialGeometry": _polynomial,
+    "BiconicGeometry": _biconic,
+    "ToroidalGeometry": _toroid,
+}
+"""By Optiland's class of geometry; all others are read as their conic, and noted."""
+
+
+def is_optiland(content: Table) -> bool:
+    """Whether a JSON file is one of Optiland."""
+    group = content.unchecked("surface_group")
+    return isinstance(group, dict) and "surfaces" in group

@@ -1,0 +1,256 @@
+"""Read the JSON files of rayoptics (.roa): surfaces, gaps between them, and decentres in CODE V's sign of angles."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wlr_render.geometry.transforms import inverse
+from wlr_render.input_files import shown
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import ClearAperture
+from wlr_render.optics.lens_files.glass_catalogues import (
+    SCHOTT_POWERS,
+    GlassCatalogue,
+    require_glass,
+    schott,
+    sellmeier,
+)
+from wlr_render.optics.lens_files.sequence import (
+    UNITS_M,
+    LensFile,
+    LensSurface,
+    NotTaken,
+    box_aperture,
+    conic_or_asphere,
+    finite,
+    require_surfaces,
+    shift,
+    turn,
+)
+from wlr_render.optics.media import AIR, Medium
+from wlr_render.optics.sag_surfaces import SumOfProfiles, Toroid
+from wlr_render.optics.surfaces import Conic, Shape
+from wlr_render.toml_files import Table
+
+Notes = list[NotTaken]
+_INFINITE = 1e10  # rayoptics writes an object at infinity so, in its own unit
+_SELLMEIER_MAKERS = ("SchottGlass", "OharaGlass")
+_POWERS_OF_MAKERS = {
+    "HoyaGlass": SCHOTT_POWERS,
+    "SumitaGlass": SCHOTT_POWERS,
+    "CDGMGlass": SCHOTT_POWERS,
+    "HikariGlass": (0.0, 2.0, 4.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0),
+}
+"""Powers of the wavelength in the dispersion formulas of makers of glass."""
+
+
+def is_rayoptics(content: Table) -> bool:
+    """Whether a JSON file is one of rayoptics."""
+    return isinstance(content.unchecked("optical_model"), dict)
+
+
+def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFile:
+    """Read a .roa file.
+
+    Args:
+        path: for messages.
+        file: its content.
+        catalogue: where glasses are looked up that the file names without coefficients.
+
+    Raises:
+        BadInputError: something is missing or no number, or a glass is in no catalogue.
+    """
+    model = file.table("optical_model").table("attributes")
+    system = model.table("system_spec").table("attributes")
+    unit_name = str(system.unchecked("_dimensions") or system.unchecked("dimensions") or "mm").lower()
+    if unit_name not in UNITS_M:
+        raise system.fail(f"the unit of length is {shown(unit_name)}; it must be one of {', '.join(UNITS_M)}.")
+    unit = UNITS_M[unit_name]
+    sequence = model.table("seq_model").table("attributes")
+    entries, gaps = sequence.tables("ifcs", most=1000), sequence.tables("gaps", most=1000)
+    require_surfaces(path, len(entries))
+    if len(gaps) != len(entries) - 1:
+        raise sequence.fail(f"there are {len(gaps)} gaps for {len(entries)} surfaces; write the file again.")
+    profiles = model.table("profile_dict") if model.has("profile_dict") else None
+    stop = sequence.unchecked("stop_surface")
+    notes: Notes = []
+    surfaces: list[LensSurface] = []
+    pose, medium, thickness, before = np.eye(4), AIR, 0.0, None
+    for number, entry in enumerate(entries):
+        surface = entry.table("attributes")
+        decentre = surface.table("decenter").table("attributes") if surface.unchecked("decenter") else None
+        pose = pose @ _step(before, thickness, decentre, unit)
+        mode = str(surface.unchecked("interact_mode"))
+        if mode not in ("transmit", "reflect", "dummy", "phantom"):
+            _leave(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
+        if _class_of(entry) != "Surface" or surface.unchecked("phase_element"):
+            _leave(notes, number, "surface", _class_of(entry), "bends rays by more than its shape: not read", True)
+        if mode != "reflect":
+            medium = _medium(gaps[number], number, catalogue, notes) if number < len(gaps) else medium
+        thickness = (
+            finite(gaps[number].table("attributes").unchecked("thi"), gaps[number].where) if number < len(gaps) else 0.0
+        )
+        infinite = number == 0 and abs(thickness) >= _INFINITE
+        surfaces.append(
+            LensSurface(
+                number,
+                str(surface.unchecked("label") or "")[:100],
+                _shape(surface, profiles, number, unit, notes),
+                np.full((4, 4), np.nan) if infinite else pose @ shift(z=-unit * thickness) if number == 0 else pose,
+                medium,
+                mode == "reflect",
+                number == stop,
+                _aperture(surface, number, unit, notes),
+                unit * finite(surface.unchecked("max_aperture") or 0.0, f"{surface.where}: 'max_aperture'"),
+            )
+        )
+        if number == 0:
+            thickness, decentre = 0.0, None
+        before = decentre
+    return LensFile(str(system.unchecked("title") or "")[:200], tuple(surfaces), tuple(notes))
+
+
+def _leave(notes: Notes, number: int, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
+    notes.append(NotTaken(number, key, shown(value, quoted=False), reason, bends_rays))
+
+
+def _class_of(entry: Table) -> str:
+    names = entry.unchecked("__instance_type__")
+    return str(names[-1]) if isinstance(names, list) and names else ""
+
+
+def _array(table: Table, key: str, size: int | None = None) -> list[float]:
+    """Numbers, as a list or as rayoptics writes an array; zeros where they are missing."""
+    value: Any = table.unchecked(key)
+    value = value.get("__ndarray__") if isinstance(value, dict) else value
+    value = [0.0] * (size or 0) if value is None else value
+    if not isinstance(value, list) or (size is not None and len(value) != size) or len(value) > 100:
+        raise table.fail(f"'{key}' is {shown(value)}; it must be a list of {size or 'at most 100'} numbers.")
+    return [finite(each, f"{table.where}: '{key}'") for each in value]
+
+
+def _step(before: Table | None, thickness: float, decentre: Table | None, unit: float) -> FloatArray:
+    """From the frame behind one surface to the frame of the next, (4, 4): turn, shift along the gap, turn."""
+    turn_before, shift_before = _decentre(before, "after", unit)
+    turn_after, shift_after = _decentre(decentre, "before", unit)
+    return np.asarray(turn_before @ shift_before @ shift(z=unit * thickness) @ shift_after @ turn_after)
+
+
+def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, FloatArray]:
+    """Turn and shift that a decentre has before or after its surface."""
+    if table is None:
+        return np.eye(4), np.eye(4)
+    kind = table.unchecked("_dtype") or table.unchecked("dtype")
+    alpha, beta, gamma = np.deg2rad(_array(table, "euler", 3))
+    # About x and y the angles are left-handed, as in CODE V.
+    rotation = turn("x", -alpha) @ turn("y", -beta) @ turn("z", gamma)
+    moved = shift(*(unit * each for each in _array(table, "dec", 3)))
+    none = np.eye(4)
+    cases = {
+        ("decenter", "before"): (rotation, moved),
+        ("decenter", "after"): (none, none),
+        ("bend", "before"): (rotation, moved),
+        ("bend", "after"): (rotation, none),
+        ("dec and return", "before"): (rotation, moved),
+        ("dec and return", "after"): (rotation.T, inverse(moved)),
+        ("reverse", "before"): (none, none),
+        ("reverse", "after"): (rotation.T, inverse(moved)),
+    }
+    if (kind, side) not in cases:
+        raise table.fail(
+            f"the decentre is {shown(kind)}; it must be one of {', '.join(sorted({k for k, _ in cases}))}."
+        )
+    return cases[kind, side]
+
+
+def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) -> Medium:
+    medium = gap.table("attributes").table("medium")
+    kind, where = _class_of(medium), medium.where
+    attributes = medium.table("attributes") if medium.has("attributes") else medium
+    if kind in ("Air", ""):
+        return AIR
+    if kind == "ConstantIndex":
+        index = finite(attributes.unchecked("n"), f"{where}: 'n'")
+        return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), where)
+    if kind == "ModelGlass":
+        index, abbe = (finite(attributes.unchecked(key), f"{where}: '{key}'") for key in "nv")
+        _leave(notes, number, "ModelGlass", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ")
+        called = f"nd{index:g}_vd{abbe:g}"
+        return require_glass(Medium.abbe(called, index, abbe) if abbe > 0 else Medium.constant(called, index), where)
+    name = str(attributes.unchecked("gname") or attributes.unchecked("label") or kind)
+    if attributes.has("coefs"):
+        coefficients = _array(attributes, "coefs")
+        if kind in _SELLMEIER_MAKERS and len(coefficients) == 6:
+            return require_glass(sellmeier(name, coefficients[:3], coefficients[3:]), where)
+        if kind in _POWERS_OF_MAKERS and len(coefficients) == len(_POWERS_OF_MAKERS[kind]):
+            return require_glass(schott(name, coefficients, _POWERS_OF_MAKERS[kind]), where)
+    found = catalogue.find(name)
+    if found is None:
+        raise medium.fail(
+            f"no catalogue has the glass {shown(name)}; name Zemax's catalogue file with --glasses FILE.agf, or "
+            "install one: pip install 'wlr_render[glasses]'."
+        )
+    return found
+
+
+def _aperture(surface: Table, number: int, unit: float, notes: Notes) -> ClearAperture:
+    apertures = surface.tables("clear_apertures", required=False)
+    if not apertures:
+        return box_aperture((-np.inf, -np.inf), (np.inf, np.inf))
+    first, kind = apertures[0].table("attributes"), _class_of(apertures[0])
+    x, y = (unit * finite(first.unchecked(key) or 0.0, first.where) for key in ("x_offset", "y_offset"))
+    if kind == "Circular":
+        half_x = half_y = unit * finite(first.unchecked("radius"), f"{first.where}: 'radius'")
+        _leave(notes, number, "clear_apertures", kind, "a circle: the square around it is the clear aperture")
+    elif kind == "Rectangular":
+        half_x, half_y = (
+            unit * finite(first.unchecked(f"{axis}_half_width"), f"{first.where}: '{axis}_half_width'") for axis in "xy"
+        )
+    else:
+        _leave(notes, number, "clear_apertures", kind, "this form is not read: the surface is open")
+        half_x = half_y = np.inf
+    if len(apertures) > 1 or first.unchecked("rotation"):
+        _leave(notes, number, "clear_apertures", len(apertures), "only the first, unturned, is read")
+    return box_aperture((x - half_x, y - half_y), (x + half_x, y + half_y))
+
+
+def _shape(surface: Table, profiles: Table | None, number: int, unit: float, notes: Notes) -> Shape:
+    if surface.has("profile"):
+        profile = surface.table("profile")
+    elif profiles is not None and surface.has("profile_id"):
+        profile = profiles.table(str(surface.unchecked("profile_id")))
+    else:
+        return Conic(0.0)
+    kind, attributes = _class_of(profile), profile.table("attributes")
+    curvature = finite(attributes.unchecked("cv") or 0.0, f"{attributes.where}: 'cv'")
+    conic = finite(attributes.unchecked("cc") or 0.0, f"{attributes.where}: 'cc'")
+    if attributes.unchecked("cc") is None and attributes.unchecked("ec") is not None:
+        conic = finite(attributes.unchecked("ec"), f"{attributes.where}: 'ec'") - 1.0
+    terms = _array(attributes, "coefs") if attributes.has("coefs") else []
+    if kind in ("EvenPolynomial", "RadialPolynomial"):
+        step = 2 if kind == "EvenPolynomial" else 1
+        by_power = {step * (place + 1): term for place, term in enumerate(terms)}
+        if by_power.get(1):
+            _leave(notes, number, "coefs[0]", by_power[1], "the term in r, a tip on the axis, is not read", True)
+        if any(term for power, term in by_power.items() if power > 20):
+            _leave(notes, number, "coefs", "above r20", "powers that a device file does not have", True)
+        return conic_or_asphere(curvature, conic, [by_power.get(power, 0.0) for power in range(2, 21)], unit)
+    if kind in ("XToroid", "YToroid"):
+        return _toroid(kind, attributes, curvature / unit, conic, number, unit, notes)
+    if kind not in ("Spherical", "Conic"):
+        _leave(notes, number, "profile", kind, "this shape is not read: its conic stands in its place", True)
+    return Conic(curvature / unit, conic)
+
+
+def _toroid(
+    kind: str, attributes: Table, curvature: float, conic: float, number: int, unit: float, notes: Notes
+) -> Shape:
+    around = finite(attributes.unchecked("cR") or 0.0, f"{attributes.where}: 'cR'") / unit
+    if any(_array(attributes, "coefs")) or (conic and around) or (kind == "XToroid" and curvature and around):
+        _leave(notes, number, "profile", kind, "taken as a toroid of two circles, turned about an axis along y", True)
+    if curvature and around:
+        return Toroid(1.0 / around, 1.0 / curvature)
+    x, y = (around, curvature) if kind == "YToroid" else (curvature, around)
+    kx, ky = (0.0, conic) if kind == "YToroid" else (conic, 0.0)
+    return SumOfProfiles((x, y), (kx, ky)) if x or y else Conic(0.0)

@@ -1,0 +1,151 @@
+"""A sequential prescription of a lens design program: surfaces in the order of the light, and what was left out.
+
+Lengths are in metres and poses in the file's own frame, whose z axis the light follows before the first mirror.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.transforms import rigid
+from wlr_render.input_files import shown
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import ClearAperture
+from wlr_render.optics.media import AIR, Medium
+from wlr_render.optics.sag_surfaces import Asphere
+from wlr_render.optics.surfaces import Conic, Shape
+
+UNITS_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "inches": 0.0254, "m": 1.0, "meter": 1.0, "meters": 1.0}
+"""Metres of the units of length that lens files name."""
+
+_MOST_SURFACES = 1000
+_LARGEST = 1e12
+
+
+@dataclass(frozen=True)
+class NotTaken:
+    """Something of the file that the device does not have.
+
+    Attributes:
+        surface: its number in the file; None for the file as a whole.
+        key: what the file calls it.
+        value: as the file has it, shortened.
+        reason: why it was left out, and what stands in its place.
+        bends_rays: whether rays run otherwise without it.
+    """
+
+    surface: int | None
+    key: str
+    value: str
+    reason: str
+    bends_rays: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class LensSurface:
+    """One surface of a sequential prescription.
+
+    Attributes:
+        number: in the file, which counts the object as 0.
+        label: comment in the file; may be empty.
+        shape: in local axes.
+        file_from_surface: (4, 4); NaN for an object at infinity.
+        medium: behind the surface, for light in the order of the file.
+        reflects: whether it is a mirror.
+        is_stop: whether it is the aperture stop.
+        aperture: clear aperture that stops rays in the file.
+        semi_diameter: metres, up to which it is drawn in the file; NaN if not stated.
+    """
+
+    number: int
+    label: str
+    shape: Shape
+    file_from_surface: FloatArray
+    medium: Medium = AIR
+    reflects: bool = False
+    is_stop: bool = False
+    aperture: ClearAperture = field(
+        default_factory=lambda: ClearAperture(np.full(3, -np.inf), np.full(3, np.inf)),
+    )
+    semi_diameter: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class LensFile:
+    """A sequential prescription: object, surfaces, image, in the order of the light."""
+
+    title: str
+    surfaces: tuple[LensSurface, ...]
+    not_taken: tuple[NotTaken, ...]
+
+    def medium_before(self, place: int) -> Medium:
+        """The medium before the surface at a place of `surfaces`."""
+        return self.surfaces[place - 1].medium if place else AIR
+
+    def bends_rays(self, place: int) -> bool:
+        """Whether the surface at a place of `surfaces` is a mirror or has different media on its two sides."""
+        surface = self.surfaces[place]
+        return surface.reflects or surface.medium != self.medium_before(place)
+
+
+def require_surfaces(path: object, count: int) -> None:
+    """Refuse files with too few or too many surfaces."""
+    if not 3 <= count <= _MOST_SURFACES:
+        raise BadInputError(
+            f"{path}: has {count} surfaces; a lens file that can be read has an object, an image, and 1 to "
+            f"{_MOST_SURFACES - 2} surfaces between them."
+        )
+
+
+def finite(value: object, where: str, infinite: bool = False) -> float:
+    """A number of a lens file; `infinite` admits infinity.
+
+    Raises:
+        BadInputError: the value is no number, or none of a lens; `where` begins the sentence.
+    """
+    try:
+        number = float(value) if isinstance(value, str | int | float) and not isinstance(value, bool) else np.nan
+    except (ValueError, OverflowError):
+        number = np.nan
+    if not (abs(number) <= _LARGEST or (infinite and math.isinf(number))):
+        raise BadInputError(f"{where} is {shown(value)}; it must be a number of at most {_LARGEST:g}: correct it.")
+    return number
+
+
+def turn(axis: str, radians: float) -> FloatArray:
+    """Right-handed rotation about a local axis, (4, 4), exact at multiples of 90 degrees' zeros."""
+    c, s = math.cos(radians), math.sin(radians)
+    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    rotation = np.eye(3)
+    rotation[[first, second], [first, second]] = c
+    rotation[first, second], rotation[second, first] = -s, s
+    return rigid(rotation, np.zeros(3))
+
+
+def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> FloatArray:
+    """Translation, (4, 4), metres."""
+    return rigid(np.eye(3), np.array([x, y, z]))
+
+
+def conic_or_asphere(curvature: float, conic: float, terms: Sequence[float], unit: float) -> Shape:
+    """A conicoid, with `terms` an asphere.
+
+    Args:
+        curvature: in 1 / file unit.
+        conic: k.
+        terms: factors of r^2, r^3, ... in file units.
+        unit: metres of a file unit.
+    """
+    if not any(terms):
+        return Conic(curvature / unit, conic)
+    last = max(place for place, term in enumerate(terms) if term)
+    scaled = tuple(float(term) * unit ** (-1 - place) for place, term in enumerate(terms[: last + 1]))
+    return Asphere(scaled, curvature / unit, conic if curvature else 0.0)
+
+
+def box_aperture(low: Sequence[float], high: Sequence[float]) -> ClearAperture:
+    """A clear aperture of two sides in x and y, metres; open along z."""
+    return ClearAperture(np.array([*low, -np.inf]), np.array([*high, np.inf]))
