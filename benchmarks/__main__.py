@@ -23,6 +23,7 @@ BENCHMARKS = {
     "design": "Errors of simulated sessions by the design of their camera places.",
     "wear": "Self-calibration by clicks over half an hour of simulated wear with slips.",
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
+    "renderers": "Other renderers on a headset's rays, compared with Embree.",
     "rivals": "Published methods and ours on measurements of others.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }

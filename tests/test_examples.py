@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,13 @@ WORDS_AND_FILES = {
     "08_real_time": ("OpenGL state of its own was left alone", {"panel.png"}),
     "09_own_warp": ("99 % of the pixels within 1, 0.0", {"panel.png"}),
     "11_self_calibration": ("arcmin rms; wrong clicks: (2,)", set()),
+    "12_open3d": ("the middle pixel shows: ", {"distance.png"}),
+    "13_warp": ("100.0% of 2304000 rays hit, from 0.3", {"normals.png"}),
+    "14_newton": ("100.0% of 2304000 rays hit, from 0.3", {"panel.png"}),
+    "15_blender": ("panel.png: 1440 x 1600 pixels", {"panel.png", "ray_map.exr"}),
 }
 TESTED_ELSEWHERE = {"10_openxr"}  # tests/compositing/test_openxr.py
+NEED_LIBRARY = {"12_open3d": "open3d", "13_warp": "warp", "14_newton": "newton", "15_blender": "bpy"}
 NEED_WEBGPU = {"09_own_warp"}
 NEED_EGL = {"07_plug_into_pyrender", "08_real_time"}
 
@@ -46,6 +52,11 @@ def run(name, folder, **environment):
     assert {entry.name for entry in folder.iterdir()} == files
 
 
+def require_library(name):
+    if find_spec(name) is None:
+        pytest.skip(f"{name} is not installed; docs/renderers.md has the command.")
+
+
 def require_webgpu():
     wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed.")
     try:
@@ -56,6 +67,8 @@ def require_webgpu():
 
 @pytest.mark.parametrize("name", WORDS_AND_FILES)
 def test_an_example_runs(name, tmp_path, request):
+    if name in NEED_LIBRARY:
+        require_library(NEED_LIBRARY[name])
     if name in NEED_WEBGPU:
         require_webgpu()
     if name in NEED_EGL and request.getfixturevalue("gl_context").backend != "egl":

@@ -1,0 +1,1 @@
+"""Other renderers on a headset's rays, compared with Embree."""

@@ -1,0 +1,121 @@
+"""Renderers that nobody here wrote, as functions from rays to distances."""
+
+import importlib.metadata
+import runpy
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.extras import installed_by
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.rendering.mitsuba_frames import PathTracer
+from wlr_render.rendering.ray_map import RayMap
+from wlr_render.rendering.scene import Scene
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+Cast = Callable[[Float32Array, Float32Array], Float32Array]
+"""Origins and directions (n, 3), without NaN -> distances (n,), infinite for a miss."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """A library whose rays are compared.
+
+    Attributes:
+        module: what Python imports.
+        package: what pip installs.
+        caster: makes the function that casts rays into a scene.
+    """
+
+    module: str
+    package: str
+    caster: Callable[[Scene], Cast]
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether Python finds it; it is not imported."""
+        return find_spec(self.module) is not None
+
+    @property
+    def name(self) -> str:
+        """Package and version."""
+        return f"{self.package} {importlib.metadata.version(self.package)}"
+
+
+def _mitsuba(scene: Scene) -> Cast:
+    tracer = PathTracer(scene)
+    return lambda origin, direction: tracer.intersect(origin, direction).distance
+
+
+def _of_example(name: str) -> Callable[[Scene], Cast]:
+    def caster(scene: Scene) -> Cast:
+        cast = runpy.run_path(str(EXAMPLES / f"{name}.py"))["ray_caster"](scene)
+        return lambda origin, direction: np.asarray(cast(origin, direction)[0])
+
+    return caster
+
+
+LIBRARIES = (
+    Library("mitsuba", "mitsuba", _mitsuba),
+    Library("open3d", "open3d", _of_example("12_open3d")),
+    Library("warp", "warp-lang", _of_example("13_warp")),
+    Library("newton", "newton", _of_example("14_newton")),
+)
+
+_IN_BLENDER = """
+import runpy, sys
+import bpy
+import numpy as np
+from wlr_render.rendering.ray_map import RayMap
+from wlr_render.rendering.scene_file import load_scene
+
+example, scene, folder = runpy.run_path(sys.argv[1]), load_scene(sys.argv[2]), sys.argv[3]
+stored = np.load(folder + "/rays.npz")
+rays = RayMap(stored["viewpoint"], stored["axes"], stored["slope_offset"], stored["status"])
+bpy.ops.wm.read_factory_settings(use_empty=True)
+example["add_objects"](scene)
+example["add_camera"](rays, stored["pose"], folder, "closest")
+blender = bpy.context.scene
+blender.view_layers[0].use_pass_position, blender.cycles.samples, blender.cycles.use_denoising = True, 1, False
+image = blender.render.image_settings
+image.media_type, image.file_format, image.color_depth = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER", "32"
+blender.render.filepath = folder + "/passes.exr"
+bpy.ops.render.render(write_still=True)
+"""
+
+
+def blender_positions(rays: RayMap, world_from_device: FloatArray, scene: str) -> Float32Array:
+    """World points (n, 3) that the rays meet in Blender's Cycles, in a process of its own; 0 for a miss.
+
+    Raises:
+        BadInputError: Blender ends with an error.
+        MissingExtraError: the library OpenEXR is not installed.
+    """
+    with installed_by("exr", "Passes of Blender"):
+        import OpenEXR
+
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(
+            Path(folder, "rays.npz"),
+            viewpoint=rays.viewpoint_in_device,
+            axes=rays.device_from_camera,
+            slope_offset=rays.slope_offset,
+            status=rays.status,
+            pose=world_from_device,
+        )
+        words = [sys.executable, "-c", _IN_BLENDER, str(EXAMPLES / "15_blender.py"), scene, folder]
+        ran = subprocess.run(words, capture_output=True, text=True)
+        if ran.returncode != 0:
+            raise BadInputError(f"Blender ended with an error; its last lines: {ran.stderr[-500:]}")
+        parts = OpenEXR.File(str(Path(folder, "passes.exr")), separate_channels=True).parts
+        channels = {name: channel.pixels for part in parts for name, channel in part.channels.items()}
+    axes = [channels[f"ViewLayer.Position.{axis}"] for axis in "XYZ"]
+    return np.stack(axes, axis=-1).reshape(-1, 3).astype(np.float32)

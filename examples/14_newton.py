@@ -1,0 +1,60 @@
+"""The panel's rays in a camera of the physics engine Newton: pictures and distances from a simulated world."""
+
+import newton
+import numpy as np
+import warp
+from newton.sensors import SensorCamera
+
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.rendering.image_files import write_png
+from wlr_render.rendering.ray_map import choose_plan, ray_map
+from wlr_render.rendering.scene import world_positions
+from wlr_render.rendering.scene_file import load_scene
+
+
+class PanelCamera:
+    """Sees the objects of a scene, which rest in a Newton model; bodies that move would be seen as well."""
+
+    def __init__(self, scene):
+        builder = newton.ModelBuilder()
+        for instance in scene.instances:
+            mesh = scene.mesh_of(instance)
+            shape = newton.Mesh(world_positions(mesh, instance), mesh.triangles.ravel(), compute_inertia=False)
+            builder.add_shape_mesh(-1, mesh=shape)
+        self.model = builder.finalize()
+        self.camera = SensorCamera(self.model)
+        self.camera.create_default_light()
+
+    def pictures(self, origin, direction):
+        """Colour (height, width, 4) and distance (height, width), 0 for a miss, of rays (height, width, 3)."""
+        rays = warp.array(np.stack([origin, direction], axis=-2)[:, :, None], dtype=warp.vec3)
+        size = direction.shape[1::-1]
+        colour, distance = self.camera.allocate_image_color(1, *size), self.camera.allocate_image_depth(1, *size)
+        at_origin = warp.array([warp.transform_identity()], dtype=warp.transformf)  # the rays are in the world
+        config = SensorCamera.RenderConfig(enable_backface_culling=False)
+        self.camera.update(
+            self.model.state(), at_origin, rays, color_image=colour, depth_image=distance, render_config=config
+        )
+        return colour.numpy().view(np.uint8).reshape(*direction.shape[:2], 4), distance.numpy()[0]
+
+
+def ray_caster(scene):
+    """A function of origins and directions (n, 3): distance (n,), infinite for a miss, and colour (n, 4)."""
+    camera = PanelCamera(scene)
+
+    def cast(origin, direction):
+        colour, distance = camera.pictures(origin[None], direction[None])
+        return np.where(distance[0] > 0, distance[0], np.inf), colour[0]
+
+    return cast
+
+
+if __name__ == "__main__":
+    eye = traced_eye(load_device("northstar"), "right")  # or models.model_file.load_eye_model("model.json").mappings
+    rays = ray_map(eye, eye.eye_box.centre, choose_plan(eye))
+    origin, direction = (each.reshape(*rays.shape, 3) for each in rays.world_rays(np.eye(4)))
+    colour, distance = PanelCamera(load_scene("desk")).pictures(origin, direction)
+    hit = distance > 0
+    print(f"{hit.mean():.1%} of {hit.size} rays hit, from {distance[hit].min():.3f} m to {distance[hit].max():.3f} m")
+    write_png("panel.png", np.ascontiguousarray(colour[..., :3]))
