@@ -27,6 +27,8 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--fps": ("1e9", "0", "-1", "nan", "inf", "x", "", "1e308"),
         "--frames": ("0", "-1", "1.5", "nan", "x"),
         "--supersample": ("1000000000", "0", "-1"),
+        "--samples": ("1000000000", "0", "-1"),
+        "--bounces": ("1000000000", "-1", "1.5"),
         "--resolution": ("1e9", "0", "-1", "nan", "inf"),
         "--eye": ("third", "", "right,left"),
         "--backend": ("magic",),
@@ -200,7 +202,11 @@ def cases() -> Iterator[Case]:
         )
         for option, values in options.items():
             for value in values:
-                extra = ("--method", "raytrace") if option == "--supersample" else ()
+                extra = {
+                    "--supersample": ("--method", "raytrace"),
+                    "--samples": ("--method", "pathtrace"),
+                    "--bounces": ("--method", "pathtrace"),
+                }.get(option, ())
                 extra = (*extra, "--head", "head.txt") if option in ("--fps", "--frames") else extra
                 arguments = (*_without(verb, option), *extra, f"{option}={value}")
                 name = (option if not value or option != "--trigger" else "trigger|path|nothing|program",)
