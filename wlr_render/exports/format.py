@@ -16,7 +16,8 @@ class Carries:
         every_depth: rays, so that a reader who knows the depth of a point finds its place in the picture.
         colours: a map each for red, green and blue.
         pupils: several pupil positions, in a file each or in one.
-        asymmetric_field: borders of the source picture at different angles to the left and right, or up and down.
+        asymmetric_field: borders of the source picture at different angles to the left and right, or up and down, and a
+            turned camera for each eye.
         between_pixels: positions between the pixels of the source picture.
         every_pixel: a position or ray for each panel pixel, not an approximation between some.
     """

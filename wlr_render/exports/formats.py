@@ -6,12 +6,15 @@ from wlr_render.exports.ffmpeg import Ffmpeg
 from wlr_render.exports.float_maps import FloatMap
 from wlr_render.exports.format import Format
 from wlr_render.exports.mesh import Mesh
+from wlr_render.exports.monado import Monado
+from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.npz import Npz
 from wlr_render.exports.rays import Rays
 from wlr_render.exports.stmap import StMap
 
-FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh"]
-FORMATS: tuple[Format, ...] = (StMap(), Rays(), FloatMap("pfm"), FloatMap("tiff"), Ffmpeg(), Npz(), Mesh())
+FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal"]
+_FLOAT_MAPS = FloatMap("pfm"), FloatMap("tiff")
+FORMATS: tuple[Format, ...] = (StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), Mesh(), Monado(), Mrcal())
 
 
 def format_of(name: str) -> Format:

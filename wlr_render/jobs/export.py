@@ -93,7 +93,9 @@ class ExportOptions(Options):
     ] = None
     source_axes: Annotated[
         Literal["field", "device"],
-        described("Axes of the source camera: towards the middle of the field of view, or the device's own."),
+        described(
+            "Axes of the source camera: towards the middle of the field of view, or the device's own (monado: always)."
+        ),
     ] = "field"
     raster_camera: Annotated[
         Literal["viewpoint", "nearest"],
@@ -209,8 +211,7 @@ def _planned(
     views: list[ExportedView] = []
     greens = {eye: each[len(each) // 2] for eye, each in channels.items()}
     planned = planned_frames(options, greens, None, track) if track else []
-    for eye, of_eye in channels.items():
-        first = _central_view(options, of_eye, sha256)
+    for eye, first in _first_views(options, channels, sha256).items():
         place_of = _source_place(options, greens[eye], first.source.device_from_camera)
         pupils: list[tuple[str, FloatArray, float | None]]
         if track:
@@ -231,9 +232,26 @@ def first_view(options: ExportOptions, eye: str) -> ExportedView:
     Raises:
         BadInputError: faulty files, or an eye that the headset does not have.
     """
+    return first_views(replace(options, eye=eye))[eye]
+
+
+def first_views(options: ExportOptions) -> dict[str, ExportedView]:
+    """The same of all eyes of the options.
+
+    Raises:
+        BadInputError: faulty files, or an eye that the headset does not have.
+    """
     with hashes_of_inputs() as inputs:
-        channels = _open_channels(options, eye)
-    return _central_view(options, channels, _own_hashes(options, inputs))
+        channels = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+    return _first_views(options, channels, _own_hashes(options, inputs))
+
+
+def _first_views(
+    options: ExportOptions, channels: dict[str, EyeChannels], sha256: dict[str, str]
+) -> dict[str, ExportedView]:
+    views = {eye: _central_view(options, of_eye, sha256) for eye, of_eye in channels.items()}
+    has_own_cameras = format_of(options.format).carries.asymmetric_field
+    return views if has_own_cameras else _with_symmetric_camera(options, views)
 
 
 def _own_hashes(options: ExportOptions, inputs: dict[str, str]) -> dict[str, str]:
@@ -246,7 +264,8 @@ def _central_view(options: ExportOptions, channels: EyeChannels, sha256: dict[st
     """A view from the centre of the eye box, with the camera that serves all of the box."""
     middle = channels[len(channels) // 2]
     panel, centre = middle.display.panel, middle.eye_box.centre
-    axes = middle_axes(middle) if options.source_axes == "field" else np.eye(3)
+    is_turned = options.source_axes == "field" and format_of(options.format).carries.asymmetric_field
+    axes = middle_axes(middle) if is_turned else np.eye(3)
     camera = intermediate_camera(channels, axes, options.resolution, (panel.width_px, panel.height_px), 0.0)
     if options.source_size:
         camera = Pinhole(*options.source_size, camera.tangent_min, camera.tangent_max)
@@ -260,6 +279,16 @@ def _source_place(
 ) -> Callable[[FloatArray], FloatArray]:
     """Place of the source camera as a function of the viewpoint."""
     return RasterPosition(mappings, device_from_camera).at if options.raster_camera == "nearest" else np.array
+
+
+def _with_symmetric_camera(options: ExportOptions, views: dict[str, ExportedView]) -> dict[str, ExportedView]:
+    """Views whose pictures have the same borders for each eye, as far to the left as to the right, and up as down."""
+    cameras = [view.source.camera for view in views.values()]
+    half = np.max([np.abs([camera.tangent_min, camera.tangent_max]) for camera in cameras], axis=(0, 1))
+    density = np.max([camera.focal_px for camera in cameras], axis=0)
+    width, height = options.source_size or np.ceil(2 * half * density).astype(int).tolist()
+    camera = Pinhole(width, height, -half, half)
+    return {eye: replace(view, source=replace(view.source, camera=camera)) for eye, view in views.items()}
 
 
 def _still_pupils(options: ExportOptions, mappings: EyeMappings) -> Iterator[tuple[str, FloatArray]]:
@@ -336,7 +365,10 @@ def _not_held(form: Format) -> list[str]:
     if not carries.colours:
         lost.append("Colour: one map serves all colours.")
     if not carries.asymmetric_field:
-        lost.append("An asymmetric field of view.")
+        lost.append(
+            "An asymmetric field of view, or a turned camera: the source pictures of both eyes reach as far to the "
+            "left as to the right, and up as down, in the device's axes; the rest of them is not used."
+        )
     if not carries.between_pixels:
         lost.append("Positions between pixels: each panel pixel shows one pixel of the source, up to half a pixel off.")
     return lost

@@ -1,0 +1,1 @@
+"""Monado as the reader of our distortion."""

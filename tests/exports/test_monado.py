@@ -1,0 +1,95 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.errors import BadInputError
+from wlr_render.exports.monado import Monado
+from wlr_render.jobs.export import ExportOptions, export, first_views
+
+N = 65
+
+
+@pytest.fixture(scope="module")
+def northstar_views():
+    """Both eyes with all pixels of the panel, as the driver demands."""
+    return list(first_views(ExportOptions("monado", "northstar", eye="both", depth_m=2.0)).values())
+
+
+@pytest.fixture(scope="module")
+def config(northstar_views, tmp_path_factory):
+    (path,) = Monado().write(northstar_views, tmp_path_factory.mktemp("monado"))
+    return json.loads(path.read_text())
+
+
+def as_the_driver_reads(config, eye):
+    """(N, N, 2) positions in the eye's picture, 0 to 1 from the top left, by the driver's formula for grid points."""
+    left, right, up, down = np.tan(config["fov"])
+    x, y = np.moveaxis(np.array(config[eye]["grid"]), -1, 0)
+    return np.stack([(x - left) / (right - left), (y - down) / (up - down)], axis=-1)
+
+
+def test_the_driver_reads_the_places_in_the_source_picture(config, northstar_views):
+    for view in northstar_views:
+        u, v = np.linspace(0, 1440, N), np.linspace(0, 1600, N)
+        exact = view.tangents(np.moveaxis(view.rays_at("all", np.stack(np.meshgrid(u, v), axis=-1)), -1, 0))
+        camera = view.source.camera
+        expected = camera.pixel_of_tangents(exact) / camera.size_px
+        assert np.abs(as_the_driver_reads(config, view.eye) - expected).max() < 1e-9
+        assert ((expected > 0) & (expected < 1)).all()
+
+
+def test_both_eyes_have_one_symmetric_picture_in_the_devices_axes(config, northstar_views):
+    left, right, up, down = config["fov"]
+    assert (left, down) == (-right, -up)
+    assert config["baseline"] == pytest.approx(64.0)
+    for view in northstar_views:
+        assert (view.source.device_from_camera == np.eye(3)).all()
+        tangents = config["about"][view.eye]["source_camera"]["tangents"]
+        assert np.arctan([tangents["left"], tangents["top"]]).tolist() == pytest.approx([left, up])
+
+
+def test_the_file_says_what_it_loses(config):
+    for eye in ("left", "right"):
+        about = config["about"][eye]
+        assert about["eye"] == eye
+        assert about["depth_m"] == 2.0
+        assert 0.2 < about["linear_between_points_max_arcmin"] < 0.6
+        assert 0.5 < about["used_share_of_the_source_picture"]["height"] < 0.6
+        assert np.abs(about["source_camera_from_where_monado_places_it_m"]).max() < 1e-12
+        assert "pupil 2 mm aside" in [loss["case"] for loss in about["loses"]]
+
+
+def test_pupils_that_monado_cannot_place_are_stated(northstar_views, tmp_path):
+    left, right = northstar_views
+    source = replace(right.source, position_in_device=right.source.position_in_device + [0, 0.002, 0])
+    (path,) = Monado().write([left, replace(right, source=source)], tmp_path)
+    about = json.loads(path.read_text())["about"]
+    assert about["right"]["source_camera_from_where_monado_places_it_m"] == pytest.approx([0, 0.001, 0])
+    assert about["left"]["source_camera_from_where_monado_places_it_m"] == pytest.approx([0, -0.001, 0])
+
+
+def test_one_eye_is_refused(tmp_path):
+    with pytest.raises(BadInputError, match="needs both eyes, and this export has the right eye; give --eye both"):
+        export(ExportOptions("monado", "northstar", out=tmp_path))
+
+
+@pytest.mark.parametrize("flag", [{"per_colour": True}, {"pupils": 3}])
+def test_colours_and_a_moving_pupil_are_refused(flag):
+    with pytest.raises(BadInputError, match="monado has one .*; leave out"):
+        ExportOptions("monado", "northstar", eye="both", **flag)
+
+
+def test_another_panel_is_refused(northstar_view, tmp_path):
+    views = [northstar_view, replace(northstar_view, channels=northstar_view.channels)]
+    views[0] = replace(views[0], channels=(replace(views[0].channels[0], eye="left"),))
+    with pytest.raises(BadInputError, match="1440 x 1600 pixels for each eye, and the panel of .* has 180 x 200"):
+        list(Monado().write(views, tmp_path))
+
+
+def test_a_panel_without_all_rays_is_refused(northstar_views, tmp_path):
+    left, right = northstar_views
+    object.__setattr__(holed := replace(right), "rays_at", lambda *_: np.full((N, N, 4), np.nan))
+    with pytest.raises(BadInputError, match="100.0% of the right panel of northstar .* has no ray"):
+        list(Monado().write([left, holed], tmp_path))

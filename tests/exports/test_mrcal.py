@@ -1,0 +1,143 @@
+import ast
+import json
+import math
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import NdBSpline
+from scipy.spatial.transform import Rotation
+
+from wlr_render.errors import BadInputError
+from wlr_render.exports.mrcal import Mrcal
+from wlr_render.exports.view import ExportedView
+from wlr_render.jobs.export import ExportOptions, first_view
+
+DEBIAN_PYTHON = "/usr/bin/python3"  # Debian's python3-mrcal is no package of the Python that runs the tests
+PROJECT = """
+import json, sys, numpy as np, mrcal
+file, points, pixels = sys.argv[1:]
+model = mrcal.cameramodel(file)
+in_camera = mrcal.transform_point_rt(model.extrinsics_rt_fromref(), np.load(points))
+np.save(pixels, mrcal.project(in_camera, *model.intrinsics()))
+print(json.dumps([int(size) for size in model.imagersize()]))
+"""
+
+
+def written(view, folder):
+    (path,) = Mrcal().write([view], folder)
+    return path
+
+
+def held_out(view, distance_m):
+    """mrcal's pixels (n, 2) all over the panel, and points (n, 3) in the device frame that they show."""
+    width, height = view.panel_size_px
+    pixel = np.stack(np.meshgrid(np.arange(3, width - 3, width // 37), np.arange(3, height - 3, height // 41)), axis=-1)
+    pixel = pixel.reshape(-1, 2)
+    rays = view.rays_at("all", pixel + 0.5)
+    in_camera = np.concatenate([rays[:, :2] * distance_m + rays[:, 2:], np.full((len(rays), 1), -distance_m)], axis=-1)
+    known = np.isfinite(in_camera).all(axis=-1)
+    in_device = in_camera @ view.source.device_from_camera.T + view.source.position_in_device
+    return pixel[known], in_device[known]
+
+
+def rms(difference):
+    return np.sqrt(np.mean(np.sum(difference**2, axis=-1)))
+
+
+@pytest.mark.parametrize(
+    ("device", "axes", "camera", "depth_m"),
+    [
+        ("northstar", "field", "viewpoint", None),
+        ("freeform40", "device", "viewpoint", None),
+        ("birdbath28", "field", "nearest", 0.5),
+    ],
+)
+def test_mrcal_projects_points_to_the_pixels_that_show_them(device, axes, camera, depth_m, tmp_path):
+    if subprocess.run([DEBIAN_PYTHON, "-c", "import mrcal"], capture_output=True).returncode:
+        pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
+    options = ExportOptions("mrcal", device, source_axes=axes, raster_camera=camera, depth_m=depth_m)
+    view = first_view(options, "right")
+    pixel, points = held_out(view, depth_m or 1e6)
+    np.save(tmp_path / "points.npy", points)
+    files = [written(view, tmp_path), tmp_path / "points.npy", tmp_path / "pixels.npy"]
+    run = subprocess.run([DEBIAN_PYTHON, "-c", PROJECT, *files], capture_output=True, text=True)
+    assert run.returncode == 0, run.stderr
+    size = json.loads(run.stdout)
+    difference = np.load(files[-1]) - pixel
+    print(f"{device}: {rms(difference):.5f} px rms, {np.abs(difference).max():.5f} at most")
+    assert size == list(view.panel_size_px)
+    assert rms(difference) <= 0.005
+
+
+def projected(path, points):
+    """Pixels by the published formula of the lens model, with SciPy's splines."""
+    model = ast.literal_eval(path.read_text())
+    words = dict(word.split("=") for word in model["lensmodel"].split("_") if "=" in word)
+    columns, rows, field_deg = (int(words[name]) for name in ("Nx", "Ny", "deg"))
+    focal, centre = np.split(np.array(model["intrinsics"][:4]), 2)
+    control = np.reshape(model["intrinsics"][4:], (rows, columns, 2))
+    pose = np.array(model["extrinsics"])
+    x, y, z = (Rotation.from_rotvec(pose[:3]).apply(points) + pose[3:]).T
+    u = np.stack([x, y], axis=-1) * (2 / (np.sqrt(x**2 + y**2 + z**2) + z))[:, None]
+    step = 2 * 2 * math.tan(math.radians(field_deg) / 4) / (columns - 3)
+    knots = tuple((np.arange(n + 4) - 2 - (n - 1) / 2) * step for n in (rows, columns))
+    return (u + NdBSpline(knots, control, 3)(u[:, ::-1])) * focal + centre
+
+
+def test_the_published_formula_gives_the_same_pixels(view, tmp_path):
+    pixel, points = held_out(view, 1e6)
+    assert rms(projected(written(view, tmp_path), points) - pixel) <= 0.002
+
+
+def test_a_model_is_for_its_depth(view, tmp_path):
+    near = replace(view, depth_m=0.25)
+    pixel, points = held_out(near, 0.25)
+    path = written(near, tmp_path)
+    assert rms(projected(path, points) - pixel) <= 0.002
+    pixel, points = held_out(near, 1e6)
+    assert rms(projected(path, points) - pixel) > 0.05
+    assert "# depth_m: 0.25\n" in path.read_text()
+
+
+def test_comments_state_the_error_and_the_loss(view, tmp_path):
+    comments = [line for line in written(view, tmp_path).read_text().splitlines() if line.startswith("# ")]
+    assert "holds for this pupil and for points at this depth only" in comments[0]
+    assert "px rms" in comments[1]
+    assert any(line.startswith("# loses: ") and "pupil 2 mm aside" in line for line in comments)
+    assert "# eye: right" in comments
+
+
+class Damaged(ExportedView):
+    """A view whose rays are changed by `damage`."""
+
+    def rays_at(self, colour, pixel, viewpoint=None):
+        return self.damage(super().rays_at(colour, pixel, viewpoint), pixel)
+
+
+def damaged(view, damage):
+    changed = Damaged(**{name: getattr(view, name) for name in ExportedView.__dataclass_fields__})
+    object.__setattr__(changed, "damage", damage)
+    return changed
+
+
+def test_a_field_that_folds_is_refused(view, tmp_path):
+    with pytest.raises(BadInputError, match="no continuous function of the direction; choose another format"):
+        written(damaged(view, lambda rays, pixel: np.abs(rays)), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_pixels_without_a_ray_are_left_out_of_the_fit(view, tmp_path):
+    def without_a_corner(rays, pixel):
+        return np.where(pixel.sum(axis=-1, keepdims=True) < 60, np.nan, rays)
+
+    holed = damaged(view, without_a_corner)
+    pixel, points = held_out(holed, 1e6)
+    assert len(pixel) < len(held_out(view, 1e6)[0])
+    assert rms(projected(written(holed, tmp_path), points) - pixel) <= 0.002
+
+
+def test_no_rays_at_all_are_refused(view, tmp_path):
+    with pytest.raises(BadInputError, match="no pixel of .* has a ray for right; check the pupil"):
+        written(damaged(view, lambda rays, pixel: np.full_like(rays, np.nan)), tmp_path)

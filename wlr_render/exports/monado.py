@@ -1,0 +1,127 @@
+"""The configuration file of Monado's North Star driver: a grid of tangents for each eye."""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.exports.facts import facts
+from wlr_render.exports.format import Carries
+from wlr_render.exports.view import ExportedView
+from wlr_render.files import write_text
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.numerics.arrays import FloatArray
+
+_POINTS = 65
+"""Grid points along each side of the panel: Monado's own mesh has 64 cells, whose corners these are."""
+_PANEL_PX = (1440, 1600)
+"""The driver opens a window of this size for each eye, whatever the file says."""
+_EDGE_TO_EDGE = np.linspace(0.0, 1.0, _POINTS)
+_EYES = ("left", "right")
+
+
+class Monado:
+    """The format `monado`."""
+
+    name = "monado"
+    title = "distortion of Monado's North Star driver (JSON, meshgrid version 2)"
+    carries = Carries(colours=False, pupils=False, asymmetric_field=False, every_pixel=False)
+    convention = (
+        f"left and right: a grid of {_POINTS} x {_POINTS} points over the panel from edge to edge, rows from the top; "
+        "linear between points.",
+        "A point has the tangents [x, y] of its ray as seen from the source camera, x to the right, y down.",
+        "fov: borders of the source picture of each eye, [left, right, up, down] in radians; baseline: distance of the "
+        "source cameras in mm.",
+        "about: all else, by eye. Monado does not read it.",
+    )
+    use = (
+        "Build Monado with -DXRT_BUILD_DRIVER_NS=ON: packages of distributions may lack the driver.",
+        "Start it with NS_CONFIG_PATH=FILE NS_LOG=info monado-service. It must print: Using Moshi's meshgrid-based "
+        "display distortion correction.",
+        "Monado's head pose is that of the middle between the source cameras (head_in_device_m in about), with the "
+        "axes of the device frame.",
+    )
+
+    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
+        """Write one file of both eyes.
+
+        Raises:
+            BadInputError: not both eyes, another panel than the driver's, or points of the grid that have no ray.
+        """
+        by_eye = {view.eye: view for view in views}
+        if set(by_eye) != set(_EYES):
+            (only,) = by_eye
+            raise BadInputError(
+                f"monado: its file needs both eyes, and this export has the {only} eye; give --eye both with a headset "
+                "that has two."
+            )
+        places = np.stack([by_eye[eye].source.position_in_device for eye in _EYES])
+        grids = {eye: _tangents(by_eye[eye]) for eye in _EYES}
+        about = {eye: self._about(by_eye[eye], grids[eye], places) for eye in _EYES}
+        camera = by_eye["left"].source.camera
+        yield write_text(folder / "monado-northstar.json", json.dumps(_config(grids, camera, places, about)) + "\n")
+
+    def _about(self, view: ExportedView, grid: FloatArray, places: FloatArray) -> dict[str, Any]:
+        """Facts of one eye, and what this format loses beside what they say."""
+        head = places.mean(axis=0)
+        placed = head + (places[1, 0] - places[0, 0]) * np.array([-0.5 if view.eye == "left" else 0.5, 0, 0])
+        camera = view.source.camera
+        used = np.ptp(grid, axis=(0, 1)) / (camera.tangent_max - camera.tangent_min)
+        return facts(view, view.middle_colour, self) | {
+            "head_in_device_m": head.tolist(),
+            "source_camera_from_where_monado_places_it_m": (view.source.position_in_device - placed).tolist(),
+            "used_share_of_the_source_picture": {"width": float(used[0]), "height": float(used[1])},
+            "linear_between_points_max_arcmin": _linear_error(view, grid),
+        }
+
+
+def _tangents(view: ExportedView, columns: FloatArray = _EDGE_TO_EDGE, rows: FloatArray = _EDGE_TO_EDGE) -> FloatArray:
+    """Tangents (rows, columns, 2), x right, y up, from the source camera, of panel positions from 0 to 1.
+
+    Raises:
+        BadInputError: another panel than the driver's, or positions without a ray.
+    """
+    if view.panel_size_px != _PANEL_PX:
+        width, height = view.panel_size_px
+        raise BadInputError(
+            f"monado: the North Star driver shows {_PANEL_PX[0]} x {_PANEL_PX[1]} pixels for each eye, and the panel "
+            f"of {view.origin.name} has {width} x {height}; choose another format, e.g. mesh."
+        )
+    pixel = np.stack(np.meshgrid(columns, rows), axis=-1) * _PANEL_PX
+    tangents = view.tangents(np.moveaxis(view.rays_at(view.middle_colour, pixel), -1, 0))
+    lost = ~np.isfinite(tangents).all(axis=-1)
+    if lost.any():
+        raise BadInputError(
+            f"monado: {np.mean(lost):.1%} of the {view.eye} panel of {view.origin.name} has no ray, and Monado's grid "
+            "has no mark for that; choose another format, e.g. mesh."
+        )
+    return tangents
+
+
+def _linear_error(view: ExportedView, grid: FloatArray) -> float:
+    """Largest error in arcmin of bilinear interpolation, in the middle of the grid's cells, where it is largest."""
+    middle = (np.arange(_POINTS - 1) + 0.5) / (_POINTS - 1)
+    bilinear = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
+    exact = _tangents(view, middle, middle)
+    return float(arcmin_between(dir_of_tangents(bilinear), dir_of_tangents(exact)).max())
+
+
+def _config(
+    grids: dict[str, FloatArray], camera: Pinhole, places: FloatArray, about: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    # The driver takes y for the tangent downwards only if the picture reaches as far up as down; so it always does.
+    (left, down), (right, up) = np.arctan([camera.tangent_min, camera.tangent_max]).tolist()
+    return {
+        "type": "meshgrid",
+        "version": 2,
+        "num_grid_points_x": _POINTS,
+        "num_grid_points_y": _POINTS,
+        "baseline": 1e3 * float(places[1, 0] - places[0, 0]),
+        "fov": [left, right, up, down],
+        **{eye: {"grid": (grid * [1, -1]).tolist()} for eye, grid in grids.items()},
+        "about": about,
+    }

@@ -1,0 +1,203 @@
+"""mrcal's camera model with splines: the panel as the picture of a camera at the pupil, for photogrammetry."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import csr_array, diags_array, eye_array, kron, vstack
+from scipy.spatial.transform import Rotation
+
+from wlr_render.errors import BadInputError
+from wlr_render.exports.facts import facts, header_texts
+from wlr_render.exports.format import Carries
+from wlr_render.exports.view import ExportedView
+from wlr_render.files import write_text
+from wlr_render.geometry import transforms
+from wlr_render.numerics.arrays import FloatArray
+
+_COLUMNS = (12, 16, 20, 26, 32)
+"""Numbers of control points across the field of view, tried in this order."""
+_WANTED_PX = 0.001
+"""Rms error at pixels that were not fitted: the first number of control points that reaches it is taken."""
+_REFUSED_PX = 0.1
+"""With a larger rms error the pixels are no continuous function of the direction: a fold, or a step."""
+_FITTED, _HELD_OUT = 97, 60
+"""Panel positions along each side that are fitted, and that judge the fit."""
+_SMOOTHING = 1e-5
+"""Weight of the control points' third differences: decides those that no ray reaches, and no others."""
+_CENTRE_SHIFT = 0.5
+"""mrcal puts (0, 0) at the centre of the first pixel."""
+_WIDEST_DEG = 300
+
+
+class Mrcal:
+    """The format `mrcal`."""
+
+    name = "mrcal"
+    title = "camera model with splines (.cameramodel) for mrcal"
+    carries = Carries(every_pixel=False)
+    convention = (
+        "The model projects a direction, seen from the source camera's position, to the panel pixel that shows it: "
+        "LENSMODEL_SPLINED_STEREOGRAPHIC.",
+        "Pixels are mrcal's: (0, 0) is the centre of the top left pixel. The camera's axes too: x right, y down, z "
+        "forward.",
+        "extrinsics (rt_fromref): from the device frame to the camera. Lengths are metres.",
+        "The comments at the top of a file have the headset, eye, viewpoint, depth, source camera and these sentences.",
+    )
+    use = (
+        "Python: model = mrcal.cameramodel(FILE); mrcal.project(directions, *model.intrinsics()) gives panel pixels, "
+        "mrcal.unproject the directions of pixels.",
+        "mrcal-show-distortion-off-pinhole, mrcal-reproject-image and mrcal's other programs take the file as it is.",
+    )
+
+    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
+        """Write a file for each view and colour.
+
+        Raises:
+            BadInputError: no rays, or pixels that are no continuous function of the direction.
+        """
+        for view in views:
+            for colour in view.colours:
+                texts = header_texts(facts(view, colour, self))
+                path = folder / f"{view.file_stem(colour)}.cameramodel"
+                yield write_text(path, _cameramodel(view, _fitted_camera(view, colour), texts))
+
+
+@dataclass(frozen=True, eq=False)
+class _SplinedCamera:
+    """LENSMODEL_SPLINED_STEREOGRAPHIC of order 3.
+
+    A direction (x, y, z) has the stereographic coordinates u = 2 (x, y) / (z + length); it is projected to
+    (u + spline(u)) * focal_px + centre_px.
+
+    Attributes:
+        field_x_deg: field of view that the control points cover from the left to the right.
+        shape: numbers of control points along x and y.
+        focal_px, centre_px: (2,).
+        control: (shape[1] * shape[0], 2) values of the control points, row by row.
+    """
+
+    field_x_deg: int
+    shape: tuple[int, int]
+    focal_px: FloatArray
+    centre_px: FloatArray
+    control: FloatArray
+
+    def project(self, u: FloatArray) -> FloatArray:
+        """Pixels (n, 2) of stereographic coordinates (n, 2)."""
+        spline = _spline_weights(u, self.field_x_deg, self.shape) @ self.control
+        return np.asarray((u + spline) * self.focal_px + self.centre_px)
+
+
+def _intervals_per_unit(field_x_deg: int, columns: int) -> float:
+    """mrcal's spacing: the field of view, and a whole interval more on either side, which cubic splines need."""
+    return float((columns - 3) / (4 * np.tan(np.radians(field_x_deg) / 4)))
+
+
+def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> csr_array:
+    """Weights (n, control points) of the uniform cubic B-spline surface at stereographic coordinates (n, 2)."""
+    size = np.array(shape)
+    place = u * _intervals_per_unit(field_x_deg, shape[0]) + (size - 1) / 2
+    first = np.clip(np.floor(place).astype(np.int64), 1, size - 3) - 1
+    t = place - first - 1
+    cubic = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
+    across, down = cubic[:, :, 0], cubic[:, :, 1]
+    weights = across[None] * down[:, None]
+    steps = np.arange(4)
+    column, row = first[:, 0] + steps[:, None], first[:, 1] + steps[:, None]
+    index = row[:, None] * shape[0] + column[None]
+    query = np.broadcast_to(np.arange(len(u)), index.shape)
+    return csr_array((weights.ravel(), (query.ravel(), index.ravel())), shape=(len(u), shape[0] * shape[1]))
+
+
+def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, FloatArray]:
+    """The camera with as few control points as the wanted error allows, and its errors (n,) in pixels."""
+    u, pixel = _samples(view, colour, np.linspace(0.0, 1.0, _FITTED))
+    step = 1.0 / _HELD_OUT
+    judged_u, judged_pixel = _samples(view, colour, np.linspace(0.5 * step, 1.0 - 0.5 * step, _HELD_OUT))
+    if not (len(u) and len(judged_u)):
+        raise BadInputError(f"mrcal: no pixel of {view.origin.name} has a ray for {view.stem}; check the pupil.")
+    for columns in _COLUMNS:
+        camera = _fit(u, pixel, columns)
+        errors = np.linalg.norm(camera.project(judged_u) - judged_pixel, axis=-1)
+        if _rms(errors) <= _WANTED_PX:
+            break
+    if _rms(errors) > _REFUSED_PX:
+        raise BadInputError(
+            f"mrcal: the best camera model of {view.origin.name} errs by {_rms(errors):.2f} px rms for {view.stem}: "
+            "its pixels are no continuous function of the direction; choose another format, e.g. stmap."
+        )
+    return camera, errors
+
+
+def _samples(view: ExportedView, colour: str, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Stereographic coordinates and mrcal's pixels, each (n, 2), of panel positions from edge (0) to edge (1)."""
+    pixel = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2) * view.panel_size_px
+    tangents = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
+    u = 2 * tangents * [1, -1] / (1 + np.sqrt(1 + np.sum(tangents**2, axis=-1)))[:, None]
+    has_ray = np.isfinite(u).all(axis=-1)
+    return u[has_ray], pixel[has_ray] - _CENTRE_SHIFT
+
+
+def _fit(u: FloatArray, pixel: FloatArray, columns: int) -> _SplinedCamera:
+    """Linear least squares: a straight line along each axis, and what is left by the control points."""
+    half_x, half_y = np.abs(u).max(axis=0)
+    field_x_deg = min(int(np.ceil(np.degrees(4 * np.arctan(half_x / 2)))), _WIDEST_DEG)
+    shape = columns, int(np.ceil(2 * half_y * _intervals_per_unit(field_x_deg, columns))) + 3
+    lines = [np.polyfit(u[:, axis], pixel[:, axis], 1) for axis in (0, 1)]
+    focal_px, centre_px = np.array(lines).T
+    weights = _spline_weights(u, field_x_deg, shape)
+    rough = _third_differences(shape)
+    normal = weights.T @ weights + _SMOOTHING**2 * len(u) / rough.shape[0] * (rough.T @ rough)
+    left = (pixel - centre_px) / focal_px - u
+    control = np.linalg.solve(normal.toarray(), weights.T @ left)
+    return _SplinedCamera(field_x_deg, shape, focal_px, centre_px, control)
+
+
+def _third_differences(shape: tuple[int, int]) -> csr_array:
+    """Third differences of neighbouring control points along both axes, (m, control points)."""
+    along = [
+        diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(max(size - 3, 0), size)) for size in shape
+    ]
+    across = kron(eye_array(shape[1]), along[0])
+    return csr_array(vstack([across, kron(along[1], eye_array(shape[0]))]))
+
+
+def _cameramodel(view: ExportedView, fitted: tuple[_SplinedCamera, FloatArray], texts: dict[str, str]) -> str:
+    camera, errors = fitted
+    comments = [
+        "Panel pixels as one pupil sees them, as a camera model. It holds for this pupil and for points at this depth "
+        "only (depth_m); loses says what other ones cost.",
+        f"Error of the splines at pixels that were not fitted: {_rms(errors):.5f} px rms, {errors.max():.5f} px at "
+        "most.",
+        *(f"{name}: {text}" for name, text in texts.items()),
+    ]
+    columns, rows = camera.shape
+    grid = f"order=3_Nx={columns}_Ny={rows}_fov_x_deg={camera.field_x_deg}"
+    intrinsics = np.concatenate([camera.focal_px, camera.centre_px, camera.control.ravel()])
+    lines = [
+        *("# " + " ".join(comment.split()) for comment in comments),
+        "{",
+        f"'lensmodel': 'LENSMODEL_SPLINED_STEREOGRAPHIC_{grid}',",
+        f"'intrinsics': {_numbers(intrinsics)},",
+        f"'extrinsics': {_numbers(_camera_from_device(view))},",
+        f"'imagersize': {list(view.panel_size_px)},",
+        "}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _camera_from_device(view: ExportedView) -> FloatArray:
+    """(6,) Rodrigues vector and translation from the device frame to the camera with OpenCV's axes."""
+    turned = view.source.device_from_camera @ transforms.OPENXR_FROM_OPENCV
+    pose = transforms.inverse(transforms.rigid(turned, view.source.position_in_device))
+    return np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3]])
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def _numbers(values: FloatArray) -> str:
+    return "[" + ", ".join(f"{value:.13g}" for value in values.tolist()) + "]"
