@@ -25,6 +25,7 @@ BENCHMARKS = {
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
     "renderers": "Other renderers on a headset's rays, compared with Embree.",
     "rivals": "Published methods and ours on measurements of others.",
+    "monado": "Monado's compositor with an exported distortion, compared with our own map.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }
 """Help texts; each benchmark is the function `run` of `study.py` in its folder."""

@@ -77,19 +77,19 @@ def test_one_eye_is_refused(tmp_path):
 
 @pytest.mark.parametrize("flag", [{"per_colour": True}, {"pupils": 3}])
 def test_colours_and_a_moving_pupil_are_refused(flag):
-    with pytest.raises(BadInputError, match="monado has one .*; leave out"):
+    with pytest.raises(BadInputError, match=r"monado has one .*; leave out"):
         ExportOptions("monado", "northstar", eye="both", **flag)
 
 
 def test_another_panel_is_refused(northstar_view, tmp_path):
     views = [northstar_view, replace(northstar_view, channels=northstar_view.channels)]
     views[0] = replace(views[0], channels=(replace(views[0].channels[0], eye="left"),))
-    with pytest.raises(BadInputError, match="1440 x 1600 pixels for each eye, and the panel of .* has 180 x 200"):
+    with pytest.raises(BadInputError, match=r"1440 x 1600 pixels for each eye, and the panel of .* has 180 x 200"):
         list(Monado().write(views, tmp_path))
 
 
 def test_a_panel_without_all_rays_is_refused(northstar_views, tmp_path):
     left, right = northstar_views
     object.__setattr__(holed := replace(right), "rays_at", lambda *_: np.full((N, N, 4), np.nan))
-    with pytest.raises(BadInputError, match="100.0% of the right panel of northstar .* has no ray"):
+    with pytest.raises(BadInputError, match=r"100\.0% of the right panel of northstar .* has no ray"):
         list(Monado().write([left, holed], tmp_path))

@@ -139,5 +139,5 @@ def test_pixels_without_a_ray_are_left_out_of_the_fit(view, tmp_path):
 
 
 def test_no_rays_at_all_are_refused(view, tmp_path):
-    with pytest.raises(BadInputError, match="no pixel of .* has a ray for right; check the pupil"):
+    with pytest.raises(BadInputError, match=r"no pixel of .* has a ray for right; check the pupil"):
         written(damaged(view, lambda rays, pixel: np.full_like(rays, np.nan)), tmp_path)

@@ -23,6 +23,7 @@ from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_fram
 from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
+    Eye,
     Eyes,
     Options,
     ProgressArgument,
@@ -226,7 +227,7 @@ def _planned(
     return views, [*gap_warnings(options, None, track), *held_warnings(options, planned)]
 
 
-def first_view(options: ExportOptions, eye: str) -> ExportedView:
+def first_view(options: ExportOptions, eye: Eye) -> ExportedView:
     """The view of one eye from the centre of its eye box, without writing anything: for scripts.
 
     Raises:
@@ -242,7 +243,7 @@ def first_views(options: ExportOptions) -> dict[str, ExportedView]:
         BadInputError: faulty files, or an eye that the headset does not have.
     """
     with hashes_of_inputs() as inputs:
-        channels = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+        channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
     return _first_views(options, channels, _own_hashes(options, inputs))
 
 
