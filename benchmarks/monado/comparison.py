@@ -24,6 +24,8 @@ class PositionErrors:
         window_px: (width, height) of the eye's part of the window.
         rms, mean, largest: over its pixels; rounding to whole codes alone is 0.29 rms.
         largest_block_mean: of blocks of 40 x 40 pixels, in which rounding averages out.
+        same_without_colours: the same after the mean error of each code is subtracted: the error of converting colours
+            depends on the code alone. A map that errs by a function of the code alone would be hidden too.
         reversed_rms: the same window with its rows in reverse, to show that the comparison can fail.
     """
 
@@ -34,6 +36,7 @@ class PositionErrors:
     mean: float
     largest: float
     largest_block_mean: float
+    same_without_colours: float
     reversed_rms: float
 
 
@@ -57,10 +60,7 @@ def position_errors(screen: NDArray[np.uint8], fov: FloatArray, view: ExportedVi
     tangents = view.tangents(np.moveaxis(rays, -1, 0))
     left, right, up, down = np.tan(fov)
     expected = 255 * (tangents - [left, up]) / [right - left, down - up]
-    return [
-        _errors(view.eye, axis, window[..., k] - expected[..., k], window[::-1, :, k] - expected[..., k])
-        for k, axis in enumerate(("across", "down"))
-    ]
+    return [_errors(view.eye, axis, window[..., k], expected[..., k]) for k, axis in enumerate(("across", "down"))]
 
 
 def _window(screen: NDArray[np.uint8], eye: str) -> FloatArray:
@@ -75,10 +75,10 @@ def _window(screen: NDArray[np.uint8], eye: str) -> FloatArray:
     return screen[part][..., :2].astype(np.float64)
 
 
-def _errors(eye: str, axis: str, error: FloatArray, in_reverse: FloatArray) -> PositionErrors:
-    height, width = error.shape
-    blocks = error[: height // _BLOCK * _BLOCK, : width // _BLOCK * _BLOCK]
-    means = blocks.reshape(height // _BLOCK, _BLOCK, width // _BLOCK, _BLOCK).mean(axis=(1, 3))
+def _errors(eye: str, axis: str, shown: FloatArray, expected: FloatArray) -> PositionErrors:
+    (height, width), error, in_reverse = shown.shape, shown - expected, shown[::-1] - expected
+    code = np.rint(expected).astype(np.int64).clip(0, 255)
+    of_code = np.bincount(code.ravel(), error.ravel(), 256) / np.maximum(np.bincount(code.ravel(), minlength=256), 1)
     return PositionErrors(
         eye,
         axis,
@@ -86,6 +86,13 @@ def _errors(eye: str, axis: str, error: FloatArray, in_reverse: FloatArray) -> P
         float(np.sqrt(np.mean(error**2))),
         float(error.mean()),
         float(np.abs(error).max()),
-        float(np.abs(means).max()),
+        _largest_block_mean(error),
+        _largest_block_mean(error - of_code[code]),
         float(np.sqrt(np.mean(in_reverse**2))),
     )
+
+
+def _largest_block_mean(error: FloatArray) -> float:
+    rows, columns = (size // _BLOCK for size in error.shape)
+    blocks = error[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, columns, _BLOCK)
+    return float(np.abs(blocks.mean(axis=(1, 3))).max())

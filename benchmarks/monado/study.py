@@ -91,7 +91,17 @@ def _verdict(errors: list[PositionErrors]) -> str:
 
 
 def _table(errors: list[PositionErrors]) -> ReportTable:
-    columns = ("eye", "axis", "window (px)", "rms", "mean", "max", "max of block means", "rms, rows reversed")
+    columns = (
+        "eye",
+        "axis",
+        "window (px)",
+        "rms",
+        "mean",
+        "max",
+        "max of block means",
+        "without colours",
+        "rms, rows reversed",
+    )
     rows: list[list[Cell]] = [
         [
             each.eye,
@@ -101,6 +111,7 @@ def _table(errors: list[PositionErrors]) -> ReportTable:
             each.mean,
             each.largest,
             each.largest_block_mean,
+            each.same_without_colours,
             each.reversed_rms,
         ]
         for each in errors
@@ -109,6 +120,8 @@ def _table(errors: list[PositionErrors]) -> ReportTable:
         "A client submits pictures whose red is the position from the left border, and green from the top border, in "
         "255 codes. Expected are the positions of the exact rays of the panel, at the centres of the window's pixels.",
         "Blocks have 40 x 40 pixels: rounding averages out, and the means are errors of map and colours.",
+        "Without colours: after the mean error of each code is subtracted. The software renderer's conversion between "
+        "sRGB and linear light errs by the code alone; what is left is the map's.",
         "With its rows reversed the window is wrong; the last column shows that the comparison notices it.",
     )
     return ReportTable("Errors in codes", columns, rows, notes)
