@@ -24,6 +24,8 @@ _REFUSED_PX = 0.1
 """With a larger rms error the pixels are no continuous function of the direction: a fold, or a step."""
 _FITTED, _HELD_OUT = 97, 60
 """Panel positions along each side that are fitted, and that judge the fit."""
+_FEWEST = 100
+"""Rays without which nothing is fitted; they are 1 % of the positions."""
 _SMOOTHING = 1e-5
 """Weight of the control points' third differences: decides those that no ray reaches, and no others."""
 _CENTRE_SHIFT = 0.5
@@ -116,8 +118,10 @@ def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, Flo
     u, pixel = _samples(view, colour, np.linspace(0.0, 1.0, _FITTED))
     step = 1.0 / _HELD_OUT
     judged_u, judged_pixel = _samples(view, colour, np.linspace(0.5 * step, 1.0 - 0.5 * step, _HELD_OUT))
-    if not (len(u) and len(judged_u)):
-        raise BadInputError(f"mrcal: no pixel of {view.origin.name} has a ray for {view.stem}; check the pupil.")
+    if min(len(u), len(judged_u)) < _FEWEST:
+        raise BadInputError(
+            f"mrcal: hardly a pixel of {view.origin.name} has a ray for {view.stem}; check the pupil position."
+        )
     for columns in _COLUMNS:
         camera = _fit(u, pixel, columns)
         errors = np.linalg.norm(camera.project(judged_u) - judged_pixel, axis=-1)
