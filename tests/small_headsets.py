@@ -1,12 +1,14 @@
 """Fixtures: small headsets and a small scene, so that whole jobs run in seconds."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.speed.workload import bench_model
 from wlr_render.files import resource
-from wlr_render.mappings import Panel
+from wlr_render.mappings import Panel, Status
 from wlr_render.models.model_file import EyeModel, save_eye_models
 
 SCENE = """
@@ -45,6 +47,22 @@ def changed_device(folder, name, *changes):
     path = folder / f"{name}.toml"
     path.write_text(text, encoding="utf-8")
     return str(path)
+
+
+@dataclass(frozen=True)
+class LeftHalf:
+    """A display whose right half shows nothing."""
+
+    whole: Any
+
+    def __getattr__(self, name):
+        return getattr(self.whole, name)
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        found = self.whole.view_dir_of_pixel(pixel, viewpoint)
+        is_dark = np.broadcast_to(np.asarray(pixel)[..., 0] > 0.5 * self.whole.panel.width_px, found.status.shape)
+        value = np.where(is_dark[..., None], np.nan, found.value)
+        return replace(found, value=value, status=np.where(is_dark, Status.MISS, found.status).astype(np.uint8))
 
 
 @pytest.fixture(scope="session")

@@ -1,14 +1,12 @@
 """Views that the tests of formats write."""
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_headsets import changed_device
+from small_headsets import LeftHalf, changed_device
 
 from wlr_render.jobs.export import ExportOptions, first_view
-from wlr_render.mappings import Status
 
 
 @pytest.fixture(scope="session")
@@ -51,22 +49,6 @@ def coloured_view(tmp_path_factory):
     glass = ("index = 1.492", 'formula = "pmma_sultanova_2009"')
     device = changed_device(tmp_path_factory.mktemp("device"), "prism5701202", glass, ("[1280, 960]", "[160, 120]"))
     return first_view(ExportOptions("stmap", device, per_colour=True), "right")
-
-
-@dataclass(frozen=True)
-class LeftHalf:
-    """A display whose right half shows nothing."""
-
-    whole: Any
-
-    def __getattr__(self, name):
-        return getattr(self.whole, name)
-
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
-        found = self.whole.view_dir_of_pixel(pixel, viewpoint)
-        is_dark = np.broadcast_to(np.asarray(pixel)[..., 0] > 0.5 * self.whole.panel.width_px, found.status.shape)
-        value = np.where(is_dark[..., None], np.nan, found.value)
-        return replace(found, value=value, status=np.where(is_dark, Status.MISS, found.status).astype(np.uint8))
 
 
 @pytest.fixture

@@ -1,4 +1,6 @@
+import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -6,13 +8,16 @@ import cv2
 import numpy as np
 import pytest
 from command_line import refused
+from small_headsets import LeftHalf
 
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.escapes import markdown_text
 from wlr_render.exports.formats import FORMATS, FormatName
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS
 from wlr_render.jobs.export import ExportOptions, export
+from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
 
@@ -73,6 +78,11 @@ def test_a_grid_of_pupils_has_a_map_for_each_pupil_and_eye(straight_device, tmp_
     assert maps == [
         f"{eye}-row{row}-column{column}-map" for eye in ("left", "right") for row in (0, 1) for column in (0, 1)
     ]
+    box = open_eye(straight_device, "right").eye_box
+    for corner, unit in (("row0-column0", [-1, 1, 0]), ("row1-column1", [1, -1, 0])):
+        facts = json.loads((tmp_path / f"right-{corner}-map.json").read_text(encoding="utf-8"))
+        assert facts["viewpoint_in_device_m"] == pytest.approx(box.at(unit))
+        assert facts["source_camera"]["position_in_device_m"] == pytest.approx(box.at(unit))
     first, last = (read_map(tmp_path / f"{stem}.pfm") for stem in maps[-4::3])
     assert np.abs(first - last).max() > 1  # px
 
@@ -95,6 +105,28 @@ def test_each_colour_has_its_map(prism_of_plastic, tmp_path):
     assert pairs == {f"right-{colour}-{axis}.pgm" for colour in ("red", "green", "blue") for axis in "xy"}
     red, blue = (cv2.imread(str(tmp_path / f"right-{colour}-y.pgm"), -1) for colour in ("red", "blue"))
     assert not np.array_equal(red, blue)
+
+
+def test_panel_pixels_without_a_ray_are_counted(straight_device, tmp_path, monkeypatch):
+    eye = open_eye(straight_device)
+    half = replace(eye, display=LeftHalf(eye.display))
+    monkeypatch.setattr("wlr_render.jobs.export.open_eye", lambda spec, name: half)
+    report = exported("stmap", straight_device, tmp_path)
+    assert report.warnings == ["right: 1152 of 2304 panel pixels have no ray."]
+
+
+def test_positions_beside_the_source_picture_are_counted(straight_device, tmp_path, monkeypatch):
+    narrow = Pinhole(64, 36, np.array([-0.01, -1.0]), np.array([1.0, 1.0]))
+    monkeypatch.setattr("wlr_render.jobs.export.intermediate_camera", lambda *_: narrow)
+    (warning,) = exported("stmap", straight_device, tmp_path).warnings
+    assert warning.endswith("of 2304 panel pixels lead past the picture.")
+
+
+def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
+    """Without optics the panel itself is seen, half a metre away, where it should show what is at infinity."""
+    report = exported("stmap", straight_device, tmp_path)
+    (table,) = [each for each in report.tables if each.title.startswith("Misalignment")]
+    assert table.rows[-1][3] == pytest.approx(60 * np.rad2deg(0.002 / 0.5), rel=0.01)
 
 
 @pytest.mark.parametrize(

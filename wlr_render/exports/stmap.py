@@ -31,8 +31,10 @@ class StMap:
         "pixel.",
         "Nuke: read the file as raw data, connect it to the stmap input of an STMap node, uv channels rgb, filter "
         "bilinear or better.",
-        "OpenImageIO: oiiotool source.exr map.exr --st_warp:filter=triangle:flip_t=1 -o panel.exr (its t runs down); "
-        "in Python ImageBufAlgo.st_warp with flip_t=True, and roi= of the panel's size.",
+        "OpenImageIO: oiiotool source.exr map.exr --st_warp:filter=triangle:flip_t=1 --crop WxH+0+0 --fullpixels -o "
+        "panel.exr, with the panel's size as WxH, for its t runs down and its result has the size of the source.",
+        "OpenImageIO in Python: ImageBufAlgo.st_warp(source, map, 'triangle', flip_t=True, roi=the panel's pixels), "
+        "which also serves a source picture smaller than the panel.",
     )
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:

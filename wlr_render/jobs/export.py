@@ -312,6 +312,12 @@ def _report(options: ExportOptions, form: Format, views: list[ExportedView], fil
     depth = "every depth" if form.carries.every_depth else _depth_words(first.depth_m)
     eyes = f"{' and '.join(eyes_of(options.eye))} eye{'s' if options.eye == 'both' else ''}"
     blocks: list[Block] = [
+        Text(
+            "An augmented-reality headset bends the light of its panel and of the world. For each pixel of the panel a "
+            "file says what of a picture of the virtual scene, drawn by an ordinary pinhole camera, this pixel must "
+            "show, so that the wearer sees the scene in its place in the world. The camera and the pupil for which "
+            "this is right stand below."
+        ),
         Section("What the numbers mean"),
         Text("In every file:", form.convention),
         Text(f"Frames and pixels: {_FRAMES}"),
@@ -383,11 +389,21 @@ def _source_cameras(views: list[ExportedView]) -> ReportTable:
         (left, bottom), (right, top) = camera.tangent_min.tolist(), camera.tangent_max.tolist()
         axes = "; ".join(" ".join(f"{value:.6f}" for value in row) for row in view.source.device_from_camera)
         tangents = [f"{value:.6f}" for value in (left, right, bottom, top)]
-        rows.append([eye, f"{camera.width_px} x {camera.height_px}", *tangents, axes])
-    columns = ["eye", "size (px)", "left", "right", "bottom", "top", "device from camera, row by row"]
+        panel, picture = (f"{width} x {height}" for width, height in (view.panel_size_px, camera.size_px))
+        rows.append([eye, panel, picture, *tangents, axes])
+    columns = [
+        "eye",
+        "panel (px)",
+        "source picture (px)",
+        "left",
+        "right",
+        "bottom",
+        "top",
+        "device from camera, row by row",
+    ]
     notes = [
-        "left, right, bottom, top: tangents of the picture's borders. The camera's position is in the last table, and "
-        "all digits are in the files."
+        "left, right, bottom, top: tangents of the picture's borders, an off-axis frustum. The camera's position is in "
+        "the last table, and all digits are in the files."
     ]
     return ReportTable("Source cameras", columns, rows, notes)
 
