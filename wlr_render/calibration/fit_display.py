@@ -17,7 +17,7 @@ from wlr_render.calibration.readings import (
     motion_of,
     without_thickness,
 )
-from wlr_render.calibration.smooth_prior import Stage
+from wlr_render.calibration.smooth_prior import MotionFactors, Stage
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.bundle import BundleDisplay
@@ -42,7 +42,7 @@ def fit_display(
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
     weights: FloatArray | None = None,
-    stage: Stage | None = None,
+    stage: Stage | MotionFactors | None = None,
 ) -> ModelFit[FittedDisplay]:
     """Fit a display model to captures of the panel by maximum evidence.
 
@@ -55,7 +55,7 @@ def fit_display(
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_fit.fit`.
-        stage: repeatability and wobble; None to find them.
+        stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
 
     Raises:
         BadInputError: an unknown kind, captures that determine nothing or contradict each other, or a model that may

@@ -149,12 +149,15 @@ def fit_eye(
         trends = eye_trends(captures, fit_assembly(captures, prescription), base_plane)
         return fit_with_trends(captures, kind, trends, (display_degree, see_through_degree))
     shown = seen = None
-    if captures.display is not None:
-        shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane)
     if captures.see_through is not None:
         seen = see_through_fit.fit_see_through(
             captures.see_through, _SEE_THROUGH_KIND.get(kind, kind), see_through_degree, base_plane
         )
+    if captures.display is not None:
+        # The world bends little from place to place: its captures tell their motions from the optics where the
+        # display's cannot.
+        factors = seen.smooth.motion_factors if seen is not None and captures.display.motion is not None else None
+        shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane, stage=factors)
     return _eye_fit(captures, shown, seen, sum(_log_evidence(each) for each in (shown, seen) if each is not None))
 
 

@@ -14,7 +14,7 @@ from wlr_render.calibration.readings import (
     motion_of,
     without_thickness,
 )
-from wlr_render.calibration.smooth_prior import Stage
+from wlr_render.calibration.smooth_prior import MotionFactors, Stage
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -37,7 +37,7 @@ def fit_see_through(
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
     weights: FloatArray | None = None,
-    stage: Stage | None = None,
+    stage: Stage | MotionFactors | None = None,
 ) -> ModelFit[FittedSeeThrough]:
     """Fit a see-through model to captures of real points, as deviation from straight rays, by maximum evidence.
 
@@ -49,7 +49,7 @@ def fit_see_through(
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_fit.fit`.
-        stage: repeatability and wobble; None to find them.
+        stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
 
     Raises:
         BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict

@@ -11,7 +11,7 @@ from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings, Limits, Trend, UndeterminedModelError
 from wlr_render.calibration.smooth_fit import fit_within
-from wlr_render.calibration.smooth_prior import Stage
+from wlr_render.calibration.smooth_prior import MotionFactors, Stage
 from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -72,7 +72,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         base_plane: BasePlane | None,
         trend: Trend | None,
         weights: FloatArray | None,
-        stage: Stage | None,
+        stage: Stage | MotionFactors | None,
     ) -> ModelFit[AnyModel]:
         """Fit a model by maximum evidence; see `fit_display.fit_display`."""
         if kind not in self.kinds:

@@ -27,6 +27,7 @@ from wlr_render.calibration.smooth_prior import (
     LEAST_MOTION,
     SHIFT,
     TURN,
+    MotionFactors,
     Stage,
     motion_scale,
     motion_sizes,
@@ -47,6 +48,7 @@ _MOTION_ROUNDS = 3
 _ROUNDS = 4  # of outlier weights
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _SMOOTH_ORDER = 3  # of the place: motions that vary with it no faster are no motions
+_REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # share of the motions that is left to tell their sizes
 _SUSPICIOUS, _SURE = 4.0, 6.0  # a capture's motion over what it is uncertain by, the others' size included
 _NEAR_WORST = 0.8  # of the most suspicious one's: what is less so may be its doing
 _LARGER, _STANDS_OUT = 2.0, 8.0  # a capture's motion over the median one: of a suspect, and of one that moved
@@ -54,6 +56,7 @@ _DOUBTFUL = 0.5  # of the largest score
 _ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # nothing stands out that is less than so many times these
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
 _BAD_STAGE_M, _BAD_STAGE_RAD = 1e-4, 3e-4  # repeatability per axis
+_SIDES_DIFFER = 0.1  # logarithm of the sizes of the motions of a headset's display captures over the others'
 _MOST = 0.25  # of the captures may stand out
 _FEW_ORDERS = 3  # in all, of the fit that finds captures far off
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
@@ -147,6 +150,15 @@ class SmoothFit:
         variance = known.log_sigma**2 + 1.0 / np.maximum(self._motion_curvature, 1e-9)
         sigmas = np.abs(off) * np.sqrt(variance) / known.log_sigma**2
         return MotionAgreement(float(shift_m), float(turn_rad), *map(float, self._motion_factors), *map(float, sigmas))
+
+    @property
+    def motion_factors(self) -> MotionFactors | None:
+        """What other captures of the same bench may expect of their motions; None where these state none."""
+        known = self.readings.motion_prior
+        if known is None or self._motion_curvature is None:
+            return None
+        sigma = 1.0 / np.sqrt(self._motion_curvature + known.log_sigma**-2)
+        return MotionFactors(np.log(self._motion_factors), np.hypot(sigma, _SIDES_DIFFER))
 
     @property
     def _motion_factors(self) -> FloatArray:
@@ -333,7 +345,7 @@ def fit_within(
     readings_of: Callable[[Limits], FitReadings],
     limits: Sequence[Limits],
     weights: FloatArray | None = None,
-    stage: Stage | None = None,
+    stage: Stage | MotionFactors | None = None,
 ) -> SmoothFit:
     """Fit within the first limits of the orders that leave most coefficients to the prior, or within the last.
 
@@ -342,22 +354,29 @@ def fit_within(
     Raises:
         BadInputError: as `fit`.
     """
-    smooth = fit(readings_of(limits[0]), None, weights, stage)
-    for wider in limits[1:]:
-        if (
-            smooth.posterior.determined
-            < _SATURATED * len(smooth.readings.orders) * smooth.polynomial.coefficients.shape[1]
-        ):
-            break
-        smooth = fit(readings_of(wider), smooth.posterior.hyper, weights, stage)
-    return smooth
+    start: Mapping[str, float] | None = None
+    for each in limits[:-1]:
+        try:
+            smooth = fit(readings_of(each), start, weights, stage)
+        except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
+            continue
+        if smooth.posterior.determined < _SATURATED * smooth.polynomial.coefficients.size:
+            return smooth
+        start = smooth.posterior.hyper
+    widest = readings_of(limits[-1])
+    try:
+        return fit(widest, start, weights, stage)
+    except np.linalg.LinAlgError:
+        if start is None:
+            raise
+        return fit(widest, None, weights, stage)
 
 
 def fit(
     readings: FitReadings,
     start_at: Mapping[str, float] | None = None,
     weights: FloatArray | None = None,
-    stage: Stage | None = None,
+    stage: Stage | MotionFactors | None = None,
 ) -> SmoothFit:
     """Fit by maximum evidence.
 
@@ -366,7 +385,7 @@ def fit(
         start_at: hyperparameters of a fit to the same readings, to start from; None searches from several starts.
         weights: (n,) of the readings, 1 to 0 for outliers; None to find them. Evidence of models is comparable only
             with the same readings and weights.
-        stage: repeatability and wobble; None to find them.
+        stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
 
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
@@ -425,7 +444,7 @@ class _Search:
     start: Polynomial
     start_at: Mapping[str, float] | None
     weights: FloatArray | None
-    stage: Stage | None
+    stage: Stage | MotionFactors | None
 
     def without(self, moved: tuple[CaptureMotion, ...]) -> SmoothFit:
         """Fit to all captures but those that moved."""
@@ -448,8 +467,9 @@ class _Search:
             kept, starts = weights, [dict(found.hyper)]
         if columns is None:
             return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
-        prior = smoothness_prior(readings, moving=True)
-        if self.stage is not None:
+        factors = self.stage if isinstance(self.stage, MotionFactors) else None
+        prior = smoothness_prior(readings, moving=True, factors=factors)
+        if self.stage is not None and factors is None:
             prior.bounds[-2:] = np.log(np.maximum(self.stage, LEAST_MOTION) / motion_scale(readings))[:, None]
         rough, hyper = _rough(readings, kept), dict(found.hyper)
         of_rough, curvature = replace(prior, own_offset=0.0), np.zeros(2)
@@ -480,7 +500,8 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     count = np.maximum(np.bincount(readings.capture, minlength=captures), 1)
     middle = np.stack([np.bincount(readings.capture, axis, captures) / count for axis in place.T], axis=-1)[used]
     orders = [total_degree(place.shape[1], order) for order in range(_SMOOTH_ORDER + 1)]
-    smooth = [order for order in orders if 2 * len(order) <= len(used)]
+    rest = _REST_IF_UNKNOWN if readings.motion_prior is None else _REST_IF_STATED
+    smooth = [order for order in orders if len(order) <= (1.0 - rest) * len(used)]
     if not smooth:
         return np.zeros((6, captures, 0))
     values, extent, _ = np.linalg.svd(basis(middle, smooth[-1], Box.around(middle)), full_matrices=False)

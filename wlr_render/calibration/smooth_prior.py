@@ -5,10 +5,11 @@ with a slope for each variable.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.special import binom
 
 from wlr_render.calibration.readings import FitReadings, flat_places, sums_of
 from wlr_render.numerics.arrays import FloatArray
@@ -31,24 +32,47 @@ _MOST_TIMES = 10.0  # the sizes known before may be wrong by
 _SHIFTS, _TURNS = (-0.6, 1.2, 2.8), (-1.0, 0.8, 2.5)  # where the search for motions starts: sigmas of the logarithms
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
 _USUAL_SLOPES = (2.5, 1.5)  # of the prior by place and by pixel, for readings that tell little; give or take one
+_FOOTPRINT, _USUAL_FOOTPRINT = "footprint", (1.0, 0.5)  # exponent of `_log_ways`: its name, mean and sigma
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
 Stage = tuple[float, float]
 """Repeatability in metres and wobble in radians, standard deviations per axis."""
 
 
-def smoothness_prior(readings: FitReadings, moving: bool) -> Prior:
-    """Prior of a fit to the readings, with motions of the captures or without."""
+@dataclass(frozen=True)
+class MotionFactors:
+    """By what factors the stated sizes of shift and turn are wrong, as other captures of the same bench tell.
+
+    Attributes:
+        mean, sigma: (2,) of the natural logarithms of the factors.
+    """
+
+    mean: FloatArray
+    sigma: FloatArray
+
+
+def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors | None = None) -> Prior:
+    """Prior of a fit to the readings, with motions of the captures or without.
+
+    Args:
+        readings: what is fitted.
+        moving: whether the captures move.
+        factors: of the stated sizes of the motions; None for what the captures state of them.
+    """
     blocks, orders, free = readings.blocks, readings.orders, readings.free
     sizes = [f"size {block}" for block in range(blocks)]
     smooth_as = _smooth_as(readings)
     axes = sorted(set(smooth_as))
     slopes = [f"{'mu' if readings.is_place[axis] else 'lambda'} {axis}" for axis in axes]
-    names = (*sizes, *slopes, "noise", *(("shift", "turn") if moving else ()))
+    ways = _log_ways(readings)
+    footprint = [_FOOTPRINT] if np.any(ways) else []
+    names = (*sizes, *slopes, *footprint, "noise", *(("shift", "turn") if moving else ()))
     features = np.zeros((blocks, len(orders), len(names)))
     for block in range(blocks):
         features[block, ~free, block] = 1.0
         for axis, other in enumerate(smooth_as):
             features[block, ~free, blocks + axes.index(other)] -= orders[~free, axis]
+        if footprint:
+            features[block, ~free, names.index(_FOOTPRINT)] = ways[~free]
     flat = features.reshape(-1, len(names))
     none = np.zeros((0, len(names)))
     parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
@@ -58,7 +82,7 @@ def smoothness_prior(readings: FitReadings, moving: bool) -> Prior:
     if moving:
         own[SHIFT, -2] = own[TURN, -1] = 1.0
         offset = np.log(motion_sizes(readings))
-    bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes)
+    bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(0.0, 2.0)] * len(footprint)
     bounds += [(np.log(noise_floor(readings, moving)), 12.0)]
     if moving:
         usual = motion_scale(readings)
@@ -68,9 +92,28 @@ def smoothness_prior(readings: FitReadings, moving: bool) -> Prior:
     by_place = np.array([readings.is_place[axis] for axis in axes])
     expected[blocks : blocks + len(slopes), 0] = np.where(by_place, *_USUAL_SLOPES)
     expected[blocks : blocks + len(slopes), 1] = 1.0
+    if footprint:
+        expected[names.index(_FOOTPRINT)] = _USUAL_FOOTPRINT
     if moving:
         expected[-2:, 1] = _STAGES_DIFFER if readings.motion_prior is None else readings.motion_prior.log_sigma
+        if factors is not None:
+            expected[-2:] = np.stack([factors.mean, factors.sigma], axis=-1)
     return Prior(names, np.array(bounds), expected, shared, mixed, own, offset)
+
+
+def _log_ways(readings: FitReadings) -> FloatArray:
+    """Logarithms (terms,) of how often a product of powers occurs in a power of the ray's footprint.
+
+    The footprint on a surface of the optics is a sum, of the place and a multiple of the pixel or direction; powers of
+    it have mixed terms with binomial coefficients.
+    """
+    place = np.flatnonzero(readings.is_place)
+    subject = np.flatnonzero(~readings.is_place)
+    pairs = zip(readings.orders[:, subject].T, readings.orders[:, place].T, strict=False)
+    ways = np.ones(len(readings.orders))
+    for of_subject, of_place in pairs:
+        ways = ways * binom(of_subject + of_place, of_place)
+    return np.asarray(np.log(ways))
 
 
 def motion_sizes(readings: FitReadings) -> FloatArray:
@@ -123,14 +166,20 @@ def search_starts(readings: FitReadings, prior: Prior, start: Polynomial, kept: 
 
 
 def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise: float) -> dict[str, float]:
-    values = {"size": size, "lambda": slope, "mu": by_place, "noise": float(np.log(noise))}
+    values = {
+        "size": size,
+        "lambda": slope,
+        "mu": by_place,
+        _FOOTPRINT: _USUAL_FOOTPRINT[0],
+        "noise": float(np.log(noise)),
+    }
     return {name: values[name.split()[0]] for name in prior.names}
 
 
 def motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:
     """The best of a few sizes of the motion: the evidence may have several maxima."""
-    sigmas = prior.expected[-2:, 1]
-    starts = [still | dict(zip(("shift", "turn"), at * sigmas, strict=True)) for at in product(_SHIFTS, _TURNS)]
+    mean, sigma = prior.expected[-2:].T
+    starts = [still | dict(zip(("shift", "turn"), mean + at * sigma, strict=True)) for at in product(_SHIFTS, _TURNS)]
     starts.append(still | dict(zip(("shift", "turn"), prior.bounds[-2:, 0], strict=True)))
 
     def evidence(start: dict[str, float]) -> float:
