@@ -145,10 +145,12 @@ class SmoothFit:
         if known is None or self._motion_curvature is None:
             return None
         shift_m, turn_rad = motion_scale(self.readings)
-        # The prior pulls the logarithms of the factors to 0, the readings to where they alone would have them.
+        # The prior pulls the logarithms of the factors to its mean, the readings to where they alone would have them.
+        mean, sigma = self._prior.expected[-2:].T
+        curvature = np.maximum(self._motion_curvature, 1e-9)
         off = np.log(self._motion_factors)
-        variance = known.log_sigma**2 + 1.0 / np.maximum(self._motion_curvature, 1e-9)
-        sigmas = np.abs(off) * np.sqrt(variance) / known.log_sigma**2
+        alone = off + (off - mean) / sigma**2 / curvature
+        sigmas = np.abs(alone) / np.sqrt(known.log_sigma**2 + 1.0 / curvature)
         return MotionAgreement(float(shift_m), float(turn_rad), *map(float, self._motion_factors), *map(float, sigmas))
 
     @property
