@@ -8,17 +8,18 @@ from toy_device import EYE_BOX, display_captures, positions_in_plane, see_throug
 
 from wlr_render.calibration.fit_eye import eye_trends, fit_eye, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import CaptureMotionPrior, EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
-from wlr_render.geometry.directions import ARCMIN, arcmin_between
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import TracedDisplay
+from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
 from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 CAPTURES = EyeCaptures(display_captures(positions_in_plane(12)), see_through_captures(positions_in_plane(12)))
 
@@ -200,3 +201,36 @@ def test_display_and_see_through_are_of_one_stage():
     assert fit.display.smooth.stage == pytest.approx(fit.see_through.smooth.stage)
     assert fit.display.smooth.shift_m < 3e-6
     assert rms(display_errors(fit, truth)[0]) < 0.05
+
+
+def few_places_of_freeform40(seed):
+    """16 places of an accurate camera whose stage moves by what the captures state, with tails and rounding."""
+    truth = traced_eye(load_device("freeform40"), "right")
+    setup = CaptureSetup(truth, 0.0, 5e-6, truth.field, (25, 21), stage_turn_rad=1.4e-5)
+    rng = np.random.default_rng(seed)
+    positions = setup.camera_positions("planar", 16)
+    sides = []
+    for take in (simulate_display, simulate_see_through):
+        side = take(setup, positions, rng)
+        noise = 0.045 * ARCMIN / np.sqrt(2.0) * rng.standard_t(4, side.view_dir.shape)
+        numbers = np.unique(side.visits[0])
+        motion = CaptureMotionPrior(numbers, np.tile([1.4e-5] * 3 + [5e-6] * 3, (len(numbers), 1)), 0.3)
+        sigma = np.full(len(side), 0.045)
+        sides.append(
+            dataclasses.replace(side, view_dir=normalised(side.view_dir + noise), sigma_arcmin=sigma, motion=motion)
+        )
+    return truth, EyeCaptures(*sides)
+
+
+@pytest.mark.slow
+def test_few_places_of_strong_optics_neither_inflate_the_stage_nor_the_predicted_error():
+    truth, captures = few_places_of_freeform40(seed=3)
+    fit = fit_eye(captures)
+    assert fit.display.smooth.shift_m < 12e-6
+    rng = np.random.default_rng(4)
+    pixel = rng.uniform(0.05, 0.95, (400, 2)) * truth.display.panel.size_px
+    viewpoint = truth.eye_box.at(rng.uniform(-1.0, 1.0, (400, 3)))
+    true, predicted = truth.display.view_dir_of_pixel(pixel, viewpoint).value, fit.display.mapping
+    error = rms(arcmin_between(predicted.view_dir_of_pixel(pixel, viewpoint).value, true))
+    assert error < 0.3
+    assert 0.6 < rms(predicted.sigma(pixel, viewpoint)) / error < 1.6
