@@ -469,9 +469,11 @@ class _Search:
             kept, starts = weights, [dict(found.hyper)]
         if columns is None:
             return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
-        factors = self.stage if isinstance(self.stage, MotionFactors) else None
-        prior = smoothness_prior(readings, moving=True, factors=factors)
-        if self.stage is not None and factors is None:
+        if isinstance(self.stage, MotionFactors):
+            prior = smoothness_prior(readings, moving=True, factors=self.stage)
+        else:
+            prior = smoothness_prior(readings, moving=True)
+        if isinstance(self.stage, tuple):
             prior.bounds[-2:] = np.log(np.maximum(self.stage, LEAST_MOTION) / motion_scale(readings))[:, None]
         rough, hyper = _rough(readings, kept), dict(found.hyper)
         of_rough, curvature = replace(prior, own_offset=0.0), np.zeros(2)
