@@ -23,6 +23,8 @@ from wlr_render.rendering.image_files import read_png, write_video
 from wlr_render.rendering.painters import TracedPainter
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene
+from wlr_render.report.blocks import Plot
+from wlr_render.tracking.trajectory import EYES
 
 BALL, WALL = 1, 2
 TWO_FRAMES = "".join(f"{time} 0.0 0.0 0.0 0.0 {time / 20} 0.0 {(1 - time**2 / 400) ** 0.5}\n" for time in (0.0, 0.1))
@@ -211,6 +213,20 @@ def test_misalignment_of_each_frame_is_that_of_what_it_shows(
     assert 0.001 < found["median_arcmin"] < found["p95_arcmin"] <= found["max_arcmin"] < 2
     assert found["points"] > 3000
     assert report.tables[0].rows[0][4:] == [found[name] for name in ("median_arcmin", "p95_arcmin", "max_arcmin")]
+
+
+def test_the_report_plots_misalignment_over_time(labelled):
+    report = render(replace(labelled, layers=(), misalignment=labelled.headset))
+    (plot,) = (block for block in report.blocks if isinstance(block, Plot))
+    frames = json.loads((labelled.out / "misalignment.json").read_text())["frames"]
+    assert [line["name"] for line in plot.data] == [f"{eye} eye, {name}" for eye in EYES for name in ("median", "95 %")]
+    for number, eye in enumerate(EYES):
+        own = [frame for frame in frames if frame["eye"] == eye]
+        for line, key in zip(plot.data[2 * number :], ("median_arcmin", "p95_arcmin"), strict=False):
+            assert line["x"] == [frame["time_s"] for frame in own]
+            assert line["y"] == pytest.approx([frame[key] for frame in own], rel=1e-3)
+    still = replace(labelled, layers=(), head=None, misalignment=labelled.headset, out=labelled.out.with_name("still"))
+    assert not [block for block in render(still).blocks if isinstance(block, Plot)]
 
 
 def test_frames_that_show_nothing_have_no_misalignment_and_no_annotations(labelled, tmp_path):

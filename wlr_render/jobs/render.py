@@ -58,11 +58,13 @@ from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.rendering.view import write_view
-from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
+from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable
+from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
 
 COLOURS = ("red", "green", "blue")
 _MOST_NAMES = 10  # of changed frames in a warning
+_MOST_PLOTTED = 1000  # frames of an eye in a plot, about
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,6 +213,7 @@ def _report(
             "Misalignment: angle at the eye between what the frame shows and the real points, through the exact optics "
             f"of {options.misalignment}, in the frame where each figure is largest."
         )
+        blocks += _misalignment_plot(plan, misaligned)
     table = ReportTable("Frames by eye", columns, rows, notes)
     by_frame = [
         {"file": f"{stem}.png", "rms_arcmin": each.rms_arcmin, "radius_arcmin": each.radius_arcmin}
@@ -243,6 +246,20 @@ def _worst_misalignment(found: Sequence[Labels]) -> list[Cell]:
         return []
     names = ("median_arcmin", "p95_arcmin", "max_arcmin")
     return [max((each[name] for each in found if each["points"]), default=None) for name in names]
+
+
+def _misalignment_plot(plan: list[PlannedFrame], misaligned: Sequence[Labels]) -> list[Plot]:
+    """Misalignment over time, if there are several frames."""
+    lines = {}
+    for eye in dict.fromkeys(planned.eye for planned in plan):
+        own = [(planned.time_s, each) for planned, each in zip(plan, misaligned, strict=True) if planned.eye == eye]
+        own = own[:: max(1, len(own) // _MOST_PLOTTED)]
+        for name, key in (("median", "median_arcmin"), ("95 %", "p95_arcmin")):
+            shown = [np.nan if each[key] is None else each[key] for _, each in own]
+            lines[f"{eye} eye, {name}"] = [time_s for time_s, _ in own], shown
+    if len(plan) == len(lines) // 2:
+        return []
+    return [curves("Misalignment of the frames", lines, ("time (s)", "misalignment (arcmin)"), grouped=True)]
 
 
 def _counts_of_files(plan: list[PlannedFrame], options: RenderOptions) -> str:
