@@ -213,7 +213,7 @@ def _report(
             "Misalignment: angle at the eye between what the frame shows and the real points, through the exact optics "
             f"of {options.misalignment}, in the frame where each figure is largest."
         )
-        blocks += _misalignment_plot(plan, misaligned)
+        blocks = [*_misalignment_plot(plan, misaligned), *blocks]
     table = ReportTable("Frames by eye", columns, rows, notes)
     by_frame = [
         {"file": f"{stem}.png", "rms_arcmin": each.rms_arcmin, "radius_arcmin": each.radius_arcmin}
