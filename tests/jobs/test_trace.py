@@ -1,11 +1,17 @@
 import json
 import re
+from pathlib import Path
 
 import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import resource
-from wlr_render.jobs.trace import TraceOptions, trace
+from wlr_render.jobs.trace import TraceOptions, imaging_warnings, loss_warnings, trace
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.drawing import draw_device
+from wlr_render.optics.first_order import first_order
+from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
+from wlr_render.optics.ray_losses import display_losses
 from wlr_render.rendering.image_files import read_png
 
 
@@ -39,7 +45,7 @@ def test_colour_comes_from_the_two_ends_of_the_spectrum(tmp_path, small_northsta
 def test_both_eyes_are_traced_and_mirror_each_other(tmp_path, small_northstar):
     report = traced(small_northstar, tmp_path, "both")
     assert [path.suffix for path in report.files].count(".png") == 2
-    left, _, right, _ = report.tables
+    left, _, _, _, right, *_ = report.tables
     assert left.rows[0][1] == pytest.approx(right.rows[0][1], rel=1e-9)
 
 
@@ -49,19 +55,112 @@ def test_an_eye_that_is_not_there_writes_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def birdbath(tmp_path, *changes, name="changed"):
+    """A device file of the birdbath with parts of its text changed."""
+    text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert re.search(old, text), old
+        text = re.sub(old, new, text)
+    path = tmp_path / f"{name}.toml"
+    path.write_text(text)
+    return str(path)
+
+
+WRONG_SIGN = (r"radius_mm = -56\.0", "radius_mm = 56.0")
+NO_FIELD = (r"field_deg = .*", "")
+NO_APERTURES = (r"(?m)^aperture.*$", "")
+
+
+def table(report, title):
+    return next(each for each in report.tables if each.title == title)
+
+
 def test_a_mirror_of_the_wrong_sign_is_warned_about(tmp_path):
-    text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
-    wrong = tmp_path / "wrong.toml"
-    wrong.write_text(text.replace("radius_mm = -56.0", "radius_mm = 56.0"))
     assert traced("birdbath28", tmp_path / "right").warnings == []
-    (warning,) = traced(str(wrong), tmp_path / "wrong").warnings
-    assert warning.startswith("Only 8% of the nominal field of the right eye meets the panel: check the sign")
+    few, sign, near, nearer = traced(birdbath(tmp_path, WRONG_SIGN), tmp_path / "wrong").warnings
+    assert few.startswith("Only 42 of 525 rays over the nominal field of the right eye reach the panel. The first to")
+    assert few.endswith("is 'plate_far': of 525 rays that reach it, 256 fall outside its aperture.")
+    assert sign.startswith("Bent to the other side, 'mirror' would let 525 of 525 rays reach the panel: check the sign")
+    assert "0.051 m before the eye, where nobody can focus" in near
+    assert nearer.startswith("With 'mirror' bent to the other side")
 
 
-def test_a_device_whose_panel_is_not_in_its_field_is_refused(tmp_path):
-    text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
-    wrong = tmp_path / "wrong.toml"
-    wrong.write_text(re.sub(r"field_deg = .*", "field_deg = [60, 70, 60, 70]", text))
-    with pytest.raises(BadInputError, match=r"wrong\.toml: no direction of the nominal field of the right eye meets"):
-        traced(str(wrong), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+def test_a_wrong_sign_is_found_without_a_stated_field_and_without_apertures(tmp_path):
+    warnings = traced(birdbath(tmp_path, WRONG_SIGN, NO_FIELD, NO_APERTURES), tmp_path / "wrong").warnings
+    assert "where nobody can focus" in warnings[0]
+    assert warnings[1].startswith("With 'mirror' bent to the other side the virtual image would lie where an eye can")
+
+
+def test_a_panel_out_of_reach_is_drawn_and_explained(tmp_path):
+    report = traced(birdbath(tmp_path, (r"field_deg = .*", "field_deg = [60, 70, 60, 70]")), tmp_path / "out")
+    assert "0 of 525 rays reach the panel" in report.verdict
+    assert any("no direction of the nominal field of the right eye meets the panel" in each for each in report.warnings)
+    rows = table(report, "Rays along the display path").rows
+    assert rows[0][2] == 525
+    assert rows[-1][3] == 0
+    assert read_png(tmp_path / "out" / "birdbath28-right.png").std() > 5
+
+
+@pytest.mark.parametrize(
+    ("change", "surface", "reason"),
+    [
+        ((r"centre_mm = \[0\.0, -11\.0267, 21\.4097\]", "centre_mm = [0.0, 31.0, 21.4]"), "panel", "run away from it"),
+        ((r"centre_mm = \[0\.0, -11\.0267, 21\.4097\]", "centre_mm = [0.0, -11.0, 61.4]"), "panel", "pass beside"),
+        ((r"origin_mm = \[0\.0, 0\.0, 38\.0\]", "origin_mm = [0.0, 0.0, -38.0]"), "mirror", "it lies behind them"),
+        ((r"radius_mm = -56\.0", "radius_mm = -9.0"), "mirror", "miss it"),
+        (
+            (r'\{ at = "mirror", do = "reflect" \}', '{ at = "mirror", do = "total_reflect" }'),
+            "mirror",
+            "below the critical angle",
+        ),
+    ],
+)
+def test_the_surface_that_loses_the_rays_is_named(tmp_path, change, surface, reason):
+    optics = load_device(birdbath(tmp_path, change)).eyes["right"]
+    first, *_ = loss_warnings(optics, "right", display_losses(optics, 0.55))
+    assert f"The first to lose many is '{surface}'" in first
+    assert reason in first
+
+
+def test_focal_length_image_distance_and_distortion_are_those_of_closed_form(tmp_path, straight_device):
+    """Without optics the panel itself is seen: as far as it stands, not magnified, not distorted."""
+    rows = {row[0]: row[1:] for row in table(traced(straight_device, tmp_path), "Imaging of the panel").rows}
+    assert rows["focal length (mm)"] == pytest.approx([500.0, 500.0], rel=1e-6)
+    assert rows["distance of the virtual image (m)"] == pytest.approx([0.5, 0.5], rel=1e-6)
+    assert rows["magnification, virtual image to panel"] == pytest.approx([1.0, 1.0], rel=1e-6)
+    assert rows["distortion, largest (%)"][0] < 1e-6
+
+
+def test_a_spherical_mirror_images_as_its_equation_says(tmp_path):
+    rows = {row[0]: row[1:] for row in table(traced("birdbath28", tmp_path), "Imaging of the panel").rows}
+    focal, distance = rows["focal length (mm)"][0], rows["distance of the virtual image (m)"][0]
+    assert focal == pytest.approx(28.0, abs=0.5)  # half the radius
+    # The panel stands 27.63 mm before the mirror, air for glass: 1 / (1/28 - 1/27.63) is 2.1 m behind it.
+    assert distance == pytest.approx(2.05, abs=0.1)
+    assert rows["distortion, largest (%)"][0] == pytest.approx(4.5, abs=0.2)
+
+
+def test_axes_stay_with_the_device_where_rays_and_surfaces_have_no_end(tmp_path):
+    device = load_device(birdbath(tmp_path, NO_APERTURES, (r"rotate_x_deg = 45.0", "rotate_x_deg = 80.0")))
+    path = tmp_path / "drawing.svg"
+    draw_device(device, "right", path)
+    ticks = [float(tick.replace("\u2212", "-")) for tick in re.findall(r"<!-- ([\u2212\d.]+) -->", path.read_text())]
+    assert 10 < max(map(abs, ticks)) < 300  # millimetres
+
+
+def test_the_guide_is_true(tmp_path):
+    """The file of docs/your-headset.md has no fault, and with the other sign those that the guide prints."""
+    guide = (Path(__file__).resolve().parents[2] / "docs" / "your-headset.md").read_text(encoding="utf-8")
+    text = re.search(r"```toml\n(.*?)```", guide, re.DOTALL)[1]
+    said = re.search(r"```text\n(.*?)```", guide, re.DOTALL)[1].splitlines()
+    files = {radius: tmp_path / f"of{radius}.toml" for radius in (-60, 60)}
+    for radius, file in files.items():
+        file.write_text(text.replace("radius_mm = -60", f"radius_mm = {radius}"))
+    right = traced(str(files[-60]), tmp_path / "right")
+    assert right.warnings == []
+    assert table(right, "Imaging of the panel").rows[0][1] == pytest.approx(30.0, abs=0.1)
+    optics = load_device(files[60]).eyes["right"]
+    wavelength_um = FRAUNHOFER_F_D_C_UM[1]
+    sentences = loss_warnings(optics, "right", display_losses(optics, wavelength_um))
+    sentences += imaging_warnings(optics, "right", first_order(optics, wavelength_um))
+    assert sentences[: len(said)] == said

@@ -1,5 +1,6 @@
 """Draw a device with its rays and tabulate its optical figures."""
 
+import math
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -10,19 +11,25 @@ from wlr_render.evaluation.lateral_colour import lateral_colour_table
 from wlr_render.files import output_folder
 from wlr_render.jobs.headset import open_colours
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eyes, Options, ProgressArgument, described, eyes_of
+from wlr_render.jobs.options import Eye, Eyes, Options, ProgressArgument, described, eyes_of
+from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
-from wlr_render.optics.drawing import draw_device
+from wlr_render.optics.drawing import draw_device, require_eye
+from wlr_render.optics.first_order import FirstOrder, first_order
+from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
+from wlr_render.optics.ray_losses import SurfaceLosses, better_turned_round, display_losses, each_turned_round
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Block, Picture, Report, Section, cell_text
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, cell_text
 from wlr_render.report.save import save_report
-
-FRAUNHOFER_F_D_C_UM = (0.4861, 0.5876, 0.6563)
-"""Wavelengths of blue, yellow and red light: the figures are stated for the middle one, colour between the others."""
 
 MIN_PANEL_SHARE = 0.5
 """A prescription that shows less of its nominal field than this most likely has a wrong sign."""
+
+_MANY_LOST = 0.2  # of all rays: a surface that loses so many is named
+_FAR_PER_M = 1e-3  # an image farther than a kilometre is at infinity
+_TOO_NEAR_PER_M = 8.0  # dioptres; few adults focus nearer
+_BEHIND_THE_EYE_PER_M = 0.25  # a quarter of a dioptre beyond infinity is within what eyes and designs tolerate
 
 
 @dataclass(frozen=True)
@@ -39,42 +46,86 @@ class TraceOptions(Options):
 def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Trace a device; writes a drawing of each eye, and the report, into `options.out`.
 
+    A device of which no ray reaches the panel is drawn as well, with what becomes of its rays.
+
     Raises:
         BadInputError: a faulty device, an eye that the device does not have, or a folder that cannot be written.
     """
     device = load_device(options.device)
     eyes = eyes_of(options.eye)
-    traced = {eye: [traced_eye(device, eye, line) for line in FRAUNHOFER_F_D_C_UM] for eye in eyes}
-    figures = {eye: device_figures(middle, blue, red) for eye, (blue, middle, red) in traced.items()}
-    for eye, of_eye in figures.items():
-        if of_eye.panel_share == 0:
-            raise BadInputError(
-                f"{options.device}: no direction of the nominal field of the {eye} eye meets the panel; check the "
-                "surfaces, the panel and 'field_deg'."
-            )
+    for eye in eyes:
+        require_eye(device, eye)
     folder = output_folder(options.out)
-    blocks: list[Block] = []
-    for eye in progress(eyes, len(eyes), "eyes"):
-        _, middle, _ = traced[eye]
-        drawing = folder / f"{device.name}-{eye}.png"
-        draw_device(device, eye, drawing)
-        blocks += [
-            Section(f"The {eye} eye"),
-            figures_table(middle, figures[eye]),
-            lateral_colour_table([open_colours(options.device, eye)]),
-            Picture(f"Rays through {device.name}", drawing, "Side view and top view with surfaces, panel and rays."),
-        ]
-    drawings = tuple(block.path for block in blocks if isinstance(block, Picture))
+    traced = [_trace_eye(options.device, device, eye, folder) for eye in progress(eyes, len(eyes), "eyes")]
+    blocks = [block for each in traced for block in each.blocks]
     report = Report(
         f"Optics of {device.name}",
-        " ".join(_summary(device.name, eye, of_eye) for eye, of_eye in figures.items()),
-        warnings=[warning for eye, of_eye in figures.items() for warning in _warnings(eye, of_eye)],
+        " ".join(each.verdict for each in traced),
+        warnings=[warning for each in traced for warning in each.warnings],
         blocks=blocks,
         inputs=[device_path(options.device)],
-        files=drawings,
-        record=figures,
+        files=[block.path for block in blocks if isinstance(block, Picture)],
+        record={
+            each.eye: {"figures": each.figures, "losses": list(each.losses), "imaging": each.imaging} for each in traced
+        },
     )
     return save_report(report, folder)
+
+
+@dataclass(frozen=True)
+class _TracedEye:
+    """What a report says of one eye."""
+
+    eye: str
+    verdict: str
+    warnings: list[str]
+    blocks: list[Block]
+    figures: DeviceFigures | None
+    losses: tuple[SurfaceLosses, ...]
+    imaging: FirstOrder | None
+
+
+def _trace_eye(spec: str, device: Device, eye: Eye, folder: Path) -> _TracedEye:
+    optics, middle_um = device.eyes[eye], FRAUNHOFER_F_D_C_UM[1]
+    losses = display_losses(optics, middle_um)
+    imaging = first_order(optics, middle_um)
+    drawing = folder / f"{device.name}-{eye}.png"
+    draw_device(device, eye, drawing)
+    picture = Picture(f"Rays through {device.name}", drawing, "Side view and top view with surfaces, panel and rays.")
+    blocks: list[Block] = [Section(f"The {eye} eye")]
+    warnings = loss_warnings(optics, eye, losses) + imaging_warnings(optics, eye, imaging)
+    figures: DeviceFigures | None = None
+    try:
+        figures, tables = _figures(spec, device, eye)
+    except BadInputError as error:
+        warnings.append(str(error))
+        verdict = (
+            f"{device.name}, {eye} eye: {losses[-1].passed} of {losses[0].reached} rays reach the panel; there are no "
+            "other figures until more do."
+        )
+    else:
+        blocks += tables
+        verdict = _summary(device.name, eye, figures)
+    if imaging is not None:
+        blocks.append(_imaging_table(imaging))
+    blocks += [_losses_table(optics, losses), picture]
+    return _TracedEye(eye, verdict, warnings, blocks, figures, losses, imaging)
+
+
+def _figures(spec: str, device: Device, eye: Eye) -> tuple[DeviceFigures, list[Block]]:
+    """The figures of one eye, and their tables.
+
+    Raises:
+        BadInputError: no direction of the nominal field reaches the panel, or the mappings cannot be computed.
+    """
+    blue, middle, red = (traced_eye(device, eye, line) for line in FRAUNHOFER_F_D_C_UM)
+    figures = device_figures(middle, blue, red)
+    if figures.panel_share == 0:
+        raise BadInputError(
+            f"{spec}: no direction of the nominal field of the {eye} eye meets the panel; check the surfaces, the "
+            "panel and 'field_deg'."
+        )
+    return figures, [figures_table(middle, figures), lateral_colour_table([open_colours(spec, eye)])]
 
 
 def _summary(name: str, eye: str, figures: DeviceFigures) -> str:
@@ -87,10 +138,79 @@ def _summary(name: str, eye: str, figures: DeviceFigures) -> str:
     )
 
 
-def _warnings(eye: str, figures: DeviceFigures) -> list[str]:
-    if figures.panel_share >= MIN_PANEL_SHARE:
-        return []
-    return [
-        f"Only {figures.panel_share:.0%} of the nominal field of the {eye} eye meets the panel: check the sign of each "
-        "radius_mm, the apertures, and field_deg in the device file."
+def _losses_table(optics: EyeOptics, losses: tuple[SurfaceLosses, ...]) -> ReportTable:
+    """How many rays reach each surface of the display path."""
+    over = "the nominal field" if optics.field else "22 degrees to each side of straight ahead; no field_deg is stated"
+    rows: list[list[Cell]] = [
+        [each.name, each.interaction, each.reached, each.passed, each.sentence() or None] for each in losses
     ]
+    notes = (f"{losses[0].reached} rays from the middle of the eye box over {over}; the panel comes last.",)
+    return ReportTable("Rays along the display path", ("surface", "does", "reached by", "go on", "lost"), rows, notes)
+
+
+def _imaging_table(imaging: FirstOrder) -> ReportTable:
+    distance = [1.0 / each if abs(each) > _FAR_PER_M else math.inf for each in imaging.vergence_per_m]
+    magnification = [
+        each if math.isfinite(away) else math.inf for each, away in zip(imaging.magnification, distance, strict=True)
+    ]
+    rows: list[list[Cell]] = [
+        ["focal length (mm)", *(1e3 * each for each in imaging.focal_length_m)],
+        ["distance of the virtual image (m)", *distance],
+        ["its vergence (dioptres)", *imaging.vergence_per_m],
+        ["magnification, virtual image to panel", *magnification],
+        ["distortion, rms (%)", 100.0 * imaging.distortion_rms, None],
+        ["distortion, largest (%)", 100.0 * imaging.distortion_max, None],
+    ]
+    notes = (
+        "At the middle of the field that is seen. Focal length: distance on the panel for a tangent of 1. Distortion: "
+        "departure from that scale, over the distance of the farthest ray from the middle. An image farther than a "
+        "kilometre has no distance.",
+    )
+    return ReportTable("Imaging of the panel", ("figure", "along x", "along y"), rows, notes)
+
+
+def loss_warnings(optics: EyeOptics, eye: str, losses: tuple[SurfaceLosses, ...]) -> list[str]:
+    """Which surface loses the rays first, and whether one is bent the wrong way."""
+    total, arriving = losses[0].reached, losses[-1].passed
+    if arriving >= (MIN_PANEL_SHARE * total if optics.field else 1):
+        return []
+    first = next((each for each in losses if each.lost > _MANY_LOST * total), max(losses, key=lambda each: each.lost))
+    over = (
+        f"over the nominal field of the {eye} eye" if optics.field else f"within 22 degrees of the {eye} eye's forward"
+    )
+    few = f"Only {arriving}" if arriving else "None"
+    warnings = [
+        f"{few} of {total} rays {over} reach the panel. The first to lose many is "
+        f"'{first.name}': of {first.reached} rays that reach it, {first.sentence()}."
+    ]
+    for name, count in better_turned_round(optics, FRAUNHOFER_F_D_C_UM[1]):
+        warnings.append(
+            f"Bent to the other side, '{name}' would let {count} of {total} rays reach the panel: check the sign of "
+            "its radius_mm, or of all its terms."
+        )
+    return warnings
+
+
+def imaging_warnings(optics: EyeOptics, eye: str, imaging: FirstOrder | None) -> list[str]:
+    """Whether the virtual image lies where no eye can focus, and the surfaces that would put it elsewhere."""
+    if imaging is None or _can_focus(imaging):
+        return []
+    vergence = min(imaging.vergence_per_m)
+    vergence = vergence if vergence < -_BEHIND_THE_EYE_PER_M else max(imaging.vergence_per_m)
+    side = "behind" if vergence < 0 else "before"
+    warnings = [
+        f"The virtual image of the {eye} eye lies {abs(1.0 / vergence):.2g} m {side} the eye, where nobody can focus: "
+        "check the signs of the radii, and the distance of the panel."
+    ]
+    for name, changed in each_turned_round(optics):
+        other = first_order(changed, FRAUNHOFER_F_D_C_UM[1])
+        if other is not None and _can_focus(other):
+            warnings.append(
+                f"With '{name}' bent to the other side the virtual image would lie where an eye can focus "
+                f"({other.vergence_per_m[0]:.2g} dioptres): check the sign of its radius_mm, or of all its terms."
+            )
+    return warnings
+
+
+def _can_focus(imaging: FirstOrder) -> bool:
+    return all(-_BEHIND_THE_EYE_PER_M < each < _TOO_NEAR_PER_M for each in imaging.vergence_per_m)

@@ -13,15 +13,20 @@ from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics, Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.media import AIR
+from wlr_render.optics.ray_losses import judged_directions
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 _WAVELENGTH_UM = 0.55
 _RAYS = 5  # of each kind and view
 _BEYOND = 1.3  # see-through rays are drawn to so many times the distance of what lies farthest
+_CUT_TO = 1.2  # of that distance, to which surfaces are drawn
+_LOST_ANGLE = np.deg2rad(15.0)  # to each side, of the rays that are drawn where none reaches the panel
+_LOST_LENGTH = 0.3  # of the device's size, to which a lost ray is drawn behind the last surface that it meets
 _FAN = np.deg2rad(np.arange(-180.0, 180.0, 0.1))
 _EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
 _SURFACE_COLOURS = ("tab:purple", "tab:brown", "tab:olive", "tab:pink", "tab:cyan", "tab:gray")
@@ -63,16 +68,28 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     """
     from matplotlib.figure import Figure
 
-    if eye not in device.eyes:
-        raise BadInputError(f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}.")
+    require_eye(device, eye)
     optics = device.eyes[eye]
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     figure.suptitle(f"{device.name}, {eye} eye")
     for axes, view in zip(figure.subplots(1, 2), VIEWS, strict=True):
         _draw_view(axes, optics, view)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    handles: dict[str, Artist] = {}
+    for axes in figure.axes:  # what is in one view only is in the legend as well
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False)
     write_figure(path, figure, 150)
+
+
+def require_eye(device: Device, eye: str) -> None:
+    """Refuse an eye that the device does not have.
+
+    Raises:
+        BadInputError: the device has no such eye.
+    """
+    if eye not in device.eyes:
+        raise BadInputError(f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}.")
 
 
 def _draw_view(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
@@ -85,13 +102,12 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
     along, up = view.in_mm(optics.panel.point_of_pixel(_EDGES * optics.panel.pixels.size_px))
     axes.fill(along, up, facecolor="0.85", edgecolor="k", alpha=0.8, lw=2, zorder=1, label="panel")
     _draw_eye_box(axes, optics, view)
-    low, high = axes.dataLim.get_points().copy()
+    centre = optics.eye_box.centre
     for surface, colour in zip(optics.surfaces(), itertools.cycle(_SURFACE_COLOURS), strict=False):
-        cut = cut_surface(surface, optics.eye_box.centre, view)
-        # A surface without an aperture has no end; the drawing shows it as far as the panel and the rays reach, twice.
-        line = np.stack(view.in_mm(cut), axis=-1)
-        line[np.any(np.abs(line - (low + high) / 2) > high - low, axis=-1)] = np.nan
-        axes.plot(*line.T, lw=2.5, color=colour, label=surface.name.replace("_", " "))
+        cut = cut_surface(surface, centre, view)
+        # A surface without an aperture has no end; the drawing shows what is near the other parts.
+        cut[np.linalg.norm(cut - centre, axis=-1) > _CUT_TO * _size(optics)] = np.nan
+        axes.plot(*view.in_mm(cut), lw=2.5, color=colour, label=surface.name.replace("_", " "))
     if view.up == 0:
         axes.invert_yaxis()  # seen from above and looking to the right, the right-hand side is below
 
@@ -113,29 +129,70 @@ def cut_surface(surface: PlacedSurface, centre: FloatArray, view: DrawingView) -
     return np.where((met.status == Status.OK)[:, None], met.origin, np.nan)
 
 
-def _draw_rays(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
-    """Rays to the panel, evenly over the angles at which it is seen in this plane, and the world's rays there."""
+def _size(optics: EyeOptics) -> float:
+    """Distance in metres from the eye to the farthest corner of the panel or the farthest surface on the way to it.
+
+    Surfaces count by their places, or by where the ray to the middle of the field meets them, whichever is nearer:
+    the vertex of a conic may be far from the part that is used.
+    """
     centre = optics.eye_box.centre
+    corners = optics.panel.point_of_pixel(_EDGES * optics.panel.pixels.size_px)
+    size = float(np.linalg.norm(corners - centre, axis=-1).max())
+    directions = judged_directions(optics)
+    for path in (optics.display, optics.see_through):
+        points = trace(path, centre, directions, _WAVELENGTH_UM).points
+        for number, step in enumerate(path.steps):
+            away = np.linalg.norm(points[:, number] - centre, axis=-1)
+            met = float(np.median(away[np.isfinite(away)])) if np.isfinite(away).any() else np.inf
+            vertex = float(np.linalg.norm(step.surface.device_from_surface[:3, 3] - centre))
+            size = max(size, min(met, vertex))
+    return size
+
+
+def _draw_rays(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
+    """Rays to the panel, evenly over the angles at which it is seen in this plane, and the world's rays there.
+
+    Where the panel is not seen, rays within 15 degrees of straight ahead show where they are lost.
+    """
+    centre, size = optics.eye_box.centre, _size(optics)
     ahead = _FAN[np.abs(_FAN) < 0.5 * np.pi]
     mapping = TracedDisplay(optics, _WAVELENGTH_UM)
-    seen = mapping.pixel_of_view_dir(view.directions(ahead), centre)
-    if not seen.ok.any():
-        return
-    angle = np.linspace(ahead[seen.ok].min(), ahead[seen.ok].max(), _RAYS)
-    view_dir = view.directions(angle)
-    panel_end = optics.panel.point_of_pixel(mapping.pixel_of_view_dir(view_dir, centre).value)
+    seen = mapping.pixel_of_view_dir(view.directions(ahead), centre).ok
+    ends = (ahead[seen].min(), ahead[seen].max()) if seen.any() else (-_LOST_ANGLE, _LOST_ANGLE)
+    view_dir = view.directions(np.linspace(*ends, _RAYS))
     world = trace(optics.see_through, centre, view_dir, _WAVELENGTH_UM)
     gone = np.linalg.norm(world.origin - centre, axis=-1)
-    reach = _BEYOND * max(gone.max(), np.linalg.norm(panel_end - centre, axis=-1).max())
-    world_end = world.origin + (reach - gone)[:, None] * world.direction
-    _draw_lines(axes, view, [centre, world.points, world_end], "tab:orange", "see-through rays")
+    shown = (world.status == Status.OK) & (gone < _BEYOND * size)
+    world_end = world.origin + (_BEYOND * size - gone)[:, None] * world.direction
+    _draw_lines(axes, view, [centre, world.points[shown], world_end[shown]], "tab:orange", "see-through rays")
+    panel_end = optics.panel.point_of_pixel(mapping.pixel_of_view_dir(view_dir, centre).value)
+    arrives = np.isfinite(panel_end).all(axis=-1)
     display = trace(optics.display, centre, view_dir, _WAVELENGTH_UM)
-    _draw_lines(axes, view, [centre, display.points, panel_end], "tab:blue", "display rays")
+    _draw_lines(axes, view, [centre, display.points[arrives], panel_end[arrives]], "tab:blue", "display rays")
+    _draw_lost(axes, optics, view, view_dir[~arrives], size)
+
+
+def _draw_lost(axes: "Axes", optics: EyeOptics, view: DrawingView, view_dir: FloatArray, size: float) -> None:
+    """Rays that do not reach the panel, to the last surface they meet and a little on."""
+    steps, label = optics.display.steps, "display rays that are lost"
+    for direction in view_dir:
+        points, heading = [optics.eye_box.centre], direction
+        for count in range(1, len(steps) + 1):
+            traced = trace(Path(steps[:count]), optics.eye_box.centre, direction, _WAVELENGTH_UM)
+            if traced.status != Status.OK or np.linalg.norm(traced.origin - points[0]) > _BEYOND * size:
+                break
+            points.append(traced.origin)
+            heading = traced.direction
+        points.append(points[-1] + _LOST_LENGTH * size * heading)
+        axes.plot(*view.in_mm(np.array(points)), lw=0.9, ls=":", color="tab:red", label=label)
+        label = ""
 
 
 def _draw_lines(axes: "Axes", view: DrawingView, parts: list[FloatArray], colour: str, label: str) -> None:
     """One line per ray through its start (3,), the points between (n, steps, 3) and its end (n, 3)."""
     start, between, end = parts
+    if len(end) == 0:
+        return
     line = np.concatenate([np.broadcast_to(start, (len(end), 1, 3)), between, end[:, None]], axis=1)
     along, up = view.in_mm(line)
     lines = axes.plot(along.T, up.T, lw=0.9, color=colour, label=label)

@@ -1,0 +1,88 @@
+"""Focal length, image distance, magnification and distortion of a display, from traces alone: no pixel is solved."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.mappings import Status
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.ray_losses import judged_directions
+from wlr_render.optics.tracer import trace
+
+_TANGENT_STEP = 1e-4
+_EYE_STEP_M = 1e-4
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """How the panel is imaged around the middle of the field, along x and y of the device.
+
+    Attributes:
+        focal_length_m: distance on the panel for a tangent of 1.
+        vergence_per_m: inverse distance of the virtual image; negative where it lies behind the eye.
+        distortion_rms: departure of places on the panel from the scale at the middle, over the distance from it of
+            the farthest; rms over the field.
+        distortion_max: the largest.
+    """
+
+    focal_length_m: tuple[float, float]
+    vergence_per_m: tuple[float, float]
+    distortion_rms: float
+    distortion_max: float
+
+    @property
+    def magnification(self) -> tuple[float, float]:
+        """Size of the virtual image over that of the panel; infinite for an image at infinity."""
+        x, y = (
+            1.0 / abs(vergence * focal) if vergence and focal else np.inf
+            for vergence, focal in zip(self.vergence_per_m, self.focal_length_m, strict=True)
+        )
+        return x, y
+
+
+def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
+    """Compute the figures over the rays that reach the panel; None if no ray near the middle of them does.
+
+    Args:
+        optics: the eye.
+        wavelength_um: vacuum wavelength in micrometres.
+    """
+    tangents = tangents_of_dir(judged_directions(optics))
+    place = _place(optics, tangents, optics.eye_box.centre, wavelength_um)
+    pixel = optics.panel.pixel_of_local(place)
+    seen = np.all((pixel >= 0.0) & (pixel <= optics.panel.pixels.size_px), axis=-1)
+    if not seen.any():
+        return None
+    tangents, place = tangents[seen], place[seen]
+    nearest = int(np.argmin(np.linalg.norm(tangents - tangents.mean(axis=0), axis=-1)))
+    middle = tangents[nearest]
+    steps = np.concatenate([np.eye(2), -np.eye(2)])
+    by_tangent = _place(optics, middle + _TANGENT_STEP * steps, optics.eye_box.centre, wavelength_um)
+    eyes = optics.eye_box.centre + _EYE_STEP_M * np.pad(steps, ((0, 0), (0, 1)))
+    by_eye = _place(optics, np.broadcast_to(middle, (4, 2)), eyes, wavelength_um)
+    scale = ((by_tangent[:2] - by_tangent[2:]) / (2.0 * _TANGENT_STEP)).T
+    shift = ((by_eye[:2] - by_eye[2:]) / (2.0 * _EYE_STEP_M)).T
+    if not (np.isfinite(scale).all() and np.isfinite(shift).all()) or np.linalg.det(scale) == 0.0:
+        return None
+    # A place on the panel stays the same if the eye moves by e and the tangent by -e / distance.
+    vergence = np.linalg.solve(scale, shift)
+    straight = (tangents - middle) @ scale.T
+    away = np.linalg.norm(place - place[nearest] - straight, axis=-1)
+    farthest = max(float(np.linalg.norm(straight, axis=-1).max()), np.finfo(float).tiny)
+    focal = np.linalg.norm(scale, axis=0)
+    return FirstOrder(
+        (float(focal[0]), float(focal[1])),
+        (float(vergence[0, 0]), float(vergence[1, 1])),
+        float(np.sqrt(np.mean(away**2)) / farthest),
+        float(away.max() / farthest),
+    )
+
+
+def _place(optics: EyeOptics, tangents: FloatArray, viewpoint: FloatArray, wavelength_um: float) -> FloatArray:
+    """Places on the panel (n, 2) in metres from its middle; NaN for rays that are lost."""
+    traced = trace(optics.display, viewpoint, dir_of_tangents(tangents), wavelength_um)
+    pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
+    local = (pixel / optics.panel.pixels.size_px - 0.5) * optics.panel.size
+    return np.where((traced.status == Status.OK)[..., None], local, np.nan)
