@@ -14,6 +14,7 @@ BENCHMARKS = {
     "submission": "CPU cost of a frame: time of submission without drawing, OpenGL calls, allocations.",
     "soak": "Soak test: many frames for a moving wearer; frame times, memory, map errors.",
     "kills": "Jobs that are killed at random moments and resumed, compared with undisturbed ones.",
+    "cluster": "Two workers of a Dask cluster beside one, and what a million frames and fits cost.",
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
     "photographs": "Readings of simulated photographs, compared with exact traces.",
     "budget": "Predicted covariance of registration against true errors of simulated sessions.",

@@ -9,11 +9,13 @@ from dataclasses import replace
 from functools import partial
 
 import pytest
+from jobs.test_render import pictures, still_head
 
 from wlr_render import cluster, files
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
 from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
+from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.processes import Spread, as_finished
 
 distributed = pytest.importorskip(
@@ -104,6 +106,20 @@ def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path):
     again = [path.stat().st_mtime_ns for path in (first, *others)]
     assert again[0] != written[0]
     assert again[1:] == written[1:]
+
+
+def test_frames_are_those_of_one_process(address, tmp_path, straight_device, scene_file):
+    options = RenderOptions(
+        straight_device,
+        scene_file,
+        head=still_head(tmp_path / "head.tum", [0.0, 1.0]),
+        frames_per_second=10.0,
+        method="raytrace",
+        out=tmp_path / "here",
+    )
+    render(options)
+    assert render(replace(options, scheduler=address, out=tmp_path / "there")).record["frames_drawn"] == 11
+    assert pictures(tmp_path / "there") == pictures(tmp_path / "here")
 
 
 @pytest.mark.parametrize("given", ["host", "tcp://", "fax://host:1", "tcp://127.0.0.1:{free}"])

@@ -11,7 +11,6 @@ import platform
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -116,6 +115,8 @@ def _marked(folder: Path | None) -> Iterator[str]:
 
 def _versions() -> dict[str, str]:
     """What has to be the same on all machines, so that results do not depend on which of them computes."""
+    from importlib import metadata  # a tenth of the time in which the package is imported
+
     major, minor, _ = platform.python_version_tuple()
     versions = {"Python": f"{major}.{minor}"}
     for name in _LIBRARIES:
@@ -171,6 +172,7 @@ def _run_here(payload: bytes, conditions: dict[str, Any]) -> Any:
     global is_cluster_worker
     _check_worker(conditions)
     is_cluster_worker = True
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # of OpenGL without a GPU, which reads it when a context is opened
     try:
         with contextlib.chdir(conditions["folder"]):
             run, task = pickle.loads(payload)

@@ -6,7 +6,7 @@ A run that is resumed keeps the files that are as listed, and makes all others a
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
@@ -14,6 +14,8 @@ from wlr_render.files import NO_DETOUR, disk_errors
 from wlr_render.input_files import LIMITS, read_bytes
 
 LIST = "finished.jsonl"
+Signature = tuple[int, str]
+"""Length and SHA-256 of a file."""
 
 
 class FinishedFiles:
@@ -57,8 +59,16 @@ class FinishedFiles:
         Raises:
             BadInputError: a file cannot be read, or the list cannot be written.
         """
-        lines = [self._line(path, read_bytes(path, path.stat().st_size), blank) for path in paths]
-        self._blank |= {self._name(path): blank for path in paths}
+        self.add_signed({path: signature_of(path) for path in paths}, blank)
+
+    def add_signed(self, signatures: Mapping[Path, Signature], blank: bool = False) -> None:
+        """As `add`, of files that another process has finished, with their signatures.
+
+        Raises:
+            BadInputError: the list cannot be written.
+        """
+        lines = [self._line(path, signature, blank) for path, signature in signatures.items()]
+        self._blank |= {self._name(path): blank for path in signatures}
         # A line that a killed run, or a full disk, left without its end must not spoil the next one.
         content = ("\n" * self._is_torn + "".join(lines)).encode()
         with disk_errors(self._path), open(self._path, "ab", buffering=0, opener=_open_no_detour) as file:
@@ -68,8 +78,8 @@ class FinishedFiles:
             os.fsync(file.fileno())
             self._is_torn = False
 
-    def _line(self, path: Path, content: bytes, blank: bool) -> str:
-        entry = {"file": self._name(path), "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    def _line(self, path: Path, signature: Signature, blank: bool) -> str:
+        entry = {"file": self._name(path), "bytes": signature[0], "sha256": signature[1]}
         stated = ({"job": self._job} if self._job else {}) | ({"blank": True} if blank else {})
         return json.dumps(entry | stated) + "\n"
 
@@ -86,6 +96,16 @@ class FinishedFiles:
             return False
 
 
+def signature_of(path: Path) -> Signature:
+    """Length and SHA-256 of a file.
+
+    Raises:
+        BadInputError: it cannot be read.
+    """
+    content = read_bytes(path, path.stat().st_size)
+    return len(content), hashlib.sha256(content).hexdigest()
+
+
 def digest_of(*what: object) -> str:
     """Digest of what decides the content of files: values that JSON has."""
     return hashlib.sha256(json.dumps(what).encode()).hexdigest()
@@ -95,7 +115,7 @@ def _open_no_detour(path: str, flags: int) -> int:
     return os.open(path, flags | NO_DETOUR, 0o666)
 
 
-def _entries(content: bytes) -> Iterator[tuple[str, tuple[int, str], str, bool]]:
+def _entries(content: bytes) -> Iterator[tuple[str, Signature, str, bool]]:
     """Name, length and SHA-256, job, and whether the file shows nothing, of each line."""
     for line in content.splitlines():
         try:

@@ -88,6 +88,11 @@ def hashes_of_inputs() -> Iterator[dict[str, str]]:
         _hashes.reset(token)
 
 
+def may_refer_outside() -> bool:
+    """Whether this is within `outside_references`."""
+    return _outside.get()
+
+
 @contextlib.contextmanager
 def outside_references() -> Iterator[None]:
     """Within the block, files may refer to files outside their own folder; `--outside-references` does the same."""
@@ -340,7 +345,7 @@ def inside_folder(folder: str | Path, name: str, where: str) -> Path:
         is_inside = path.resolve().is_relative_to(Path(folder).resolve())
     except (OSError, ValueError, RuntimeError) as error:
         raise BadInputError(f"{where}: {shown(name)} is not the name of a file ({reason_of(error)}).") from error
-    if not is_inside and not _outside.get():
+    if not is_inside and not may_refer_outside():
         raise BadInputError(
             f"{where}: {shown(name)} leads out of the folder {folder}; copy the file into it, or add "
             "--outside-references if you trust this file."

@@ -18,6 +18,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TypeVar
 
+from wlr_render import cluster
 from wlr_render.errors import BadInputError
 
 Task = TypeVar("Task")
@@ -25,7 +26,14 @@ Result = TypeVar("Result")
 
 _GRACE_S = 1.0
 """Time in which a task that is given up removes its temporary files."""
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_ONE_THREAD = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+    "LP_NUM_THREADS",  # of OpenGL without a GPU
+)
+_is_worker = False
 
 
 @dataclass(frozen=True)
@@ -71,9 +79,7 @@ def as_finished(
     if not tasks:
         return
     if spread.scheduler is not None:
-        from wlr_render.cluster import as_finished_by_cluster
-
-        yield from as_finished_by_cluster(run, tasks, spread.scheduler, folder)
+        yield from cluster.as_finished_by_cluster(run, tasks, spread.scheduler, folder)
     else:
         yield from _as_finished_here(run, tasks, spread.workers)
 
@@ -100,12 +106,16 @@ def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], work
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Cores that this process may use; a worker has one."""
+    if _is_worker or cluster.is_cluster_worker:
+        return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _prepare_worker(parent: Connection) -> None:
     """Leave Ctrl-C, which reaches every process of a terminal, to the parent, and end with the parent."""
+    global _is_worker
+    _is_worker = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _give_up)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()

@@ -221,10 +221,11 @@ MapFrom = Annotated[
     described("Warp map of the raster: rays meet the depth image, or the mesh, as in the paper."),
 ]
 Seed = Annotated[int, described("Seed of all random numbers."), Range(at_least=0, at_most=2**32 - 1)]
+WORKERS = Range(at_least=1, at_most=256)
 Workers = Annotated[
     int | None,
     described("Number of processes (default: one per core, fewer where memory limits)."),
-    Range(at_least=1, at_most=256),
+    WORKERS,
 ]
 Scheduler = Annotated[
     str | None,

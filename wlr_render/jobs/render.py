@@ -9,8 +9,8 @@ Layers and labels of a frame are in `frame_labels.py`.
 import contextlib
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,74 +18,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.budget.error_map import ErrorMap, PredictedError
-from wlr_render.compositing.raster_painter import raster_painter, traced_instead
+from wlr_render.compositing.raster_painter import traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.finished_files import LIST, FinishedFiles
-from wlr_render.input_files import hashes_of_inputs, naming
+from wlr_render.input_files import naming
 from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
+from wlr_render.jobs.frame_drawing import (
+    FrameDrawing,
+    OpenedFiles,
+    blocks_of,
+    draw_block,
+    files_of,
+    map_files,
+    open_raster,
+    picture_file,
+)
 from wlr_render.jobs.frame_labels import (
     Labels,
-    frame_misalignment,
     labels_file,
-    layers_file,
-    named_annotations,
     read_labels,
     write_instances,
-    write_labels,
-    write_layers,
     write_misalignment,
 )
 from wlr_render.jobs.frame_plan import PlannedFrame, gap_warnings, held_warnings, planned_frames, read_trajectories
-from wlr_render.jobs.headset import headset_path, is_model, open_colours, open_eye
+from wlr_render.jobs.headset import headset_path
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     ProgressArgument,
     eyes_of,
-    seed_of,
 )
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.sequence_record import RECORD, require_same_job, sequence_record
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.processes import THIS_MACHINE, as_finished
 from wlr_render.progress import SILENT, Progress
-from wlr_render.rendering.exr_file import require_exr
-from wlr_render.rendering.frame_layers import INSTANCE, LAYERS, frame_layers
-from wlr_render.rendering.image_files import read_png, write_map, write_png, write_video
-from wlr_render.rendering.mitsuba_frames import PathTracedPainter, PathTracer
-from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.scene_file import load_scene, scene_path
-from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
-from wlr_render.rendering.view import write_view
+from wlr_render.rendering.frame_layers import LAYERS
+from wlr_render.rendering.image_files import read_png, write_video
+from wlr_render.rendering.painters import blank_warnings
+from wlr_render.rendering.scene_file import scene_path
+from wlr_render.rendering.scene_raster import SceneRaster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable
 from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
 
-COLOURS = ("red", "green", "blue")
 _MOST_NAMES = 10  # of changed frames in a warning
 _MOST_PLOTTED = 1000  # frames of an eye in a plot, about
-
-
-@dataclass(frozen=True, eq=False)
-class _Opened:
-    """What a job has read.
-
-    Attributes:
-        channels: mappings by eye, that the frames are drawn with.
-        truths: exact mappings by eye, that misalignment is computed with; empty without.
-        scene: what is drawn.
-        inputs: hashes of the files read, by path.
-    """
-
-    channels: Mapping[str, EyeChannels]
-    truths: Mapping[str, EyeMappings]
-    scene: Scene
-    inputs: Mapping[str, str]
-
-    def middle(self) -> dict[str, EyeMappings]:
-        """The only or the green channel of each eye."""
-        return {eye: of_eye[len(of_eye) // 2] for eye, of_eye in self.channels.items()}
 
 
 @job
@@ -96,15 +73,13 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
         BadInputError: faulty files, viewpoints that are all outside the eye box, or a folder that holds frames of
             another job; nothing is written then.
     """
-    with hashes_of_inputs() as inputs:
-        channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
-        opened = _Opened(channels, _open_truths(options, channels), load_scene(options.scene), inputs)
-    raster = _open_raster(options, opened.scene)
+    opened = OpenedFiles.of(options)
+    raster = open_raster(options, opened.scene)
     with raster.context if raster else contextlib.nullcontext():
         return _render(options, opened, raster, progress)
 
 
-def _render(options: RenderOptions, opened: _Opened, raster: SceneRaster | None, progress: Progress) -> Report:
+def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None, progress: Progress) -> Report:
     """Draw what is missing; `raster` is None where frames are ray traced."""
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, opened.middle(), head, eyes)
@@ -114,14 +89,19 @@ def _render(options: RenderOptions, opened: _Opened, raster: SceneRaster | None,
     trajectories = [path for path in (options.head, options.eye_track) if path]
     is_old = require_same_job(folder, record, RenderOptions, trajectories)
     finished = FinishedFiles(folder)
-    missing = [planned for planned in plan if finished.not_whole(_files(folder, planned, options))]
-    changed = [planned for planned in missing if finished.changed(_files(folder, planned, options))]
-    drawing = _Drawing.of(options, opened, raster, predicted) if missing else None
+    missing = [planned for planned in plan if finished.not_whole(files_of(folder, planned, options))]
+    changed = [planned for planned in missing if finished.changed(files_of(folder, planned, options))]
+    drawing = FrameDrawing.of(options, opened, raster) if missing else None
     sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
     if drawing:
-        for _ in progress(drawing.drawn(folder, missing, finished), len(missing), "frames"):
-            pass
-    pictures = [_picture_file(folder, planned) for planned in plan]
+        if options.spread == THIS_MACHINE:
+            drawn = drawing.drawn(missing, predicted)
+        else:
+            blocks = blocks_of(options, opened, raster, missing, predicted)
+            drawn = itertools.chain.from_iterable(as_finished(draw_block, blocks, options.spread, folder))
+        for frame in progress(drawn, len(missing), "frames"):
+            finished.add_signed(frame.files, frame.is_blank)
+    pictures = [picture_file(folder, planned) for planned in plan]
     misaligned = _misalignments(folder, options, plan)
     joined = _joined(folder, options, opened, plan, misaligned)
     videos = _videos(folder, plan, options) if options.video else []
@@ -135,35 +115,6 @@ def _render(options: RenderOptions, opened: _Opened, raster: SceneRaster | None,
     files = [sequence, folder / LIST, *joined, *videos]
     report = _report(options, plan, len(missing), predicted, misaligned, files)
     return save_report(replace(report, warnings=warnings), folder)
-
-
-def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
-    if options.has_colours:
-        return open_colours(options.headset, eye, options.red_model, options.blue_model)
-    return (open_eye(options.headset, eye),)
-
-
-def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, EyeMappings]:
-    """Exact mappings of each eye, if misalignment is asked for.
-
-    Raises:
-        BadInputError: it is no device, or has another panel than the headset.
-    """
-    device = options.misalignment
-    if device is None:
-        return {}
-    if is_model(device):
-        raise BadInputError(
-            f"--misalignment {device}: is a fitted model; name the device, whose exact optics the eye looks through."
-        )
-    truths = {eye: open_colours(device, eye)[1] if options.has_colours else open_eye(device, eye) for eye in channels}
-    for eye, truth in truths.items():
-        if truth.display.panel != channels[eye][0].display.panel:
-            raise BadInputError(
-                f"--misalignment {device}: has another panel than {options.headset}; name the device that the headset "
-                "is a model of."
-            )
-    return truths
 
 
 def _predicted(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, PredictedError]:
@@ -196,7 +147,7 @@ def _report(
         stated = [max(each.rms_arcmin for each in errors), max(each.radius_arcmin for each in errors)] if errors else []
         of_eye = [each for each, planned in zip(misaligned, plan, strict=False) if planned.eye == eye]
         rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *stated, *_worst_misalignment(of_eye)])
-        first = _picture_file(options.out, own[0])
+        first = picture_file(options.out, own[0])
         blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
     columns = ["eye", "frames", "first time stamp (s)", "last time stamp (s)"]
     notes = []
@@ -263,7 +214,7 @@ def _misalignment_plot(plan: list[PlannedFrame], misaligned: Sequence[Labels]) -
 
 
 def _counts_of_files(plan: list[PlannedFrame], options: RenderOptions) -> str:
-    maps = sum(len(_map_files(options.out, planned, options)) for planned in plan)
+    maps = sum(len(map_files(options.out, planned, options)) for planned in plan)
     layers = f", {len(plan)} EXR" if options.layers else ""
     return f"{len(plan)} PNG" + (f", {maps} {options.maps.upper()}" if options.maps else "") + layers
 
@@ -277,7 +228,7 @@ def _drawn_from(options: RenderOptions) -> list[Path]:
 def _redrawn_warnings(folder: Path, changed: list[PlannedFrame], is_old: bool) -> list[str]:
     warnings = []
     if changed:
-        names = [_picture_file(folder, planned).name for planned in changed]
+        names = [picture_file(folder, planned).name for planned in changed]
         more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
         warnings.append(
             f"{folder}: frames had changed since they were drawn, and were drawn again: "
@@ -291,42 +242,19 @@ def _redrawn_warnings(folder: Path, changed: list[PlannedFrame], is_old: bool) -
     return warnings
 
 
-def _open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
-    """None where every frame is ray traced.
-
-    Raises:
-        BadInputError: warp maps without OpenGL, or a way to make them with --backend cpu.
-        MissingGlError: as `open_scene_raster`.
-    """
-    if options.method != "raster":
-        return None
-    raster = open_scene_raster(scene, options.backend, options.materials)
-    if raster is None and options.maps is not None:
-        if options.backend == "cpu":
-            raise BadInputError(
-                "--maps has no use with --backend cpu: ray-traced frames have no warp map; leave out one."
-            )
-        raise BadInputError(
-            "--maps needs OpenGL, because ray-traced frames have no warp map; leave it out, or install libegl1 and "
-            "libgl1 and choose --backend auto."
-        )
-    if options.backend == "cpu" and options.map_from == "mesh":
-        raise BadInputError("--map-from has no use with --backend cpu: frames are ray traced; leave out one of them.")
-    return raster
-
-
 def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:
     """The options that change what a frame shows."""
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     if raster is None and options.method == "raster":
         job["method"] = "raytrace"
     job["layers"] = [layer for layer in LAYERS if layer in options.layers]
-    return {key: job[key] for key in job if key not in ("out", "video", "frame_limit", "backend")}
+    without = ("out", "video", "frame_limit", "backend", "workers", "scheduler")
+    return {key: job[key] for key in job if key not in without}
 
 
 def _frame_record(planned: PlannedFrame) -> dict[str, Any]:
     record = {
-        "file": _picture_file(Path(), planned).name,
+        "file": picture_file(Path(), planned).name,
         "time_s": planned.time_s,
         "viewpoint_in_device_m": planned.viewpoint.tolist(),
         "world_from_device": planned.world_from_device.tolist(),
@@ -334,134 +262,8 @@ def _frame_record(planned: PlannedFrame) -> dict[str, Any]:
     return record | ({"held": True} if planned.held else {})
 
 
-def _map_files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
-    if options.maps is None:
-        return []
-    stems = [f"{planned.stem}-{colour}" for colour in COLOURS] if options.has_colours else [planned.stem]
-    return [folder / f"{stem}.{options.maps}" for stem in stems]
-
-
-def _picture_file(folder: Path, planned: PlannedFrame) -> Path:
-    return folder / f"{planned.stem}.png"
-
-
-def _error_file(folder: Path, planned: PlannedFrame) -> Path:
-    return folder / f"{planned.stem}-error.tiff"
-
-
-def _view_file(folder: Path, planned: PlannedFrame) -> Path:
-    return folder / f"{planned.stem}.json"
-
-
-def _files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
-    maps = _map_files(folder, planned, options)
-    beside = [_view_file(folder, planned)] if maps else []
-    predicted = [_error_file(folder, planned)] if options.predicted_error else []
-    layers = [layers_file(folder, planned.stem)] if options.layers else []
-    labels = [labels_file(folder, planned.stem)] if _has_labels(options) else []
-    return [*maps, *beside, *predicted, *layers, *labels, _picture_file(folder, planned)]
-
-
-def _has_labels(options: RenderOptions) -> bool:
-    return "instance" in options.layers or options.misalignment is not None
-
-
-def _painters(
-    options: RenderOptions, opened: _Opened, raster: SceneRaster | None, renderer: RayRenderer | None
-) -> dict[str, Painter]:
-    channels = opened.channels
-    if options.method == "pathtrace":
-        tracer = PathTracer(opened.scene, options.bounces)
-        return {
-            eye: PathTracedPainter(each, tracer, options.samples, seed_of(options.seed, eye))
-            for eye, each in channels.items()
-        }
-    if options.method == "raytrace":
-        assert renderer is not None
-        return {
-            eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
-        }
-    return {
-        eye: raster_painter(each, raster, renderer, options.map_from, options.resolution, options.raster_camera)
-        for eye, each in channels.items()
-    }
-
-
-@dataclass(frozen=True, eq=False)
-class _Drawing:
-    """Draws frames and writes their files.
-
-    Attributes:
-        options: of the job.
-        painters, truths: by eye.
-        predicted: errors by the frames' stems.
-        renderer: of the scene; None where nothing is ray traced.
-    """
-
-    options: RenderOptions
-    painters: Mapping[str, Painter]
-    truths: Mapping[str, EyeMappings]
-    predicted: Mapping[str, PredictedError]
-    renderer: RayRenderer | None
-
-    @classmethod
-    def of(
-        cls,
-        options: RenderOptions,
-        opened: _Opened,
-        raster: SceneRaster | None,
-        predicted: Mapping[str, PredictedError],
-    ) -> "_Drawing":
-        """With painters that draw as the options say.
-
-        Raises:
-            MissingExtraError: a library that the options need is not installed.
-        """
-        if options.layers:
-            require_exr("--layers")
-        is_traced = raster is None and options.method != "pathtrace"
-        needs_rays = is_traced or options.map_from == "mesh" or bool(options.layers)
-        renderer = RayRenderer(opened.scene) if needs_rays else None
-        painters = _painters(options, opened, raster, renderer)
-        return cls(options, painters, opened.truths, predicted, renderer)
-
-    def drawn(self, folder: Path, plan: list[PlannedFrame], finished: FinishedFiles) -> Iterator[PlannedFrame]:
-        """Draw the frames of a plan, one after the other."""
-        options, with_maps = self.options, self.options.maps is not None
-        with_geometry = with_maps or bool(self.truths)
-        for planned in plan:
-            painter = self.painters[planned.eye]
-            frame = painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
-            sources = frame.sources if with_maps else ()
-            for path, source in zip(_map_files(folder, planned, options), sources, strict=True):
-                write_map(path, source)
-            if with_maps and frame.view is not None:
-                write_view(_view_file(folder, planned), frame.view)
-            if self.predicted:
-                write_map(_error_file(folder, planned), self.predicted[planned.stem].map_arcmin)
-            self._label(folder, planned, frame)
-            write_png(_picture_file(folder, planned), frame.colour)
-            finished.add(_files(folder, planned, options), is_blank(frame.colour))
-            yield planned
-
-    def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> None:
-        """Write the layers and the labels of a frame, if they are asked for."""
-        labels: dict[str, Any] = {}
-        layers = self.options.layers
-        if layers:
-            assert self.renderer is not None
-            channels = frame_layers(self.renderer, frame.ray_map, planned.world_from_device, layers)
-            write_layers(layers_file(folder, planned.stem), planned, channels, layers)
-            if "instance" in layers:
-                labels["annotations"] = named_annotations(channels[INSTANCE], self.renderer.scene)
-        if self.truths:
-            labels["misalignment"] = frame_misalignment(self.truths[planned.eye], planned, frame)
-        if labels:
-            write_labels(labels_file(folder, planned.stem), labels)
-
-
 def _joined(
-    folder: Path, options: RenderOptions, opened: _Opened, plan: list[PlannedFrame], misaligned: Sequence[Labels]
+    folder: Path, options: RenderOptions, opened: OpenedFiles, plan: list[PlannedFrame], misaligned: Sequence[Labels]
 ) -> list[Path]:
     """Write the files that join the labels of all frames."""
     files = []
@@ -480,7 +282,7 @@ def _joined(
 
 def _videos(folder: Path, plan: list[PlannedFrame], options: RenderOptions) -> list[Path]:
     """A video of each eye, and one of both side by side."""
-    pictures = {eye: [_picture_file(folder, each) for each in plan if each.eye == eye] for eye in eyes_of(options.eye)}
+    pictures = {eye: [picture_file(folder, each) for each in plan if each.eye == eye] for eye in eyes_of(options.eye)}
     rate = options.frames_per_second
     videos = [write_video(folder / f"{eye}.mp4", map(read_png, own), rate) for eye, own in pictures.items()]
     if options.eye == "both":

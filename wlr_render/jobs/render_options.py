@@ -7,21 +7,23 @@ from typing import Annotated, Literal
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import (
+    WORKERS,
     Backend,
     Eyes,
     MapFrom,
     OnlyWith,
-    Options,
     Range,
     RasterCamera,
+    Scheduler,
     Seed,
+    SpreadOptions,
     described,
 )
 from wlr_render.rendering.frame_layers import Layer
 
 
 @dataclass(frozen=True)
-class RenderOptions(Options):
+class RenderOptions(SpreadOptions):
     """Options of `render`."""
 
     headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
@@ -123,6 +125,12 @@ class RenderOptions(Options):
         bool, described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True)
     ] = False
     backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
+    workers: Annotated[
+        int | None,
+        described("Number of processes that draw, each with one thread (default: this one, with a thread per core)."),
+        WORKERS,
+    ] = None
+    scheduler: Scheduler = None
     out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
 
     def __post_init__(self) -> None:

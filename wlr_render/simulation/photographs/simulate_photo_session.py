@@ -18,7 +18,7 @@ from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, Ses
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
-from wlr_render.finished_files import FinishedFiles, digest_of
+from wlr_render.finished_files import FinishedFiles, Signature, digest_of, signature_of
 from wlr_render.input_files import hashes_of_inputs
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import THIS_MACHINE, Spread, as_finished
@@ -90,17 +90,17 @@ def simulate_photo_session(
     changed = finished.changed(path for _, missing in tasks for path in missing)
     taken = 0
     finishing = as_finished(_take, tasks, spread.at_most(_MOST_WORKERS), root)
-    for paths in progress(finishing, len(tasks), "camera poses"):
-        finished.add(paths)
-        taken += len(paths)
+    for signatures in progress(finishing, len(tasks), "camera poses"):
+        finished.add_signed(signatures)
+        taken += len(signatures)
     save_board(session.board, root / BOARD)
     write_board_svg(session.board, root / "board.svg")
     save_photo_session(session, {"pattern": recipe.pattern}, BOARD)
     return TakenPhotographs(taken, total - taken, changed)
 
 
-def _take(task: tuple[CameraPose, Sequence[Path]]) -> list[Path]:
-    return take(*task)
+def _take(task: tuple[CameraPose, Sequence[Path]]) -> dict[Path, Signature]:
+    return {path: signature_of(path) for path in take(*task)}
 
 
 def camera_poses(

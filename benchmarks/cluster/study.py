@@ -1,0 +1,184 @@
+"""Speed of a Dask cluster with two local workers beside one, and what a frame and a fit cost."""
+
+import contextlib
+import logging
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from wlr_render.errors import BadInputError
+from wlr_render.extras import installed_by
+from wlr_render.files import output_folder
+from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
+from wlr_render.jobs.options import Options, ProgressArgument, Range, described
+from wlr_render.jobs.render import render
+from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.progress import SILENT
+from wlr_render.report.blocks import Cell, Report, ReportTable
+from wlr_render.report.save import save_report
+
+WANTED = 1.7
+"""Wall time with one worker over that with two."""
+_COUNTS = 9, 25, 49  # camera positions of the fits
+_MILLION = 1_000_000
+
+
+@dataclass(frozen=True)
+class ClusterOptions(Options):
+    """Options of `cluster`."""
+
+    _: KW_ONLY
+    frames: Annotated[int, described("Frames of a sequence."), Range(at_least=8, at_most=10_000)] = 64
+    repeats: Annotated[int, described("Repetitions of each trial of the fits."), Range(2, 1000)] = 10
+    rounds: Annotated[int, described("Runs with one and with two workers, in turn."), Range(1, 100)] = 3
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/cluster")
+
+
+@dataclass(frozen=True)
+class _Run:
+    wall_s: float
+    cpu_s: float
+    tasks: int
+    disk_bytes: int
+
+
+_Job = Callable[[str, Path], int]
+"""Does the work on the cluster of an address, into a folder; returns the number of frames or fits."""
+
+
+def run(options: ClusterOptions = ClusterOptions(), *, progress: ProgressArgument = SILENT) -> Report:
+    """Run each job on one and on two workers in turn; writes cluster.html, .md and .json.
+
+    Raises:
+        MissingExtraError: Dask is not installed.
+    """
+    folder = output_folder(options.out)
+    head = _head(folder, options.frames)
+    jobs: dict[str, _Job] = {
+        "frames, raster": _frames(head, options.frames, "raster"),
+        "frames, ray traced": _frames(head, options.frames, "raytrace"),
+        "fits of a display model": _fits(options.repeats),
+    }
+    rounds = [(name, number) for number in range(-1, options.rounds) for name in jobs]
+    runs: dict[str, list[tuple[_Run, _Run]]] = {name: [] for name in jobs}
+    with _workers(1) as one, _workers(2) as two:
+        for name, number in progress(rounds, len(rounds), "pairs of runs"):
+            order = (one, two) if number % 2 else (two, one)
+            pair = {id(client): _measured(client, jobs[name], folder / "work") for client in order}
+            if number >= 0:  # the first is a rehearsal: workers import the program
+                runs[name].append((pair[id(one)], pair[id(two)]))
+    ratios = {name: statistics.median(a.wall_s / b.wall_s for a, b in pairs) for name, pairs in runs.items()}
+    met = min(ratios.values()) >= WANTED
+    words = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
+    load = os.getloadavg()[0]
+    return save_report(
+        Report(
+            "Two workers beside one",
+            verdict=f"Two local Dask workers are this many times as fast as one, median of {options.rounds} pairs: "
+            f"{words}. Wanted: at least {WANTED:g}, which is {'met' if met else 'not met by all'}. The load of the "
+            f"machine, with {os.cpu_count()} processors, was {load:.1f} at the end.",
+            blocks=[_speed(runs, ratios), _costs(runs)],
+            record={name: [[vars(each) for each in pair] for pair in pairs] for name, pairs in runs.items()},
+        ),
+        folder,
+        "cluster",
+    )
+
+
+def _speed(runs: dict[str, list[tuple[_Run, _Run]]], ratios: dict[str, float]) -> ReportTable:
+    rows: list[list[Cell]] = [
+        [
+            name,
+            pairs[0][0].tasks,
+            statistics.median(one.wall_s for one, _ in pairs),
+            statistics.median(two.wall_s for _, two in pairs),
+            ratios[name],
+            min(one.wall_s / two.wall_s for one, two in pairs),
+        ]
+        for name, pairs in runs.items()
+    ]
+    columns = ["job", "frames or fits", "one worker (s)", "two workers (s)", "ratio, median", "ratio, least"]
+    return ReportTable("Wall time", columns, rows)
+
+
+def _costs(runs: dict[str, list[tuple[_Run, _Run]]]) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for name, pairs in runs.items():
+        all_runs = [each for pair in pairs for each in pair]
+        cpu_s = statistics.median(each.cpu_s / each.tasks for each in all_runs)
+        size = statistics.median(each.disk_bytes / each.tasks for each in all_runs)
+        rows.append([name, cpu_s, size / 1e6, cpu_s * _MILLION / 3600, size * _MILLION / 1e9])
+    columns = ["job", "CPU time of one (s)", "size of one (MB)", "core hours of a million", "disk of a million (GB)"]
+    note = "CPU time of the workers, with what they open. The last two columns are extrapolated."
+    return ReportTable("Cost", columns, rows, (note,))
+
+
+def _measured(client: Any, job: _Job, folder: Path) -> _Run:
+    import shutil
+
+    shutil.rmtree(folder, ignore_errors=True)
+    cpu_s = sum(client.run(time.process_time).values())
+    started = time.perf_counter()
+    tasks = job(client.scheduler.address, folder)
+    wall_s = time.perf_counter() - started
+    cpu_s = sum(client.run(time.process_time).values()) - cpu_s
+    return _Run(wall_s, cpu_s, tasks, sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()))
+
+
+@contextlib.contextmanager
+def _workers(count: int) -> Iterator[Any]:
+    """Context manager for a client of a local cluster."""
+    with installed_by("dask", "The benchmark"):
+        from distributed import Client, LocalCluster
+    with (
+        LocalCluster(count, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def _head(folder: Path, frames: int) -> Path:
+    """Trajectory of a head that turns by 0.3 rad, with one sample for each frame at 30 Hz."""
+    import numpy as np
+
+    from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
+    from wlr_render.tracking.trajectory import HeadTrajectory
+
+    times = np.arange(frames) / 30.0
+    half = 0.15 * times / times[-1]
+    xyzw = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1)
+    return write_head_trajectory_tum(folder / "head.tum", HeadTrajectory(times, np.zeros((frames, 3)), xyzw))
+
+
+def _frames(head: Path, count: int, method: Any) -> _Job:
+    def draw(address: str, folder: Path) -> int:
+        report = render(RenderOptions("northstar", "desk", head=head, method=method, scheduler=address, out=folder))
+        drawn = dict(report.record)["frames_drawn"] if isinstance(report.record, dict) else 0
+        if drawn != count:
+            raise BadInputError(f"{folder}: {drawn} frames were drawn, and {count} expected.")
+        return count
+
+    return draw
+
+
+def _fits(repeats: int) -> _Job:
+    def fit(address: str, folder: Path) -> int:
+        evaluate(
+            EvaluateOptions(
+                ("northstar",),
+                experiment=("camera-positions",),
+                counts=_COUNTS,
+                degrees=(5,),
+                noise_arcmin=0.25,
+                repeats=repeats,
+                scheduler=address,
+                out=folder,
+            )
+        )
+        return len(list((folder / "trials").rglob("*.json")))
+
+    return fit

@@ -1,0 +1,77 @@
+"""Frames that several processes draw are those that one draws."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from jobs.test_render import moving_pupil, pictures, still_head
+
+from wlr_render.errors import BadInputError
+from wlr_render.jobs import frame_drawing
+from wlr_render.jobs.frame_drawing import OpenedFiles, blocks_of, draw_block
+from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
+from wlr_render.jobs.headset import open_eye
+from wlr_render.jobs.render import RenderOptions, render
+
+
+@pytest.fixture
+def moving(tmp_path, straight_device, scene_file):
+    """Five frames of a headset whose wearer moves head and eyes."""
+    centre = open_eye(straight_device).eye_box.centre
+    return RenderOptions(
+        straight_device,
+        scene_file,
+        head=still_head(tmp_path / "head.tum", [0.0, 0.3, 0.6]),
+        eye_track=moving_pupil(tmp_path / "eyes.txt", "right", [0.1, 0.5], centre),
+        frames_per_second=10.0,
+        out=tmp_path / "whole",
+    )
+
+
+def whole(folder):
+    """All files of a folder of frames but the report, which has a date."""
+    listed = {path.name: path.read_bytes() for path in Path(folder).iterdir() if not path.name.startswith("report.")}
+    return listed | {"finished.jsonl": sorted(listed["finished.jsonl"].splitlines())}
+
+
+def block_of(options):
+    opened, raster = OpenedFiles.of(options), None
+    plan = planned_frames(options, opened.middle(), *read_trajectories(options))
+    return blocks_of(options, opened, raster, plan[:1], {})[0]
+
+
+@pytest.mark.parametrize("method", ["raster", "raytrace"])
+def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(moving, tmp_path, monkeypatch, method):
+    monkeypatch.setattr(frame_drawing, "_FRAMES_OF_A_BLOCK", 2)
+    options = replace(moving, method=method)
+    render(options)
+    assert len(set(pictures(options.out).values())) == 5
+    report = render(replace(options, workers=2, out=tmp_path / "spread"))
+    assert report.record["frames_drawn"] == 5
+    assert whole(tmp_path / "spread") == whole(options.out)
+    (tmp_path / "spread" / "right-000003.png").unlink()
+    assert render(replace(options, out=tmp_path / "spread")).record["frames_drawn"] == 1
+    assert pictures(tmp_path / "spread") == pictures(options.out)
+
+
+def test_a_worker_that_reads_another_file_is_refused(moving):
+    options = replace(moving, method="raytrace")
+    block = block_of(options)
+    other = replace(block, inputs={path: "0" * 64 for path in block.inputs})
+    with pytest.raises(BadInputError, match=r"the worker on .* reads another file than the machine that started"):
+        draw_block(other)
+    with pytest.raises(BadInputError, match=r"lacks OpenGL, and the machine that started the job has it"):
+        draw_block(replace(block, has_opengl=True))
+
+
+def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(moving, monkeypatch):
+    opened, before = [], frame_drawing._open
+    monkeypatch.setattr(frame_drawing, "_open", lambda block: opened.append(block) or before(block))
+    moving.out.mkdir()
+    block = block_of(replace(moving, method="raytrace"))
+    draw_block(block)
+    draw_block(block)
+    assert len(opened) == 1
+    draw_block(replace(block, options=replace(block.options, supersample=2)))
+    draw_block(block)
+    assert len(opened) == 3

@@ -1,0 +1,338 @@
+"""Drawing of frames and writing of their files, in the process of the job or in its workers.
+
+A worker opens the headset, the scene and OpenGL by itself, and keeps them for its next frames of the same job.
+"""
+
+import contextlib
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wlr_render.budget.error_map import PredictedError
+from wlr_render.compositing.raster_painter import raster_painter
+from wlr_render.errors import BadInputError
+from wlr_render.finished_files import Signature, signature_of
+from wlr_render.input_files import hashes_of_inputs, may_refer_outside, outside_references
+from wlr_render.jobs.frame_labels import (
+    frame_misalignment,
+    labels_file,
+    layers_file,
+    named_annotations,
+    write_labels,
+    write_layers,
+)
+from wlr_render.jobs.frame_plan import PlannedFrame
+from wlr_render.jobs.headset import is_model, open_colours, open_eye
+from wlr_render.jobs.options import eyes_of, seed_of
+from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.rendering.exr_file import require_exr
+from wlr_render.rendering.frame_layers import INSTANCE, frame_layers
+from wlr_render.rendering.image_files import write_map, write_png
+from wlr_render.rendering.mitsuba_frames import PathTracedPainter, PathTracer
+from wlr_render.rendering.painters import Frame, Painter, TracedPainter, is_blank
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.scene import Scene
+from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
+from wlr_render.rendering.view import write_view
+
+COLOURS = ("red", "green", "blue")
+_FRAMES_OF_A_BLOCK = 8  # so many may be lost with each worker of a run that is interrupted
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedFiles:
+    """What a job has read.
+
+    Attributes:
+        channels: mappings by eye, that the frames are drawn with.
+        truths: exact mappings by eye, that misalignment is computed with; empty without.
+        scene: what is drawn.
+        inputs: hashes of the files read, by path.
+    """
+
+    channels: Mapping[str, EyeChannels]
+    truths: Mapping[str, EyeMappings]
+    scene: Scene
+    inputs: Mapping[str, str]
+
+    @classmethod
+    def of(cls, options: RenderOptions) -> "OpenedFiles":
+        """Read the files that the options name.
+
+        Raises:
+            BadInputError: a file is faulty.
+        """
+        with hashes_of_inputs() as inputs:
+            channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+            return cls(channels, _open_truths(options, channels), load_scene(options.scene), inputs)
+
+    def middle(self) -> dict[str, EyeMappings]:
+        """The only or the green channel of each eye."""
+        return {eye: of_eye[len(of_eye) // 2] for eye, of_eye in self.channels.items()}
+
+
+def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
+    if options.has_colours:
+        return open_colours(options.headset, eye, options.red_model, options.blue_model)
+    return (open_eye(options.headset, eye),)
+
+
+def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, EyeMappings]:
+    """Exact mappings of each eye, if misalignment is asked for.
+
+    Raises:
+        BadInputError: it is no device, or has another panel than the headset.
+    """
+    device = options.misalignment
+    if device is None:
+        return {}
+    if is_model(device):
+        raise BadInputError(
+            f"--misalignment {device}: is a fitted model; name the device, whose exact optics the eye looks through."
+        )
+    truths = {eye: open_colours(device, eye)[1] if options.has_colours else open_eye(device, eye) for eye in channels}
+    for eye, truth in truths.items():
+        if truth.display.panel != channels[eye][0].display.panel:
+            raise BadInputError(
+                f"--misalignment {device}: has another panel than {options.headset}; name the device that the headset "
+                "is a model of."
+            )
+    return truths
+
+
+def open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
+    """None where every frame is ray traced.
+
+    Raises:
+        BadInputError: warp maps without OpenGL, or a way to make them with --backend cpu.
+        MissingGlError: as `open_scene_raster`.
+    """
+    if options.method != "raster":
+        return None
+    raster = open_scene_raster(scene, options.backend, options.materials)
+    if raster is None and options.maps is not None:
+        if options.backend == "cpu":
+            raise BadInputError(
+                "--maps has no use with --backend cpu: ray-traced frames have no warp map; leave out one."
+            )
+        raise BadInputError(
+            "--maps needs OpenGL, because ray-traced frames have no warp map; leave it out, or install libegl1 and "
+            "libgl1 and choose --backend auto."
+        )
+    if options.backend == "cpu" and options.map_from == "mesh":
+        raise BadInputError("--map-from has no use with --backend cpu: frames are ray traced; leave out one of them.")
+    return raster
+
+
+def map_files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
+    """Warp maps of a frame; none unless they are asked for."""
+    if options.maps is None:
+        return []
+    stems = [f"{planned.stem}-{colour}" for colour in COLOURS] if options.has_colours else [planned.stem]
+    return [folder / f"{stem}.{options.maps}" for stem in stems]
+
+
+def picture_file(folder: Path, planned: PlannedFrame) -> Path:
+    """The image on the panel."""
+    return folder / f"{planned.stem}.png"
+
+
+def _error_file(folder: Path, planned: PlannedFrame) -> Path:
+    return folder / f"{planned.stem}-error.tiff"
+
+
+def _view_file(folder: Path, planned: PlannedFrame) -> Path:
+    return folder / f"{planned.stem}.json"
+
+
+def files_of(folder: Path, planned: PlannedFrame, options: RenderOptions) -> list[Path]:
+    """All files of a frame."""
+    maps = map_files(folder, planned, options)
+    beside = [_view_file(folder, planned)] if maps else []
+    predicted = [_error_file(folder, planned)] if options.predicted_error else []
+    layers = [layers_file(folder, planned.stem)] if options.layers else []
+    labels = [labels_file(folder, planned.stem)] if has_labels(options) else []
+    return [*maps, *beside, *predicted, *layers, *labels, picture_file(folder, planned)]
+
+
+def has_labels(options: RenderOptions) -> bool:
+    """Whether frames have a file of labels."""
+    return "instance" in options.layers or options.misalignment is not None
+
+
+def _painters(
+    options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None, renderer: RayRenderer | None
+) -> dict[str, Painter]:
+    channels = opened.channels
+    if options.method == "pathtrace":
+        tracer = PathTracer(opened.scene, options.bounces)
+        return {
+            eye: PathTracedPainter(each, tracer, options.samples, seed_of(options.seed, eye))
+            for eye, each in channels.items()
+        }
+    if options.method == "raytrace":
+        assert renderer is not None
+        return {
+            eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
+        }
+    return {
+        eye: raster_painter(each, raster, renderer, options.map_from, options.resolution, options.raster_camera)
+        for eye, each in channels.items()
+    }
+
+
+@dataclass(frozen=True)
+class DrawnFrame:
+    """The files of a frame, with their signatures, and whether it shows nothing."""
+
+    files: Mapping[Path, Signature]
+    is_blank: bool
+
+
+@dataclass(frozen=True, eq=False)
+class FrameDrawing:
+    """Draws frames and writes their files.
+
+    Attributes:
+        options: of the job.
+        painters, truths: by eye.
+        renderer: of the scene; None where nothing is ray traced.
+    """
+
+    options: RenderOptions
+    painters: Mapping[str, Painter]
+    truths: Mapping[str, EyeMappings]
+    renderer: RayRenderer | None
+
+    @classmethod
+    def of(cls, options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None) -> "FrameDrawing":
+        """With painters that draw as the options say.
+
+        Raises:
+            MissingExtraError: a library that the options need is not installed.
+        """
+        if options.layers:
+            require_exr("--layers")
+        is_traced = raster is None and options.method != "pathtrace"
+        needs_rays = is_traced or options.map_from == "mesh" or bool(options.layers)
+        renderer = RayRenderer(opened.scene) if needs_rays else None
+        painters = _painters(options, opened, raster, renderer)
+        return cls(options, painters, opened.truths, renderer)
+
+    def drawn(self, plan: Sequence[PlannedFrame], predicted: Mapping[str, PredictedError]) -> Iterator["DrawnFrame"]:
+        """Draw frames, one after the other; `predicted` has the errors by the frames' stems, if they are asked for."""
+        options, folder, with_maps = self.options, self.options.out, self.options.maps is not None
+        with_geometry = with_maps or bool(self.truths)
+        for planned in plan:
+            painter = self.painters[planned.eye]
+            frame = painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
+            sources = frame.sources if with_maps else ()
+            for path, source in zip(map_files(folder, planned, options), sources, strict=True):
+                write_map(path, source)
+            if with_maps and frame.view is not None:
+                write_view(_view_file(folder, planned), frame.view)
+            if predicted:
+                write_map(_error_file(folder, planned), predicted[planned.stem].map_arcmin)
+            self._label(folder, planned, frame)
+            write_png(picture_file(folder, planned), frame.colour)
+            signatures = {path: signature_of(path) for path in files_of(folder, planned, options)}
+            yield DrawnFrame(signatures, is_blank(frame.colour))
+
+    def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> None:
+        """Write the layers and the labels of a frame, if they are asked for."""
+        labels: dict[str, Any] = {}
+        layers = self.options.layers
+        if layers:
+            assert self.renderer is not None
+            channels = frame_layers(self.renderer, frame.ray_map, planned.world_from_device, layers)
+            write_layers(layers_file(folder, planned.stem), planned, channels, layers)
+            if "instance" in layers:
+                labels["annotations"] = named_annotations(channels[INSTANCE], self.renderer.scene)
+        if self.truths:
+            labels["misalignment"] = frame_misalignment(self.truths[planned.eye], planned, frame)
+        if labels:
+            write_labels(labels_file(folder, planned.stem), labels)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameBlock:
+    """Frames that a worker draws.
+
+    Attributes:
+        options: of the job.
+        inputs: hashes of the files that the job has read, by path.
+        has_opengl: whether it has opened OpenGL.
+        refers_outside: whether its files may refer to files of other folders.
+        plan: the frames.
+        predicted: their errors by stem, if they are asked for.
+    """
+
+    options: RenderOptions
+    inputs: Mapping[str, str]
+    has_opengl: bool
+    refers_outside: bool
+    plan: Sequence[PlannedFrame]
+    predicted: Mapping[str, PredictedError]
+
+
+def blocks_of(
+    options: RenderOptions,
+    opened: OpenedFiles,
+    raster: SceneRaster | None,
+    plan: Sequence[PlannedFrame],
+    predicted: Mapping[str, PredictedError],
+) -> list[FrameBlock]:
+    """The frames of a plan in blocks for workers."""
+    blocks = []
+    for start in range(0, len(plan), _FRAMES_OF_A_BLOCK):
+        own = plan[start : start + _FRAMES_OF_A_BLOCK]
+        errors = {planned.stem: predicted[planned.stem] for planned in own if predicted}
+        blocks.append(FrameBlock(options, opened.inputs, raster is not None, may_refer_outside(), own, errors))
+    return blocks
+
+
+def draw_block(block: FrameBlock) -> list[DrawnFrame]:
+    """Draw the frames of a block in a worker.
+
+    Raises:
+        BadInputError: the worker has other files or no OpenGL.
+    """
+    return list(_kept_drawing(block).drawn(block.plan, block.predicted))
+
+
+_kept: dict[tuple[object, ...], tuple[FrameDrawing, SceneRaster | None]] = {}
+"""What this worker has opened for the last job whose frames it drew."""
+
+
+def _kept_drawing(block: FrameBlock) -> FrameDrawing:
+    key = (block.options, *sorted(block.inputs.items()))
+    if key not in _kept:
+        for _, raster in _kept.values():
+            if raster is not None:
+                raster.context.release()
+        _kept.clear()
+        _kept[key] = _open(block)
+    return _kept[key][0]
+
+
+def _open(block: FrameBlock) -> tuple[FrameDrawing, SceneRaster | None]:
+    with outside_references() if block.refers_outside else contextlib.nullcontext():
+        opened = OpenedFiles.of(block.options)
+    for path, sha256 in opened.inputs.items():
+        if sha256 not in block.inputs.values():
+            raise BadInputError(
+                f"{path}: the worker on {platform.node()} reads another file than the machine that started the job; "
+                "give all machines the same files, and continue."
+            )
+    raster = open_raster(block.options, opened.scene)
+    if (raster is not None) != block.has_opengl:
+        has, lacks = ("has", "lacks") if raster else ("lacks", "has")
+        raise BadInputError(
+            f"The worker on {platform.node()} {has} OpenGL, and the machine that started the job {lacks} it; choose "
+            "--backend cpu, or install libegl1 and libgl1 on all machines."
+        )
+    return FrameDrawing.of(block.options, opened, raster), raster
