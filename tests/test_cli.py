@@ -32,7 +32,10 @@ from wlr_render.report.terminal import print_report
 ROOT = Path(__file__).resolve().parent.parent
 every_verb = pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.words)
 PAPERS_RASTER = ("--raster-camera", "viewpoint", "--map-from", "mesh")
-HEAVY = ("numpy", "scipy", "cv2", "trimesh", "pyrender", "moderngl", "matplotlib", "embreex", "jinja2", "plotly")
+HEAVY = (
+    *("numpy", "scipy", "cv2", "trimesh", "pyrender", "moderngl", "matplotlib", "embreex", "jinja2", "plotly"),
+    *("OpenEXR", "distributed", "mitsuba", "optiland", "pdoc"),  # of extras
+)
 
 
 def device(folder, *changes):
