@@ -6,6 +6,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.monado import Monado
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.export import ExportOptions, export, first_views
 
 N = 65
@@ -93,3 +94,16 @@ def test_a_panel_without_all_rays_is_refused(northstar_views, tmp_path):
     object.__setattr__(holed := replace(right), "rays_at", lambda *_: np.full((N, N, 4), np.nan))
     with pytest.raises(BadInputError, match=r"100\.0% of the right panel of northstar .* has no ray"):
         list(Monado().write([left, holed], tmp_path))
+
+
+def test_eyes_of_different_fields_get_one_camera(straight_device, monkeypatch):
+    left = Pinhole(100, 100, np.array([-0.5, -0.3]), np.array([0.2, 0.4]))
+    right = Pinhole(200, 100, np.array([-0.1, -0.6]), np.array([0.3, 0.1]))
+    for size, expected in ((None, (500, 172)), ((64, 48), (64, 48))):
+        cameras = iter([left, right])
+        monkeypatch.setattr("wlr_render.jobs.export.intermediate_camera", lambda *_, of=cameras: next(of))
+        views = first_views(ExportOptions("monado", straight_device, eye="both", source_size=size))
+        for view in views.values():
+            camera = view.source.camera
+            assert (camera.tangent_min.tolist(), camera.tangent_max.tolist()) == ([-0.5, -0.6], [0.5, 0.6])
+            assert camera.size_px == expected
