@@ -27,6 +27,7 @@ BENCHMARKS = {
     "renderers": "Other renderers on a headset's rays, compared with Embree.",
     "rivals": "Published methods and ours on measurements of others.",
     "monado": "Monado's compositor with an exported distortion, compared with our own map.",
+    "gallery": "Demos, a calibration, a budget, a diagnosis and a study, shown on one page.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }
 """Help texts; each benchmark is the function `run` of `study.py` in its folder."""

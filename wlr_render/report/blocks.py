@@ -74,11 +74,13 @@ class Picture:
         title: one line.
         path: a PNG file.
         caption: what it shows; also its alternative text.
+        link: address of a page that the picture leads to, relative to the report's folder.
     """
 
     title: str
     path: Path
     caption: str = ""
+    link: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Runs of the main verbs, shown on one page."""
