@@ -22,6 +22,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Picture, Report, Section, Text
 from wlr_render.report.save import markdown, save_report
 
+_PROGRAM = "./wlr"
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _PAGE_PX = (1200, 800)
 _WIDTH_PX = 900  # of a picture in the gallery
@@ -135,7 +136,7 @@ def _blocks(shown: Run, folder: Path, picture: Path) -> list[Block]:
     verdict = json.loads((folder / page).with_suffix(".json").read_text(encoding="utf-8"))["sentence"]
     return [
         Section(shown.title),
-        Text(f"`./wlr {shlex.join(shown.command(folder))}`"),
+        Text(f"`{_PROGRAM} {shlex.join(shown.command(folder))}`"),
         Text(verdict),
         Picture(page.as_posix(), picture, f"{shown.title}. The picture leads to the report.", link=page.as_posix()),
     ]
