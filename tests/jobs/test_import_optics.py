@@ -13,6 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.jobs.import_optics import ImportOpticsOptions, import_optics
 from wlr_render.optics.device_file import load_device
+from wlr_render.optics.first_order import first_order
 from wlr_render.optics.traced_mappings import TracedDisplay
 
 LENSES = Path(__file__).resolve().parent.parent / "optics" / "data" / "lens_files"
@@ -103,8 +104,15 @@ def test_semi_diameters_are_apertures_if_asked_for(tmp_path):
     assert high(semi_diameters=True) == pytest.approx(0.02)
 
 
-def test_a_bowed_image_makes_a_bowed_panel(tmp_path):
-    report, device = imported(tmp_path, LOUPE.replace("CURV 0.0\n  DISZ 0", "CURV -0.01\n  DISZ 0"))
+@pytest.mark.parametrize(
+    ("text", "starts_at"),
+    [
+        (LOUPE.replace("CURV 0.0\n  DISZ 0", "CURV -0.01\n  DISZ 0"), "eye"),
+        (BACKWARDS.replace("  DISZ 45", "  CURV 0.01\n  DISZ 45"), "panel"),
+    ],
+)
+def test_a_bowed_image_makes_a_bowed_panel(tmp_path, text, starts_at):
+    report, device = imported(tmp_path, text, starts_at=starts_at)
     panel = device.eyes["right"].panel
     edge = panel.point_of_pixel(np.array([800.0, 300.0]))
     # A sphere of 100 mm with its centre towards the eye: its edge is nearer to the eye than its middle.
@@ -149,3 +157,15 @@ def test_files_of_three_programs_by_the_verb(tmp_path, name, capsys):
     record = json.loads((out / "report.json").read_text())
     assert "display path" in capsys.readouterr().out
     assert record["tables"][0]["rows"]
+
+
+def test_the_focal_length_is_that_of_rayoptics(tmp_path):
+    """Paraxial figures of rayoptics 0.9.8 at 587.56 nm: focal length 50.00099 mm, image 1.15 um before the focus."""
+    file = shutil.copy(LENSES / "Sasian Triplet.roa", tmp_path)
+    options = ImportOpticsOptions(
+        Path(file), panel=(1000, 1000), panel_mm=(20.0, 20.0), eye_relief_mm=20.0, out=tmp_path / "out"
+    )
+    import_optics(options)
+    imaging = first_order(load_device(tmp_path / "out" / "Sasian_Triplet.toml").eyes["right"], 0.5875618)
+    assert imaging.focal_length_m == pytest.approx((0.05000099, 0.05000099), rel=2e-5)
+    assert imaging.vergence_per_m == pytest.approx((1.15e-6 / 0.05**2,) * 2, abs=1e-4)

@@ -252,3 +252,22 @@ def test_a_catalogue_file_is_searched_by_name(tmp_path):
 
 def test_planes_are_planes(tmp_path):
     assert lens_of(tmp_path, ZMX).surfaces[4].shape == Conic(0.0)
+
+
+@pytest.mark.parametrize("name", ["HoO-V2C18Ex66NEW.zmx", "shapes.json", "decentred.roa"])
+def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path, name):
+    rng = np.random.default_rng(3)
+    whole = (FOLDER / name).read_bytes()
+    path = tmp_path / name
+    sentences = []
+    for _ in range(60):
+        content = bytearray(whole)
+        for place in rng.integers(0, len(content), 4):
+            content[place] = rng.choice(list(b'0159-.eE"{}[], \n\x00\xff'))
+        path.write_bytes(bytes(content))
+        try:
+            read_lens_file(path, CATALOGUE)
+        except BadInputError as error:
+            sentences.append(str(error))
+    assert sentences
+    assert all(name in sentence for sentence in sentences)
