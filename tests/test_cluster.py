@@ -1,5 +1,6 @@
 """Work on a Dask cluster: what local processes give, workers that are killed, and clusters that cannot do it."""
 
+import importlib
 import logging
 import os
 import signal
@@ -87,6 +88,15 @@ def test_the_temporary_files_of_other_machines_are_left(address, tmp_path):
 
 def fail(_):
     raise BadInputError("a.toml: has no such key.")
+
+
+def test_workers_that_cannot_load_the_program(address, tmp_path, monkeypatch):
+    (tmp_path / "only_here.py").write_text("def answer(_):\n    return 42\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(
+        BadInputError, match=r"cannot load the program \(No module named 'only_here'\); install the same"
+    ):
+        done(address, importlib.import_module("only_here").answer, [1])
 
 
 def test_the_sentence_of_a_task_comes_back(address):

@@ -165,6 +165,15 @@ def _result(future: "Future", address: str) -> Any:
             f"--scheduler {address}: the connection to the scheduler is lost; start it again with its workers, and "
             "continue."
         ) from error
+    except (ImportError, AttributeError, RuntimeError) as error:
+        # Dask, or the unpickling in a worker, did not find the function that is to run.
+        if not isinstance(error, ImportError) and "deserializ" not in str(error):
+            raise
+        raise BadInputError(
+            f"--scheduler {address}: the scheduler or a worker cannot load the program "
+            f"({' '.join(str(error).split())[:100]}); install the same wlr_render on all machines, that of the "
+            "scheduler too, and start what runs benchmarks with PYTHONPATH set to the checkout."
+        ) from error
 
 
 def _run_here(payload: bytes, conditions: dict[str, Any]) -> Any:
