@@ -12,6 +12,7 @@ from wlr_render.mappings import Status
 from wlr_render.optics.device import Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.lens_file import read_lens_file
+from wlr_render.optics.media import Medium
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SumOfProfiles, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.tracer import trace
@@ -271,3 +272,23 @@ def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path, name):
             sentences.append(str(error))
     assert sentences
     assert all(name in sentence for sentence in sentences)
+
+
+@pytest.mark.parametrize("found", ["N-SF5", "sf5"])
+def test_a_glass_of_a_similar_name_is_told(tmp_path, monkeypatch, found):
+    monkeypatch.setattr(
+        "wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland",
+        lambda name, makers: Medium.abbe(found, 1.67271, 32.25),
+    )
+    path = tmp_path / "lens.zmx"
+    path.write_text(ZMX.replace("___BLANK 1 0 1.5168 64.17", "SF5 0 0 1.5 40"))
+    _, lens = read_lens_file(path, GlassCatalogue())
+    notes = [note for note in lens.not_taken if note.key == "GLAS"]
+    assert [note.bends_rays for note in notes] == ([True] if found == "N-SF5" else [])
+
+
+@pytest.mark.oracle
+def test_optilands_nearest_name_is_not_taken_for_the_glass():
+    pytest.importorskip("optiland.materials", reason="pip install wlr_render[glasses]")
+    assert GlassCatalogue().find("SF5", ("schott",)).name != "SF5"
+    assert GlassCatalogue().find("N-SF5", ("schott",)).name == "N-SF5"

@@ -116,8 +116,17 @@ def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | No
             file = str(material.to_dict()["filename"])
         except (ValueError, KeyError):
             continue
-        return require_glass(_of_database_file(file, name), file)
+        # Optiland takes the nearest name if it has no such glass: N-SF5 for SF5, which is another one.
+        found = Path(file).stem
+        return require_glass(_of_database_file(file, name if found.upper() == name.upper() else found), file)
     return None
+
+
+def stand_in(name: str, medium: Medium) -> str | None:
+    """What to say of a glass that was found by a similar name only; None if it is the one that was asked for."""
+    if medium.name.upper() == name.upper():
+        return None
+    return f"no catalogue has a glass of exactly this name: {medium.name} stands in its place; check its index"
 
 
 def _of_database_file(path: str, name: str) -> Medium:

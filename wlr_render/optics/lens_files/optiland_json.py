@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass, stand_in
 from wlr_render.optics.lens_files.sequence import (
     LensFile,
     LensSurface,
@@ -115,6 +115,8 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
         reference = material.unchecked("reference")
         medium_found = catalogue.find(name, (reference,) if isinstance(reference, str) else ())
         if medium_found is not None:
+            if note := stand_in(name, medium_found):
+                _leave(notes, number, "material_post", name, note, True)
             return medium_found
         raise material.fail(
             f"no catalogue has the glass {shown(name)}; name Zemax's catalogue file with --glasses FILE.agf, or "

@@ -15,6 +15,7 @@ from wlr_render.optics.lens_files.glass_catalogues import (
     require_glass,
     schott,
     sellmeier,
+    stand_in,
 )
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
@@ -191,6 +192,8 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
             f"no catalogue has the glass {shown(name)}; name Zemax's catalogue file with --glasses FILE.agf, or "
             "install one: pip install 'wlr_render[glasses]'."
         )
+    if note := stand_in(name, found):
+        _leave(notes, number, "medium", name, note, True)
     return found
 
 

@@ -10,7 +10,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass, stand_in
 from wlr_render.optics.lens_files.lens_text import decode_lens_text
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
@@ -245,6 +245,8 @@ def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Me
     if medium is None:
         reading.unknown_glasses.setdefault(name, []).append(surface.number)
         return False, Medium(name)
+    if not model and (note := stand_in(name, medium)):
+        reading.leave(surface, "GLAS", name, note, True)
     return False, medium
 
 
