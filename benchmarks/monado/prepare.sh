@@ -20,7 +20,7 @@ apt-get install -q -y --no-install-recommends libopenxr1-monado libopenxr-loader
     libopengl-dev libglx-dev libegl-dev libgl-dev
 mkdir -p /opt/monado
 cd /opt/monado
-# The original sources, by the hash in Debian's signed index; Debian's patches change nothing that we use.
+# The original sources, by the hash in Debian's signed index. Debian's own patches are not applied.
 ls -d monado-*/ >/dev/null 2>&1 || { apt-get source -q --tar-only monado && tar xf monado_*.orig.tar.xz; }
 cd monado-*/
 cmake -G Ninja -S . -B build -DCMAKE_BUILD_TYPE=Release -DBUILD_TESTING=OFF -DXRT_FEATURE_SERVICE=ON >build.log 2>&1 || { tail -30 build.log; exit 1; }
