@@ -104,7 +104,7 @@ def test_late_rows_are_of_each_movement(on):
 def test_the_shaders_error_is_that_of_its_lattice(gl_context, small_panel_model):
     """At pixels next to nothing; between few points what the choice of warp grids measures without a shader."""
     eye, axes = small_panel_model, middle_axes(small_panel_model)
-    pixels, few = WarpGrid.of_pixels(eye.display.panel), WarpGrid.edge_to_edge(eye.display.panel, 12, 13)
+    pixels, few = WarpGrid.of_pixels(eye.display.panel), WarpGrid.edge_to_edge(eye.display.panel, 10, 11)
     at_pixels, between = (
         accuracy_tables.ray_map_error_arcmin(GlPlanarSolver(gl_context, eye, warp_grid, axes), eye, warp_grid)
         for warp_grid in (pixels, few)
