@@ -1,7 +1,7 @@
 """Search for the session with the fewest camera places that reaches an accuracy."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class DesignSearch:
     """What was found.
 
     Attributes:
-        predictor: predicts errors of designs.
+        predictor: predicts errors of designs like the recommended one, whose simulated session is its pilot.
         tried: designs of each family with their predicted errors, by number of places.
         recommended: the design to use. simulated: errors of a simulated session of it, against the traced headset.
         limits: predicted errors with one error of the bench changed, by its name.
@@ -104,6 +104,9 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
         best = _predicted(predictor, spread_of(more))
         by_family[SPREAD] = (*by_family[SPREAD], best)
     say("predicting what limits the accuracy")
+    # How smooth optics look depends on how many places saw them: the session of this design is its own pilot.
+    predictor = replace(predictor, pilot=fit)
+    best = _predicted(predictor, best.design)
     return DesignSearch(predictor, by_family, best, simulated, _limits(predictor, best.design), reaches)
 
 
