@@ -104,6 +104,12 @@ def test_the_sentence_of_a_task_comes_back(address):
         done(address, fail, [0])
 
 
+def test_a_file_that_a_task_does_not_find_ends_the_job_with_its_error(address, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        done(address, open, [str(tmp_path / "absent.txt")], tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path):
     few = {"experiment": ("camera-positions",), "counts": (5, 9), "degrees": (3,)}
     here = evaluate(EvaluateOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))

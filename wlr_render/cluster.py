@@ -109,8 +109,11 @@ def _marked(folder: Path | None) -> Iterator[str]:
         mark = tempfile.NamedTemporaryFile(prefix=_MARK, dir=folder.resolve())  # noqa: SIM115  # closed below
     except OSError as error:
         raise BadInputError(f"{folder}: cannot be written ({error.strerror}); choose another folder.") from error
-    with contextlib.suppress(FileNotFoundError), mark:
+    try:
         yield mark.name
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            mark.close()
 
 
 def _versions() -> dict[str, str]:

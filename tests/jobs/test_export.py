@@ -16,7 +16,7 @@ from wlr_render.escapes import markdown_text
 from wlr_render.exports.formats import FORMATS, FormatName
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS
-from wlr_render.jobs.export import ExportOptions, export
+from wlr_render.jobs.export import ExportOptions, _own_hashes, export
 from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
@@ -169,3 +169,13 @@ def test_without_openexr_one_sentence_says_how_to_install_it(small_northstar, tm
     sentence = refused(["export", "stmap", small_northstar, "--out", str(tmp_path / "out")], capsys)
     assert "pip install 'wlr_render[exr]'" in sentence
     assert not list(tmp_path.rglob("*.exr"))
+
+
+def test_models_of_one_name_keep_their_own_hashes(tmp_path):
+    files = [tmp_path / colour / "model.json" for colour in ("green", "red", "blue")]
+    for file in files:
+        file.parent.mkdir()
+        file.touch()
+    options = ExportOptions("stmap", str(files[0]), red_model=files[1], blue_model=files[2])
+    hashes = _own_hashes(options, {str(file): file.parent.name for file in files})
+    assert hashes == {f"{colour}/model.json": colour for colour in ("green", "red", "blue")}

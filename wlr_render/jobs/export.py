@@ -256,9 +256,14 @@ def _first_views(
 
 
 def _own_hashes(options: ExportOptions, inputs: dict[str, str]) -> dict[str, str]:
-    """SHA-256 of the headset's files by their names: a receiver has no use for our folders."""
+    """SHA-256 of the headset's files by their names; files of one name have that of their folder before it."""
     files = _headset_files(options)
-    return {path.name: inputs[str(path)] for path in files if str(path) in inputs}
+    names = [path.name for path in files]
+    return {
+        path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}": inputs[str(path)]
+        for path in files
+        if str(path) in inputs
+    }
 
 
 def _central_view(options: ExportOptions, channels: EyeChannels, sha256: dict[str, str]) -> ExportedView:
