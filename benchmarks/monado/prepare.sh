@@ -6,7 +6,7 @@ set -eu
 here=$(dirname "$(readlink -f "$0")")
 mkdir -p "$1"
 root=$(readlink -f "$1")
-[ -e "$root/etc/debian_version" ] || debootstrap --variant=minbase trixie "$root" http://deb.debian.org/debian
+[ -e "$root/etc/debian_version" ] || debootstrap --variant=minbase trixie "$root"
 cp /etc/resolv.conf "$root/etc/resolv.conf"
 grep -q '^deb-src' "$root/etc/apt/sources.list" || sed -n 's/^deb /deb-src /p' "$root/etc/apt/sources.list" >>"$root/etc/apt/sources.list"
 "$here/enter.sh" "$root" sh -eu <<'INSIDE'

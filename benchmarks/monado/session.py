@@ -11,6 +11,7 @@ import ctypes
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -30,8 +31,7 @@ PATIENCE_S = 120
 
 def main(configuration, result):
     """Run Monado, show the pictures, keep the screen."""
-    folder = Path("/tmp/session")
-    folder.mkdir(mode=0o700)
+    folder = Path(tempfile.mkdtemp())
     with contextlib.ExitStack() as running:
         screen = ["Xvfb", "-displayfd", "1", "-screen", "0", "3200x1700x24", "-fbdir", str(folder)]
         display = f":{start(running, screen, folder, stdout=subprocess.PIPE).stdout.readline().decode().strip()}"

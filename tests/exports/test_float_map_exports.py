@@ -50,3 +50,9 @@ def test_depth_moves_the_positions_as_the_headset_does(near_view, view):
     moved_px = np.linalg.norm(near_view.source_px("all") - view.source_px("all"), axis=-1)
     arcmin = moved_px / np.mean(view.source.camera.focal_px) * 60 * 180 / np.pi
     assert 0.5 < np.median(arcmin) < 2.5  # the page states 1.36' rms between infinity and 0.5 m
+
+
+def test_facts_state_what_the_map_of_their_own_colour_loses(coloured_view, tmp_path):
+    facts = [path for path in FloatMap("tiff").write([coloured_view], tmp_path) if path.suffix == ".json"]
+    stated = [json.loads(path.read_text(encoding="utf-8"))["loses"][-1]["rms_arcmin"] for path in facts]
+    assert len(set(stated)) == len(coloured_view.colours) == 3

@@ -7,14 +7,14 @@ import trimesh
 from matplotlib.tri import LinearTriInterpolator, Triangulation
 
 from wlr_render.exports.check_pictures import write_check
-from wlr_render.exports.mesh import TOLERANCE_ARCMIN, Mesh
+from wlr_render.exports.mesh import TOLERANCE_ARCMIN, GltfMesh
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 
 
 def read(view, folder):
     """The mesh as trimesh reads it: vertices, triangles and texture coordinates with v downwards."""
-    write_check(folder, view, Mesh.carries)
-    (path,) = Mesh().write([view], folder)
+    write_check(folder, view, GltfMesh.carries)
+    (path,) = GltfMesh().write([view], folder)
     mesh = trimesh.load(path, process=False, force="mesh")
     return path, mesh, np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh turns v round
 

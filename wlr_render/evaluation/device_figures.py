@@ -17,7 +17,7 @@ _SEARCH_DEG = np.arange(-85.0, 85.0, 0.05)
 
 
 @dataclass(frozen=True)
-class Spread:
+class AngleSpread:
     """Summary of angles in arcminutes; NaN if none is finite."""
 
     mean: float
@@ -25,7 +25,7 @@ class Spread:
     maximum: float
 
     @classmethod
-    def of(cls, arcmin: FloatArray) -> "Spread":
+    def of(cls, arcmin: FloatArray) -> "AngleSpread":
         """Summary of all finite entries."""
         kept = arcmin[np.isfinite(arcmin)]
         if kept.size == 0:
@@ -67,12 +67,12 @@ class DeviceFigures:
     field_angles: FieldAngles
     panel_share: float
     pixel_arcmin: float
-    swim: tuple[Spread, Spread, Spread]
-    ignoring_viewpoint: Spread
-    deviation_far: Spread
-    deviation_near: Spread
-    deviation_change: Spread
-    colour: Spread
+    swim: tuple[AngleSpread, AngleSpread, AngleSpread]
+    ignoring_viewpoint: AngleSpread
+    deviation_far: AngleSpread
+    deviation_near: AngleSpread
+    deviation_change: AngleSpread
+    colour: AngleSpread
 
     @property
     def image_distance_m(self) -> tuple[float, float]:
@@ -103,11 +103,11 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
         panel_share=len(pixel) / (_COLUMNS * _ROWS),
         pixel_arcmin=_pixel_arcmin(display, pixel, box.centre),
         swim=(swim_x, swim_y, swim_z),
-        ignoring_viewpoint=Spread.of(arcmin_between(from_box, seen)),
-        deviation_far=Spread.of(arcmin_between(far, seen)),
-        deviation_near=Spread.of(arcmin_between(near, seen)),
-        deviation_change=Spread.of(arcmin_between(_far(mappings, seen, with_corners), far)),
-        colour=Spread.of(arcmin_between(_far(blue, seen, box.centre), _far(red, seen, box.centre))),
+        ignoring_viewpoint=AngleSpread.of(arcmin_between(from_box, seen)),
+        deviation_far=AngleSpread.of(arcmin_between(far, seen)),
+        deviation_near=AngleSpread.of(arcmin_between(near, seen)),
+        deviation_change=AngleSpread.of(arcmin_between(_far(mappings, seen, with_corners), far)),
+        colour=AngleSpread.of(arcmin_between(_far(blue, seen, box.centre), _far(red, seen, box.centre))),
     )
 
 
@@ -150,9 +150,9 @@ def _over_box(box: EyeBox, side: FloatArray) -> FloatArray:
     return box.at(np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 1, 3))
 
 
-def _swim(display: DisplayMapping, pixel: FloatArray, centre: FloatArray, axis: FloatArray) -> Spread:
+def _swim(display: DisplayMapping, pixel: FloatArray, centre: FloatArray, axis: FloatArray) -> AngleSpread:
     low, high = (display.view_dir_of_pixel(pixel, centre + sign * 0.5 * _MOVE_M * axis).value for sign in (-1, 1))
-    return Spread.of(arcmin_between(low, high))
+    return AngleSpread.of(arcmin_between(low, high))
 
 
 def _far(mappings: EyeMappings, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:

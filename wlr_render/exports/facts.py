@@ -33,8 +33,8 @@ class Loss:
     max_arcmin: float | None
 
 
-def losses(view: ExportedView, carries: Carries) -> list[Loss]:
-    """What the numbers of a view lose, as it was made for, at `JUDGED_DEPTH_M`, and with another pupil.
+def losses(view: ExportedView, carries: Carries, colour: str) -> list[Loss]:
+    """What the numbers of a view lose in one colour, as it was made for, at `JUDGED_DEPTH_M`, and with another pupil.
 
     The first one is left out where the format approximates between panel pixels: its page has the tolerance.
 
@@ -42,7 +42,6 @@ def losses(view: ExportedView, carries: Carries) -> list[Loss]:
     mappings. The pupil moves `PUPIL_SHIFT_M` right, left, up and down in the device, as far as the eye box allows; the
     errors are of all these together.
     """
-    colour = view.middle_colour
     mappings = view.mappings(colour)
     pixel = _pixel_centres(view.panel_size_px)
     due = np.moveaxis(view.rays_at(colour, pixel), -1, 0)
@@ -90,6 +89,7 @@ def _loss(case: str, errors: list[FloatArray]) -> Loss:
 def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
     """All that a receiver must know about one map, as plain JSON."""
     camera, (left, bottom), (right, top) = view.source.camera, *_borders(view)
+    judged = colour if colour in view.colours else view.middle_colour  # of a file of all colours, the middle one
     return {
         "format": "wlr-export",
         "version": 1,
@@ -110,7 +110,7 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
             "device_from_camera": view.source.device_from_camera.tolist(),
         },
         "convention": list(form.convention),
-        "loses": [asdict(loss) for loss in losses(view, form.carries)],
+        "loses": [asdict(loss) for loss in losses(view, form.carries, judged)],
     }
 
 

@@ -5,7 +5,7 @@ from typing import Literal
 from wlr_render.exports.ffmpeg import Ffmpeg
 from wlr_render.exports.float_maps import FloatMap
 from wlr_render.exports.format import Format
-from wlr_render.exports.mesh import Mesh
+from wlr_render.exports.mesh import GltfMesh
 from wlr_render.exports.monado import Monado
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.npz import Npz
@@ -14,7 +14,7 @@ from wlr_render.exports.stmap import StMap
 
 FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal"]
 _FLOAT_MAPS = FloatMap("pfm"), FloatMap("tiff")
-FORMATS: tuple[Format, ...] = (StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), Mesh(), Monado(), Mrcal())
+FORMATS: tuple[Format, ...] = (StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), GltfMesh(), Monado(), Mrcal())
 
 
 def format_of(name: str) -> Format:

@@ -28,7 +28,7 @@ _LINEAR, _CLAMP = 9729, 33071
 _TYPES = {2: "VEC2", 3: "VEC3"}
 
 
-class Mesh:
+class GltfMesh:
     """The format `mesh`."""
 
     name = "mesh"

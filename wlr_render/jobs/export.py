@@ -417,7 +417,10 @@ def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView])
     rows: list[list[Cell]] = []
     for eye in eyes_of(options.eye):
         view = replace(next(each for each in views if each.eye == eye))
-        rows += [[view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin] for loss in losses(view, form.carries)]
+        rows += [
+            [view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin]
+            for loss in losses(view, form.carries, view.middle_colour)
+        ]
     columns = ["map", "used for", "rms (arcmin)", "max (arcmin)"]
     notes = [
         "Against this headset's own mappings, over the panel; pupils moved to the right, left, up and down as far as "
