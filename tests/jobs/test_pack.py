@@ -135,12 +135,22 @@ def test_frames_without_layers_are_packed_too(frames_of, tmp_path):
 def test_a_frame_that_is_not_as_it_was_drawn_is_refused(labelled, tmp_path, layout, name):
     path = labelled.out / name
     path.write_bytes(path.read_bytes()[:-1] + b"x")
+    size = {"frames_per_shard": 1} if layout == "webdataset" else {}
     with pytest.raises(BadInputError, match=rf"{name}: is missing, or is not as it was drawn; draw it again"):
-        pack(PackOptions(layout, labelled.out, out=tmp_path / "set"))
-    if layout == "huggingface":
-        assert not (tmp_path / "set" / "train" / "metadata.jsonl").exists()
+        pack(PackOptions(layout, labelled.out, out=tmp_path / "set", **size))
+    assert not (tmp_path / "set").exists()
     render(labelled)
     pack(PackOptions(layout, labelled.out, out=tmp_path / "mended"))
+
+
+def test_what_a_killed_pack_left_is_no_part_of_the_data_set(frames_of, tmp_path):
+    drawn = frames_of()
+    left = tmp_path / "set" / ".wlr-part-pack"
+    left.mkdir(parents=True)
+    (left / "frames-000007.tar").touch()
+    pack(PackOptions("webdataset", drawn.out, out=tmp_path / "set"))
+    reports = {f"report.{kind}" for kind in ("html", "json", "md")}
+    assert {path.name for path in (tmp_path / "set").iterdir()} == {"frames-000000.tar", *reports}
 
 
 def test_a_folder_with_a_data_set_is_left_as_it_is(frames_of, tmp_path):

@@ -1,12 +1,15 @@
 """Pack the frames of `render` as a data set: WebDataset's tar files, or an image folder of Hugging Face's `datasets`.
 
 A sample is one frame of one eye: the picture, its layers and its metadata, all named after the frame. Frames that are
-not as `finished.jsonl` lists them are refused, so that what is packed is what was drawn.
+not as `finished.jsonl` lists them are refused, so that what is packed is what was drawn. A pack that is refused or
+interrupted leaves nothing.
 """
 
+import contextlib
 import io
 import json
 import re
+import shutil
 import tarfile
 from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -30,6 +33,7 @@ Layout = Literal["webdataset", "huggingface"]
 METADATA = "metadata.jsonl"
 _SHARD = "frames-{:06d}.tar"
 _SPLIT = "train"
+_TEMPORARY = ".wlr-part-pack"
 _FRAME = re.compile(r"(left|right)-(\d{6,9})\.png")
 
 
@@ -73,20 +77,37 @@ def pack(options: PackOptions, *, progress: ProgressArgument = SILENT) -> Report
     record.text("format", choices=("wlr-sequence",))
     entries = record.tables("frames", most=LIMITS.rows)
     samples = progress(_samples(folder, record, entries), len(entries), "frames")
-    if options.layout == "webdataset":
-        written = _write_shards(out, samples, options.frames_per_shard)
-        what = f"{len(entries)} frames in {len(written)} tar files"
-    else:
-        written = [_write_image_folder(out / _SPLIT, samples)]
-        what = f"{len(entries)} frames beside {written[0]}"
+    with _moved_when_complete(out) as temporary:
+        if options.layout == "webdataset":
+            files = _write_shards(temporary, samples, options.frames_per_shard)
+        else:
+            files = [_write_image_folder(temporary / _SPLIT, samples)]
+    written = [out / path.relative_to(temporary) for path in files]
+    place = f"in {len(written)} tar files" if options.layout == "webdataset" else f"beside {written[0]}"
     report = Report(
         f"Data set of {folder.resolve().name}",
-        f"{what}, for {options.layout}.",
+        f"{len(entries)} frames {place}, for {options.layout}.",
         inputs=[folder / RECORD, folder / LIST],
         files=written,
         record={"frames": len(entries)},
     )
     return save_report(report, out)
+
+
+@contextlib.contextmanager
+def _moved_when_complete(out: Path) -> Iterator[Path]:
+    """Context manager for a temporary folder, whose content is moved into `out` if the block ends without an error."""
+    temporary = out / _TEMPORARY
+    shutil.rmtree(temporary, ignore_errors=True)  # of a killed run: no other one may write into this folder now
+    with disk_errors(temporary):
+        temporary.mkdir()
+    try:
+        yield temporary
+        with disk_errors(out):
+            for path in sorted(temporary.iterdir()):
+                path.replace(out / path.name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[_Sample]:
