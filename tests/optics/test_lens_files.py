@@ -245,9 +245,35 @@ def test_a_glass_with_its_own_numbers_stands_in_for_a_catalogue(tmp_path, monkey
 def test_a_catalogue_file_is_searched_by_name(tmp_path):
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "n-bk7 0 0 1.5 40"))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.51680, abs=5e-6)
+
+
+def test_the_first_glass_of_a_name_counts_and_each_file_is_read_once(tmp_path):
+    first, second = tmp_path / "first.agf", tmp_path / "second.agf"
+    first.write_text("NM A 1 0 1.5 40\nCD 2.25 0 0 0 0 0\nNM A 1 0 1.5 40\nCD 4 0 0 0 0 0\n")
+    second.write_text("NM a 1 0 1.5 40\nCD 9 0 0 0 0 0\nNM B 1 0 1.5 40\nCD 2.56 0 0 0 0 0 0 0 0 0\n")
+    catalogue = GlassCatalogue((first, second))
+    assert catalogue.find("a").index(0.5) == 1.5
+    first.unlink()
+    second.unlink()
+    assert catalogue.find("B").index(0.5) == 1.6
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("NM ODD 3 0 1.5 40\nCD 1 2 3 4 5 6\n", "line 2: glass 'odd' is stated by formula 3"),
+        ("NM ODD 1 0 1.5 40\nCD 2.5 0 0 0 0\n", "line 2: glass 'odd' has 5 coefficients; formula 1 has 6"),
+        ("NM ODD 1 0 1.5 40\nCD 2.5 0 0 0 0 0 0.01 0 0 0\n", "has 10 coefficients; formula 1 has 6, and zeros"),
+        ("NM ODD 2 0 1.5 40\nCD 1 0.01 0 0 0 0 1 0.02 0 0\n", "has 10 coefficients; formula 2 has 6, and zeros"),
+        ("NM ODD 1 0 1.5 40\nCD nan 0 0 0 0 0\n", "has an index of nan in green light"),
+        ("NM ODD x 0 1.5 40\nCD 2.5 0 0 0 0 0\n", "has coefficients that are no numbers"),
+        ("a,b,c\n", "has no line 'NM' of a glass, so this is not a glass catalogue"),
+    ],
+)
+def test_faults_of_catalogue_files_are_named(tmp_path, content, sentence):
     bad = tmp_path / "bad.agf"
-    bad.write_text("NM ODD 3 0 1.5 40\nCD 1 2 3 4 5 6\n")
-    with pytest.raises(BadInputError, match=r"bad\.agf: line 2: glass 'odd' is stated by formula 3"):
+    bad.write_text(content)
+    with pytest.raises(BadInputError, match=rf"bad\.agf: .*{sentence}"):
         GlassCatalogue((bad,)).find("odd")
 
 

@@ -1,5 +1,6 @@
 """Glasses by name: Zemax catalogue files (.agf), and the refractiveindex.info database that Optiland brings."""
 
+import functools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,11 +14,12 @@ from wlr_render.input_files import LIMITS, read_bytes, read_text, reason_of, sho
 from wlr_render.optics.lens_files.lens_text import decode_lens_text
 from wlr_render.optics.media import Medium
 
+_KIND = "a glass catalogue"
 _GREEN_UM = 0.55
 _INDICES = 1.0, 5.0
-_SELLMEIER_PAIRS = {2: 3, 6: 4, 11: 5}
-"""Terms of the formulas of Zemax that are sums of K L^2 / (L^2 - pole), by the formula's number."""
 _SCHOTT = 1
+_COEFFICIENTS = {_SCHOTT: 6, 2: 6, 6: 8, 11: 10}
+"""Coefficients of Zemax' formulas by number: Schott's, and sums of 3, 4 and 5 terms K L^2 / (L^2 - pole)."""
 SCHOTT_POWERS = (0.0, 2.0, -2.0, -4.0, -6.0, -8.0)
 """Powers of the wavelength in Schott's formula: formula 1 of Zemax, and that of several makers of glass."""
 
@@ -42,10 +44,26 @@ class GlassCatalogue:
         """
         key = (name.upper(), tuple(each.lower() for each in manufacturers))
         if key not in self.found:
-            in_files = (_glass_of_file(path, name) for path in self.files)
-            medium = next((each for each in in_files if each is not None), None)
-            self.found[key] = medium or _glass_of_optiland(name, key[1])
+            entry = self._entries.get(key[0])
+            self.found[key] = _of_entry(name, *entry) if entry else _glass_of_optiland(name, key[1])
         return self.found[key]
+
+    @functools.cached_property
+    def _entries(self) -> dict[str, tuple[str, str, list[str]]]:
+        """Place, formula and coefficients of the glasses in the files, by name; of two with one name the first."""
+        entries: dict[str, tuple[str, str, list[str]]] = {}
+        for path in self.files:
+            text = decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), _KIND)
+            name, formula = "", ""
+            for number, line in enumerate(text.splitlines(), 1):
+                key, *words = line.split() or [""]
+                if key == "NM" and len(words) > 1:
+                    name, formula = words[0].upper(), words[1]
+                elif key == "CD" and name:
+                    entries.setdefault(name, (f"{path}: line {number}", formula, words))
+            if not name:
+                raise BadInputError(f"{path}: has no line 'NM' of a glass, so this is not {_KIND}; name another file.")
+        return entries
 
 
 def sellmeier(name: str, strengths: Sequence[float], poles: Sequence[float], constant: float = 0.0) -> Medium:
@@ -56,7 +74,7 @@ def sellmeier(name: str, strengths: Sequence[float], poles: Sequence[float], con
 
 def schott(name: str, factors: Sequence[float], powers: Sequence[float]) -> Medium:
     """A medium of n^2 = sum of factor L^power."""
-    pairs = [(float(f), float(p)) for f, p in zip(factors, powers, strict=False) if f]
+    pairs = [(float(f), float(p)) for f, p in zip(factors, powers, strict=True) if f]
     constant = sum(factor for factor, power in pairs if power == 0.0)
     return Medium(name, powers=((constant - 1.0, 0.0), *(pair for pair in pairs if pair[1] != 0.0)))
 
@@ -70,37 +88,28 @@ def require_glass(medium: Medium, where: str) -> Medium:
     return medium
 
 
-def _glass_of_file(path: Path, name: str) -> Medium | None:
-    """A glass of a Zemax catalogue: `NM name formula ...`, and its coefficients in the line `CD` that follows."""
-    lines = decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), "a glass catalogue").splitlines()
-    formula = None
-    for number, line in enumerate(lines, 1):
-        words = line.split()
-        if not words:
-            continue
-        if words[0] == "NM" and len(words) > 2:
-            formula = words[2] if words[1].upper() == name.upper() else None
-        elif words[0] == "CD" and formula is not None:
-            where = f"{path}: line {number}: glass {shown(name)}"
-            try:
-                values = [float(word) for word in words[1:]]
-                kind = int(float(formula))
-            except (ValueError, OverflowError) as error:
-                raise BadInputError(f"{where} has coefficients that are no numbers ({reason_of(error)}).") from error
-            return require_glass(_of_zemax_formula(name, kind, values, where), where)
-    return None
-
-
-def _of_zemax_formula(name: str, kind: int, values: list[float], where: str) -> Medium:
-    if kind in _SELLMEIER_PAIRS and len(values) >= 2 * _SELLMEIER_PAIRS[kind]:
-        pairs = values[: 2 * _SELLMEIER_PAIRS[kind]]
-        return sellmeier(name, pairs[::2], pairs[1::2])
-    if kind == _SCHOTT:
-        return schott(name, values, SCHOTT_POWERS)
-    raise BadInputError(
-        f"{where} is stated by formula {kind} with {len(values)} coefficients; formulas 1 (Schott), 2, 6 and 11 "
-        "(Sellmeier) are read: give the glass in another catalogue file, or fit one of these."
-    )
+def _of_entry(name: str, place: str, formula: str, words: list[str]) -> Medium:
+    """A glass of a Zemax catalogue: `NM name formula ...`, and its ten coefficients in the line `CD` that follows."""
+    where = f"{place}: glass {shown(name)}"
+    try:
+        values = [float(word) for word in words]
+        kind = int(float(formula))
+    except (ValueError, OverflowError) as error:
+        raise BadInputError(f"{where} has coefficients that are no numbers ({reason_of(error)}).") from error
+    if kind not in _COEFFICIENTS:
+        raise BadInputError(
+            f"{where} is stated by formula {kind}; formulas 1 (Schott), 2, 6 and 11 (Sellmeier) are read: give the "
+            "glass in another catalogue file, or fit one of these."
+        )
+    count = _COEFFICIENTS[kind]
+    if len(values) < count or any(values[count:]):
+        raise BadInputError(
+            f"{where} has {len(values)} coefficients; formula {kind} has {count}, and zeros up to ten: correct the "
+            "number of the formula or the coefficients."
+        )
+    values = values[:count]
+    medium = schott(name, values, SCHOTT_POWERS) if kind == _SCHOTT else sellmeier(name, values[::2], values[1::2])
+    return require_glass(medium, where)
 
 
 def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | None:
