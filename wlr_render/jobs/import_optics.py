@@ -113,18 +113,18 @@ def _choices(options: ImportOpticsOptions, program: str, lens: LensFile) -> Head
     width, height = (_MM * side for side in options.panel_mm)
     box, centre = (tuple(_MM * each for each in sides) for sides in (options.eye_box_mm, options.eye_centre_mm))
     return HeadsetChoices(
-        name,
-        f"{program} file {options.file.name}{title}",
-        options.starts_at,
-        options.pupil_surface,
-        None if options.eye_relief_mm is None else _MM * options.eye_relief_mm,
-        options.panel_surface,
-        (width, height),
-        options.panel,
-        (box[0], box[1], box[2]),
-        (centre[0], centre[1], centre[2]),
-        options.eye,
-        options.semi_diameters,
+        name=name,
+        source=f"{program} file {options.file.name}{title}",
+        starts_at=options.starts_at,
+        pupil=options.pupil_surface,
+        eye_relief=None if options.eye_relief_mm is None else _MM * options.eye_relief_mm,
+        panel=options.panel_surface,
+        panel_size=(width, height),
+        pixels=options.panel,
+        eye_box_size=(box[0], box[1], box[2]),
+        eye_centre=(centre[0], centre[1], centre[2]),
+        side=options.eye,
+        use_semi_diameters=options.semi_diameters,
     )
 
 

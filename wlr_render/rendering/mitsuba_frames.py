@@ -80,7 +80,11 @@ class PathTracer:
         self._instance_of_number[numbers] = np.arange(len(numbers))
 
     def intersect(self, origin: Float32Array, direction: Float32Array) -> Intersections:
-        """Return the nearest intersection of each ray (n, 3), as `SceneTracer.intersect` does."""
+        """Return the nearest intersection of each ray (n, 3), as `SceneTracer.intersect` does.
+
+        These are Mitsuba's own: a frame's points are those that its paths begin at, without a second tree of the scene,
+        and a comparison with `SceneTracer` shows whether Mitsuba was given the scene as it is.
+        """
         hits = Intersections.misses(len(direction))
         with _mitsuba() as mi:
             index, ray = _finite_rays(mi, origin, direction)

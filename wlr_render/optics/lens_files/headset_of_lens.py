@@ -24,7 +24,7 @@ _MOST_SURFACES = 100  # that a device file may have
 _SAME_UM = 0.1  # a difference between two forms of a panel that is not worth a word
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HeadsetChoices:
     """What a lens file does not say about a headset; lengths in metres.
 
