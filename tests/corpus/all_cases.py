@@ -4,6 +4,7 @@ from corpus.case import Case
 from corpus.cases import (
     benches_and_devices,
     hostile_files,
+    lens_files,
     meshes_and_pictures,
     models_and_captures,
     options,
@@ -14,6 +15,7 @@ from corpus.cases import (
 MODULES = (
     benches_and_devices,
     hostile_files,
+    lens_files,
     meshes_and_pictures,
     models_and_captures,
     options,

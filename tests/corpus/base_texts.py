@@ -1,5 +1,8 @@
 """Texts of the valid files that need no writer."""
 
+import math
+from typing import Any
+
 from small_headsets import SCENE
 
 DEVICES = ("northstar", "prism5701202", "birdbath28", "freeform40", "tilted_plate")
@@ -154,3 +157,114 @@ from wlr_render.diagnosis.cause import Cause, Parameter, Role
 
 CAUSES = ()
 '''
+
+LENS_ZMX = """UNIT MM
+GCAT CORPUS
+SURF 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  DISZ 20
+SURF 2
+  TYPE EVENASPH
+  CURV 0.02
+  CONI -0.5
+  PARM 2 1e-6
+  DISZ 5
+  GLAS CORPUS 0 0 1.5 40
+SURF 3
+  TYPE COORDBRK
+  PARM 1 0.5
+  DISZ 0
+SURF 4
+  TYPE XASPHERE
+  CURV -0.02
+  XDAT 1 1
+  XDAT 2 10
+  XDAT 3 1e-4
+  DISZ 45
+  DIAM 20 1
+  CLAP 0 18 0
+SURF 5
+  CURV 0.0
+  DISZ 0
+"""
+GLASSES = """CC Glasses
+NM CORPUS 2 0 1.5168 64.17 0 1
+CD 1.039612120E+00 6.000698670E-03 2.317923440E-01 2.001791440E-02 1.010469450E+00 1.035606530E+02 0 0 0 0
+NM OTHER 1 0 0 0 0 1
+CD 2.545002000E+00 -1.337396000E-03 2.801151000E-02 -5.417021000E-04 1.501754000E-04 -3.617071000E-06 0 0 0 0
+"""
+
+
+def _optiland_surface(z: float, radius: float, material: dict[str, Any], **others: Any) -> dict[str, Any]:
+    frame = {"x": 0.0, "y": 0.0, "z": z, "rx": 0.0, "ry": 0.0, "rz": 0.0}
+    geometry = {"type": "StandardGeometry", "cs": frame, "radius": radius, "conic": 0.0}
+    return {"geometry": geometry, "material_post": material, **others}
+
+
+_OPTILAND_AIR = {"type": "IdealMaterial", "index": 1.0}
+OPTILAND = {
+    "surface_group": {
+        "surfaces": [
+            _optiland_surface(-math.inf, math.inf, _OPTILAND_AIR),
+            _optiland_surface(0.0, math.inf, _OPTILAND_AIR, is_stop=True),
+            _optiland_surface(20.0, 50.0, {"type": "Material", "name": "CORPUS"}),
+            _optiland_surface(25.0, -50.0, _OPTILAND_AIR),
+            _optiland_surface(70.0, math.inf, _OPTILAND_AIR),
+        ]
+    }
+}
+"""A file of Optiland, with the keys that are read."""
+_CURVED = OPTILAND["surface_group"]["surfaces"][2]
+_CURVED["geometry"] |= {"type": "EvenAsphere", "coefficients": [0.0, 1e-6]}
+_CURVED["interaction_model"] = {"type": "RefractiveReflectiveModel", "is_reflective": False}
+_CURVED["aperture"] = {"type": "RadialAperture", "r_max": 18.0, "r_min": 0.0}
+_TOROID = {"type": "ToroidalGeometry", "radius_x": -50.0, "radius_y": -50.0, "conic_yz": 0.0, "coeffs_poly_y": [0.0]}
+OPTILAND["surface_group"]["surfaces"][3]["geometry"] |= _TOROID
+
+
+def _rayoptics(kind: str, **attributes: Any) -> dict[str, Any]:
+    return {"__instance_type__": [kind], "attributes": attributes}
+
+
+def _rayoptics_surface(profile: dict[str, Any], **others: Any) -> dict[str, Any]:
+    return _rayoptics("Surface", interact_mode="transmit", profile=profile, **others)
+
+
+_PLANE = _rayoptics("Spherical", cv=0.0)
+_CIRCLE = _rayoptics("Circular", radius=18.0, x_offset=0.0, y_offset=0.0)
+_DECENTRE = {"attributes": {"_dtype": "decenter", "dec": [0.5, 0.0, 0.0], "euler": [0.0, 0.0, 0.0]}}
+_GLASS = _rayoptics(
+    "SchottGlass", gname="CORPUS", coefs=[1.03961212, 0.23179, 1.01046945, 0.0060007, 0.0200179, 103.56]
+)
+_ASPHERE = _rayoptics("EvenPolynomial", cv=0.02, cc=-0.5, coefs=[0.0, 1e-6])
+RAYOPTICS = {
+    "optical_model": {
+        "attributes": {
+            "system_spec": {"attributes": {"_dimensions": "mm"}},
+            "seq_model": {
+                "attributes": {
+                    "stop_surface": 1,
+                    "ifcs": [
+                        _rayoptics_surface(_PLANE),
+                        _rayoptics_surface(_PLANE),
+                        _rayoptics_surface(_ASPHERE, max_aperture=20.0, clear_apertures=[_CIRCLE], decenter=_DECENTRE),
+                        _rayoptics_surface(_rayoptics("Conic", cv=-0.02, cc=0.0)),
+                        _rayoptics_surface(_PLANE),
+                    ],
+                    "gaps": [
+                        {"attributes": {"thi": thickness, "medium": medium}}
+                        for thickness, medium in (
+                            (1e10, _rayoptics("Air")),
+                            (20.0, _rayoptics("Air")),
+                            (5.0, _GLASS),
+                            (45.0, _rayoptics("Air")),
+                        )
+                    ],
+                }
+            },
+        }
+    }
+}
+"""A file of rayoptics, with the keys that are read."""

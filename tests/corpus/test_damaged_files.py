@@ -23,9 +23,14 @@ from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.models.model_file import load_eye_models
-from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_file import device_of, load_device
+from wlr_render.optics.device_writer import device_content
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
+from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, headset_of_lens
+from wlr_render.optics.lens_files.lens_file import read_lens_file
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.simulation.session_folder import load_session
+from wlr_render.toml_files import Table
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 
@@ -35,6 +40,12 @@ EXAMPLES = int(os.environ.get("WLR_DAMAGE_EXAMPLES", "25"))
 
 def _read_recording(path: Path) -> object:
     return read_head_trajectory(path), read_eye_trajectory(path)
+
+
+def _read_optics(path: Path) -> object:
+    _, lens = read_lens_file(path, GlassCatalogue((path.with_name("glasses.agf"),)))
+    device = headset_of_lens(path, lens, CHOICES).device
+    return device_of(Table(device_content(device), str(path)))
 
 
 # The file and the reader of each, by the name of what it damages. A reader of a folder gets the folder.
@@ -65,7 +76,25 @@ READERS: dict[str, Callable[[Path], object]] = {
     "lens.xml": load_lens,
     "lens.cameramodel": load_lens,
     "codes/03.png": read_photograph,
+    "lens.zmx": _read_optics,
+    "optiland.json": _read_optics,
+    "rayoptics.roa": _read_optics,
+    "glasses.agf": lambda path: _read_optics(path.with_name("lens.zmx")),
 }
+CHOICES = HeadsetChoices(
+    name="lens",
+    source="a lens file",
+    starts_at="eye",
+    pupil=None,
+    eye_relief=None,
+    panel=None,
+    panel_size=(0.01, 0.008),
+    pixels=(64, 48),
+    eye_box_size=(0.008, 0.006, 0.004),
+    eye_centre=(0.0, 0.0, 0.0),
+    side="right",
+    use_semi_diameters=True,
+)
 ENDLESS = ("aperture.low", "aperture.high", "mount.slip_time_s")
 """Results that are infinite where the file states none."""
 WRONG = (b"nan", b"inf", b"-inf", b"1e308", b"-1", b"0", b"9" * 400, b'"text"', b"[]", b"{}", b"null", b"1e39", b"")
@@ -121,9 +150,10 @@ def wrongly_infinite(value: Any) -> list[str]:
 
 @pytest.mark.parametrize("name", READERS)
 def test_damage_ends_in_a_sentence_or_a_result(name, bases, tmp_path):
-    # The lenses and boards of a session are beside it, and a mesh finds its textures.
+    # The lenses and boards of a session are beside it, a mesh finds its textures, and a lens its glasses.
     Case("", (), tuple(path.name for path in bases.iterdir() if path.name == name.split("/")[0])).build(bases, tmp_path)
-    (tmp_path / "box.obj").write_bytes((bases / "box.obj").read_bytes())
+    for neighbour in ("box.obj", "lens.zmx", "glasses.agf"):
+        (tmp_path / neighbour).write_bytes((bases / neighbour).read_bytes())
     path = tmp_path / name
     valid = path.read_bytes()
     assert wrongly_infinite(READERS[name](path)) == []

@@ -3,6 +3,8 @@
 Stored rays and their origin: data/lens_files/README.md, make_lens_file_rays.py.
 """
 
+import json
+
 import numpy as np
 import pytest
 from make_lens_file_rays import FOLDER, OPTILAND, RAYOPTICS, STORED, WAVELENGTH_UM, starting_rays, trace_with_optiland
@@ -298,6 +300,17 @@ def test_damaged_lens_files_are_read_or_refused_in_a_sentence(tmp_path, name):
             sentences.append(str(error))
     assert sentences
     assert all(name in sentence for sentence in sentences)
+
+
+def test_a_mirror_of_an_older_optiland_is_a_mirror(tmp_path):
+    file = json.loads((FOLDER / "shapes.json").read_text())
+    surface = file["surface_group"]["surfaces"][3]
+    del surface["interaction_model"]
+    surface["is_reflective"] = True
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(file))
+    _, lens = read_lens_file(path, CATALOGUE)
+    assert [each.number for each in lens.surfaces if each.reflects] == [3]
 
 
 @pytest.mark.parametrize("found", ["N-SF5", "sf5"])

@@ -143,6 +143,11 @@ def _warnings(headset: ImportedHeadset, changed: list[int]) -> list[str]:
         )
     if any(note.surface is None and note.bends_rays for note in headset.not_taken):
         warnings.append("The file has several configurations; the one that was saved as current is taken.")
+    if not headset.is_reached:
+        warnings.append(
+            "Rays from the middle of the pupil do not reach the panel, which is turned as in the file: trace the "
+            "device to find where they are lost."
+        )
     return warnings
 
 

@@ -63,6 +63,8 @@ class Medium:
     def index(self, wavelength_um: float) -> float:
         """Refractive index at a vacuum wavelength in micrometres."""
         square = wavelength_um * wavelength_um
+        if any(square == pole for _, pole in self.terms):
+            return np.nan
         n_squared = 1.0 + sum(strength * square / (square - pole) for strength, pole in self.terms)
         n_squared += sum(factor * wavelength_um**power for factor, power in self.powers)
         # The index of no medium is below 1: beyond a pole, NaN instead of a complex number.

@@ -15,6 +15,7 @@ SCENE = ("scene.toml", "box.obj")
 PAIRS = ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out")
 PAIRS_FILES = ("pairs", "board.toml", "calibration")
 PHOTOS = ("calibrate", "photos", "photos", "--workers", "1", "--out", "out")
+OPTICS = ("--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")
 DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "out")
 
 
@@ -89,6 +90,15 @@ READERS = (
     *(
         Reader(f"lens {name}", f"photos/{name}", PHOTOS, ("photos", name), _lens(name), valid="any")
         for name in ("lens.yaml", "lens.xml", "lens.cameramodel")
+    ),
+    *(
+        Reader(f"optics {file}", file, ("import-optics", lens, *OPTICS), (lens, "glasses.agf"))
+        for file, lens in (
+            ("lens.zmx", "lens.zmx"),
+            ("optiland.json", "optiland.json"),
+            ("rayoptics.roa", "rayoptics.roa"),
+            ("glasses.agf", "lens.zmx"),
+        )
     ),
     Reader("board", "board.toml", PAIRS, PAIRS_FILES),
     Reader("station", "calibration/station-right.json", PAIRS, PAIRS_FILES),
@@ -190,5 +200,7 @@ def _spoiling(file: str, spoil: Callable[[Path], object]) -> Change:
 
 
 def _forgiving(reader: Reader, title: str) -> bool:
-    """One table of a session is enough, and the numbers of a code's photographs say which of them is missing."""
+    """One table of a session is enough, the numbers of a code's photographs say which is missing, and Zemax is UTF-16."""
+    if reader.file in ("lens.zmx", "glasses.agf") and title == "is UTF-16":
+        return True
     return title == "missing" and reader.kind in ("bench table", "bench packed table", "photograph of code")

@@ -7,12 +7,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from corpus.base_texts import DEVICES, PHOTO_SESSION, SCENE_WITH_MESH, STATION
+from corpus.base_texts import DEVICES, OPTILAND, PHOTO_SESSION, RAYOPTICS, SCENE_WITH_MESH, STATION
 from corpus.case import Case
+from corpus.cases.hostile_files import OPTICS
 from corpus.damage import damaged, toml_text
 from wlr_render.files import resource
 
 RENDER = ("--backend", "cpu", "--out", "out")
+TOLERANT = {
+    ("optical_model", "attributes", "seq_model", "attributes", "ifcs", "__instance_type__"),
+    ("surface_group", "surfaces", "geometry", "radius_y"),
+    ("surface_group", "surfaces", "geometry", "coeffs_poly_y"),
+}
+"""Keys that may have almost any value: a class or terms that are not read are warned of, and a cylinder is straight."""
 SCENE_FILES = ("scene.toml", "box.obj")
 BOARD = {
     "kind": "chessboard",
@@ -69,6 +76,9 @@ def cases() -> Iterator[Case]:
     yield from damaged("board", BOARD, "board.toml", save_toml, pairs, files, set(), 4)
     diagnose = ("diagnose", "bench", "--max-causes", "0", "--causes", "stage_scale", "--out", "out")
     yield from damaged("bench", tomllib.loads(BENCH), "bench/bench.toml", save_toml, diagnose, ("bench",), set())
+    for file, content in (("optiland.json", OPTILAND), ("rayoptics.roa", RAYOPTICS)):
+        arguments = ("import-optics", file, *OPTICS)
+        yield from damaged("optics", content, file, save_json, arguments, ("glasses.agf",), set(TOLERANT))
 
 
 def _devices() -> Iterator[Case]:

@@ -68,6 +68,7 @@ class ImportedHeadset:
         not_taken: of the file, and of the panel's form.
         panel_number: surface of the panel.
         pupil_text: where the pupil was put.
+        is_reached: whether rays from the middle of the pupil meet the panel, which shows what is upright on it.
     """
 
     device: Device
@@ -76,6 +77,7 @@ class ImportedHeadset:
     not_taken: tuple[NotTaken, ...]
     panel_number: int
     pupil_text: str
+    is_reached: bool
 
 
 def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> ImportedHeadset:
@@ -118,7 +120,7 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
     display = RayPath(tuple(steps))
     panel_surface = lens.surfaces[panel_place]
     eye_box = EyeBox(np.array(choices.eye_centre), np.array(choices.eye_box_size))
-    panel = _panel(device_from_file @ panel_surface.file_from_surface, display, eye_box.centre, choices)
+    panel, is_reached = _panel(device_from_file @ panel_surface.file_from_surface, display, eye_box.centre, choices)
     panel, notes = _bowed(panel, panel_surface, device_from_file)
     device = Device(choices.name, choices.source, {choices.side: EyeOptics(display, RayPath(), panel, eye_box)})
     between = range(min(*ordered, panel_place), max(*ordered, panel_place) + 1)
@@ -130,6 +132,7 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
         (*lens.not_taken, *notes),
         panel_surface.number,
         pupil_text,
+        is_reached,
     )
 
 
@@ -209,14 +212,15 @@ def _aperture(surface: LensSurface, use_semi_diameters: bool) -> ClearAperture:
 
 def _panel(
     device_from_surface: FloatArray, display: RayPath, viewpoint: FloatArray, choices: HeadsetChoices
-) -> PlacedPanel:
-    """The panel in its surface's plane, so turned by steps of 90 degrees that its picture is seen upright."""
+) -> tuple[PlacedPanel, bool]:
+    """The panel in its surface's plane, turned by steps of 90 degrees to be seen upright, and whether rays reach it."""
     flat = PlacedPanel(device_from_surface, np.ones(2), Panel(1, 1))
     tangents = _PROBE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     traced = trace(display, viewpoint, dir_of_tangents(tangents), _GREEN_UM)
     right, left, up, down = flat.pixel_of_ray(traced.origin, traced.direction)
     jacobian = np.stack([right - left, up - down], axis=-1)
-    if not np.isfinite(jacobian).all():
+    is_reached = bool(np.isfinite(jacobian).all())
+    if not is_reached:
         jacobian = np.diag([-1.0, 1.0])  # as in the file
     along = int(np.argmax(np.abs(jacobian[:, 0])))
     axes = np.zeros((3, 3))
@@ -224,7 +228,7 @@ def _panel(
     axes[1 - along, 1] = -np.copysign(1.0, jacobian[1 - along, 1])
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     pose = device_from_surface @ rigid(axes, np.zeros(3))
-    return PlacedPanel(pose, np.array(choices.panel_size), Panel(*choices.pixels))
+    return PlacedPanel(pose, np.array(choices.panel_size), Panel(*choices.pixels)), is_reached
 
 
 def _bowed(

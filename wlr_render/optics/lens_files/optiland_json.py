@@ -15,7 +15,7 @@ from wlr_render.optics.lens_files.sequence import (
     NotTaken,
     box_aperture,
     conic_or_asphere,
-    finite,
+    number_of,
     require_surfaces,
     shift,
     turn,
@@ -50,10 +50,12 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
     medium = AIR
     for number, entry in enumerate(entries):
         geometry = entry.table("geometry")
-        model = entry.unchecked("interaction_model")
-        reflects = isinstance(model, dict) and bool(model.get("is_reflective"))
-        if isinstance(model, dict) and model.get("type") not in (None, "RefractiveReflectiveModel"):
-            _leave(notes, number, "interaction_model", model.get("type"), "bends rays in another way", True)
+        # Files of older versions have no model: the surface itself says whether it is a mirror.
+        has_model = entry.unchecked("interaction_model") is not None
+        model = entry.table("interaction_model") if has_model else entry
+        reflects = model.flag("is_reflective", default=False)
+        if has_model and model.text("type") != "RefractiveReflectiveModel":
+            _leave(notes, number, "interaction_model", model.text("type"), "bends rays in another way", True)
         medium = medium if reflects else _medium(entry, number, catalogue, notes)
         surfaces.append(
             LensSurface(
@@ -63,7 +65,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
                 _pose(geometry.table("cs"), infinite=number == 0),
                 medium,
                 reflects,
-                bool(entry.unchecked("is_stop")),
+                entry.flag("is_stop", default=False),
                 _aperture(entry, number, notes),
             )
         )
@@ -74,23 +76,15 @@ def _leave(notes: Notes, number: int, key: str, value: object, reason: str, bend
     notes.append(NotTaken(number, key, shown(value, quoted=False), reason, bends_rays))
 
 
-def _number(table: Table, key: str, default: float | None = None, infinite: bool = False) -> float:
-    value = table.unchecked(key)
-    if value is None and default is not None:
-        return default
-    return finite(value, f"{table.where}: '{key}'", infinite)
-
-
 def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
     """A frame by its place and its turns about the axes x, y, z of the frame it is stated in, in this order."""
     if depth > _DEEPEST:
         raise frame.fail(f"frames are stated in one another more than {_DEEPEST} deep; write them in the global frame.")
-    x, y, z = (_number(frame, key, 0.0, infinite) for key in "xyz")
-    if not np.isfinite([x, y, z]).all():
+    x, y, z = (number_of(frame, key, 0.0, infinite and key == "z") for key in "xyz")
+    turns = [turn(axis, number_of(frame, f"r{axis}", 0.0)) for axis in "zyx"]
+    if not np.isfinite(z):
         return np.full((4, 4), np.nan)
-    pose = shift(_MM * x, _MM * y, _MM * z)
-    for axis in "zyx":
-        pose = pose @ turn(axis, _number(frame, f"r{axis}", 0.0))
+    pose = shift(_MM * x, _MM * y, _MM * z) @ turns[0] @ turns[1] @ turns[2]
     if frame.unchecked("reference_cs") is None:
         return pose
     return _pose(frame.table("reference_cs"), infinite, depth + 1) @ pose
@@ -100,10 +94,10 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
     material = entry.table("material_post")
     kind = material.text("type")
     if kind == "IdealMaterial":
-        index = _number(material, "index")
+        index = number_of(material, "index")
         return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), material.where)
     if kind == "AbbeMaterial":
-        index, abbe = _number(material, "index"), _number(material, "abbe")
+        index, abbe = number_of(material, "index"), number_of(material, "abbe")
         _leave(
             notes, number, "AbbeMaterial", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ"
         )
@@ -131,14 +125,14 @@ def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
     aperture = entry.table("aperture")
     kind = aperture.text("type")
     if kind == "RectangularAperture":
-        low, high = ([_MM * _number(aperture, f"{axis}_{end}") for axis in "xy"] for end in ("min", "max"))
+        low, high = ([_MM * number_of(aperture, f"{axis}_{end}") for axis in "xy"] for end in ("min", "max"))
         return box_aperture(low, high)
     if kind in ("RadialAperture", "OffsetRadialAperture"):
-        half = _MM * _number(aperture, "r_max")
-        x, y = (_MM * _number(aperture, key, 0.0) for key in ("offset_x", "offset_y"))
+        half = _MM * number_of(aperture, "r_max")
+        x, y = (_MM * number_of(aperture, key, 0.0) for key in ("offset_x", "offset_y"))
         _leave(notes, number, "aperture", kind, "a circle: the square around it is the clear aperture")
-        if _number(aperture, "r_min", 0.0) > 0:
-            _leave(notes, number, "r_min", _number(aperture, "r_min"), "rays pass the middle of the ring")
+        if number_of(aperture, "r_min", 0.0) > 0:
+            _leave(notes, number, "r_min", number_of(aperture, "r_min"), "rays pass the middle of the ring")
         return box_aperture((x - half, y - half), (x + half, y + half))
     _leave(notes, number, "aperture", kind, "this form is not read: the surface is open")
     return box_aperture(*_OPEN)
@@ -146,18 +140,18 @@ def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
 
 def _curvature(geometry: Table, key: str = "radius") -> float:
     """1 / radius in 1/mm; 0 for a radius that is infinite or 0."""
-    radius = _number(geometry, key, np.inf, infinite=True)
+    radius = number_of(geometry, key, np.inf, infinite=True)
     return 1.0 / radius if radius and np.isfinite(radius) else 0.0
 
 
-def _coefficients(geometry: Table) -> FloatArray:
-    value = geometry.unchecked("coefficients")
+def _coefficients(geometry: Table, key: str = "coefficients") -> FloatArray:
+    value = geometry.unchecked(key)
     try:
         array = np.array([] if value is None else value, dtype=float)
-    except (ValueError, TypeError) as error:
-        raise geometry.fail(f"'coefficients' is {shown(value)}; it must be numbers.") from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise geometry.fail(f"'{key}' is {shown(value)}; it must be numbers.") from error
     if not np.isfinite(array).all() or array.ndim > 2 or max(array.shape, default=0) > _MOST_TERMS:
-        raise geometry.fail(f"'coefficients' must be finite, and at most {_MOST_TERMS} along each axis.")
+        raise geometry.fail(f"'{key}' must be finite, and at most {_MOST_TERMS} along each axis.")
     return array
 
 
@@ -171,7 +165,7 @@ def _shape(geometry: Table, number: int, notes: Notes) -> Shape:
 
 
 def _conic(geometry: Table, number: int, notes: Notes) -> Shape:
-    return Conic(_curvature(geometry) / _MM, _number(geometry, "conic", 0.0))
+    return Conic(_curvature(geometry) / _MM, number_of(geometry, "conic", 0.0))
 
 
 def _asphere_of(step: int) -> Callable[[Table, int, Notes], Shape]:
@@ -184,7 +178,7 @@ def _asphere_of(step: int) -> Callable[[Table, int, Notes], Shape]:
         if any(value for power, value in terms.items() if power > 20):
             _leave(notes, number, "coefficients", "above r20", "powers that a device file does not have", True)
         by_power = [terms.get(power, 0.0) for power in range(2, 21)]
-        return conic_or_asphere(_curvature(geometry), _number(geometry, "conic", 0.0), by_power, _MM)
+        return conic_or_asphere(_curvature(geometry), number_of(geometry, "conic", 0.0), by_power, _MM)
 
     return read
 
@@ -198,7 +192,7 @@ def _polynomial(geometry: Table, number: int, notes: Notes) -> Shape:
         _leave(notes, number, "coefficients", "above order 20", "orders that a device file does not have", True)
     curvature = _curvature(geometry) / _MM
     coefficients = np.where(m + n > 20, 0.0, in_mm) * _MM ** (1.0 - m - n)
-    return XYPolynomial(coefficients, curvature, _number(geometry, "conic", 0.0) if curvature else 0.0)
+    return XYPolynomial(coefficients, curvature, number_of(geometry, "conic", 0.0) if curvature else 0.0)
 
 
 def _biconic(geometry: Table, number: int, notes: Notes) -> Shape:
@@ -206,14 +200,14 @@ def _biconic(geometry: Table, number: int, notes: Notes) -> Shape:
     x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
     if not x and not y:
         return Conic(0.0)
-    return SumOfProfiles((x, y), (_number(geometry, "conic_x", 0.0), _number(geometry, "conic_y", 0.0)))
+    return SumOfProfiles((x, y), (number_of(geometry, "conic_x", 0.0), number_of(geometry, "conic_y", 0.0)))
 
 
 def _toroid(geometry: Table, number: int, notes: Notes) -> Shape:
     x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
-    conic, terms = _number(geometry, "conic_yz", 0.0), geometry.unchecked("coeffs_poly_y")
-    if terms and np.any(np.array(terms, dtype=float)):
-        _leave(notes, number, "coeffs_poly_y", terms, "terms of y of a toroid are not read", True)
+    conic, terms = number_of(geometry, "conic_yz", 0.0), _coefficients(geometry, "coeffs_poly_y")
+    if terms.any():
+        _leave(notes, number, "coeffs_poly_y", terms.tolist(), "terms of y of a toroid are not read", True)
     if not x:
         return SumOfProfiles((0.0, y), (0.0, conic)) if y else Conic(0.0)
     if not y:

@@ -25,6 +25,7 @@ from wlr_render.optics.lens_files.sequence import (
     box_aperture,
     conic_or_asphere,
     finite,
+    number_of,
     require_surfaces,
     shift,
     turn,
@@ -74,7 +75,8 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
     if len(gaps) != len(entries) - 1:
         raise sequence.fail(f"there are {len(gaps)} gaps for {len(entries)} surfaces; write the file again.")
     profiles = model.table("profile_dict") if model.has("profile_dict") else None
-    stop = sequence.unchecked("stop_surface")
+    has_stop = sequence.unchecked("stop_surface") is not None
+    stop = sequence.whole("stop_surface", most=len(entries) - 1) if has_stop else None
     notes: Notes = []
     surfaces: list[LensSurface] = []
     pose, medium, thickness, before = np.eye(4), AIR, 0.0, None
@@ -82,16 +84,14 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         surface = entry.table("attributes")
         decentre = surface.table("decenter").table("attributes") if surface.unchecked("decenter") else None
         pose = pose @ _step(before, thickness, decentre, unit)
-        mode = str(surface.unchecked("interact_mode"))
+        mode = surface.text("interact_mode")
         if mode not in ("transmit", "reflect", "dummy", "phantom"):
             _leave(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
         if _class_of(entry) != "Surface" or surface.unchecked("phase_element"):
             _leave(notes, number, "surface", _class_of(entry), "bends rays by more than its shape: not read", True)
         if mode != "reflect":
             medium = _medium(gaps[number], number, catalogue, notes) if number < len(gaps) else medium
-        thickness = (
-            finite(gaps[number].table("attributes").unchecked("thi"), gaps[number].where) if number < len(gaps) else 0.0
-        )
+        thickness = number_of(gaps[number].table("attributes"), "thi") if number < len(gaps) else 0.0
         infinite = number == 0 and abs(thickness) >= _INFINITE
         surfaces.append(
             LensSurface(
@@ -103,7 +103,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
                 mode == "reflect",
                 number == stop,
                 _aperture(surface, number, unit, notes),
-                unit * finite(surface.unchecked("max_aperture") or 0.0, f"{surface.where}: 'max_aperture'"),
+                unit * number_of(surface, "max_aperture", 0.0),
             )
         )
         if number == 0:
@@ -117,8 +117,8 @@ def _leave(notes: Notes, number: int, key: str, value: object, reason: str, bend
 
 
 def _class_of(entry: Table) -> str:
-    names = entry.unchecked("__instance_type__")
-    return str(names[-1]) if isinstance(names, list) and names else ""
+    """Name of an object's class, which stands behind that of its module."""
+    return entry.texts("__instance_type__")[-1]
 
 
 def _array(table: Table, key: str, size: int | None = None) -> list[float]:
@@ -169,17 +169,17 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
     medium = gap.table("attributes").table("medium")
     kind, where = _class_of(medium), medium.where
     attributes = medium.table("attributes") if medium.has("attributes") else medium
-    if kind in ("Air", ""):
+    if kind == "Air":
         return AIR
     if kind == "ConstantIndex":
-        index = finite(attributes.unchecked("n"), f"{where}: 'n'")
+        index = number_of(attributes, "n")
         return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), where)
     if kind == "ModelGlass":
-        index, abbe = (finite(attributes.unchecked(key), f"{where}: '{key}'") for key in "nv")
+        index, abbe = (number_of(attributes, key) for key in "nv")
         _leave(notes, number, "ModelGlass", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ")
         called = f"nd{index:g}_vd{abbe:g}"
         return require_glass(Medium.abbe(called, index, abbe) if abbe > 0 else Medium.constant(called, index), where)
-    name = str(attributes.unchecked("gname") or attributes.unchecked("label") or kind)
+    name = attributes.text("gname", "") or attributes.text("label", "") or kind
     if attributes.has("coefs"):
         coefficients = _array(attributes, "coefs")
         if kind in _SELLMEIER_MAKERS and len(coefficients) == 6:
@@ -202,14 +202,12 @@ def _aperture(surface: Table, number: int, unit: float, notes: Notes) -> ClearAp
     if not apertures:
         return box_aperture((-np.inf, -np.inf), (np.inf, np.inf))
     first, kind = apertures[0].table("attributes"), _class_of(apertures[0])
-    x, y = (unit * finite(first.unchecked(key) or 0.0, first.where) for key in ("x_offset", "y_offset"))
+    x, y = (unit * number_of(first, key, 0.0) for key in ("x_offset", "y_offset"))
     if kind == "Circular":
-        half_x = half_y = unit * finite(first.unchecked("radius"), f"{first.where}: 'radius'")
+        half_x = half_y = unit * number_of(first, "radius")
         _leave(notes, number, "clear_apertures", kind, "a circle: the square around it is the clear aperture")
     elif kind == "Rectangular":
-        half_x, half_y = (
-            unit * finite(first.unchecked(f"{axis}_half_width"), f"{first.where}: '{axis}_half_width'") for axis in "xy"
-        )
+        half_x, half_y = (unit * number_of(first, f"{axis}_half_width") for axis in "xy")
     else:
         _leave(notes, number, "clear_apertures", kind, "this form is not read: the surface is open")
         half_x = half_y = np.inf
@@ -226,10 +224,10 @@ def _shape(surface: Table, profiles: Table | None, number: int, unit: float, not
     else:
         return Conic(0.0)
     kind, attributes = _class_of(profile), profile.table("attributes")
-    curvature = finite(attributes.unchecked("cv") or 0.0, f"{attributes.where}: 'cv'")
-    conic = finite(attributes.unchecked("cc") or 0.0, f"{attributes.where}: 'cc'")
+    curvature = number_of(attributes, "cv", 0.0)
+    conic = number_of(attributes, "cc", 0.0)
     if attributes.unchecked("cc") is None and attributes.unchecked("ec") is not None:
-        conic = finite(attributes.unchecked("ec"), f"{attributes.where}: 'ec'") - 1.0
+        conic = number_of(attributes, "ec") - 1.0
     terms = _array(attributes, "coefs") if attributes.has("coefs") else []
     if kind in ("EvenPolynomial", "RadialPolynomial"):
         step = 2 if kind == "EvenPolynomial" else 1
@@ -249,7 +247,7 @@ def _shape(surface: Table, profiles: Table | None, number: int, unit: float, not
 def _toroid(
     kind: str, attributes: Table, curvature: float, conic: float, number: int, unit: float, notes: Notes
 ) -> Shape:
-    around = finite(attributes.unchecked("cR") or 0.0, f"{attributes.where}: 'cR'") / unit
+    around = number_of(attributes, "cR", 0.0) / unit
     if any(_array(attributes, "coefs")) or (conic and around) or (kind == "XToroid" and curvature and around):
         _leave(notes, number, "profile", kind, "taken as a toroid of two circles, turned about an axis along y", True)
     if curvature and around:

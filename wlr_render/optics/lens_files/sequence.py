@@ -17,6 +17,7 @@ from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.sag_surfaces import Asphere
 from wlr_render.optics.surfaces import Conic, Shape
+from wlr_render.toml_files import Table
 
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "inches": 0.0254, "m": 1.0, "meter": 1.0, "meters": 1.0}
 """Metres of the units of length that lens files name."""
@@ -113,6 +114,18 @@ def finite(value: object, where: str, infinite: bool = False) -> float:
     if not (abs(number) <= _LARGEST or (infinite and math.isinf(number))):
         raise BadInputError(f"{where} is {shown(value)}; it must be a number of at most {_LARGEST:g}: correct it.")
     return number
+
+
+def number_of(table: Table, key: str, default: float | None = None, infinite: bool = False) -> float:
+    """A number of a JSON file; `default` stands for one that is missing or null, and `infinite` admits infinity.
+
+    Raises:
+        BadInputError: the value is no number, or none of a lens.
+    """
+    value = table.unchecked(key)
+    if value is None and default is not None:
+        return default
+    return finite(value, f"{table.where}: '{key}'", infinite)
 
 
 def turn(axis: str, radians: float) -> FloatArray:

@@ -53,6 +53,7 @@ _HARMLESS = {
 _DEFAULT_GLASS = 1.5, 40.0
 """Index and Abbe number that Zemax writes beside the name of a catalogue glass when it says nothing of it."""
 _MOST_POWER = 20
+_NORMS = 1e-9, 1e9
 _MOST_NUMBERED = 500  # parameters of a surface
 
 
@@ -312,19 +313,26 @@ def _odd_asphere(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
 def _extended_asphere(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
     """Terms of (r / normalisation)^2, ^4, ... from `XDAT`, beside those of an even asphere."""
     values = reading.numbered(surface, "XDAT")
-    count, norm = _terms_and_norm(values)
+    count, norm = _terms_and_norm(reading, surface, values)
     low = reading.numbered(surface, "PARM")
     terms = [0.0] * (2 * max(count, max(low, default=1)) - 1)
     for place, value in low.items():
         terms[2 * place - 2] += value
     for place in range(count):
-        terms[2 * place] += values.get(3 + place, 0.0) / norm ** (2 * place + 2)
+        # Higher powers are left out, and would overflow.
+        terms[2 * place] += values.get(3 + place, 0.0) / norm ** min(2 * place + 2, _MOST_POWER)
     return _asphere(reading, surface, base, terms)
 
 
-def _terms_and_norm(values: dict[int, float]) -> tuple[int, float]:
+def _terms_and_norm(reading: _Reading, surface: _Lines, values: dict[int, float]) -> tuple[int, float]:
     """How many terms `XDAT` holds, and the length that their coordinates are divided by."""
-    return int(min(max(values.get(1, 0.0), 0.0), _MOST_NUMBERED)), values.get(2, 1.0) or 1.0
+    norm = values.get(2, 1.0) or 1.0
+    if not _NORMS[0] <= abs(norm) <= _NORMS[1]:
+        raise BadInputError(
+            f"{reading.path}: surface {surface.number}: XDAT 2 is {norm:g}; a normalisation radius lies between "
+            f"{_NORMS[0]:g} and {_NORMS[1]:g} lens units: correct it."
+        )
+    return int(min(max(values.get(1, 0.0), 0.0), _MOST_NUMBERED)), norm
 
 
 def _asphere(reading: _Reading, surface: _Lines, base: Conic, terms: list[float]) -> Shape:
@@ -364,7 +372,7 @@ def _toroid(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
 def _extended_polynomial(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
     """Terms x, y, x^2, xy, y^2, ... of coordinates over the normalisation, from the third `XDAT` on."""
     values = reading.numbered(surface, "XDAT")
-    count, norm = _terms_and_norm(values)
+    count, norm = _terms_and_norm(reading, surface, values)
     coefficients = np.zeros((_MOST_POWER + 1, _MOST_POWER + 1))
     powers = [(order - n, n) for order in range(1, _MOST_POWER + 1) for n in range(order + 1)]
     if count > len(powers):
