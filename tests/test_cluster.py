@@ -3,12 +3,15 @@
 import importlib
 import logging
 import os
+import platform
+import resource
 import signal
 import socket
 import sys
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 from jobs.test_render import pictures, still_head
 
@@ -27,7 +30,7 @@ distributed = pytest.importorskip(
 @pytest.fixture(scope="module")
 def dask_cluster():
     with distributed.LocalCluster(
-        2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
     ) as started:
         yield started
 
@@ -181,7 +184,7 @@ def test_a_cluster_without_workers_is_not_waited_for_forever(monkeypatch):
 def test_a_worker_with_several_threads(tmp_path):
     with (
         distributed.LocalCluster(
-            1, threads_per_worker=2, processes=False, dashboard_address=":0", silence_logs=logging.CRITICAL
+            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0", silence_logs=logging.CRITICAL
         ) as threaded,
         pytest.raises(BadInputError, match="has 2 threads, and a task needs a process of its own"),
     ):
@@ -197,3 +200,27 @@ def test_without_dask_the_sentence_says_how_to_install_it(monkeypatch):
 def test_workers_and_scheduler_exclude_each_other():
     with pytest.raises(BadInputError, match="--workers has no use with --scheduler"):
         EvaluateOptions(workers=2, scheduler="tcp://host:8786")
+
+
+def pages_of_ten_arrays(_):
+    """Pages that the system gives to this process while it makes and drops ten arrays of 8 MB."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(10):
+        np.ones(1_000_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries manage memory by other rules")
+def test_a_worker_keeps_the_memory_of_an_array_for_the_next_one(address):
+    one_array = 8_000_000 / resource.getpagesize()
+    done(address, pages_of_ten_arrays, [0])
+    assert done(address, pages_of_ten_arrays, [0, 1])[-1] < 3 * one_array
+
+
+def miss_a_library(_):
+    importlib.import_module("a_library_of_the_task")
+
+
+def test_a_library_that_a_task_misses_is_not_the_program(address):
+    with pytest.raises(ModuleNotFoundError, match="a_library_of_the_task"):
+        done(address, miss_a_library, [0])

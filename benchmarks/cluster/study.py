@@ -25,6 +25,7 @@ WANTED = 1.7
 """Wall time with one worker over that with two."""
 _COUNTS = 9, 25, 49  # camera positions of the fits
 _MILLION = 1_000_000
+_REHEARSED_FRAMES = 16
 
 
 @dataclass(frozen=True)
@@ -57,19 +58,16 @@ def run(options: ClusterOptions = ClusterOptions(), *, progress: ProgressArgumen
         MissingExtraError: Dask is not installed.
     """
     folder = output_folder(options.out)
-    head = _head(folder, options.frames)
-    jobs: dict[str, _Job] = {
-        "frames, raster": _frames(head, options.frames, "raster"),
-        "frames, ray traced": _frames(head, options.frames, "raytrace"),
-        "fits of a display model": _fits(options.repeats),
-    }
+    jobs = _jobs(folder, options.frames, options.repeats)
+    rehearsals = _jobs(folder, _REHEARSED_FRAMES, 2)  # in which the workers import the program
     rounds = [(name, number) for number in range(-1, options.rounds) for name in jobs]
     runs: dict[str, list[tuple[_Run, _Run]]] = {name: [] for name in jobs}
     with _workers(1) as one, _workers(2) as two:
         for name, number in progress(rounds, len(rounds), "pairs of runs"):
             order = (one, two) if number % 2 else (two, one)
-            pair = {id(client): _measured(client, jobs[name], folder / "work") for client in order}
-            if number >= 0:  # the first is a rehearsal: workers import the program
+            job = (jobs if number >= 0 else rehearsals)[name]
+            pair = {id(client): _measured(client, job, folder / "work") for client in order}
+            if number >= 0:
                 runs[name].append((pair[id(one)], pair[id(two)]))
     ratios = {name: statistics.median(a.wall_s / b.wall_s for a, b in pairs) for name, pairs in runs.items()}
     met = min(ratios.values()) >= WANTED
@@ -87,6 +85,15 @@ def run(options: ClusterOptions = ClusterOptions(), *, progress: ProgressArgumen
         folder,
         "cluster",
     )
+
+
+def _jobs(folder: Path, frames: int, repeats: int) -> dict[str, _Job]:
+    head = _head(folder / f"head-{frames}.tum", frames)
+    return {
+        "frames, raster": _frames(head, frames, "raster"),
+        "frames, ray traced": _frames(head, frames, "raytrace"),
+        "fits of a display model": _fits(repeats),
+    }
 
 
 def _speed(runs: dict[str, list[tuple[_Run, _Run]]], ratios: dict[str, float]) -> ReportTable:
@@ -135,13 +142,15 @@ def _workers(count: int) -> Iterator[Any]:
     with installed_by("dask", "The benchmark"):
         from distributed import Client, LocalCluster
     with (
-        LocalCluster(count, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL) as cluster,
+        LocalCluster(
+            n_workers=count, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+        ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
         yield client
 
 
-def _head(folder: Path, frames: int) -> Path:
+def _head(path: Path, frames: int) -> Path:
     """Trajectory of a head that turns by 0.3 rad, with one sample for each frame at 30 Hz."""
     import numpy as np
 
@@ -151,7 +160,7 @@ def _head(folder: Path, frames: int) -> Path:
     times = np.arange(frames) / 30.0
     half = 0.15 * times / times[-1]
     xyzw = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1)
-    return write_head_trajectory_tum(folder / "head.tum", HeadTrajectory(times, np.zeros((frames, 3)), xyzw))
+    return write_head_trajectory_tum(path, HeadTrajectory(times, np.zeros((frames, 3)), xyzw))
 
 
 def _frames(head: Path, count: int, method: Any) -> _Job:
