@@ -6,10 +6,10 @@ along -z), metres, and have any leading axes; `pixel`, `viewpoint`, `view_dir` a
 each other.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,6 +249,13 @@ class EyeMappings:
 
 EyeChannels = tuple[EyeMappings, ...]
 """One pair of mappings for all colours of an eye, or three for red, green and blue."""
+COLOURS = ("red", "green", "blue")
+_OfChannel = TypeVar("_OfChannel")
+
+
+def middle_channel(channels: Sequence[_OfChannel]) -> _OfChannel:
+    """The only or the green one of what each channel of an eye has."""
+    return channels[len(channels) // 2]
 
 
 @runtime_checkable

@@ -110,7 +110,7 @@ def test_each_colour_has_its_map(prism_of_plastic, tmp_path):
 def test_panel_pixels_without_a_ray_are_counted(straight_device, tmp_path, monkeypatch):
     eye = open_eye(straight_device)
     half = replace(eye, display=LeftHalf(eye.display))
-    monkeypatch.setattr("wlr_render.jobs.export.open_eye", lambda spec, name: half)
+    monkeypatch.setattr("wlr_render.jobs.headset.open_eye", lambda spec, name: half)
     report = exported("stmap", straight_device, tmp_path)
     assert report.warnings == ["right: 1152 of 2304 panel pixels have no ray."]
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from jobs.test_render import moving_pupil, pictures, still_head
@@ -57,11 +58,22 @@ def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(movi
 def test_a_worker_that_reads_another_file_is_refused(moving):
     options = replace(moving, method="raytrace")
     block = block_of(options)
-    other = replace(block, inputs={path: "0" * 64 for path in block.inputs})
-    with pytest.raises(BadInputError, match=r"the worker on .* reads another file than the machine that started"):
-        draw_block(other)
+    exchanged = dict(zip(block.inputs, reversed(block.inputs.values()), strict=True))
+    for inputs in ({path: "0" * 64 for path in block.inputs}, exchanged, block.inputs | {"more.obj": "0"}):
+        with pytest.raises(BadInputError, match=r"the worker on .* reads another file than the machine that started"):
+            draw_block(replace(block, inputs=inputs))
+    draw_block(replace(block, inputs={f"elsewhere/{path}": sha256 for path, sha256 in block.inputs.items()}))
     with pytest.raises(BadInputError, match=r"lacks OpenGL, and the machine that started the job has it"):
         draw_block(replace(block, has_opengl=True))
+
+
+def test_a_worker_releases_the_opengl_that_it_refuses(moving, monkeypatch):
+    released = []
+    raster = SimpleNamespace(context=SimpleNamespace(release=lambda: released.append(True)))
+    monkeypatch.setattr(frame_drawing, "open_raster", lambda *_: raster)
+    with pytest.raises(BadInputError, match="has OpenGL, and the machine that started the job lacks it"):
+        draw_block(block_of(moving))
+    assert released == [True]
 
 
 def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(moving, monkeypatch):

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, ray_map, solve_pixels
 from wlr_render.rendering.view import View
 
-COLOURS = ("red", "green", "blue")
 ALL_COLOURS = "all"
 """Name of the one map that serves all colours."""
 
@@ -75,7 +74,7 @@ class ExportedView:
     @property
     def middle_colour(self) -> str:
         """Name of the map in the middle of the spectrum."""
-        return self.colours[len(self.colours) // 2]
+        return middle_channel(self.colours)
 
     def mappings(self, colour: str) -> EyeMappings:
         """Mappings of one colour."""

@@ -20,7 +20,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import hashes_of_inputs
 from wlr_render.jobs import limits
 from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_frames
-from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
+from wlr_render.jobs.headset import headset_path, open_channels, require_in_eye_box
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Eye,
@@ -32,7 +32,7 @@ from wlr_render.jobs.options import (
     described_size,
     eyes_of,
 )
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
 from wlr_render.rendering.raster_camera import RasterPosition, intermediate_camera
@@ -172,7 +172,7 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
     """
     form = format_of(options.format)
     with hashes_of_inputs() as inputs:
-        channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+        channels = _opened(options)
         track = read_eye_trajectory(options.eye_track) if options.eye_track else None
     views, warnings = _planned(options, channels, track, _own_hashes(options, inputs))
     folder = output_folder(options.out)
@@ -195,10 +195,9 @@ def _solved(views: Iterator[ExportedView], warnings: list[str]) -> Iterator[Expo
                 warnings.append(f"{view.stem}: {count} of {has_ray.size} panel pixels {what}.")
 
 
-def _open_channels(options: ExportOptions, eye: str) -> EyeChannels:
-    if options.has_colours:
-        return open_colours(options.model, eye, options.red_model, options.blue_model)
-    return (open_eye(options.model, eye),)
+def _opened(options: ExportOptions) -> dict[str, EyeChannels]:
+    eyes = eyes_of(options.eye)
+    return open_channels(options.model, eyes, options.has_colours, options.red_model, options.blue_model)
 
 
 def _headset_files(options: ExportOptions) -> list[Path]:
@@ -210,7 +209,7 @@ def _planned(
 ) -> tuple[list[ExportedView], list[str]]:
     """All views, and warnings about the trajectory."""
     views: list[ExportedView] = []
-    greens = {eye: each[len(each) // 2] for eye, each in channels.items()}
+    greens = {eye: middle_channel(each) for eye, each in channels.items()}
     planned = planned_frames(options, greens, None, track) if track else []
     for eye, first in _first_views(options, channels, sha256).items():
         place_of = _source_place(options, greens[eye], first.source.device_from_camera)
@@ -243,7 +242,7 @@ def first_views(options: ExportOptions) -> dict[str, ExportedView]:
         BadInputError: faulty files, or an eye that the headset does not have.
     """
     with hashes_of_inputs() as inputs:
-        channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+        channels = _opened(options)
     return _first_views(options, channels, _own_hashes(options, inputs))
 
 
@@ -268,7 +267,7 @@ def _own_hashes(options: ExportOptions, inputs: dict[str, str]) -> dict[str, str
 
 def _central_view(options: ExportOptions, channels: EyeChannels, sha256: dict[str, str]) -> ExportedView:
     """A view from the centre of the eye box, with the camera that serves all of the box."""
-    middle = channels[len(channels) // 2]
+    middle = middle_channel(channels)
     panel, centre = middle.display.panel, middle.eye_box.centre
     is_turned = options.source_axes == "field" and format_of(options.format).carries.asymmetric_field
     axes = middle_axes(middle) if is_turned else np.eye(3)

@@ -4,6 +4,7 @@ A worker opens the headset, the scene and OpenGL by itself, and keeps them for i
 """
 
 import contextlib
+import itertools
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,10 +25,10 @@ from wlr_render.jobs.frame_labels import (
     write_layers,
 )
 from wlr_render.jobs.frame_plan import PlannedFrame
-from wlr_render.jobs.headset import is_model, open_colours, open_eye
+from wlr_render.jobs.headset import is_model, open_channels
 from wlr_render.jobs.options import eyes_of, seed_of
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
 from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.frame_layers import INSTANCE, frame_layers
 from wlr_render.rendering.image_files import write_map, write_png
@@ -39,7 +40,6 @@ from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.rendering.view import write_view
 
-COLOURS = ("red", "green", "blue")
 _FRAMES_OF_A_BLOCK = 8  # so many may be lost with each worker of a run that is interrupted
 
 
@@ -67,18 +67,14 @@ class OpenedFiles:
             BadInputError: a file is faulty.
         """
         with hashes_of_inputs() as inputs:
-            channels: dict[str, EyeChannels] = {eye: _open_channels(options, eye) for eye in eyes_of(options.eye)}
+            channels = open_channels(
+                options.headset, eyes_of(options.eye), options.has_colours, options.red_model, options.blue_model
+            )
             return cls(channels, _open_truths(options, channels), load_scene(options.scene), inputs)
 
     def middle(self) -> dict[str, EyeMappings]:
         """The only or the green channel of each eye."""
-        return {eye: of_eye[len(of_eye) // 2] for eye, of_eye in self.channels.items()}
-
-
-def _open_channels(options: RenderOptions, eye: str) -> EyeChannels:
-    if options.has_colours:
-        return open_colours(options.headset, eye, options.red_model, options.blue_model)
-    return (open_eye(options.headset, eye),)
+        return {eye: middle_channel(of_eye) for eye, of_eye in self.channels.items()}
 
 
 def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, EyeMappings]:
@@ -94,7 +90,8 @@ def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) ->
         raise BadInputError(
             f"--misalignment {device}: is a fitted model; name the device, whose exact optics the eye looks through."
         )
-    truths = {eye: open_colours(device, eye)[1] if options.has_colours else open_eye(device, eye) for eye in channels}
+    opened = open_channels(device, channels, options.has_colours)
+    truths = {eye: middle_channel(of_eye) for eye, of_eye in opened.items()}
     for eye, truth in truths.items():
         if truth.display.panel != channels[eye][0].display.panel:
             raise BadInputError(
@@ -155,12 +152,12 @@ def files_of(folder: Path, planned: PlannedFrame, options: RenderOptions) -> lis
     beside = [_view_file(folder, planned)] if maps else []
     predicted = [_error_file(folder, planned)] if options.predicted_error else []
     layers = [layers_file(folder, planned.stem)] if options.layers else []
-    labels = [labels_file(folder, planned.stem)] if has_labels(options) else []
+    labels = [labels_file(folder, planned.stem)] if _needs_labels(options) else []
     return [*maps, *beside, *predicted, *layers, *labels, picture_file(folder, planned)]
 
 
-def has_labels(options: RenderOptions) -> bool:
-    """Whether frames have a file of labels."""
+def _needs_labels(options: RenderOptions) -> bool:
+    """Whether each frame has a file of labels."""
     return "instance" in options.layers or options.misalignment is not None
 
 
@@ -304,35 +301,39 @@ def draw_block(block: FrameBlock) -> list[DrawnFrame]:
     return list(_kept_drawing(block).drawn(block.plan, block.predicted))
 
 
-_kept: dict[tuple[object, ...], tuple[FrameDrawing, SceneRaster | None]] = {}
-"""What this worker has opened for the last job whose frames it drew."""
+_kept: dict[tuple[object, ...], tuple[FrameDrawing, contextlib.ExitStack]] = {}
+"""What this worker has opened for the last job whose frames it drew, and what closes it."""
 
 
 def _kept_drawing(block: FrameBlock) -> FrameDrawing:
     key = (block.options, *sorted(block.inputs.items()))
     if key not in _kept:
-        for _, raster in _kept.values():
-            if raster is not None:
-                raster.context.release()
+        for _, opened in _kept.values():
+            opened.close()
         _kept.clear()
         _kept[key] = _open(block)
     return _kept[key][0]
 
 
-def _open(block: FrameBlock) -> tuple[FrameDrawing, SceneRaster | None]:
+def _open(block: FrameBlock) -> tuple[FrameDrawing, contextlib.ExitStack]:
     with outside_references() if block.refers_outside else contextlib.nullcontext():
         opened = OpenedFiles.of(block.options)
-    for path, sha256 in opened.inputs.items():
-        if sha256 not in block.inputs.values():
+    # In the order of reading: a shipped file has another path in another installation.
+    both = itertools.zip_longest(opened.inputs.items(), block.inputs.items(), fillvalue=("", ""))
+    for (path, sha256), (path_there, sha256_there) in both:
+        if sha256 != sha256_there:
             raise BadInputError(
-                f"{path}: the worker on {platform.node()} reads another file than the machine that started the job; "
-                "give all machines the same files, and continue."
+                f"{path or path_there}: the worker on {platform.node()} reads another file than the machine "
+                "that started the job; give all machines the same files, and continue."
             )
     raster = open_raster(block.options, opened.scene)
-    if (raster is not None) != block.has_opengl:
-        has, lacks = ("has", "lacks") if raster else ("lacks", "has")
-        raise BadInputError(
-            f"The worker on {platform.node()} {has} OpenGL, and the machine that started the job {lacks} it; choose "
-            "--backend cpu, or install libegl1 and libgl1 on all machines."
-        )
-    return FrameDrawing.of(block.options, opened, raster), raster
+    with contextlib.ExitStack() as refused:
+        if raster is not None:
+            refused.callback(raster.context.release)
+        if (raster is not None) != block.has_opengl:
+            has, lacks = ("has", "lacks") if raster else ("lacks", "has")
+            raise BadInputError(
+                f"The worker on {platform.node()} {has} OpenGL, and the machine that started the job {lacks} it; "
+                "choose --backend cpu, or install libegl1 and libgl1 on all machines."
+            )
+        return FrameDrawing.of(block.options, opened, raster), refused.pop_all()

@@ -1,5 +1,6 @@
 """A headset as the user names it: a device (its exact optics) or a file of fitted models. One place opens both."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,23 @@ def open_eye(spec: str | Path, eye: str = "right") -> EyeMappings:
     if not is_model(spec):
         return traced_eye(load_device(spec), eye)
     return load_eye_model(spec, eye).mappings
+
+
+def open_channels(
+    spec: str | Path,
+    eyes: Iterable[str],
+    per_colour: bool,
+    red_model: Path | None = None,
+    blue_model: Path | None = None,
+) -> dict[str, EyeChannels]:
+    """Mappings of some eyes: those of `open_colours` with `per_colour`, else those of `open_eye`.
+
+    Raises:
+        BadInputError: as these.
+    """
+    if per_colour:
+        return {eye: open_colours(spec, eye, red_model, blue_model) for eye in eyes}
+    return {eye: (open_eye(spec, eye),) for eye in eyes}
 
 
 def open_colours(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
@@ -50,18 +50,18 @@ class Frame:
     @property
     def ray_map(self) -> RayMap:
         """The only or the green channel's."""
-        return self.ray_maps[len(self.ray_maps) // 2]
+        return middle_channel(self.ray_maps)
 
     @property
     def source(self) -> Float32Array | None:
         """The only or the green channel's pull map."""
-        return self.sources[len(self.sources) // 2] if self.sources else None
+        return middle_channel(self.sources) if self.sources else None
 
     @cached_property
     def position(self) -> Float32Array | None:
         """(height, width, 3) float32, the world point that each pixel shows (in green), NaN where none; on request."""
         if self.traced:
-            return self.traced[len(self.traced) // 2]
+            return middle_channel(self.traced)
         return None if self.view is None or self.source is None else position_of_source(self.view, self.source)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.mappings import EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.rendering.choose_warp_grid import ChosenWarpGrid, choose_warp_grid
@@ -223,7 +223,7 @@ class EyePlan:
             raster_camera: position of the camera of the intermediate image.
             late_margin: tangents by which the head may turn between drawing and scan-out.
         """
-        middle = channels[len(channels) // 2]
+        middle = middle_channel(channels)
         axes = middle_axes(middle)
         camera = intermediate_camera(channels, axes, resolution, size_px, late_margin)
         minification = minification_over_eye_box(middle, axes, camera, size_px)
