@@ -70,7 +70,7 @@ def test_a_file_whose_line_is_damaged_is_unfinished(tmp_path, paths, line):
 def test_pipes_links_and_huge_lists_are_refused_and_no_file_outside_is_written(tmp_path, paths, tmp_path_factory):
     with (tmp_path / LIST).open("wb") as file:
         file.truncate(1_000_000_000)
-    with pytest.raises(BadInputError, match=rf"{LIST}: has more than 64 MB"):
+    with pytest.raises(BadInputError, match=rf"{LIST}: has more than 256 MB"):
         FinishedFiles(tmp_path)
     (tmp_path / LIST).unlink()
     os.mkfifo(tmp_path / LIST)

@@ -33,7 +33,7 @@ class FinishedFiles:
         self._folder, self._path, self._job = folder, folder / LIST, job
         remedy = "choose another folder or empty it"
         self.is_new = not os.path.lexists(self._path)
-        content = b"" if self.is_new else read_bytes(self._path, LIMITS.data_bytes, remedy)
+        content = b"" if self.is_new else read_bytes(self._path, LIMITS.record_bytes, remedy)
         entries = list(_entries(content))
         if any(of != job for _, _, of, _ in entries):
             raise BadInputError(f"{self._path}: lists files of other options or inputs; {remedy}.")

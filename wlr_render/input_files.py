@@ -38,6 +38,8 @@ class InputLimits:
     """TOML, YAML, XML, and other text that a person may have written."""
     data_bytes: int = 64_000_000
     """JSON."""
+    record_bytes: int = 256_000_000
+    """Records of frames and of finished files, which the program writes to continue a job: 580,000 frames."""
     table_bytes: int = 256_000_000
     """CSV and trajectories, decompressed."""
     array_bytes: int = 512_000_000

@@ -12,6 +12,7 @@ from wlr_render.budget.registration import registration_covariance
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
+from wlr_render.jobs import sequence_record
 from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.demo import DemoOptions, demo
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
@@ -198,6 +199,13 @@ def test_more_frames_than_a_disk_holds_are_refused(moving, tmp_path):
     assert not moving.out.exists()
 
 
+def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is_drawn(moving, monkeypatch):
+    monkeypatch.setattr(sequence_record, "LIMITS", replace(sequence_record.LIMITS, record_bytes=2000))
+    with pytest.raises(BadInputError, match=r"sequence\.json of 5 frames has 0 MB.*; cut the trajectory"):
+        render(moving)
+    assert not moving.out.exists()
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
@@ -256,7 +264,7 @@ def test_a_file_that_has_changed_under_its_old_name_is_named(options, tmp_path, 
         ("{}", r"sequence\.json: cannot be read as the record of a sequence"),
         ('{"version": 2, "job": [], "inputs": 1, "frames": null}', "cannot be read as the record of a sequence"),
         ('{"version": ' + "[" * 100_000, "is nested too deeply to be the record of a sequence"),
-        (1_000_000_000, r"sequence\.json: has more than 64 MB"),
+        (1_000_000_000, r"sequence\.json: has more than 256 MB"),
         ("a pipe", r"sequence\.json: is a pipe"),
         (None, "holds the frames of another job"),
     ],

@@ -73,7 +73,8 @@ def pack(options: PackOptions, *, progress: ProgressArgument = SILENT) -> Report
     folder, out = options.folder, output_folder(options.out)
     if any(out.glob("frames-*.tar")) or (out / _SPLIT).exists():
         raise BadInputError(f"{out}: holds a data set already; choose another folder or empty it.")
-    record = read_json(folder / RECORD, "the record of a sequence", "name a folder that `render` wrote")
+    remedy = "name a folder that `render` wrote"
+    record = read_json(folder / RECORD, "the record of a sequence", remedy, LIMITS.record_bytes)
     record.text("format", choices=("wlr-sequence",))
     entries = record.tables("frames", most=LIMITS.rows)
     samples = progress(_samples(folder, record, entries), len(entries), "frames")

@@ -8,7 +8,6 @@ Layers and labels of a frame are in `frame_labels.py`.
 
 import contextlib
 import itertools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -49,7 +48,7 @@ from wlr_render.jobs.options import (
     eyes_of,
 )
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.jobs.sequence_record import RECORD, require_same_job, sequence_record
+from wlr_render.jobs.sequence_record import RECORD, record_text, require_same_job, sequence_record
 from wlr_render.processes import THIS_MACHINE, as_finished
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.frame_layers import LAYERS
@@ -84,6 +83,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, opened.middle(), head, eyes)
     record = sequence_record(_job(options, raster), opened.inputs, [_frame_record(planned) for planned in plan])
+    text = record_text(record)
     predicted = _predicted(options, plan)
     folder = output_folder(options.out)
     trajectories = [path for path in (options.head, options.eye_track) if path]
@@ -92,7 +92,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     missing = [planned for planned in plan if finished.not_whole(files_of(folder, planned, options))]
     changed = [planned for planned in missing if finished.changed(files_of(folder, planned, options))]
     drawing = FrameDrawing.of(options, opened, raster) if missing else None
-    sequence = write_text(folder / RECORD, json.dumps(record, indent=1) + "\n")
+    sequence = write_text(folder / RECORD, text)
     if drawing:
         if options.spread == THIS_MACHINE:
             drawn = drawing.drawn(missing, predicted)

@@ -47,6 +47,24 @@ def sequence_record(
     return dict(json.loads(json.dumps(record)))
 
 
+def record_text(record: Mapping[str, Any]) -> str:
+    """Text of a record, with one line for each frame.
+
+    Raises:
+        BadInputError: it would be too long to be read again.
+    """
+    frames = ",\n".join(f"  {json.dumps(frame)}" for frame in record["frames"])
+    head = json.dumps({key: value for key, value in record.items() if key != "frames"}, indent=1)
+    text = f'{head[:-2]},\n "frames": [\n{frames}\n ]\n}}\n'
+    if len(text) > LIMITS.record_bytes:
+        raise BadInputError(
+            f"{RECORD} of {len(record['frames'])} frames has {len(text) / 1e6:.0f} MB, and at most "
+            f"{LIMITS.record_bytes / 1e6:.0f} MB can be read again to continue; cut the trajectory into sequences with "
+            "an output folder each."
+        )
+    return text
+
+
 def require_same_job(
     folder: Path, record: Mapping[str, Any], options: type[Options], trajectories: Sequence[Path]
 ) -> bool:
@@ -64,7 +82,7 @@ def require_same_job(
             raise _refusal(folder, f"{RECORD} is missing")
         return False
     remedy = "choose another folder or empty it"
-    earlier = parse_json(path, read_text(path, _KIND, LIMITS.data_bytes, remedy), _KIND, remedy)
+    earlier = parse_json(path, read_text(path, _KIND, LIMITS.record_bytes, remedy), _KIND, remedy)
     with parsing(path, _KIND, remedy):
         is_old = bool(earlier["version"] == 1)
         changed = _changed(earlier, record, options, trajectories)
