@@ -14,7 +14,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.exports.monado import Monado
 from wlr_render.files import output_folder
 from wlr_render.jobs import limits
-from wlr_render.jobs.export import ExportOptions, first_views
+from wlr_render.jobs.export import views_from_centres
+from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
@@ -51,7 +52,7 @@ def run(options: MonadoOptions, *, progress: ProgressArgument = SILENT) -> Repor
     if os.geteuid() or shutil.which("debootstrap") is None:
         raise BadInputError("monado: runs as root, on a Debian that has debootstrap: apt-get install debootstrap")
     folder = output_folder(options.out)
-    views = first_views(ExportOptions("monado", options.model, eye="both", depth_m=options.depth_m))
+    views = views_from_centres(ExportOptions("monado", options.model, eye="both", depth_m=options.depth_m))
     if not any(options.debian.glob("opt/monado/*/build/src/xrt/targets/service/monado-service")):
         progress.say(f"making a Debian 13 with Monado in {options.debian}")
         _completed([str(_HERE / "prepare.sh"), str(options.debian)])

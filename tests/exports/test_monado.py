@@ -7,7 +7,8 @@ import pytest
 from wlr_render.errors import BadInputError
 from wlr_render.exports.monado import Monado
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.jobs.export import ExportOptions, export, first_views
+from wlr_render.jobs.export import export, views_from_centres
+from wlr_render.jobs.export_options import ExportOptions
 
 N = 65
 
@@ -15,7 +16,7 @@ N = 65
 @pytest.fixture(scope="module")
 def northstar_views():
     """Both eyes with all pixels of the panel, as the driver demands."""
-    return list(first_views(ExportOptions("monado", "northstar", eye="both", depth_m=2.0)).values())
+    return list(views_from_centres(ExportOptions("monado", "northstar", eye="both", depth_m=2.0)).values())
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +103,7 @@ def test_eyes_of_different_fields_get_one_camera(straight_device, monkeypatch):
     for size, expected in ((None, (500, 172)), ((64, 48), (64, 48))):
         cameras = iter([left, right])
         monkeypatch.setattr("wlr_render.jobs.export.intermediate_camera", lambda *_, of=cameras: next(of))
-        views = first_views(ExportOptions("monado", straight_device, eye="both", source_size=size))
+        views = views_from_centres(ExportOptions("monado", straight_device, eye="both", source_size=size))
         for view in views.values():
             camera = view.source.camera
             assert (camera.tangent_min.tolist(), camera.tangent_max.tolist()) == ([-0.5, -0.6], [0.5, 0.6])

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from wlr_render.errors import BadInputError
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.view import ExportedView
-from wlr_render.jobs.export import ExportOptions, first_view
+from wlr_render.jobs.export import view_from_centre
+from wlr_render.jobs.export_options import ExportOptions
 
 DEBIAN_PYTHON = "/usr/bin/python3"  # Debian's python3-mrcal is no package of the Python that runs the tests
 PROJECT = """
@@ -58,7 +59,7 @@ def test_mrcal_projects_points_to_the_pixels_that_show_them(device, axes, camera
     if subprocess.run([DEBIAN_PYTHON, "-c", "import mrcal"], capture_output=True).returncode:
         pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
     options = ExportOptions("mrcal", device, source_axes=axes, raster_camera=camera, depth_m=depth_m)
-    view = first_view(options, "right")
+    view = view_from_centre(options, "right")
     pixel, points = held_out(view, depth_m or 1e6)
     np.save(tmp_path / "points.npy", points)
     files = [written(view, tmp_path), tmp_path / "points.npy", tmp_path / "pixels.npy"]

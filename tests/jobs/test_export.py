@@ -13,13 +13,16 @@ from small_headsets import LeftHalf
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.escapes import markdown_text
+from wlr_render.exports import view
 from wlr_render.exports.formats import FORMATS, FormatName
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS
-from wlr_render.jobs.export import ExportOptions, _own_hashes, export
+from wlr_render.jobs.export import _own_hashes, export
+from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
+from wlr_render.rendering.ray_map import ray_map
 
 
 def exported(form, model, folder, **options):
@@ -107,6 +110,20 @@ def test_each_colour_has_its_map(prism_of_plastic, tmp_path):
     assert not np.array_equal(red, blue)
 
 
+def test_files_of_an_earlier_export_are_removed_and_no_others(straight_device, tmp_path):
+    exported("pfm", straight_device, tmp_path, pupils=2)
+    (tmp_path / "notes.txt").touch()
+    report = exported("stmap", straight_device, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", *(path.name for path in report.files)}
+
+
+def test_each_view_is_solved_once(straight_device, tmp_path, monkeypatch):
+    solved = []
+    monkeypatch.setattr(view, "ray_map", lambda mappings, *given: solved.append(given) or ray_map(mappings, *given))
+    exported("stmap", straight_device, tmp_path, eye="both", pupils=2)
+    assert len(solved) == 8
+
+
 def test_panel_pixels_without_a_ray_are_counted(straight_device, tmp_path, monkeypatch):
     eye = open_eye(straight_device)
     half = replace(eye, display=LeftHalf(eye.display))
@@ -132,6 +149,7 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        ({"frames_per_second": 10.0}, "--fps is used with --eye-track only"),
         ({"format": "rays", "depth_m": 1.0}, "--depth-m has no use with rays"),
         ({"viewpoint_mm": (32.0, 0.0, -30.0), "pupils": 3}, "--viewpoint-mm and --pupils exclude each other"),
         ({"pupils": 3, "eye_track": Path("eyes.txt")}, "--pupils and --eye-track exclude each other"),

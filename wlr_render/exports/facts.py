@@ -52,13 +52,13 @@ def losses(view: ExportedView, carries: Carries, colour: str) -> list[Loss]:
         shown = camera.tangents_of_pixel(np.floor(camera.pixel_of_tangents(shown)) + 0.5)
     found = []
     if carries.every_pixel:
-        points = "points at any depth" if carries.every_depth else f"points {_depth_words(view.depth_m)}"
-        found.append(_loss(f"{points}, as the file is made for", [_arcmin(shown, due, view.depth_m)]))
+        points = "points at any depth" if carries.every_depth else f"points {depth_words(view.depth_m)}"
+        found.append(_loss(f"{points}, as the file is made for", [_arcmin(view, shown, due)]))
     if not carries.every_depth:
-        found.append(_loss(f"points {_depth_words(JUDGED_DEPTH_M)}", [_arcmin(shown, due, JUDGED_DEPTH_M)]))
+        found.append(_loss(f"points {depth_words(JUDGED_DEPTH_M)}", [_arcmin(view, shown, due, JUDGED_DEPTH_M)]))
     steps = PUPIL_SHIFT_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     moved = [view.viewpoint + step for step in steps if mappings.eye_box.contains(view.viewpoint + step)]
-    errors = [_arcmin(shown, np.moveaxis(view.rays_at(colour, pixel, pupil), -1, 0), view.depth_m) for pupil in moved]
+    errors = [_arcmin(view, shown, np.moveaxis(view.rays_at(colour, pixel, pupil), -1, 0)) for pupil in moved]
     return [*found, _loss(f"pupil {1e3 * PUPIL_SHIFT_M:g} mm aside", errors)]
 
 
@@ -68,14 +68,14 @@ def _pixel_centres(size_px: tuple[int, int]) -> FloatArray:
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
 
-def _depth_words(depth_m: float) -> str:
+def depth_words(depth_m: float) -> str:
+    """Where points of a depth are."""
     return f"{depth_m:g} m deep" if math.isfinite(depth_m) else "at infinity"
 
 
-def _arcmin(shown_tangents: FloatArray, due: FloatArray, depth_m: float) -> FloatArray:
-    """Angles between tangents (n, 2) that are shown and those of rays (4, n) at a depth."""
-    due_tangents = np.moveaxis(due[:2] + due[2:] / depth_m, 0, -1)
-    return arcmin_between(dir_of_tangents(shown_tangents), dir_of_tangents(due_tangents))
+def _arcmin(view: ExportedView, shown: FloatArray, due: FloatArray, depth_m: float | None = None) -> FloatArray:
+    """Angles between tangents (n, 2) that are shown and those of rays (4, n) at a depth, by default the view's."""
+    return arcmin_between(dir_of_tangents(shown), dir_of_tangents(view.tangents(due, depth_m)))
 
 
 def _loss(case: str, errors: list[FloatArray]) -> Loss:
@@ -101,7 +101,7 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
         "frame": "openxr",
         "viewpoint_in_device_m": view.viewpoint.tolist(),
         **({"time_s": view.time_s} if view.time_s is not None else {}),
-        "depth_m": "every" if form.carries.every_depth else depth_text(view.depth_m),
+        "depth_m": "every" if form.carries.every_depth else _depth_number(view.depth_m),
         "panel_size_px": list(view.panel_size_px),
         "source_camera": {
             "size_px": list(camera.size_px),
@@ -119,7 +119,7 @@ def _borders(view: ExportedView) -> tuple[list[float], list[float]]:
     return np.asarray(camera.tangent_min).tolist(), np.asarray(camera.tangent_max).tolist()
 
 
-def depth_text(depth_m: float) -> float | str:
+def _depth_number(depth_m: float) -> float | str:
     """A depth in metres, or "infinity", which JSON has no number for."""
     return depth_m if math.isfinite(depth_m) else "infinity"
 

@@ -38,11 +38,9 @@ class Ffmpeg:
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write two files for each view and colour, and their facts as .json."""
         for view in views:
-            width, height = view.source.camera.size_px
             for colour in view.colours:
                 source = np.floor(view.source_px(colour))
-                with np.errstate(invalid="ignore"):
-                    is_inside = ((source >= 0) & (source < [width, height])).all(axis=-1, keepdims=True)
+                is_inside = view.source.camera.contains(source + np.float32(0.5))[..., None]
                 column_row = np.where(is_inside, source, NOTHING).astype(np.uint16)
                 stem = view.file_stem(colour)
                 for axis, letter in enumerate("xy"):

@@ -8,7 +8,7 @@ import numpy as np
 
 from wlr_render.exports.facts import facts, write_facts
 from wlr_render.exports.format import Carries
-from wlr_render.exports.view import ExportedView
+from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.rendering.image_files import write_map
 
 
@@ -41,9 +41,9 @@ class FloatMap:
         for view in views:
             for colour in view.colours:
                 source = view.source_px(colour)
-                has_ray = np.isfinite(source).all(axis=-1, keepdims=True)
                 inverse_depth = np.full_like(source[..., :1], 1 / view.depth_m)
-                values = np.where(has_ray, np.concatenate([source, inverse_depth], axis=-1), np.float32(np.nan))
+                values = np.concatenate([source, inverse_depth], axis=-1)
+                values[~has_ray(source)] = np.nan
                 path = folder / f"{view.file_stem(colour)}-map.{self.name}"
                 yield write_map(path, values)
                 yield write_facts(path.with_suffix(".json"), facts(view, colour, self))

@@ -14,7 +14,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.exports.check_pictures import CHECK_SOURCE
 from wlr_render.exports.facts import facts
 from wlr_render.exports.format import Carries
-from wlr_render.exports.view import ALL_COLOURS, ExportedView
+from wlr_render.exports.view import ALL_COLOURS, ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.rendering.warp_grid import WarpGrid
 
@@ -68,9 +68,9 @@ class GltfMesh:
             camera.pixel_of_tangents(view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))) / camera.size_px
             for colour in view.colours
         ]
-        has_ray = np.isfinite(source).all(axis=(0, -1)).ravel()
+        is_solved = np.all([has_ray(each) for each in source], axis=0).ravel()
         triangles = mesh_triangles(grid)
-        triangles = triangles[has_ray[triangles].all(axis=1)]
+        triangles = triangles[is_solved[triangles].all(axis=1)]
         if not len(triangles):
             raise BadInputError(
                 f"{view.origin.name}: no pixel of the panel has a ray for {view.stem}; check the pupil."

@@ -10,7 +10,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.exports.facts import facts
 from wlr_render.exports.format import Carries
-from wlr_render.exports.view import ExportedView
+from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.geometry.pinhole import Pinhole
@@ -93,7 +93,7 @@ def _tangents(view: ExportedView, columns: FloatArray = _EDGE_TO_EDGE, rows: Flo
         )
     pixel = np.stack(np.meshgrid(columns, rows), axis=-1) * _PANEL_PX
     tangents = view.tangents(np.moveaxis(view.rays_at(view.middle_colour, pixel), -1, 0))
-    lost = ~np.isfinite(tangents).all(axis=-1)
+    lost = ~has_ray(tangents)
     if lost.any():
         raise BadInputError(
             f"monado: {np.mean(lost):.1%} of the {view.eye} panel of {view.origin.name} has no ray, and Monado's grid "

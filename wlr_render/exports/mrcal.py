@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from wlr_render.errors import BadInputError
 from wlr_render.exports.facts import facts, header_texts
 from wlr_render.exports.format import Carries
-from wlr_render.exports.view import ExportedView
+from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
@@ -140,8 +140,8 @@ def _samples(view: ExportedView, colour: str, along: FloatArray) -> tuple[FloatA
     pixel = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2) * view.panel_size_px
     tangents = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
     u = 2 * tangents * [1, -1] / (1 + np.sqrt(1 + np.sum(tangents**2, axis=-1)))[:, None]
-    has_ray = np.isfinite(u).all(axis=-1)
-    return u[has_ray], pixel[has_ray] - _CENTRE_SHIFT
+    is_solved = has_ray(u)
+    return u[is_solved], pixel[is_solved] - _CENTRE_SHIFT
 
 
 def _fit(u: FloatArray, pixel: FloatArray, columns: int) -> _SplinedCamera:

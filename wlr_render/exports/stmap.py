@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.exports.facts import facts, header_texts
 from wlr_render.exports.format import Carries
-from wlr_render.exports.view import ExportedView
+from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.rendering.exr_file import write_exr
 
 NOTHING = np.float32(-1.0)
@@ -44,8 +44,7 @@ class StMap:
             for colour in view.colours:
                 source = view.source_px(colour)
                 channels = {"R": source[..., 0] / width, "G": 1 - source[..., 1] / height}
-                has_ray = np.isfinite(source).all(axis=-1)
-                channels = {name: np.where(has_ray, values, NOTHING) for name, values in channels.items()}
+                channels = {name: np.where(has_ray(source), values, NOTHING) for name, values in channels.items()}
                 channels["B"] = np.zeros_like(channels["R"])
                 texts = header_texts(facts(view, colour, self))
                 yield write_exr(folder / f"{view.file_stem(colour)}-stmap.exr", channels, texts)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
-from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, ray_map, solve_pixels
 from wlr_render.rendering.view import View
 
@@ -109,9 +109,9 @@ class ExportedView:
         solved = solve_pixels(self.mappings(colour), self.source.device_from_camera, pixel, pupil)
         return np.moveaxis(self._at_camera(solved.slope_offset, pupil), 0, -1)
 
-    def tangents(self, rays: FloatArray) -> FloatArray:
-        """Tangents (..., 2) of the points of rays (4, ...) at `depth_m`, seen from the camera."""
-        return np.moveaxis(rays[:2] + rays[2:] / self.depth_m, 0, -1)
+    def tangents(self, rays: FloatArray, depth_m: float | None = None) -> FloatArray:
+        """Tangents (..., 2) of the points of rays (4, ...) at a depth, by default `depth_m`, seen from the camera."""
+        return np.moveaxis(rays[:2] + rays[2:] / (self.depth_m if depth_m is None else depth_m), 0, -1)
 
     def source_px(self, colour: str) -> Float32Array:
         """Position (u, v) in the source picture of each panel pixel, (height, width, 2) float32; NaN for none.
@@ -126,6 +126,11 @@ class ExportedView:
         x, y, z = self.source.device_from_camera.T @ (self.source.position_in_device - viewpoint)
         a, b, c, d = np.moveaxis(rays, -1, 0)
         return np.stack([a, b, c - a * z - x, d - b * z - y])
+
+
+def has_ray(position: FloatArray | Float32Array) -> BoolArray:
+    """Whether positions or tangents (..., 2) are those of a ray, and not NaN."""
+    return np.asarray(np.isfinite(position).all(axis=-1))
 
 
 def ray_map_plans(channels: EyeChannels, device_from_camera: FloatArray) -> tuple[RayMapPlan, ...]:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,10 @@ class Pinhole:
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Tangents (..., 2) of pixels (..., 2); the inverse of `pixel_of_tangents`."""
         return np.asarray((pixel - self.centre_px) / (self.focal_px * [1, -1]))
+
+    def contains(self, pixel: FloatArray | Float32Array) -> BoolArray:
+        """Whether pixels (..., 2) lie in the image; NaN does not."""
+        return np.asarray(((pixel >= 0) & (pixel <= self.size_px)).all(axis=-1))
 
     def pixel_centre_tangents(self) -> FloatArray:
         """Tangents at all pixel centres, (height, width, 2)."""

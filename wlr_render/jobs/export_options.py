@@ -1,0 +1,131 @@
+"""Options of the job `export`, checked before any work."""
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from wlr_render.errors import BadInputError
+from wlr_render.exports.formats import FormatName, format_of
+from wlr_render.jobs import limits
+from wlr_render.jobs.options import Eyes, Options, Range, described, described_size
+
+_FRAMES_PER_SECOND = 30.0
+
+
+@dataclass(frozen=True)
+class ExportOptions(Options):
+    """Options of `export`."""
+
+    format: Annotated[FormatName, described("File format.")]
+    model: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes to export.")] = "right"
+    depth_m: Annotated[
+        float | None,
+        described("Depth from the source camera, in metres, for which the maps are right (default: infinity)."),
+        limits.DEPTH_M,
+    ] = None
+    viewpoint_mm: Annotated[
+        tuple[float, float, float] | None,
+        described("Pupil position x y z in the device frame, in mm (default: centre of the eye box)."),
+        Range(at_least=-1000, at_most=1000),
+    ] = None
+    pupils: Annotated[
+        int | None,
+        described("A grid of N x N pupil positions, over the width and height of the eye box."),
+        Range(at_least=2, at_most=31),
+    ] = None
+    eye_track: Annotated[Path | None, described("Eye trajectory: a map for each frame.")] = None
+    frames_per_second: Annotated[
+        float, described("Frames per second of --eye-track.", name="--fps"), Range(above=0, at_most=1000)
+    ] = _FRAMES_PER_SECOND
+    frame_limit: Annotated[
+        int | None,
+        described("Maximum number of frames along --eye-track (default: all).", name="--frames"),
+        Range(at_least=1, at_most=limits.FRAMES),
+    ] = None
+    per_colour: Annotated[
+        bool, described("Separate maps for red, green and blue; a device is traced in all three.", flag=True)
+    ] = False
+    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
+    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
+    resolution: Annotated[
+        float, described("Resolution of the source picture; 1: about the panel's."), Range(above=0, at_most=4)
+    ] = 1.0
+    source_size: Annotated[
+        tuple[int, int] | None,
+        described_size("Pixels of the source picture, e.g. 1920x1080, in place of --resolution.", optional=True),
+        limits.PIXELS,
+    ] = None
+    source_axes: Annotated[
+        Literal["field", "device"],
+        described(
+            "Axes of the source camera: towards the middle of the field of view, or the device's own (monado: always)."
+        ),
+    ] = "field"
+    raster_camera: Annotated[
+        Literal["viewpoint", "nearest"],
+        described("Position of the source camera: the viewpoint, or the point nearest to the bent rays."),
+    ] = "viewpoint"
+    out: Annotated[Path, described("Output folder.")] = Path("out/export")
+
+    def __post_init__(self) -> None:
+        """Check that the options go together, and that the format holds what they ask for."""
+        super().__post_init__()
+        moving = [
+            flag
+            for flag, value in (
+                ("--viewpoint-mm", self.viewpoint_mm),
+                ("--pupils", self.pupils),
+                ("--eye-track", self.eye_track),
+            )
+            if value is not None
+        ]
+        if len(moving) > 1:
+            raise BadInputError(f"{' and '.join(moving)} exclude each other; give one of them.")
+        if self.viewpoint_mm is not None and self.eye == "both":
+            raise BadInputError("--viewpoint-mm is of one eye; give --eye left or --eye right.")
+        for flag, is_given in (
+            ("--frames", self.frame_limit is not None),
+            ("--fps", self.frames_per_second != _FRAMES_PER_SECOND),
+        ):
+            if is_given and self.eye_track is None:
+                raise BadInputError(f"{flag} is used with --eye-track only; leave it out, or give a trajectory.")
+        if (self.red_model is None) != (self.blue_model is None):
+            raise BadInputError("--red-model and --blue-model go together; give both or neither.")
+        if self.source_size is not None and self.resolution != 1.0:
+            raise BadInputError("--resolution has no use with --source-size; leave out one of them.")
+        _require_held(self)
+
+    @property
+    def head(self) -> None:
+        """A map does not depend on the head's pose."""
+        return None
+
+    @property
+    def has_colours(self) -> bool:
+        """Whether red, green and blue have maps of their own."""
+        return self.per_colour or self.red_model is not None
+
+
+def _require_held(options: ExportOptions) -> None:
+    """Refuse what the format would lose.
+
+    Raises:
+        BadInputError: the sentence names the option.
+    """
+    carries = format_of(options.format).carries
+    if carries.every_depth and options.depth_m is not None:
+        raise BadInputError(
+            f"--depth-m has no use with {options.format}: its files hold rays, which serve every depth; leave it out."
+        )
+    if options.has_colours and not carries.colours:
+        raise BadInputError(
+            f"{options.format} has one map for all colours; leave out --per-colour, --red-model and --blue-model, or "
+            "choose a format with maps by colour, e.g. stmap."
+        )
+    if not carries.pupils and (options.pupils or options.eye_track):
+        raise BadInputError(
+            f"{options.format} has one pupil position; leave out --pupils and --eye-track, or choose a format that "
+            "holds several, e.g. stmap."
+        )

@@ -1,0 +1,156 @@
+"""The page beside an export: all that a reader of its files must know."""
+
+from pathlib import Path
+
+from wlr_render.exports.check_pictures import CHECK_PANEL, CHECK_SOURCE
+from wlr_render.exports.facts import depth_words, losses
+from wlr_render.exports.format import Format
+from wlr_render.exports.view import ExportedView
+from wlr_render.jobs.export_options import ExportOptions
+from wlr_render.jobs.options import eyes_of
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, Text
+
+EXPORTED = "exported"
+"""Key of report.json with the names of the files."""
+_LISTED = 30
+"""Views that the page lists; report.json has all."""
+
+
+def export_page(
+    options: ExportOptions, form: Format, views: list[ExportedView], files: list[Path], inputs: list[Path]
+) -> Report:
+    """The page of views that are written in a format, with its check pictures.
+
+    Args:
+        options: of the job.
+        form: of the files.
+        views: all of them, the first of each eye solved.
+        files: written, the first one for the check pictures.
+        inputs: read.
+    """
+    first = views[0]
+    depth = "every depth" if form.carries.every_depth else f"points {depth_words(first.depth_m)}"
+    eyes = f"{' and '.join(eyes_of(options.eye))} eye{'s' if options.eye == 'both' else ''}"
+    blocks: list[Block] = [
+        Text(
+            "An augmented-reality headset bends the light of its panel and of the world. For each pixel of the panel a "
+            "file says what of a picture of the virtual scene, drawn by an ordinary pinhole camera, this pixel must "
+            "show, so that the wearer sees the scene in its place in the world. The camera and the pupil for which "
+            "this is right stand below."
+        ),
+        Section("What the numbers mean"),
+        Text("In every file:", form.convention),
+        Text(f"Frames and pixels: {_FRAMES}"),
+        Section("How to use the files"),
+        Text("Step by step:", form.use),
+        _source_cameras(views),
+        Section("What the files do not hold"),
+        Text("Of what the headset does:", _not_held(form)),
+        _loss_table(options, form, views),
+        Section("How to check your program"),
+        Text(
+            f"Warp the first picture with {files[0].name}: the second one must come out. It was drawn by our own "
+            f"sampling, {'bilinear' if form.carries.between_pixels else 'nearest pixel'}, of the codes as they are "
+            "stored, for points at the depth above (infinity if the files hold every depth)."
+        ),
+        Picture("Source picture", options.out / CHECK_SOURCE, "u to the right in red, v downwards in green"),
+        Picture("Picture for the panel", options.out / CHECK_PANEL, f"the {first.eye} panel, pixel by pixel"),
+        Section("Files"),
+        _views_table(views),
+    ]
+    return Report(
+        f"Export of {first.origin.name}: {form.title}",
+        f"{len(views)} view{'s' if len(views) > 1 else ''} of the {eyes}, for {depth}. The files and this page are all "
+        "that a reader needs.",
+        blocks=blocks,
+        inputs=inputs,
+        files=files,
+        record={EXPORTED: [path.name for path in files]},
+    )
+
+
+_FRAMES = (
+    "the device frame has x to the right, y up, and looks along -z, in metres. The source camera has such axes too; "
+    "tangents are x / -z and y / -z. In a picture (0, 0) is the outer corner of the top left pixel, u runs right and v "
+    "down, and pixel centres lie at +0.5."
+)
+
+
+def _not_held(form: Format) -> list[str]:
+    carries = form.carries
+    lost = [
+        "A moving pupil: a map is right for its own pupil position alone; the table below says what another one costs."
+    ]
+    if not carries.every_depth:
+        lost.append(
+            "Depth: a map is right at one depth from the source camera, everywhere in the picture. The format rays "
+            "holds all."
+        )
+    if not carries.colours:
+        lost.append("Colour: one map serves all colours.")
+    if not carries.asymmetric_field:
+        lost.append(
+            "An asymmetric field of view, or a turned camera: the source pictures of both eyes reach as far to the "
+            "left as to the right, and up as down, in the device's axes; the rest of them is not used."
+        )
+    if not carries.between_pixels:
+        lost.append("Positions between pixels: each panel pixel shows one pixel of the source, up to half a pixel off.")
+    return lost
+
+
+def _source_cameras(views: list[ExportedView]) -> ReportTable:
+    by_eye = {view.eye: view for view in reversed(views)}
+    rows: list[list[Cell]] = []
+    for eye, view in sorted(by_eye.items()):
+        camera = view.source.camera
+        (left, bottom), (right, top) = camera.tangent_min.tolist(), camera.tangent_max.tolist()
+        axes = "; ".join(" ".join(f"{value:.6f}" for value in row) for row in view.source.device_from_camera)
+        tangents = [f"{value:.6f}" for value in (left, right, bottom, top)]
+        panel, picture = (f"{width} x {height}" for width, height in (view.panel_size_px, camera.size_px))
+        rows.append([eye, panel, picture, *tangents, axes])
+    columns = [
+        "eye",
+        "panel (px)",
+        "source picture (px)",
+        "left",
+        "right",
+        "bottom",
+        "top",
+        "device from camera, row by row",
+    ]
+    notes = [
+        "left, right, bottom, top: tangents of the picture's borders, an off-axis frustum. The camera's position is in "
+        "the last table, and all digits are in the files."
+    ]
+    return ReportTable("Source cameras", columns, rows, notes)
+
+
+def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView]) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for eye in eyes_of(options.eye):
+        view = next(each for each in views if each.eye == eye)
+        rows += [
+            [view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin]
+            for loss in losses(view, form.carries, view.middle_colour)
+        ]
+    columns = ["map", "used for", "rms (arcmin)", "max (arcmin)"]
+    notes = [
+        "Against this headset's own mappings, over the panel; pupils moved to the right, left, up and down as far as "
+        "the eye box allows."
+    ]
+    return ReportTable("Misalignment of what a map shows", columns, rows, notes)
+
+
+def _views_table(views: list[ExportedView]) -> ReportTable:
+    rows: list[list[Cell]] = [
+        [view.stem, view.time_s, _millimetres(view.viewpoint), _millimetres(view.source.position_in_device)]
+        for view in views[:_LISTED]
+    ]
+    columns = ["files start with", "time (s)", "viewpoint (mm)", "source camera (mm)"]
+    more = [f"The first {_LISTED} of {len(views)}."] if len(views) > _LISTED else []
+    return ReportTable("Views", columns, rows, ["Positions x, y, z in the device frame.", *more])
+
+
+def _millimetres(place: FloatArray) -> str:
+    return ", ".join(f"{1e3 * value:.3f}" for value in place)
