@@ -14,7 +14,7 @@ from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, 
 EXPORTED = "exported"
 """Key of report.json with the names of the files."""
 _LISTED = 30
-"""Views that the page lists; report.json has all."""
+"""Views that the page lists."""
 
 
 def export_page(
