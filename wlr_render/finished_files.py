@@ -10,12 +10,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.files import NO_DETOUR, disk_errors
+from wlr_render.files import NO_DETOUR, disk_errors, write_text
 from wlr_render.input_files import LIMITS, read_bytes
 
 LIST = "finished.jsonl"
 Signature = tuple[int, str]
 """Length and SHA-256 of a file."""
+_ABSENT: Signature = (-1, "")
+_REMEDY = "choose another folder or empty it"
 
 
 class FinishedFiles:
@@ -24,21 +26,23 @@ class FinishedFiles:
     Args:
         folder: has the list; the files are in it or below.
         job: digest of what decides the content of the files, "" where another file of the folder records that.
+        kind: start of the digests of jobs whose files this one replaces in the end, with `remove_replaced`.
 
     Raises:
-        BadInputError: the list cannot be read, or has files of another job.
+        BadInputError: the list cannot be read, or has files of another job that this one does not replace.
     """
 
-    def __init__(self, folder: Path, job: str = "") -> None:
+    def __init__(self, folder: Path, job: str = "", kind: str | None = None) -> None:
         self._folder, self._path, self._job = folder, folder / LIST, job
-        remedy = "choose another folder or empty it"
         self.is_new = not os.path.lexists(self._path)
-        content = b"" if self.is_new else read_bytes(self._path, LIMITS.record_bytes, remedy)
+        content = b"" if self.is_new else read_bytes(self._path, LIMITS.record_bytes, _REMEDY)
         entries = list(_entries(content))
-        if any(of != job for _, _, of, _ in entries):
-            raise BadInputError(f"{self._path}: lists files of other options or inputs; {remedy}.")
-        self._listed = {name: signature for name, signature, _, _ in entries}
-        self._blank = {name: blank for name, _, _, blank in entries}
+        if any(of != job and (kind is None or not of.startswith(kind)) for _, _, of, _ in entries):
+            raise BadInputError(f"{self._path}: lists files of other options or inputs; {_REMEDY}.")
+        own = [entry for entry in entries if entry[2] == job]
+        self._listed = {name: signature for name, signature, _, _ in own}
+        self._remarks = {name: remark for name, _, _, remark in own}
+        self._replaced = {name: signature for name, signature, of, _ in entries if of != job}
         self._is_torn = bool(content) and not content.endswith(b"\n")
 
     def not_whole(self, paths: Iterable[Path]) -> list[Path]:
@@ -49,26 +53,28 @@ class FinishedFiles:
         """Those of these files that are listed, and are there, but are not as they are listed."""
         return [path for path in self.not_whole(paths) if self._name(path) in self._listed and os.path.lexists(path)]
 
-    def is_blank(self, path: Path) -> bool:
-        """Whether a file was listed as one that shows nothing, by this run or an earlier one."""
-        return self._blank.get(self._name(path), False)
+    def remark(self, path: Path) -> str:
+        """What was remarked on a file when it was listed, by this run or an earlier one; "" if nothing was."""
+        return self._remarks.get(self._name(path), "")
 
-    def add(self, paths: Sequence[Path], blank: bool = False) -> None:
-        """List files that are finished; `blank` says that they show nothing.
+    def add(self, paths: Sequence[Path], remark: str = "") -> None:
+        """List files that are finished; a `remark` on them is kept for later runs.
 
         Raises:
             BadInputError: a file cannot be read, or the list cannot be written.
         """
-        self.add_signed({path: signature_of(path) for path in paths}, blank)
+        self.add_signed({path: signature_of(path) for path in paths}, remark)
 
-    def add_signed(self, signatures: Mapping[Path, Signature], blank: bool = False) -> None:
+    def add_signed(self, signatures: Mapping[Path, Signature], remark: str = "") -> None:
         """As `add`, of files that another process has finished, with their signatures.
 
         Raises:
             BadInputError: the list cannot be written.
         """
-        lines = [self._line(path, signature, blank) for path, signature in signatures.items()]
-        self._blank |= {self._name(path): blank for path in signatures}
+        named = {self._name(path): signature for path, signature in signatures.items()}
+        self._listed |= named
+        self._remarks |= dict.fromkeys(named, remark)
+        lines = [self._line(name) for name in named]
         # A line that a killed run, or a full disk, left without its end must not spoil the next one.
         content = ("\n" * self._is_torn + "".join(lines)).encode()
         with disk_errors(self._path), open(self._path, "ab", buffering=0, opener=_open_no_detour) as file:
@@ -78,22 +84,49 @@ class FinishedFiles:
             os.fsync(file.fileno())
             self._is_torn = False
 
-    def _line(self, path: Path, signature: Signature, blank: bool) -> str:
-        entry = {"file": self._name(path), "bytes": signature[0], "sha256": signature[1]}
-        stated = ({"job": self._job} if self._job else {}) | ({"blank": True} if blank else {})
+    def remove_replaced(self) -> list[Path]:
+        """Remove the files of the jobs that this one replaces, as far as it has not written files of their names.
+
+        Returns:
+            Those that are not as they were listed, because somebody has changed them: they are left.
+
+        Raises:
+            BadInputError: the list cannot be written.
+        """
+        changed = []
+        for name in self._replaced.keys() - self._listed.keys():
+            path = self._folder / name
+            if Path(name).name != name or not os.path.lexists(path):
+                continue
+            if _has_signature(path, self._replaced[name]):
+                path.unlink()
+            else:
+                changed.append(path)
+        if self._replaced:
+            write_text(self._path, "".join(map(self._line, self._listed)))
+        return sorted(changed)
+
+    def _line(self, name: str) -> str:
+        (length, sha256), remark = self._listed[name], self._remarks[name]
+        entry = {"file": name, "bytes": length, "sha256": sha256}
+        stated = ({"job": self._job} if self._job else {}) | ({"remark": remark} if remark else {})
         return json.dumps(entry | stated) + "\n"
 
     def _name(self, path: Path) -> str:
         return path.relative_to(self._folder).as_posix()
 
     def _is_as_listed(self, path: Path) -> bool:
-        length, sha256 = self._listed.get(self._name(path), (-1, ""))
-        try:
-            if path.stat().st_size != length:
-                return False
-            return hashlib.sha256(read_bytes(path, length)).hexdigest() == sha256
-        except (OSError, BadInputError):
+        return _has_signature(path, self._listed.get(self._name(path), _ABSENT))
+
+
+def _has_signature(path: Path, signature: Signature) -> bool:
+    length, sha256 = signature
+    try:
+        if path.stat().st_size != length:
             return False
+        return hashlib.sha256(read_bytes(path, length)).hexdigest() == sha256
+    except (OSError, BadInputError):
+        return False
 
 
 def signature_of(path: Path) -> Signature:
@@ -115,12 +148,12 @@ def _open_no_detour(path: str, flags: int) -> int:
     return os.open(path, flags | NO_DETOUR, 0o666)
 
 
-def _entries(content: bytes) -> Iterator[tuple[str, Signature, str, bool]]:
-    """Name, length and SHA-256, job, and whether the file shows nothing, of each line."""
+def _entries(content: bytes) -> Iterator[tuple[str, Signature, str, str]]:
+    """Name, length and SHA-256, job, and remark of each line."""
     for line in content.splitlines():
         try:
             entry = json.loads(line)
             signature = int(entry["bytes"]), str(entry["sha256"])
-            yield str(entry["file"]), signature, str(entry.get("job", "")), entry.get("blank") is True
+            yield str(entry["file"]), signature, str(entry.get("job", "")), str(entry.get("remark", ""))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             pass  # torn, or damaged: its file counts as unfinished

@@ -22,7 +22,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
 
-JobName = Literal["render", "evaluate", "simulate", "calibrate"]
+JobName = Literal["render", "export", "evaluate", "simulate", "calibrate"]
 _LONGEST_END_S = 120.0
 """In which the processes of a killed run have to end."""
 _SOONER = 0.8
@@ -38,7 +38,7 @@ _SESSION = (
     "gray",
     "--perfect",
 )
-_FILES = (".png", ".tiff", ".npz", ".toml", ".svg")
+_FILES = (".png", ".tiff", ".pfm", ".npz", ".toml", ".svg")
 _HEAD = "# timestamp tx ty tz qx qy qz qw\n0.0 0 0 0 0 0 0 1\n1.0 0 0 0 0 0.05 0 0.99875\n"
 
 
@@ -49,6 +49,7 @@ class KillsOptions(Options):
     _: KW_ONLY
     jobs: Annotated[tuple[JobName, ...], described("Jobs to kill.", many=True)] = (
         "render",
+        "export",
         "evaluate",
         "simulate",
         "calibrate",
@@ -99,6 +100,8 @@ def _command(name: JobName, options: KillsOptions, folder: Path) -> list[str]:
         head = write_text(folder / "head.tum", _HEAD)
         frames = ["--fps", str(options.frames), "--frames", str(options.frames)]
         return [*program, "render", options.device, "dots", "--head", str(head), *frames, "--maps", "tiff", "--out"]
+    if name == "export":
+        return [*program, "export", "pfm", options.device, "--pupils", "3", "--out"]
     if name == "evaluate":
         small = ["--experiment", "camera-positions", "--counts", "5", "9", "--degrees", "3", "--workers", "2"]
         return [*program, "evaluate", "--device", options.device, *small, "--resume", "--out"]

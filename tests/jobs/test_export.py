@@ -15,11 +15,15 @@ from wlr_render.errors import BadInputError
 from wlr_render.escapes import markdown_text
 from wlr_render.exports import view
 from wlr_render.exports.formats import FORMATS, FormatName
+from wlr_render.extras import MissingExtraError
+from wlr_render.finished_files import FinishedFiles
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS
 from wlr_render.jobs.export import _own_hashes, export
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.headset import open_eye
+from wlr_render.jobs.render import render
+from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.ray_map import ray_map
@@ -115,6 +119,76 @@ def test_files_of_an_earlier_export_are_removed_and_no_others(straight_device, t
     (tmp_path / "notes.txt").touch()
     report = exported("stmap", straight_device, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", *(path.name for path in report.files)}
+
+
+def test_a_file_that_was_changed_after_an_export_is_left(straight_device, tmp_path):
+    exported("pfm", straight_device, tmp_path)
+    (tmp_path / "right-map.json").write_text("mine", encoding="utf-8")
+    report = exported("stmap", straight_device, tmp_path)
+    assert not (tmp_path / "right-map.pfm").exists()
+    assert (tmp_path / "right-map.json").read_text(encoding="utf-8") == "mine"
+    assert report.warnings == [
+        f"{tmp_path / 'right-map.json'}: was changed after an earlier export, and is left; remove it."
+    ]
+
+
+def test_the_frames_of_render_are_no_earlier_export(straight_device, scene_file, tmp_path):
+    render(RenderOptions(straight_device, scene_file, method="raytrace", out=tmp_path))
+    with pytest.raises(BadInputError, match="lists files of other options or inputs; choose another folder"):
+        exported("stmap", straight_device, tmp_path)
+    assert list(tmp_path.glob("*.png"))
+
+
+def test_an_export_that_is_refused_leaves_the_earlier_one(straight_device, tmp_path, monkeypatch):
+    exported("pfm", straight_device, tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    monkeypatch.setitem(sys.modules, "OpenEXR", None)
+    with pytest.raises(MissingExtraError):
+        exported("stmap", straight_device, tmp_path)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+class Killed(BaseException):
+    """What nothing catches."""
+
+
+@pytest.mark.parametrize(("form", "after"), [("stmap", 2), ("ffmpeg", 4), ("npz", 0)])
+def test_an_export_that_was_killed_goes_on_where_it_ended(form, after, straight_device, tmp_path, monkeypatch):
+    few = {"eye": "both", "pupils": 2}
+    whole = exported(form, straight_device, tmp_path / "whole", **few)
+    written, adds = FinishedFiles.add, []
+
+    def add_until_killed(finished, paths, remark=""):
+        if len(adds) == after:
+            raise Killed
+        adds.append(paths)
+        written(finished, paths, remark)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FinishedFiles, "add", add_until_killed)
+        with pytest.raises(Killed):
+            exported(form, straight_device, tmp_path / "cut", **few)
+    before = {path: path.stat().st_mtime_ns for paths in adds for path in paths}
+    report = exported(form, straight_device, tmp_path / "cut", **few)
+    assert report.warnings == whole.warnings
+    for path in whole.files:
+        if not path.name.startswith(("report", "finished")):
+            assert (tmp_path / "cut" / path.name).read_bytes() == path.read_bytes()
+    complete = after // (3 if form == "ffmpeg" else 1)
+    assert (f"({complete} kept from an earlier run)" in report.verdict) == bool(complete)
+    again = {path: path.stat().st_mtime_ns for path in before}
+    kept = complete * (3 if form == "ffmpeg" else 1)
+    assert list(again.values())[:kept] == list(before.values())[:kept]
+
+
+def test_a_map_is_written_again_when_a_file_or_an_option_has_changed(straight_device, tmp_path):
+    device = tmp_path / "device.toml"
+    text = Path(straight_device).read_text(encoding="utf-8")
+    device.write_text(text, encoding="utf-8")
+    for depth_m, is_kept in ((1.0, False), (1.0, True), (2.0, False)):
+        assert ("kept" in exported("pfm", str(device), tmp_path / "out", depth_m=depth_m).verdict) == is_kept
+    device.write_text(text + "\n# other notes\n", encoding="utf-8")
+    assert "kept" not in exported("pfm", str(device), tmp_path / "out", depth_m=2.0).verdict
 
 
 def test_each_view_is_solved_once(straight_device, tmp_path, monkeypatch):

@@ -35,14 +35,18 @@ class Ffmpeg:
         "Videos with subsampled colours: add format=gbrp or format=yuv444p before remap.",
     )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """Two pictures and their facts for each colour."""
+        return view.file_names("-x.pgm", "-y.pgm", "-remap.json")
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write two files for each view and colour, and their facts as .json."""
         for view in views:
+            paths = iter([folder / name for name in self.files(view)])
             for colour in view.colours:
                 source = np.floor(view.source_px(colour))
                 is_inside = view.source.camera.contains(source + np.float32(0.5))[..., None]
                 column_row = np.where(is_inside, source, NOTHING).astype(np.uint16)
-                stem = view.file_stem(colour)
-                for axis, letter in enumerate("xy"):
-                    yield write_image(folder / f"{stem}-{letter}.pgm", np.ascontiguousarray(column_row[..., axis]))
-                yield write_facts(folder / f"{stem}-remap.json", facts(view, colour, self))
+                for axis in (0, 1):
+                    yield write_image(next(paths), np.ascontiguousarray(column_row[..., axis]))
+                yield write_facts(next(paths), facts(view, colour, self))

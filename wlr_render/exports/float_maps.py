@@ -36,14 +36,18 @@ class FloatMap:
             "Others: read three floats per pixel without any colour management.",
         )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """A map and its facts for each colour."""
+        return view.file_names(f"-map.{self.name}", "-map.json")
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write a file for each view and colour, and its facts as .json."""
         for view in views:
+            paths = iter([folder / name for name in self.files(view)])
             for colour in view.colours:
                 source = view.source_px(colour)
                 inverse_depth = np.full_like(source[..., :1], 1 / view.depth_m)
                 values = np.concatenate([source, inverse_depth], axis=-1)
                 values[~has_ray(source)] = np.nan
-                path = folder / f"{view.file_stem(colour)}-map.{self.name}"
-                yield write_map(path, values)
-                yield write_facts(path.with_suffix(".json"), facts(view, colour, self))
+                yield write_map(next(paths), values)
+                yield write_facts(next(paths), facts(view, colour, self))

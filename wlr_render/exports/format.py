@@ -56,8 +56,11 @@ class Format(Protocol):
     @property
     def use(self) -> Sequence[str]: ...  # noqa: D102
 
+    def files(self, view: ExportedView) -> Sequence[str]:
+        """Names of the files that hold a view, in the order in which they are written."""
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write all views into a folder; yields each file when it is finished.
+        """Write the files of all views into a folder; yields each one when it is finished.
 
         Views are made one after the other and are large: a format that writes a file for each keeps none.
 

@@ -52,13 +52,18 @@ class GltfMesh:
         "With a map for each colour: a fragment shader reads the picture three times, and keeps one channel each time.",
     )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """One file of all colours."""
+        return [f"{view.stem}-mesh.gltf"]
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write a file for each view, with all its colours."""
         grids: dict[str, WarpGrid] = {}  # by eye: one serves all of the eye box
         for view in views:
             if view.eye not in grids:
                 grids[view.eye] = _grid(view)
-            yield write_text(folder / f"{view.stem}-mesh.gltf", json.dumps(self._gltf(view, grids[view.eye])) + "\n")
+            (name,) = self.files(view)
+            yield write_text(folder / name, json.dumps(self._gltf(view, grids[view.eye])) + "\n")
 
     def _gltf(self, view: ExportedView, grid: WarpGrid) -> dict[str, Any]:
         camera, pixel = view.source.camera, grid.panel_pixel()

@@ -46,6 +46,10 @@ class Monado:
         "axes of the device frame.",
     )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """One file of both eyes."""
+        return ["monado-northstar.json"]
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write one file of both eyes.
 
@@ -63,7 +67,8 @@ class Monado:
         grids = {eye: _tangents(by_eye[eye]) for eye in _EYES}
         about = {eye: self._about(by_eye[eye], grids[eye], places) for eye in _EYES}
         camera = by_eye["left"].source.camera
-        yield write_text(folder / "monado-northstar.json", json.dumps(_config(grids, camera, places, about)) + "\n")
+        (name,) = self.files(by_eye["left"])
+        yield write_text(folder / name, json.dumps(_config(grids, camera, places, about)) + "\n")
 
     def _about(self, view: ExportedView, grid: FloatArray, places: FloatArray) -> dict[str, Any]:
         """Facts of one eye, and what this format loses beside what they say."""

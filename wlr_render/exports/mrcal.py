@@ -53,6 +53,10 @@ class Mrcal:
         "mrcal-show-distortion-off-pinhole, mrcal-reproject-image and mrcal's other programs take the file as it is.",
     )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """A file for each colour."""
+        return view.file_names(".cameramodel")
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write a file for each view and colour.
 
@@ -60,10 +64,9 @@ class Mrcal:
             BadInputError: no rays, or pixels that are no continuous function of the direction.
         """
         for view in views:
-            for colour in view.colours:
+            for colour, name in zip(view.colours, self.files(view), strict=True):
                 texts = header_texts(facts(view, colour, self))
-                path = folder / f"{view.file_stem(colour)}.cameramodel"
-                yield write_text(path, _cameramodel(view, _fitted_camera(view, colour), texts))
+                yield write_text(folder / name, _cameramodel(view, _fitted_camera(view, colour), texts))
 
 
 @dataclass(frozen=True, eq=False)

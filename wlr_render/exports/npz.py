@@ -33,11 +33,16 @@ class Npz:
         "Nothing in the file needs allow_pickle.",
     )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """One file of all colours."""
+        return [f"{view.stem}-rays.npz"]
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write a file for each view, with all its colours."""
         for view in views:
+            (name,) = self.files(view)
             rays = np.stack([view.slope_offset(colour) for colour in view.colours])
             names = ALL_COLOURS if len(view.colours) == 1 else ", ".join(view.colours)
             text = json.dumps(facts(view, names, self))
             arrays = {"rays": rays, "colours": np.array(view.colours), "facts": np.array(text)}
-            yield write_arrays(folder / f"{view.stem}-rays.npz", arrays)
+            yield write_arrays(folder / name, arrays)

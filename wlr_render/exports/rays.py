@@ -39,10 +39,14 @@ class Rays:
         "packed).",
     )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """A file for each colour."""
+        return view.file_names("-rays.exr")
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write a file for each view and colour."""
         for view in views:
-            for colour in view.colours:
+            for colour, name in zip(view.colours, self.files(view), strict=True):
                 channels = dict(zip("RGBA", view.slope_offset(colour), strict=True))
                 texts = header_texts(facts(view, colour, self))
-                yield write_exr(folder / f"{view.file_stem(colour)}-rays.exr", channels, texts)
+                yield write_exr(folder / name, channels, texts)

@@ -37,14 +37,18 @@ class StMap:
         "which also serves a source picture smaller than the panel.",
     )
 
+    def files(self, view: ExportedView) -> list[str]:
+        """A file for each colour."""
+        return view.file_names("-stmap.exr")
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write a file for each view and colour."""
         for view in views:
             width, height = view.source.camera.size_px
-            for colour in view.colours:
+            for colour, name in zip(view.colours, self.files(view), strict=True):
                 source = view.source_px(colour)
                 channels = {"R": source[..., 0] / width, "G": 1 - source[..., 1] / height}
-                channels = {name: np.where(has_ray(source), values, NOTHING) for name, values in channels.items()}
+                channels = {key: np.where(has_ray(source), values, NOTHING) for key, values in channels.items()}
                 channels["B"] = np.zeros_like(channels["R"])
                 texts = header_texts(facts(view, colour, self))
-                yield write_exr(folder / f"{view.file_stem(colour)}-stmap.exr", channels, texts)
+                yield write_exr(folder / name, channels, texts)

@@ -80,9 +80,10 @@ class ExportedView:
         """Mappings of one colour."""
         return self.channels[self.colours.index(colour)]
 
-    def file_stem(self, colour: str) -> str:
-        """Name without suffix of the file of one map."""
-        return self.stem if colour == ALL_COLOURS else f"{self.stem}-{colour}"
+    def file_names(self, *endings: str) -> list[str]:
+        """Names of the files of each colour, which have these endings."""
+        stems = [self.stem if colour == ALL_COLOURS else f"{self.stem}-{colour}" for colour in self.colours]
+        return [stem + ending for stem in stems for ending in endings]
 
     def slope_offset(self, colour: str) -> Float32Array:
         """Rays (a, b, c, d) of all panel pixels, (4, height, width) float32; NaN where a pixel has no ray.

@@ -2,20 +2,22 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from wlr_render import __version__
 from wlr_render.exports.check_pictures import write_check
 from wlr_render.exports.formats import format_of
 from wlr_render.exports.view import ExportedView, Origin, has_ray, ray_map_plans
 from wlr_render.files import output_folder
+from wlr_render.finished_files import LIST, FinishedFiles, digest_of
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import hashes_of_inputs
 from wlr_render.jobs.export_options import ExportOptions
-from wlr_render.jobs.export_page import EXPORTED, export_page
+from wlr_render.jobs.export_page import export_page
 from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_frames
 from wlr_render.jobs.headset import headset_path, open_channels, require_in_eye_box
 from wlr_render.jobs.job import job
@@ -28,14 +30,17 @@ from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.rendering.view import View
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
-from wlr_render.toml_files import read_json
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory
+
+_KIND = "export "
+"""Start of the digests of exports, in the list of finished files."""
+_WITHOUT_EFFECT = ("out", "model", "red_model", "blue_model", "eye_track")
 
 
 @job
 def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Write the maps and their page into `options.out`.
+    """Write the maps that `options.out` does not hold yet, and their page; files of another export there are removed.
 
     Raises:
         BadInputError: faulty files, a pupil outside the eye box, or what the format does not hold.
@@ -47,32 +52,40 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
         track = read_eye_trajectory(options.eye_track) if options.eye_track else None
     views, warnings = _planned(options, channels, track, _own_hashes(options, inputs))
     folder = output_folder(options.out)
-    earlier = _earlier_files(folder)
-    files = list(form.write(_solved(views, progress(views, len(views), "views"), warnings), folder))
-    files += write_check(folder, views[0], form.carries)
-    for path in earlier - set(files):
-        path.unlink()
+    finished = FinishedFiles(
+        folder, _KIND + digest_of(_stated(options), list(inputs.values()), __version__), kind=_KIND
+    )
+    missing = [view for view in views if finished.not_whole([folder / name for name in form.files(view)])]
+    first_of_eye = {view.eye: view for view in reversed(views)}
+    lost: list[str] = []
+    solved = _solved(progress(missing, len(missing), "views"), first_of_eye, lost)
+    for path in form.write(solved, folder):
+        finished.add([path], "\n".join(lost))
+        lost.clear()
+    maps = [folder / name for name in dict.fromkeys(name for view in views for name in form.files(view))]
+    check = write_check(folder, views[0], form.carries)
+    finished.add(check)
+    warnings += [sentence for path in maps for sentence in finished.remark(path).splitlines()]
+    warnings += [
+        f"{path}: was changed after an earlier export, and is left; remove it." for path in finished.remove_replaced()
+    ]
     read = [*_headset_files(options), *filter(None, [options.eye_track])]
-    return save_report(replace(export_page(options, form, views, files, read), warnings=warnings), folder)
+    page = export_page(options, form, views, [*maps, *check, folder / LIST], read, len(views) - len(missing))
+    return save_report(replace(page, warnings=warnings), folder)
 
 
-def _earlier_files(folder: Path) -> set[Path]:
-    """Files that an earlier export has written into a folder: beside a new page they would be taken for its own."""
-    page = folder / "report.json"
-    if not page.is_file():
-        return set()
-    report = read_json(page, "a report", "remove it, or choose another folder")
-    names = report.texts(EXPORTED) if report.has(EXPORTED) else []
-    own = (folder / name for name in names if Path(name).name == name)
-    return {path for path in own if path.is_file()}
+def _stated(options: ExportOptions) -> dict[str, str]:
+    """The options that decide what the files hold; input files count by their content."""
+    return {name: str(value) for name, value in vars(options).items() if name not in _WITHOUT_EFFECT}
 
 
-def _solved(views: list[ExportedView], shown: Iterable[ExportedView], warnings: list[str]) -> Iterator[ExportedView]:
-    """Views to write; warns of panel pixels that a map serves nothing.
+def _solved(
+    shown: Iterable[ExportedView], first_of_eye: Mapping[str, ExportedView], lost: list[str]
+) -> Iterator[ExportedView]:
+    """Views to write; appends a sentence to `lost` for panel pixels that a map serves nothing.
 
     The page needs the maps of the first view of each eye. The others are copied, so that their maps go with the copy.
     """
-    first_of_eye = {view.eye: view for view in reversed(views)}
     for planned in shown:
         view = planned if planned is first_of_eye[planned.eye] else replace(planned)
         position = view.source_px(view.middle_colour)
@@ -82,7 +95,7 @@ def _solved(views: list[ExportedView], shown: Iterable[ExportedView], warnings: 
             (np.sum(is_solved & ~is_inside), "lead past the picture"),
         ):
             if count:
-                warnings.append(f"{view.stem}: {count} of {is_solved.size} panel pixels {what}.")
+                lost.append(f"{view.stem}: {count} of {is_solved.size} panel pixels {what}.")
         yield view
 
 

@@ -11,27 +11,27 @@ from wlr_render.jobs.options import eyes_of
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, Text
 
-EXPORTED = "exported"
-"""Key of report.json with the names of the files."""
 _LISTED = 30
 """Views that the page lists."""
 
 
 def export_page(
-    options: ExportOptions, form: Format, views: list[ExportedView], files: list[Path], inputs: list[Path]
+    options: ExportOptions, form: Format, views: list[ExportedView], files: list[Path], inputs: list[Path], kept: int
 ) -> Report:
     """The page of views that are written in a format, with its check pictures.
 
     Args:
         options: of the job.
         form: of the files.
-        views: all of them, the first of each eye solved.
+        views: all of them.
         files: written, the first one for the check pictures.
         inputs: read.
+        kept: number of views whose files an earlier run has written.
     """
     first = views[0]
     depth = "every depth" if form.carries.every_depth else f"points {depth_words(first.depth_m)}"
     eyes = f"{' and '.join(eyes_of(options.eye))} eye{'s' if options.eye == 'both' else ''}"
+    keeping = f" ({kept} kept from an earlier run)" if kept else ""
     blocks: list[Block] = [
         Text(
             "An augmented-reality headset bends the light of its panel and of the world. For each pixel of the panel a "
@@ -61,12 +61,11 @@ def export_page(
     ]
     return Report(
         f"Export of {first.origin.name}: {form.title}",
-        f"{len(views)} view{'s' if len(views) > 1 else ''} of the {eyes}, for {depth}. The files and this page are all "
-        "that a reader needs.",
+        f"{len(views)} view{'s' if len(views) > 1 else ''} of the {eyes}, for {depth}{keeping}. The files and this "
+        "page are all that a reader needs.",
         blocks=blocks,
         inputs=inputs,
         files=files,
-        record={EXPORTED: [path.name for path in files]},
     )
 
 

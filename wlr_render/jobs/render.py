@@ -61,6 +61,8 @@ from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
 
 _MOST_NAMES = 10  # of changed frames in a warning
+_BLANK = "blank"
+"""Remark in the list of finished files on the files of a frame that shows nothing."""
 _MOST_PLOTTED = 1000  # frames of an eye in a plot, about
 
 
@@ -100,7 +102,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
             blocks = blocks_of(options, opened, raster, missing, predicted)
             drawn = itertools.chain.from_iterable(as_finished(draw_block, blocks, options.spread, folder))
         for frame in progress(drawn, len(missing), "frames"):
-            finished.add_signed(frame.files, frame.is_blank)
+            finished.add_signed(frame.files, _BLANK if frame.is_blank else "")
     pictures = [picture_file(folder, planned) for planned in plan]
     misaligned = _misalignments(folder, options, plan)
     joined = _joined(folder, options, opened, plan, misaligned)
@@ -110,7 +112,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
         *gap_warnings(options, head, eyes),
         *held_warnings(options, plan),
         *_redrawn_warnings(folder, changed, is_old),
-        *blank_warnings([path.name for path in pictures if finished.is_blank(path)], opened.scene.name),
+        *blank_warnings([path.name for path in pictures if finished.remark(path) == _BLANK], opened.scene.name),
     ]
     files = [sequence, folder / LIST, *joined, *videos]
     report = _report(options, plan, len(missing), predicted, misaligned, files)

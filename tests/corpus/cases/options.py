@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from corpus.case import Case, nothing, several, written
 
-SMALL = ("device.toml", "scene.toml", "box.obj")
+SMALL = ("lens.zmx", "glasses.agf", "device.toml", "scene.toml", "box.obj")
 RENDER = ("render", "device.toml", "scene.toml", "--backend", "cpu", "--out", "out")
 DEMO = ("demo", "--device", "device.toml", "--scene", "scene.toml", "--backend", "cpu", "--out", "out")
 PLAN = ("plan", "device.toml", "--out", "out")
@@ -20,6 +20,13 @@ DIAGNOSE = ("diagnose", "bench", "--out", "out")
 HOLD_OUT = ("hold-out", "bench", "--out", "out")
 VERIFY = ("verify", "session", "photos", "--calibration", "calibration", "--out", "out")
 COMPARE = ("compare", "device.toml", "scene.toml", "--out", "out")
+EXPORT = ("export", "stmap", "device.toml", "--out", "out")
+BUDGET = ("budget", "device.toml", "--out", "out")
+PACK = ("pack", "webdataset", "bench", "--out", "out")
+IMPORT_OPTICS = ("import-optics", "lens.zmx", "--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")  # fmt: skip
+
+# Options whose wrong value is named, and not they themselves.
+FILES_AND_NAMES = ("--add-causes", "--bench", "--causes", "--calibration", "--prescription", "--exclude", "--eye-track", "--glasses")  # fmt: skip
 
 # Verb, valid files, and its options with values that are out of their range.
 RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]], ...] = (
@@ -34,6 +41,45 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--backend": ("magic",),
         "--maps": ("exr",),
         "--method": ("",),
+        "--layers": ("magic", ""),
+        "--predicted-error": ("0", "-1", "nan", "1e9"),
+        "--seed": ("-1", "x"),
+        "--workers": ("0", "-1", "1000000000"),
+        "--scheduler": ("host", "tcp://127.0.0.1:1"),
+    }),
+    (EXPORT, (*SMALL, "eyes.txt", "model.json"), {
+        "--eye": ("third", "", "left"),
+        "--depth-m": ("0", "-1", "nan", "inf", "1e9", "x"),
+        "--viewpoint-mm": ("nan", "1", "x"),
+        "--pupils": ("0", "1", "-1", "1000000000", "1.5", "x"),
+        "--eye-track": ("nowhere.txt", "scene.toml"),
+        "--fps": ("1e9", "0", "-1", "nan", "inf", "x"),
+        "--frames": ("0", "-1", "1.5", "nan", "x"),
+        "--resolution": ("1e9", "0", "-1", "nan", "inf"),
+        "--source-size": ("0x0", "-1x5", "10000000x10000000", "x", "640"),
+        "--source-axes": ("magic",),
+        "--raster-camera": ("magic",),
+        "--red-model": ("nowhere.json", "model.json"),
+    }),
+    (BUDGET, SMALL, {
+        "--eye": ("third",),
+        "--depth-m": ("0", "-1", "nan", "inf", "1e9"),
+        "--eye-noise-mm": ("-1", "nan", "1e308", "x"),
+        "--eye-latency-ms": ("-1", "nan", "1e308"),
+        "--head-noise-deg": ("-1", "nan", "1e308"),
+        "--head-speed-m-s": ("-1", "nan", "1e308"),
+        "--raster-arcmin": ("-1", "nan", "1e308"),
+    }),
+    (PACK, ("bench",), {"--frames-per-shard": ("0", "-1", "1.5", "nan", "1000000000000", "x")}),
+    (IMPORT_OPTICS, ("lens.zmx", "glasses.agf"), {
+        "--panel": ("0x0", "-1x5", "10000000x10000000", "x", "64"),
+        "--panel-mm": ("0x0", "-1x5", "1e9x1e9", "nanx1", "x"),
+        "--eye": ("third", "both"),
+        "--starts-at": ("magic",),
+        "--pupil-surface": ("-1", "1000000000", "1.5", "x"),
+        "--panel-surface": ("-1", "1000000000", "1.5"),
+        "--eye-relief-mm": ("-1", "nan", "inf", "1e9"),
+        "--glasses": ("nowhere.agf",),
     }),
     (DEMO, SMALL, {"--viewpoints": ("1000000000", "0", "-1", "1e9", "x"), "--seed": ("-1", "x", "1e400")}),
     (COMPARE, SMALL, {"--eye": ("x",), "--map-from": ("x",)}),
@@ -150,6 +196,14 @@ NOWHERE = {
     "render head": ("render", "device.toml", "scene.toml", "--head", "nowhere.txt"),
     "render eyes": ("render", "device.toml", "scene.toml", "--eye-track", "nowhere.txt"),
     "render red model": ("render", "model.json", "scene.toml", "--per-colour", "--red-model", "nowhere.json", "--blue-model", "model.json"),
+    "export": ("export", "stmap", "nowhere.toml"),
+    "export by name": ("export", "stmap", "nowhere"),
+    "export track": ("export", "npz", "device.toml", "--eye-track", "nowhere.txt"),
+    "export red model": ("export", "stmap", "model.json", "--red-model", "nowhere.json", "--blue-model", "model.json"),
+    "budget": ("budget", "nowhere.json"),
+    "pack": ("pack", "webdataset", "nowhere"),
+    "import-optics": ("import-optics", "nowhere.zmx", "--panel", "64x48", "--panel-mm", "10x8"),
+    "render misalignment": ("render", "device.toml", "scene.toml", "--misalignment", "nowhere.toml"),
     "compare": ("compare", "nowhere.toml", "scene.toml"),
     "demo": ("demo", "--device", "nowhere.toml"),
     "demo scene": ("demo", "--device", "device.toml", "--scene", "nowhere.toml"),
@@ -175,6 +229,9 @@ OUTPUTS = {
     "demo": DEMO,
     "trace": ("trace", "device.toml", "--out", "out"),
     "compare": COMPARE,
+    "export": EXPORT,
+    "budget": BUDGET,
+    "import-optics": IMPORT_OPTICS,
     "plan": PLAN,
     "calibrate captures": FIT,
     "calibrate simulate": SIMULATED,
@@ -207,15 +264,11 @@ def cases() -> Iterator[Case]:
                     "--samples": ("--method", "pathtrace"),
                     "--bounces": ("--method", "pathtrace"),
                 }.get(option, ())
-                extra = (*extra, "--head", "head.txt") if option in ("--fps", "--frames") else extra
+                if option in ("--fps", "--frames"):
+                    extra = ("--head", "head.txt") if verb[0] == "render" else ("--eye-track", "eyes.txt")
                 arguments = (*_without(verb, option), *extra, f"{option}={value}")
                 name = (option if not value or option != "--trigger" else "trigger|path|nothing|program",)
-                wrong = (
-                    value
-                    if (verb[0], option) == ("decode", "--camera")
-                    or option in ("--add-causes", "--bench", "--causes", "--calibration", "--prescription", "--exclude")
-                    else ""
-                )
+                wrong = value if (verb[0], option) == ("decode", "--camera") or option in FILES_AND_NAMES else ""
                 names = (f"{option}|{wrong}" if wrong else "|".join((*name, option[2:])),)
                 yield Case(f"option {words} {option}={value}", arguments, files, nothing, names)
     for title, arguments in NOWHERE.items():
