@@ -1,6 +1,7 @@
 """Path-traced frames: Mitsuba's hits are Embree's, its direct light is our shading, its bounces are those of theory."""
 
 import ctypes.util
+import os
 import sys
 from dataclasses import replace
 
@@ -159,16 +160,19 @@ def test_each_colour_has_rays_of_its_own_and_frames_repeat(mitsuba, toy_headset)
     assert len(frames["own"].traced) == 3
 
 
-@pytest.mark.parametrize("count", [1, 4, 6, 64])
-def test_paths_begin_evenly_over_the_pixel(count):
+@pytest.mark.parametrize("count", [*range(1, 21), 33, 64, 100, 127, 129, 1000])
+def test_paths_begin_evenly_over_the_pixel_around_its_centre(count):
     offsets = mitsuba_frames._offsets_in_pixel(count)
     assert offsets.shape == (count, 2)
     assert (np.abs(offsets) < 0.5).all()
+    np.testing.assert_allclose(offsets.mean(axis=0), 0, atol=1e-14)
     for axis in offsets.T:
-        places = np.floor((axis + 0.5) * count + 1e-9).astype(int)
-        assert np.ptp(np.bincount(places, minlength=count)) <= (count & (count - 1) != 0) * 2
-    if count & (count - 1) == 0:
-        np.testing.assert_allclose(offsets.mean(axis=0), 0, atol=1e-12)
+        np.testing.assert_allclose(np.sort(axis), (np.arange(count) + 0.5) / count - 0.5, atol=1e-14)
+
+
+def test_paths_of_a_power_of_two_are_hammersleys_points():
+    expected = [[-3, -3], [-1, 1], [1, -1], [3, 3]]
+    np.testing.assert_array_equal(8 * mitsuba_frames._offsets_in_pixel(4), expected)
 
 
 @pytest.fixture
@@ -206,3 +210,28 @@ def test_the_newest_llvm_is_chosen(monkeypatch, tmp_path, llvm_not_chosen):
         (tmp_path / "lib" / name).write_bytes(b"")
     with pytest.raises(MissingExtraError, match=r"libLLVM\.so\.19\.1 cannot be loaded"):
         mitsuba_frames._choose_llvm()
+
+
+def test_homebrews_folders_tell_the_version_and_a_library_that_does_not_load_is_passed_over(
+    monkeypatch, tmp_path, llvm_not_chosen
+):
+    """All of Homebrew's libraries have one name; opt/llvm is a link to its newest version."""
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "")
+    paths = {version: tmp_path / "opt" / f"llvm@{version}" / "lib" / "libLLVM.dylib" for version in (16, 9, 19)}
+    paths[21] = tmp_path / "Cellar" / "llvm" / "21.1.0" / "lib" / "libLLVM.dylib"
+    for path in paths.values():
+        path.parent.mkdir(parents=True)
+        path.touch()
+    (tmp_path / "opt" / "llvm").symlink_to(paths[21].parents[1], target_is_directory=True)
+    monkeypatch.setattr(sys, "prefix", str(tmp_path))
+    monkeypatch.setattr(mitsuba_frames, "_LLVM_FILES", {sys.platform: (f"{tmp_path}/opt/llvm*/lib/libLLVM*.dylib",)})
+    asked = []
+
+    def version_of(path):
+        asked.append(path)
+        return {paths[19]: 19, paths[16]: 16}.get(path)  # the newest does not load
+
+    monkeypatch.setattr(mitsuba_frames, "_llvm_version", version_of)
+    mitsuba_frames._choose_llvm()
+    assert os.environ["DRJIT_LIBLLVM_PATH"] == str(paths[19])
+    assert asked == [tmp_path / "opt" / "llvm" / "lib" / "libLLVM.dylib", paths[19]]

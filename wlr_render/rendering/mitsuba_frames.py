@@ -165,12 +165,17 @@ class PathTracedPainter:
 
 
 def _offsets_in_pixel(count: int) -> FloatArray:
-    """Hammersley's points of a pixel, (count, 2) from its centre in pixels; one point is the centre."""
+    """Hammersley's points of a pixel, (count, 2) from its centre in pixels, in even steps along both axes.
+
+    The second coordinate is the rank of the number with mirrored bits: the mirrored numbers themselves are even, and
+    have the centre as their mean, only for powers of two. With any other mean the whole frame would be shifted.
+    """
     number = np.arange(count)
     mirrored = np.zeros(count)
     for bit in range(count.bit_length()):
         mirrored += (number >> bit & 1) / 2.0 ** (bit + 1)
-    return np.stack([(number + 0.5) / count, mirrored + 0.5 / count], axis=-1) - 0.5
+    rank = np.argsort(np.argsort(mirrored))
+    return (np.stack([number, rank], axis=-1) + 0.5) / count - 0.5
 
 
 def _finite_rays(mi: Any, origin: Float32Array, direction: Float32Array) -> tuple[Any, Any]:
@@ -279,17 +284,18 @@ def _choose_llvm() -> None:
         MissingExtraError: there is none, or it is too old.
     """
     named = os.environ.get(_LLVM_PATH)
-    path = Path(named) if named else max(_installed_llvm(), key=_version_in_name, default=None)
-    version = None if path is None else _llvm_version(path)
-    if path is None or version is None or version < LEAST_LLVM:
-        fault = "none is installed" if path is None else f"{path} cannot be loaded"
-        if version is not None:
-            fault = f"{path} is older"
-        raise MissingExtraError(
-            f"{_USE}: Mitsuba needs LLVM {LEAST_LLVM} or newer, and {fault}; install it (Debian: apt-get install "
-            f"libllvm{LEAST_LLVM}, macOS: brew install llvm), or set {_LLVM_PATH} to the path of its library."
-        )
-    os.environ[_LLVM_PATH] = str(path)
+    faults = []
+    for path in [Path(named)] if named else sorted(_installed_llvm(), key=_version_in_path, reverse=True):
+        version = _llvm_version(path)
+        if version is not None and version >= LEAST_LLVM:
+            os.environ[_LLVM_PATH] = str(path)
+            return
+        faults.append(f"{path} cannot be loaded" if version is None else f"{path} is older")
+    fault = faults[0] if faults else "none is installed"
+    raise MissingExtraError(
+        f"{_USE}: Mitsuba needs LLVM {LEAST_LLVM} or newer, and {fault}; install it (Debian: apt-get install "
+        f"libllvm{LEAST_LLVM}, macOS: brew install llvm), or set {_LLVM_PATH} to the path of its library."
+    )
 
 
 def _installed_llvm() -> list[Path]:
@@ -297,9 +303,13 @@ def _installed_llvm() -> list[Path]:
     return [Path(path) for pattern in patterns for path in glob.glob(pattern)]
 
 
-def _version_in_name(path: Path) -> tuple[int, ...]:
-    """Version in a name such as libLLVM-19.so or libLLVM.so.19.1; empty without one."""
-    return tuple(int(number) for number in re.findall(r"\d+", path.name))
+def _version_in_path(path: Path) -> tuple[int, ...]:
+    """The numbers behind "llvm" in a path: libLLVM-19.so, libLLVM.so.19.1, llvm@19/lib/libLLVM.dylib; empty without.
+
+    Links are followed: Homebrew's opt/llvm leads to Cellar/llvm/21.1.0.
+    """
+    behind = re.split("llvm", str(path.resolve()), maxsplit=1, flags=re.IGNORECASE)[-1]
+    return tuple(map(int, re.findall(r"\d+", behind)))
 
 
 def _llvm_version(path: Path) -> int | None:
