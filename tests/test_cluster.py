@@ -193,7 +193,7 @@ def test_a_worker_with_several_threads(tmp_path):
 
 def test_without_dask_the_sentence_says_how_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "dask", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'wlr_render\[dask\]'"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'distributed"):
         done("tcp://127.0.0.1:8786", abs, [1])
 
 

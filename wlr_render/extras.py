@@ -1,13 +1,38 @@
 """Libraries that are installed only with an extra of the package."""
 
 import contextlib
+import importlib.metadata
+import shlex
+import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
 
 from wlr_render.errors import BadInputError
 
 
 class MissingExtraError(BadInputError):
     """A library that is not installed; the sentence has the command that installs it."""
+
+
+def install_command(extra: str) -> str:
+    """Command that installs an extra's libraries for the running interpreter.
+
+    It names the libraries as `pyproject.toml` does, not `wlr_render[extra]`: the package is on no index, where others
+    may use its name. It names the interpreter, because the shell's `pip` may be another one's.
+    """
+    try:
+        stated = importlib.metadata.requires("wlr_render") or []
+    except importlib.metadata.PackageNotFoundError:
+        stated = []
+    named = [each.partition(";") for each in stated]
+    libraries = [library.strip() for library, _, when in named if f"extra == '{extra}'" in when.replace('"', "'")]
+    if not libraries:  # a checkout that was never installed, or not since it has this extra
+        libraries = [f"{Path(__file__).resolve().parents[1]}[{extra}]"]
+    pip = [sys.executable, "-m", "pip", "install"]
+    if find_spec("pip") is None:  # an environment made by uv
+        pip = ["uv", "pip", "install", "--python", sys.executable]
+    return shlex.join([*pip, *libraries])
 
 
 @contextlib.contextmanager
@@ -26,4 +51,4 @@ def installed_by(extra: str, use: str) -> Iterator[None]:
     except ImportError as error:
         library = (error.name or "").partition(".")[0]
         fault = f"{library} is not installed" if isinstance(error, ModuleNotFoundError) else f"cannot load: {error}"
-        raise MissingExtraError(f"{use}: {fault}; install it: pip install 'wlr_render[{extra}]'.") from error
+        raise MissingExtraError(f"{use}: {fault}; install it: {install_command(extra)}") from error

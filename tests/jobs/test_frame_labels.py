@@ -243,7 +243,7 @@ def test_frames_that_show_nothing_have_no_misalignment_and_no_annotations(labell
 
 def test_layers_without_openexr_leave_nothing_behind(labelled, monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    with pytest.raises(MissingExtraError, match=r"--layers: .*pip install 'wlr_render\[exr\]'"):
+    with pytest.raises(MissingExtraError, match=r"--layers: .*pip install 'openexr"):
         render(labelled)
     assert not labelled.out.exists()
 

@@ -514,7 +514,7 @@ def test_path_traced_frames_resume_and_are_those_of_one_seed(mitsuba, options, t
 
 def test_missing_mitsuba_leaves_nothing_behind(options, monkeypatch):
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    with pytest.raises(BadInputError, match=r"pip install 'wlr_render\[mitsuba\]'"):
+    with pytest.raises(BadInputError, match=r"pip install 'mitsuba>="):
         render(replace(options, method="pathtrace"))
     assert not options.out.exists()
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.extras import MissingExtraError, installed_by
 from wlr_render.rendering.exr_file import read_exr, write_exr
 
 
@@ -46,11 +45,3 @@ def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
         read_exr(tmp_path / "frame.exr")
     with pytest.raises(BadInputError, match=r"absent\.exr: there is no such file"):
         read_exr(tmp_path / "absent.exr")
-
-
-def test_a_missing_library_is_named_with_the_command_that_installs_it() -> None:
-    with pytest.raises(MissingExtraError) as missing, installed_by("exr", "frame.exr"):
-        import no_such_library.part  # noqa: F401
-    assert str(missing.value) == (
-        "frame.exr: no_such_library is not installed; install it: pip install 'wlr_render[exr]'."
-    )
