@@ -194,6 +194,45 @@ def test_triangles_without_area_are_dropped(tmp_path):
     assert len(mesh.triangles) == 1
 
 
+@pytest.mark.parametrize(
+    ("material", "keys"),
+    [
+        ({}, ""),
+        ({"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1}, "alphaMode": "OPAQUE"}, ""),
+        ({"emissiveFactor": [0, 0, 0], "doubleSided": True, "extras": {"a": 1}, "alphaCutoff": 0.5}, ""),
+        ({"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1]}}, "metallicFactor"),  # its default is 1
+        ({"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 0.4}}, "roughnessFactor"),
+        ({"alphaMode": "BLEND", "emissiveFactor": [1, 0.5, 0]}, "alphaMode, emissiveFactor"),
+        ({"alphaMode": "MASK", "normalTexture": {"index": 0}}, "alphaMode, normalTexture"),
+        ({"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1}}}, "KHR_materials_transmission"),
+    ],
+)
+def test_properties_of_gltf_that_are_not_drawn_are_named(tmp_path, material, keys):
+    path = gltf(tmp_path, materials=[{"name": "steel"} | material, {"alphaMode": "MASK"}])  # no mesh has the second
+    assert load_meshes(path).not_drawn == ((f"{keys} of 'steel' in wedge.gltf",) if keys else ())
+
+
+def test_a_moved_texture_and_a_material_without_a_name_are_named(tmp_path):
+    (tmp_path / "t.png").write_bytes(png(CORNERS))
+    texture = {"index": 0, "extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}
+    surface = {"pbrMetallicRoughness": {"baseColorTexture": texture, "metallicFactor": 0}}
+    path = gltf(tmp_path, materials=[surface], textures=[{"source": 0}], images=[{"uri": "t.png"}])
+    assert load_meshes(path).not_drawn == ("KHR_texture_transform of 'material 0' in wedge.gltf",)
+
+
+@pytest.mark.parametrize(
+    ("lines", "keys"),
+    [("d 1.0\nKe 0.0 0 0\nTr 0\n", ""), ("d 0.3\n", "d"), ("d -halo 1\nKe 0 0 2\n", "d, ke"), ("Pm 1\n", "pm")],
+)
+def test_properties_of_obj_that_are_not_drawn_are_named(tmp_path, lines, keys):
+    path = obj(tmp_path, mtl=f"newmtl m\nKd 0.5 0.25 1\nKs 0.5 0.5 0.5\n{lines}map_Kd t.png\n")
+    assert load_meshes(path).not_drawn == ((f"{keys} of 'm' in wedge.obj",) if keys else ())
+
+
+def test_what_we_write_is_drawn_as_it_is(loaded):
+    assert loaded.not_drawn == ()
+
+
 def chain(count):
     return [{"children": [i + 1]} for i in range(count)] + [{"mesh": 0}]
 

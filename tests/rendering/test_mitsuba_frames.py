@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gl_scenes import at, quad, unlit
+from glb_writer import save_glb
 
 from wlr_render.extras import MissingExtraError
 from wlr_render.rendering import mitsuba_frames
@@ -72,6 +73,23 @@ def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba):
     light = PathTracer(scene).light(np.zeros(3, np.float32), direction, 5).reshape(-1, 3, 3)
     np.testing.assert_allclose(light[:, 0].mean(axis=0), albedo, rtol=0.01)
     np.testing.assert_array_equal(light[:, 1:], np.broadcast_to(np.float32(background), (20_000, 2, 3)))
+
+
+def test_a_glb_is_traced_as_the_scene_that_it_was_written_from(mitsuba, tmp_path):
+    scene = load_scene("sculpture")
+    written = save_glb(scene, tmp_path / "scene.glb")
+    shift = load_scene(written).bounds.mean(axis=0) - scene.bounds.mean(axis=0)
+    light = replace(scene.lights[0], vector=scene.lights[0].vector + shift * (scene.lights[0].kind == "point"))
+    origin, direction = fan_of_rays(100, 90)
+    pictures = [
+        encode_srgb(PathTracer(with_one_light(each, lamp), 0).light(start, direction.reshape(-1, 3), 1)).astype(int)
+        for each, lamp, start in (
+            (scene, scene.lights[0], origin),
+            (load_scene(written), light, (origin + shift).astype(np.float32)),
+        )
+    ]
+    assert (pictures[0].max(axis=-1) > 30).mean() > 0.05
+    assert (np.abs(pictures[1] - pictures[0]).max(axis=-1) > 2).mean() < 0.01
 
 
 def bright(**material):

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from glb_writer import save_glb
+from test_mesh_file import obj
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import shipped_names
@@ -195,3 +196,14 @@ def test_a_scene_of_too_many_triangles_is_refused(tmp_path, monkeypatch):
 def test_an_unknown_name_lists_the_shipped_scenes():
     with pytest.raises(BadInputError, match=r"desk, dots, sculpture.*Did you mean sculpture"):
         load_scene("sculptur")
+
+
+def test_materials_that_are_drawn_in_part_are_named_once_and_at_most_five(tmp_path, box_glb):
+    assert load_scene(box_glb).material_warnings == []
+    parts = obj(tmp_path, mtl="newmtl m\nKd 0.5 0.25 1\nd 0.5\n", texture=False)
+    placed = f"[[object]]\nmesh = '{parts.name}'\nposition_m = [0, 0, -2]\n"
+    (sentence,) = scene_of(tmp_path, HEADER + 2 * placed).material_warnings
+    assert sentence == "Surfaces are drawn matt and opaque by every method. Not drawn: d of 'm' in wedge.obj."
+    assert load_scene(parts).material_warnings == [sentence]
+    many = replace(load_scene(parts), not_drawn=tuple(f"alphaMode of 'glass {n}' in a.glb" for n in range(7)))
+    assert many.material_warnings[0].endswith("'glass 4' in a.glb; properties of 2 more materials.")

@@ -4,11 +4,14 @@ A glTF light shines along its node's -z axis. glTF's matt surface reflects 1/pi 
 intensity is divided by pi.
 
 Colours become linear: material factors and glTF's vertex colours are so already, vertex colours of OBJ and PLY are
-sRGB. trimesh keeps glTF's factors in 8 bits. Opacity is ignored, and metallic materials are drawn as matt ones.
+sRGB. trimesh keeps glTF's factors in 8 bits. Surfaces are matt and opaque; `MeshFile.not_drawn` lists the properties of
+materials that are lost.
 """
 
 import functools
 import io
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +45,14 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 _FARTHEST = 1e6  # metres, and scale of a placement
 _BRIGHTEST = 1e6
 _LARGEST = 1e12  # of a coordinate, whose squares must fit into 32 bits
+_DRAWN = {
+    *("name", "extras", "doubleSided", "alphaCutoff"),  # without effect on what is drawn
+    *("pbrMetallicRoughness", "extensions"),  # their parts are looked at one by one
+    *("baseColorFactor", "baseColorTexture"),
+}
+_MATT_AND_OPAQUE = {"metallicFactor": 0, "roughnessFactor": 1, "emissiveFactor": [0, 0, 0], "alphaMode": "OPAQUE"}
+_MATT_AND_OPAQUE_OBJ = {"d": r"1(\.0*)?", "tr": "[0. ]+", "ke": "[0. ]+", "pm": "[0. ]+"}
+"""Values of glTF's materials, and patterns of those of OBJ, with which nothing is lost."""
 _UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", "EXT_texture_webp"}
 
 
@@ -80,11 +91,13 @@ class MeshFile:
         meshes: one per material and mesh of the file.
         instances: one per placement in the file's scene graph.
         lights: directional and point lights.
+        not_drawn: keys of each material, with its name and the file's, that a matt and opaque surface does not have.
     """
 
     meshes: tuple[Mesh, ...]
     instances: tuple[Instance, ...]
     lights: tuple[LightSource, ...]
+    not_drawn: tuple[str, ...] = ()
 
 
 def load_meshes(path: str | Path) -> MeshFile:
@@ -101,10 +114,10 @@ def load_meshes(path: str | Path) -> MeshFile:
             f"{path}: cannot read {shown(path.suffix)} files, only {', '.join(SUFFIXES)}; convert it to one of these."
         )
     with parsing(path, "a mesh", "export it again"):
-        return _content(path, _loaded(path))
+        return _content(path, *_loaded(path))
 
 
-def _content(path: Path, source: Any) -> MeshFile:
+def _content(path: Path, source: Any, not_drawn: tuple[str, ...]) -> MeshFile:
     names = [name for name, geometry in source.geometry.items() if hasattr(geometry, "faces")]
     with np.errstate(all="ignore"):  # what overflows is refused below
         meshes = tuple(_mesh(path, name, source.geometry[name]) for name in names)
@@ -120,7 +133,7 @@ def _content(path: Path, source: Any) -> MeshFile:
         matrix = instance.world_from_mesh
         if not np.abs(matrix).max() < _FARTHEST or not np.linalg.matrix_rank(matrix) == 4:
             raise BadInputError(f"{path}: node {shown(instance.name)} has no size or no finite place; export it again.")
-    return MeshFile(meshes, instances, lights_of_graph(path, source.metadata, source.graph))
+    return MeshFile(meshes, instances, lights_of_graph(path, source.metadata, source.graph), not_drawn)
 
 
 class _Neighbours:
@@ -154,14 +167,15 @@ class _Neighbours:
         return content
 
 
-def _loaded(path: Path) -> Any:
-    """The file as a trimesh.Scene, with everything that it refers to."""
+def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
+    """The file as a trimesh.Scene, with everything that it refers to, and the properties that are not drawn."""
     import trimesh
 
     content, neighbours = read_bytes(path, LIMITS.mesh_bytes), _Neighbours(path)
     suffix = path.suffix.lower()
-    if suffix in _GLTF:
-        GltfDocument(path, content).check(_UNDERSTOOD, neighbours.get)
+    document = GltfDocument(path, content) if suffix in _GLTF else None
+    if document:
+        document.check(_UNDERSTOOD, neighbours.get)
     elif suffix == ".obj":
         check_obj(path, content, neighbours.get)
     else:
@@ -169,7 +183,31 @@ def _loaded(path: Path) -> Any:
     source = trimesh.load_scene(io.BytesIO(content), file_type=suffix[1:], process=False, resolver=neighbours)
     if neighbours.faults:
         raise neighbours.faults[0]
-    return source
+    materials = _gltf_materials(document.tree) if document else _obj_materials(source)
+    named = ((name, ", ".join(keys)) for name, keys in materials if keys)
+    return source, tuple(f"{keys} of {shown(name)} in {path.name}" for name, keys in named)
+
+
+def _gltf_materials(tree: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
+    """Name, and keys that are not drawn, of each material that a mesh has."""
+    used = {each["material"] for mesh in tree.get("meshes", []) for each in mesh["primitives"] if "material" in each}
+    for number in sorted(used):
+        material = tree["materials"][number]
+        surface = material.get("pbrMetallicRoughness")
+        # A material that states its surface, and not how metallic it is, is a metal.
+        stated = material | ({} if surface is None else {"metallicFactor": 1.0} | surface)
+        keys = [key for key, value in stated.items() if key not in _DRAWN and value != _MATT_AND_OPAQUE.get(key)]
+        for part in (material, stated.get("baseColorTexture", {})):
+            keys += part.get("extensions", {})
+        yield material.get("name", f"material {number}"), keys
+
+
+def _obj_materials(source: Any) -> Iterator[tuple[str, list[str]]]:
+    """As `_gltf_materials`, of the material library of an OBJ file."""
+    materials = [getattr(geometry.visual, "material", None) for geometry in source.geometry.values()]
+    for material in filter(None, materials):
+        words = {key: " ".join(each) for key, each in material.kwargs.items() if key in _MATT_AND_OPAQUE_OBJ}
+        yield material.name, [key for key, each in words.items() if not re.fullmatch(_MATT_AND_OPAQUE_OBJ[key], each)]
 
 
 def _mesh(path: Path, name: str, source: Any) -> Mesh:

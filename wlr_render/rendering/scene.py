@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import Float32Array
 
+_MOST_NAMED = 5
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -85,6 +86,7 @@ class Scene:
         meshes, instances, lights: as above.
         ambient: (3,) linear RGB added to every surface's irradiance.
         background: (3,) linear RGB where nothing is hit.
+        not_drawn: what files state of their materials and no method of ours draws, one text per material.
     """
 
     name: str
@@ -93,6 +95,16 @@ class Scene:
     lights: tuple[LightSource, ...]
     ambient: Float32Array = field(default_factory=lambda: np.full(3, 0.25, np.float32))
     background: Float32Array = field(default_factory=lambda: np.zeros(3, np.float32))
+    not_drawn: tuple[str, ...] = ()
+
+    @property
+    def material_warnings(self) -> list[str]:
+        """A sentence that names the materials which are drawn without all of their properties, or nothing."""
+        if not self.not_drawn:
+            return []
+        more = len(self.not_drawn) - _MOST_NAMED
+        named = [*self.not_drawn[:_MOST_NAMED], *([f"properties of {more} more materials"] if more > 0 else [])]
+        return [f"Surfaces are drawn matt and opaque by every method. Not drawn: {'; '.join(named)}."]
 
     @property
     def triangle_count(self) -> int:

@@ -40,7 +40,7 @@ _MOST_TRIANGLES = 20_000_000  # over all placements
 _MOST_SEGMENTS = 2000
 _MOST_QUADS = 1_000_000  # of a shape
 
-Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[LightSource, ...]]
+Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[LightSource, ...], tuple[str, ...]]
 
 
 def scene_path(spec: str | Path) -> Path:
@@ -94,13 +94,14 @@ def _require_header(table: Table) -> None:
 
 def _with(scene: Scene, placed: Placed) -> Scene:
     """The scene and one more object; its instances' mesh indices are shifted."""
-    meshes, instances, lights = placed
+    meshes, instances, lights, not_drawn = placed
     shifted = tuple(replace(instance, mesh=instance.mesh + len(scene.meshes)) for instance in instances)
     return replace(
         scene,
         meshes=scene.meshes + meshes,
         instances=scene.instances + shifted,
         lights=scene.lights + lights,
+        not_drawn=tuple(dict.fromkeys(scene.not_drawn + not_drawn)),  # a file may be placed several times
     )
 
 
@@ -151,7 +152,7 @@ def _object(table: Table, folder: Path) -> Placed:
     name = table.text("name", default=shape)
     mesh = _shape(table, shape)
     table.finish()
-    return (mesh,), (Instance(name, 0, world_from_object),), ()
+    return (mesh,), (Instance(name, 0, world_from_object),), (), ()
 
 
 def _mesh_object(table: Table, folder: Path, world_from_object: NDArray[np.float64]) -> Placed:
@@ -167,7 +168,8 @@ def _mesh_object(table: Table, folder: Path, world_from_object: NDArray[np.float
         Instance(f"{name}/{instance.name}", instance.mesh, world_from_object @ instance.world_from_mesh)
         for instance in content.instances
     )
-    return content.meshes, instances, tuple(_moved(light, world_from_object) for light in content.lights)
+    lights = tuple(_moved(light, world_from_object) for light in content.lights)
+    return content.meshes, instances, lights, content.not_drawn
 
 
 def _moved(light: LightSource, world_from_object: NDArray[np.float64]) -> LightSource:
@@ -247,7 +249,7 @@ def _value(table: Table, key: str, default: object) -> object:
 
 def _scene_of_mesh_file(path: Path) -> Scene:
     content = load_meshes(path)
-    scene = Scene(path.stem, content.meshes, content.instances, ())
+    scene = Scene(path.stem, content.meshes, content.instances, (), not_drawn=content.not_drawn)
     if not content.instances:
         raise BadInputError(f"{path}: places none of its meshes in a scene; export the scene, not the meshes alone.")
     ahead = np.array([0.0, 0.0, -_DEFAULT_DISTANCE_M])
