@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from small_headsets import LeftHalf, changed_device
 
-from wlr_render.jobs.export import view_from_centre
+from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 
 
 @pytest.fixture(scope="session")
 def northstar_view(small_northstar):
     """The right eye of a small headset, 180 x 200 pixels, exact optics, source camera at the pupil."""
-    return view_from_centre(ExportOptions("stmap", small_northstar), "right")
+    return views_from_centres(ExportOptions("stmap", small_northstar))["right"]
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def view(northstar_view):
 @pytest.fixture(scope="session")
 def nearest_view(small_northstar):
     """The same with the source camera nearest to the rays."""
-    return view_from_centre(ExportOptions("stmap", small_northstar, raster_camera="nearest"), "right")
+    return views_from_centres(ExportOptions("stmap", small_northstar, source_camera="nearest"))["right"]
 
 
 @pytest.fixture
@@ -49,11 +49,11 @@ def coloured_view(tmp_path_factory):
     """A prism whose glass has colours, traced in red, green and blue."""
     glass = ("index = 1.492", 'formula = "pmma_sultanova_2009"')
     device = changed_device(tmp_path_factory.mktemp("device"), "prism5701202", glass, ("[1280, 960]", "[160, 120]"))
-    return view_from_centre(ExportOptions("stmap", device, per_colour=True), "right")
+    return views_from_centres(ExportOptions("stmap", device, per_colour=True))["right"]
 
 
 @pytest.fixture
 def view_of_half_a_panel(straight_device):
-    whole = view_from_centre(ExportOptions("mesh", straight_device), "right")
+    whole = views_from_centres(ExportOptions("mesh", straight_device))["right"]
     (eye,) = whole.channels
     return replace(whole, channels=(replace(eye, display=LeftHalf(eye.display)),))

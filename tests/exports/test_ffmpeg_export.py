@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from export_readers import our_warp, smooth_picture
 
-from wlr_render.exports.ffmpeg import NOTHING, Ffmpeg
+from wlr_render.exports.pixel_maps import FFMPEG_NO_RAY, Ffmpeg
 
 needs_ffmpeg = pytest.mark.skipif(
     shutil.which("ffmpeg") is None, reason="ffmpeg is not installed: apt-get install ffmpeg"
@@ -36,7 +36,7 @@ def test_pixels_without_a_ray_are_left_to_the_fill(holed_view, tmp_path):
     across, down, _ = Ffmpeg().write([holed_view], tmp_path)
     for path in (across, down):
         values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        assert np.argwhere(values == NOTHING).tolist() == [[5, 7]]
+        assert np.argwhere(values == FFMPEG_NO_RAY).tolist() == [[5, 7]]
 
 
 @needs_ffmpeg

@@ -13,7 +13,7 @@ from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 
 def read(view, folder):
     """The mesh as trimesh reads it: vertices, triangles and texture coordinates with v downwards."""
-    write_check(folder, view, GltfMesh.carries)
+    write_check(folder, view, GltfMesh.holds)
     (path,) = GltfMesh().write([view], folder)
     mesh = trimesh.load(path, process=False, force="mesh")
     return path, mesh, np.asarray(mesh.visual.uv) * [1, -1] + [0, 1]  # trimesh turns v round

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from wlr_render.errors import BadInputError
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.view import ExportedView
-from wlr_render.jobs.export import view_from_centre
+from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 
 DEBIAN_PYTHON = "/usr/bin/python3"  # Debian's python3-mrcal is no package of the Python that runs the tests
@@ -58,8 +58,8 @@ def rms(difference):
 def test_mrcal_projects_points_to_the_pixels_that_show_them(device, axes, camera, depth_m, tmp_path):
     if subprocess.run([DEBIAN_PYTHON, "-c", "import mrcal"], capture_output=True).returncode:
         pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
-    options = ExportOptions("mrcal", device, source_axes=axes, raster_camera=camera, depth_m=depth_m)
-    view = view_from_centre(options, "right")
+    options = ExportOptions("mrcal", device, source_axes=axes, source_camera=camera, depth_m=depth_m)
+    view = views_from_centres(options)["right"]
     pixel, points = held_out(view, depth_m or 1e6)
     np.save(tmp_path / "points.npy", points)
     files = [written(view, tmp_path), tmp_path / "points.npy", tmp_path / "pixels.npy"]
@@ -106,7 +106,7 @@ def test_comments_state_the_error_and_the_loss(view, tmp_path):
     comments = [line for line in written(view, tmp_path).read_text().splitlines() if line.startswith("# ")]
     assert "holds for this pupil and for points at this depth only" in comments[0]
     assert "px rms" in comments[1]
-    assert any(line.startswith("# loses: ") and "pupil 2 mm aside" in line for line in comments)
+    assert any(line.startswith("# loses: ") and "pupil displaced by 2 mm" in line for line in comments)
     assert "# eye: right" in comments
 
 

@@ -3,8 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from wlr_render.exports.npz import Npz
-from wlr_render.exports.rays import Rays
+from wlr_render.exports.pixel_maps import Npz, Rays
 from wlr_render.geometry import transforms
 
 PIXEL = np.array([[20.5, 30.5], [90.5, 100.5], [170.5, 20.5], [11.5, 190.5]])
@@ -54,7 +53,9 @@ def test_points_of_an_array_file_appear_at_their_pixels_at_every_depth(camera, v
     assert facts["depth_m"] == "every"
     assert [loss["case"] for loss in facts["loses"]] == [
         "points at any depth, as the file is made for",
-        "pupil 2 mm aside",
+        "red light, 615 nm",
+        "blue light, 464 nm",
+        "pupil displaced by 2 mm",
     ]
     assert error_px(rays[0], facts, chosen) < 0.005
     moved_px = np.linalg.norm(chosen.source.position_in_device - chosen.viewpoint)

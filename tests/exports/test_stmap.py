@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from export_readers import our_warp, smooth_picture
 
-from wlr_render.exports.stmap import StMap
+from wlr_render.exports.pixel_maps import StMap
 from wlr_render.rendering.exr_file import read_exr
 
 
@@ -40,7 +40,7 @@ def test_header_says_what_a_receiver_must_know(view, tmp_path):
     assert camera["tangents"]["left"] == view.source.camera.tangent_min[0]
     cases = {loss["case"]: loss["rms_arcmin"] for loss in json.loads(texts["loses"])}
     assert cases["points 0.5 m deep"] == pytest.approx(1.37, abs=0.02)
-    assert cases["pupil 2 mm aside"] == pytest.approx(30, abs=0.5)
+    assert cases["pupil displaced by 2 mm"] == pytest.approx(30, abs=0.5)
 
 
 def test_panel_pixels_without_a_ray_read_outside_the_picture(holed_view, tmp_path):

@@ -1,3 +1,4 @@
+import hashlib
 import json
 import sys
 from dataclasses import replace
@@ -8,22 +9,25 @@ import cv2
 import numpy as np
 import pytest
 from command_line import refused
+from fitted_eyes import captures
 from small_headsets import LeftHalf
 
+from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.escapes import markdown_text
 from wlr_render.exports import view
 from wlr_render.exports.formats import FORMATS, FormatName
-from wlr_render.extras import MissingExtraError
+from wlr_render.extras import MissingExtraError, install_command
 from wlr_render.finished_files import FinishedFiles
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS
-from wlr_render.jobs.export import _own_hashes, export
+from wlr_render.jobs.export import export, views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
-from wlr_render.jobs.headset import open_eye
+from wlr_render.jobs.headset import open_colours, open_eye
 from wlr_render.jobs.render import render
 from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.models.model_file import EyeModel, save_eye_models
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.ray_map import ray_map
@@ -36,7 +40,7 @@ def exported(form, model, folder, **options):
 def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
     assert tuple(form.name for form in FORMATS) == get_args(FormatName)
     for form in FORMATS:
-        if not form.carries.every_pixel:
+        if not form.holds.every_pixel:
             continue  # takes seconds, and has tests of its own
         report = exported(form.name, straight_device, tmp_path / form.name)
         page = (tmp_path / form.name / "report.md").read_text(encoding="utf-8")
@@ -48,16 +52,19 @@ def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
 def test_page_states_what_the_map_loses(small_northstar, tmp_path):
     report = exported("stmap", small_northstar, tmp_path, depth_m=2.0)
     (table,) = [each for each in report.tables if each.title.startswith("Misalignment")]
-    own, at_half_a_metre, aside = table.rows
+    own, at_half_a_metre, at_infinity, red, blue, aside = table.rows
     assert own[1] == "points 2 m deep, as the file is made for"
     assert own[3] < 0.01
     assert at_half_a_metre[2] == pytest.approx(1.37 * (1 / 0.5 - 1 / 2) / (1 / 0.5), rel=0.03)
+    assert at_infinity[2] == pytest.approx(1.37 * (1 / 2) / (1 / 0.5), rel=0.03)
+    assert [row[1] for row in (red, blue)] == ["red light, 615 nm", "blue light, 464 nm"]
+    assert 0.02 < red[2] < blue[2] < 0.3
     parallax = 60 * np.rad2deg(0.002 / 2.0)  # between a point at infinity, for which it is 30', and one 2 m deep
     assert 30 - parallax < aside[2] < 30
 
 
 def test_check_picture_is_what_opencv_draws_from_the_file(small_northstar, tmp_path):
-    exported("tiff", small_northstar, tmp_path, raster_camera="nearest")
+    exported("tiff", small_northstar, tmp_path, source_camera="nearest")
     source, panel = read_png(tmp_path / "check-source.png"), read_png(tmp_path / "check-panel.png")
     u, v, _ = np.moveaxis(read_map(tmp_path / "right-map.tiff"), -1, 0)
     drawn = cv2.remap(source, u - 0.5, v - 0.5, cv2.INTER_LINEAR)
@@ -96,12 +103,12 @@ def test_a_grid_of_pupils_has_a_map_for_each_pupil_and_eye(straight_device, tmp_
 
 def test_a_trajectory_has_a_map_for_each_frame(small_northstar, tmp_path):
     track = Path("examples/data/eyes.txt").resolve()
-    report = exported("npz", small_northstar, tmp_path, eye_track=track, frames_per_second=2, frame_limit=3)
+    report = exported("npz", small_northstar, tmp_path, eye_track=track, fps=2, frame_limit=3)
     assert sorted(path.name for path in report.files if path.suffix == ".npz") == [
         f"right-00000{index}-rays.npz" for index in range(3)
     ]
     (views,) = [each for each in report.tables if each.title == "Views"]
-    assert [row[1] for row in views.rows] == [0.0, 0.5, 1.0]
+    assert [row[2] for row in views.rows] == [0.0, 0.5, 1.0]
     rays = [np.load(tmp_path / f"right-00000{index}-rays.npz")["rays"] for index in range(3)]
     assert np.abs(rays[0] - rays[2]).max() > 1e-3
 
@@ -127,9 +134,9 @@ def test_a_file_that_was_changed_after_an_export_is_left(straight_device, tmp_pa
     report = exported("stmap", straight_device, tmp_path)
     assert not (tmp_path / "right-map.pfm").exists()
     assert (tmp_path / "right-map.json").read_text(encoding="utf-8") == "mine"
-    assert report.warnings == [
+    assert report.warnings[-1] == (
         f"{tmp_path / 'right-map.json'}: was changed after an earlier export, and is left; remove it."
-    ]
+    )
 
 
 def test_the_frames_of_render_are_no_earlier_export(straight_device, scene_file, tmp_path):
@@ -203,14 +210,14 @@ def test_panel_pixels_without_a_ray_are_counted(straight_device, tmp_path, monke
     half = replace(eye, display=LeftHalf(eye.display))
     monkeypatch.setattr("wlr_render.jobs.headset.open_eye", lambda spec, name: half)
     report = exported("stmap", straight_device, tmp_path)
-    assert report.warnings == ["right: 1152 of 2304 panel pixels have no ray."]
+    assert report.warnings[-1] == "right: 50.000% of the panel pixels have no ray."
 
 
 def test_positions_beside_the_source_picture_are_counted(straight_device, tmp_path, monkeypatch):
     narrow = Pinhole(64, 36, np.array([-0.01, -1.0]), np.array([1.0, 1.0]))
     monkeypatch.setattr("wlr_render.jobs.export.intermediate_camera", lambda *_: narrow)
-    (warning,) = exported("stmap", straight_device, tmp_path).warnings
-    assert warning.endswith("of 2304 panel pixels lead past the picture.")
+    warning = exported("stmap", straight_device, tmp_path).warnings[-1]
+    assert warning.endswith("% of the panel pixels lie outside the source picture.")
 
 
 def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
@@ -223,11 +230,14 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"frames_per_second": 10.0}, "--fps is used with --eye-track only"),
+        ({"fps": 30.0}, "--fps is used with --eye-track only"),
         ({"format": "rays", "depth_m": 1.0}, "--depth-m has no use with rays"),
         ({"viewpoint_mm": (32.0, 0.0, -30.0), "pupils": 3}, "--viewpoint-mm and --pupils exclude each other"),
         ({"pupils": 3, "eye_track": Path("eyes.txt")}, "--pupils and --eye-track exclude each other"),
-        ({"viewpoint_mm": (0.0, 0.0, 0.0), "eye": "both"}, "--viewpoint-mm is of one eye"),
+        ({"viewpoint_mm": (0.0, 0.0, 0.0), "eye": "both"}, "--viewpoint-mm has 3 numbers; give 6: x y z of the left"),
+        ({"viewpoint_mm": (0.0, 0.0)}, "--viewpoint-mm has 2 numbers; give 3: x y z of the right eye"),
+        ({"format": "monado"}, "monado holds both eyes in one file; give --eye both"),
+        ({"format": "monado", "eye": "both", "source_axes": "field"}, "leave out --source-axes"),
         ({"frame_limit": 3}, "--frames is used with --eye-track only"),
         ({"red_model": Path("red.json")}, "--red-model and --blue-model go together"),
         ({"source_size": (100, 100), "resolution": 2.0}, "--resolution has no use with --source-size"),
@@ -239,7 +249,7 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
 )
 def test_what_does_not_go_together_is_refused(options, words):
     with pytest.raises(BadInputError, match=r"^[^\n]*$") as refusal:
-        ExportOptions(**{"format": "stmap", "model": "northstar", **options})
+        ExportOptions(**{"format": "stmap", "headset": "northstar", **options})
     assert words in str(refusal.value)
 
 
@@ -259,15 +269,62 @@ def test_the_command_line_takes_a_pupil_position(small_northstar, tmp_path, caps
 def test_without_openexr_one_sentence_says_how_to_install_it(small_northstar, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     sentence = refused(["export", "stmap", small_northstar, "--out", str(tmp_path / "out")], capsys)
-    assert "pip install 'wlr_render[exr]'" in sentence
+    assert install_command("exr") in sentence
     assert not list(tmp_path.rglob("*.exr"))
 
 
-def test_models_of_one_name_keep_their_own_hashes(tmp_path):
-    files = [tmp_path / colour / "model.json" for colour in ("green", "red", "blue")]
-    for file in files:
-        file.parent.mkdir()
-        file.touch()
-    options = ExportOptions("stmap", str(files[0]), red_model=files[1], blue_model=files[2])
-    hashes = _own_hashes(options, {str(file): file.parent.name for file in files})
-    assert hashes == {f"{colour}/model.json": colour for colour in ("green", "red", "blue")}
+def test_models_of_one_name_keep_their_own_hashes(straight_device, tmp_path):
+    """Even in folders of one name."""
+    files = [tmp_path / colour / "fit" / "model.json" for colour in ("green", "red", "blue")]
+    for number, file in enumerate(files):
+        file.parent.mkdir(parents=True)
+        fitted = fit_eye(captures(straight_device), "planar", 2 + number, 2).mappings
+        save_eye_models(file, [EyeModel(fitted, "no_optics")])
+    options = ExportOptions("npz", str(files[0]), red_model=files[1], blue_model=files[2])
+    sha256 = views_from_centres(options)["right"].origin.sha256
+    contents = dict(zip(("green", "red", "blue"), (file.read_bytes() for file in files), strict=True))
+    assert sha256 == {f"{name}: model.json": hashlib.sha256(text).hexdigest() for name, text in contents.items()}
+
+
+def test_pixels_that_one_colour_lacks_are_counted(prism_of_plastic, tmp_path, monkeypatch):
+    red, green, blue = open_colours(prism_of_plastic)
+    channels = replace(red, display=LeftHalf(red.display)), green, blue
+    monkeypatch.setattr("wlr_render.jobs.export.open_channels", lambda *_: {"right": channels})
+    report = exported("stmap", prism_of_plastic, tmp_path, per_colour=True, pupils=2)
+    assert report.warnings[-1].startswith("right-row0-column0-red: 50.")
+    assert report.warnings[-1].endswith("% of the panel pixels have no ray. It is the worst of 4 such maps.")
+
+
+@pytest.mark.parametrize(
+    ("form", "options", "words"),
+    [
+        ("stmap", [], ["no moving pupil", "one depth", "One map, made in light of 550 nm, serves all colours"]),
+        ("rays", ["--per-colour"], ["no moving pupil"]),
+        ("ffmpeg", [], ["up to half a pixel off"]),
+        ("monado", ["--eye", "both"], ["no asymmetric field of view", "between which its reader interpolates"]),
+    ],
+)
+def test_what_a_format_loses_is_in_the_file_on_the_page_and_on_the_terminal(form, options, words, tmp_path, capsys):
+    assert main(["export", form, "northstar", *options, "--out", str(tmp_path)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    page = (tmp_path / "report.md").read_text(encoding="utf-8")
+    held = next(path for path in sorted(tmp_path.glob("[!r]*.json")) + sorted(tmp_path.glob("right*.[ej]*")))
+    if held.suffix == ".exr":
+        stated = json.loads(read_exr(held)[1]["does_not_hold"])
+    else:
+        content = json.loads(held.read_text(encoding="utf-8"))
+        stated = content.get("about", {"left": content})["left"]["does_not_hold"]
+    for sentence in stated:
+        assert sentence in shown
+        assert markdown_text(sentence) in page
+    for each in words:
+        assert any(each in sentence for sentence in stated)
+
+
+def test_both_eyes_have_pupils_of_their_own(straight_device, tmp_path):
+    box = {eye: open_eye(straight_device, eye).eye_box for eye in ("left", "right")}
+    chosen = np.concatenate([box["left"].at([0.5, 0, 0]), box["right"].at([0, -0.5, 0])])
+    exported("npz", straight_device, tmp_path, eye="both", viewpoint_mm=tuple(1e3 * chosen))
+    for eye, expected in zip(("left", "right"), np.split(chosen, 2), strict=True):
+        facts = json.loads(str(np.load(tmp_path / f"{eye}-rays.npz")["facts"]))
+        assert facts["viewpoint_in_device_m"] == pytest.approx(expected)

@@ -1,4 +1,4 @@
-"""What a receiver must know about a map: from which headset, eye and pupil, for which camera, and what it loses."""
+"""Facts about a map for its receiver: headset, eye, pupil, source camera, convention, and losses."""
 
 import json
 import math
@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.exports.format import Carries, Format
-from wlr_render.exports.view import ExportedView
+from wlr_render.exports.format import Capabilities, Format
+from wlr_render.exports.view import ALL_COLOURS, ExportedView
 from wlr_render.files import write_text
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.arrays import FloatArray
@@ -33,8 +33,8 @@ class Loss:
     max_arcmin: float | None
 
 
-def losses(view: ExportedView, carries: Carries, colour: str) -> list[Loss]:
-    """What the numbers of a view lose in one colour, as it was made for, at `JUDGED_DEPTH_M`, and with another pupil.
+def losses(view: ExportedView, holds: Capabilities, colour: str) -> list[Loss]:
+    """Misalignment of a view in one colour: as it was made for, at other depths, in other light, with another pupil.
 
     The first one is left out where the format approximates between panel pixels: its page has the tolerance.
 
@@ -47,19 +47,49 @@ def losses(view: ExportedView, carries: Carries, colour: str) -> list[Loss]:
     due = np.moveaxis(view.rays_at(colour, pixel), -1, 0)
     column, row = np.floor(pixel).astype(int).T
     shown = view.tangents(view.slope_offset(colour)[:, row, column].astype(np.float64))
-    if not carries.between_pixels:
+    if not holds.between_pixels:
         camera = view.source.camera
         shown = camera.tangents_of_pixel(np.floor(camera.pixel_of_tangents(shown)) + 0.5)
     found = []
-    if carries.every_pixel:
-        points = "points at any depth" if carries.every_depth else f"points {depth_words(view.depth_m)}"
+    if holds.every_pixel:
+        points = "points at any depth" if holds.every_depth else f"points {depth_words(view.depth_m)}"
         found.append(_loss(f"{points}, as the file is made for", [_arcmin(view, shown, due)]))
-    if not carries.every_depth:
-        found.append(_loss(f"points {depth_words(JUDGED_DEPTH_M)}", [_arcmin(view, shown, due, JUDGED_DEPTH_M)]))
+    if not holds.every_depth:
+        for depth_m in (JUDGED_DEPTH_M, math.inf):
+            if depth_m != view.depth_m:
+                found.append(_loss(f"points {depth_words(depth_m)}", [_arcmin(view, shown, due, depth_m)]))
+    for light, other in view.other_light.items():
+        rays = view.rays_of(other, pixel, view.viewpoint)
+        found.append(_loss(light, [_arcmin(view, shown, np.moveaxis(rays, -1, 0))]))
     steps = PUPIL_SHIFT_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     moved = [view.viewpoint + step for step in steps if mappings.eye_box.contains(view.viewpoint + step)]
     errors = [_arcmin(view, shown, np.moveaxis(view.rays_at(colour, pixel, pupil), -1, 0)) for pupil in moved]
-    return [*found, _loss(f"pupil {1e3 * PUPIL_SHIFT_M:g} mm aside", errors)]
+    return [*found, _loss(f"pupil displaced by {1e3 * PUPIL_SHIFT_M:g} mm", errors)]
+
+
+def not_held(view: ExportedView, form: Format) -> list[str]:
+    """What the files of a format lose of what the headset does, a sentence each."""
+    holds, name = form.holds, form.name
+    lost = [f"{name} holds no moving pupil: a map is right for its own pupil position alone."]
+    if not holds.every_depth:
+        lost.append(
+            f"{name} holds one depth from the source camera, for all of the picture; the format rays holds all."
+        )
+    if view.colours == (ALL_COLOURS,):
+        (light,) = view.origin.wavelength_nm.values() or ("the light that the model was fitted in",)
+        made_in = f"light of {light:.0f} nm" if isinstance(light, float) else light
+        remedy = "--per-colour makes one for each" if holds.colours else f"{name} has no more"
+        lost.append(f"One map, made in {made_in}, serves all colours; {remedy}.")
+    if not holds.asymmetric_field:
+        lost.append(
+            f"{name} holds no asymmetric field of view and no turned camera: the source pictures of both eyes reach as "
+            "far to the left as to the right, and up as down, in the device's axes; the rest of them is not used."
+        )
+    if not holds.between_pixels:
+        lost.append(f"{name} holds whole pixels of the source picture: up to half a pixel off.")
+    if not holds.every_pixel:
+        lost.append(f"{name} holds some points of the panel, between which its reader interpolates.")
+    return lost
 
 
 def _pixel_centres(size_px: tuple[int, int]) -> FloatArray:
@@ -98,10 +128,11 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
         "sha256": dict(view.origin.sha256),
         "eye": view.eye,
         "colour": colour,
+        "wavelength_nm": _wavelength(view, colour),
         "frame": "openxr",
         "viewpoint_in_device_m": view.viewpoint.tolist(),
         **({"time_s": view.time_s} if view.time_s is not None else {}),
-        "depth_m": "every" if form.carries.every_depth else _depth_number(view.depth_m),
+        "depth_m": "every" if form.holds.every_depth else _depth_number(view.depth_m),
         "panel_size_px": list(view.panel_size_px),
         "source_camera": {
             "size_px": list(camera.size_px),
@@ -110,8 +141,14 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
             "device_from_camera": view.source.device_from_camera.tolist(),
         },
         "convention": list(form.convention),
-        "loses": [asdict(loss) for loss in losses(view, form.carries, judged)],
+        "does_not_hold": not_held(view, form),
+        "loses": [asdict(loss) for loss in losses(view, form.holds, judged)],
     }
+
+
+def _wavelength(view: ExportedView, colour: str) -> float | dict[str, float] | str:
+    known = view.origin.wavelength_nm
+    return known.get(colour, dict(known)) if known else "as the models were fitted"
 
 
 def _borders(view: ExportedView) -> tuple[list[float], list[float]]:

@@ -1,5 +1,6 @@
-"""The protocol of a file format of `export`."""
+"""The protocol of a file format of `export`, and the base of formats with files for each colour."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,8 +10,8 @@ from wlr_render.exports.view import ExportedView
 
 
 @dataclass(frozen=True)
-class Carries:
-    """What a format holds; the rest of what a user asks for is refused, or named on the page beside the files.
+class Capabilities:
+    """What a format holds; the rest of what a user asks for is refused, or named in the files and on the terminal.
 
     Attributes:
         every_depth: rays, so that a reader who knows the depth of a point finds its place in the picture.
@@ -20,6 +21,8 @@ class Carries:
             turned camera for each eye.
         between_pixels: positions between the pixels of the source picture.
         every_pixel: a position or ray for each panel pixel, not an approximation between some.
+        both_eyes: one file of both eyes, which cannot be without one of them.
+        is_exr: OpenEXR files, which an extra writes.
     """
 
     every_depth: bool = False
@@ -28,15 +31,17 @@ class Carries:
     asymmetric_field: bool = True
     between_pixels: bool = True
     every_pixel: bool = True
+    both_eyes: bool = False
+    is_exr: bool = False
 
 
 class Format(Protocol):
-    """A file format: one module of this package implements it, and `formats.FORMATS` lists it.
+    """A file format, listed in `formats.FORMATS`.
 
     Attributes:
         name: of the format on the command line.
         title: what it is, and for whom, in one line.
-        carries: what it holds.
+        holds: its capabilities.
         convention: what the numbers of a file mean, a sentence each; also in every file or beside it.
         use: how a reader uses the files in the program that they are for, a step each.
     """
@@ -48,7 +53,7 @@ class Format(Protocol):
     def title(self) -> str: ...  # noqa: D102
 
     @property
-    def carries(self) -> Carries: ...  # noqa: D102
+    def holds(self) -> Capabilities: ...  # noqa: D102
 
     @property
     def convention(self) -> Sequence[str]: ...  # noqa: D102
@@ -68,3 +73,27 @@ class Format(Protocol):
             BadInputError: the format does not hold a view, or a file cannot be written.
             MissingExtraError: a library that the format needs is not installed.
         """
+
+
+class FormatByColour(ABC):
+    """Base of formats that have files for each view and colour.
+
+    Attributes:
+        endings: of the names of these files, behind the view and the colour.
+    """
+
+    endings: tuple[str, ...]
+
+    def files(self, view: ExportedView) -> list[str]:
+        """The files of one colour after the other."""
+        return [stem + ending for stem in view.stems for ending in self.endings]
+
+    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
+        """Write the files of all views; see `Format`."""
+        for view in views:
+            for colour, stem in zip(view.colours, view.stems, strict=True):
+                yield from self._write(view, colour, [folder / (stem + ending) for ending in self.endings])
+
+    @abstractmethod
+    def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterable[Path]:
+        """Write the files of one colour, one for each ending; returns or yields their paths."""

@@ -2,15 +2,11 @@
 
 from typing import Literal
 
-from wlr_render.exports.ffmpeg import Ffmpeg
-from wlr_render.exports.float_maps import FloatMap
 from wlr_render.exports.format import Format
 from wlr_render.exports.mesh import GltfMesh
 from wlr_render.exports.monado import Monado
 from wlr_render.exports.mrcal import Mrcal
-from wlr_render.exports.npz import Npz
-from wlr_render.exports.rays import Rays
-from wlr_render.exports.stmap import StMap
+from wlr_render.exports.pixel_maps import Ffmpeg, FloatMap, Npz, Rays, StMap
 
 FormatName = Literal["stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh", "monado", "mrcal"]
 _FLOAT_MAPS = FloatMap("pfm"), FloatMap("tiff")

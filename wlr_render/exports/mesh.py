@@ -13,8 +13,8 @@ from wlr_render.compositing.warp_mesh import mesh_grid, mesh_triangles
 from wlr_render.errors import BadInputError
 from wlr_render.exports.check_pictures import CHECK_SOURCE
 from wlr_render.exports.facts import facts
-from wlr_render.exports.format import Carries
-from wlr_render.exports.view import ALL_COLOURS, ExportedView, has_ray
+from wlr_render.exports.format import Capabilities
+from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.rendering.warp_grid import WarpGrid
 
@@ -33,7 +33,7 @@ class GltfMesh:
 
     name = "mesh"
     title = "mesh with texture coordinates (glTF 2.0) for engines"
-    carries = Carries(every_pixel=False)
+    holds = Capabilities(every_pixel=False)
     convention = (
         "POSITION: x from -1 on the panel's left edge to 1 on its right edge, y from -1 on the bottom edge to 1 on the "
         "top edge, z = 0: the clip coordinates of a picture that fills the panel.",
@@ -57,13 +57,12 @@ class GltfMesh:
         return [f"{view.stem}-mesh.gltf"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write a file for each view, with all its colours."""
+        """Write a file for each view; see `Format`."""
         grids: dict[str, WarpGrid] = {}  # by eye: one serves all of the eye box
         for view in views:
             if view.eye not in grids:
                 grids[view.eye] = _grid(view)
-            (name,) = self.files(view)
-            yield write_text(folder / name, json.dumps(self._gltf(view, grids[view.eye])) + "\n")
+            yield write_text(folder / self.files(view)[0], json.dumps(self._gltf(view, grids[view.eye])) + "\n")
 
     def _gltf(self, view: ExportedView, grid: WarpGrid) -> dict[str, Any]:
         camera, pixel = view.source.camera, grid.panel_pixel()
@@ -83,8 +82,7 @@ class GltfMesh:
         attributes = {"POSITION": position.reshape(-1, 3)}
         for number, each in enumerate(source):
             attributes[f"TEXCOORD_{number}"] = np.nan_to_num(each.reshape(-1, 2), nan=0.0)
-        names = ALL_COLOURS if len(view.colours) == 1 else ", ".join(view.colours)
-        return _gltf_of_mesh(attributes, triangles, facts(view, names, self))
+        return _gltf_of_mesh(attributes, triangles, facts(view, view.all_colours, self))
 
 
 def _grid(view: ExportedView) -> WarpGrid:

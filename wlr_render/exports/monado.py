@@ -9,7 +9,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.facts import facts
-from wlr_render.exports.format import Carries
+from wlr_render.exports.format import Capabilities
 from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
@@ -29,7 +29,7 @@ class Monado:
 
     name = "monado"
     title = "distortion of Monado's North Star driver (JSON, meshgrid version 2)"
-    carries = Carries(colours=False, pupils=False, asymmetric_field=False, every_pixel=False)
+    holds = Capabilities(colours=False, pupils=False, asymmetric_field=False, every_pixel=False, both_eyes=True)
     convention = (
         f"left and right: a grid of {_POINTS} x {_POINTS} points over the panel from edge to edge, rows from the top; "
         "linear between points.",
@@ -54,15 +54,9 @@ class Monado:
         """Write one file of both eyes.
 
         Raises:
-            BadInputError: not both eyes, another panel than the driver's, or points of the grid that have no ray.
+            BadInputError: another panel than the driver's, or points of the grid that have no ray.
         """
         by_eye = {view.eye: view for view in views}
-        if set(by_eye) != set(_EYES):
-            (only,) = by_eye
-            raise BadInputError(
-                f"monado: its file needs both eyes, and this export has the {only} eye; give --eye both with a headset "
-                "that has two."
-            )
         places = np.stack([by_eye[eye].source.position_in_device for eye in _EYES])
         grids = {eye: _tangents(by_eye[eye]) for eye in _EYES}
         about = {eye: self._about(by_eye[eye], grids[eye], places) for eye in _EYES}

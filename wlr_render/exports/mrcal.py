@@ -1,6 +1,6 @@
 """mrcal's camera model with splines: the panel as the picture of a camera at the pupil, for photogrammetry."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.facts import facts, header_texts
-from wlr_render.exports.format import Carries
+from wlr_render.exports.format import Capabilities, FormatByColour
 from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.geometry import transforms
@@ -33,12 +33,13 @@ _CENTRE_SHIFT = 0.5
 _WIDEST_DEG = 300
 
 
-class Mrcal:
+class Mrcal(FormatByColour):
     """The format `mrcal`."""
 
     name = "mrcal"
     title = "camera model with splines (.cameramodel) for mrcal"
-    carries = Carries(every_pixel=False)
+    holds = Capabilities(every_pixel=False)
+    endings = (".cameramodel",)
     convention = (
         "The model projects a direction, seen from the source camera's position, to the panel pixel that shows it: "
         "LENSMODEL_SPLINED_STEREOGRAPHIC.",
@@ -50,23 +51,18 @@ class Mrcal:
     use = (
         "Python: model = mrcal.cameramodel(FILE); mrcal.project(directions, *model.intrinsics()) gives panel pixels, "
         "mrcal.unproject the directions of pixels.",
-        "mrcal-show-distortion-off-pinhole, mrcal-reproject-image and mrcal's other programs take the file as it is.",
+        "As a warp: mrcal.unproject(pixels, *model.intrinsics()) gives the direction (x, y, z) of each panel pixel; "
+        "the source picture is read at the tangents x / z to the right and y / z downwards.",
     )
 
-    def files(self, view: ExportedView) -> list[str]:
-        """A file for each colour."""
-        return view.file_names(".cameramodel")
-
-    def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write a file for each view and colour.
+    def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterator[Path]:
+        """Write a model.
 
         Raises:
             BadInputError: no rays, or pixels that are no continuous function of the direction.
         """
-        for view in views:
-            for colour, name in zip(view.colours, self.files(view), strict=True):
-                texts = header_texts(facts(view, colour, self))
-                yield write_text(folder / name, _cameramodel(view, _fitted_camera(view, colour), texts))
+        texts = header_texts(facts(view, colour, self))
+        yield write_text(paths[0], _cameramodel(view, _fitted_camera(view, colour), texts))
 
 
 @dataclass(frozen=True, eq=False)

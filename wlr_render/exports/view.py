@@ -1,9 +1,9 @@
-"""What every format writes: the rays of one panel as one pupil sees it, and the camera of its source picture."""
+"""The view that every format writes: rays of one panel as one pupil sees it, and the camera of the source picture."""
 
 import functools
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,10 +23,12 @@ class Origin:
     Attributes:
         name: device name, and how its mappings were made.
         sha256: of each file that was read, by its name.
+        wavelength_nm: of the light that the maps are traced in, by colour; empty for fitted models.
     """
 
     name: str
     sha256: Mapping[str, str]
+    wavelength_nm: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,9 @@ class ExportedView:
         viewpoint: (3,) centre of the entrance pupil in the device frame, metres.
         depth_m: depth from the camera for which positions in the picture are right; infinite by default.
         time_s: time stamp of a trajectory.
+        place_of: position (3,) of the camera in the device as a function of the viewpoint.
+        other_light: mappings of the light that one map serves too, by its name; empty where that is not known, or each
+            colour has a map.
     """
 
     origin: Origin
@@ -54,6 +59,13 @@ class ExportedView:
     viewpoint: FloatArray
     depth_m: float = math.inf
     time_s: float | None = None
+    place_of: Callable[[FloatArray], FloatArray] = np.array
+    other_light: Mapping[str, EyeMappings] = field(default_factory=dict)
+
+    def moved_to(self, viewpoint: FloatArray, stem: str, time_s: float | None) -> "ExportedView":
+        """The view of another pupil position, with its camera."""
+        source = replace(self.source, position_in_device=self.place_of(viewpoint))
+        return replace(self, stem=stem, viewpoint=viewpoint, source=source, time_s=time_s)
 
     @property
     def eye(self) -> str:
@@ -72,6 +84,11 @@ class ExportedView:
         return COLOURS if len(self.channels) > 1 else (ALL_COLOURS,)
 
     @property
+    def all_colours(self) -> str:
+        """Name of a file that has the maps of all colours."""
+        return ", ".join(self.colours)
+
+    @property
     def middle_colour(self) -> str:
         """Name of the map in the middle of the spectrum."""
         return middle_channel(self.colours)
@@ -80,10 +97,10 @@ class ExportedView:
         """Mappings of one colour."""
         return self.channels[self.colours.index(colour)]
 
-    def file_names(self, *endings: str) -> list[str]:
-        """Names of the files of each colour, which have these endings."""
-        stems = [self.stem if colour == ALL_COLOURS else f"{self.stem}-{colour}" for colour in self.colours]
-        return [stem + ending for stem in stems for ending in endings]
+    @property
+    def stems(self) -> tuple[str, ...]:
+        """Start of the names of the files of each colour."""
+        return tuple(self.stem if colour == ALL_COLOURS else f"{self.stem}-{colour}" for colour in self.colours)
 
     def slope_offset(self, colour: str) -> Float32Array:
         """Rays (a, b, c, d) of all panel pixels, (4, height, width) float32; NaN where a pixel has no ray.
@@ -106,9 +123,12 @@ class ExportedView:
             pixel: anywhere on the panel, (0, 0) the outer corner of the top left pixel.
             viewpoint: (3,) of another pupil; the camera stays.
         """
-        pupil = self.viewpoint if viewpoint is None else viewpoint
-        solved = solve_pixels(self.mappings(colour), self.source.device_from_camera, pixel, pupil)
-        return np.moveaxis(self._at_camera(solved.slope_offset, pupil), 0, -1)
+        return self.rays_of(self.mappings(colour), pixel, self.viewpoint if viewpoint is None else viewpoint)
+
+    def rays_of(self, mappings: EyeMappings, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+        """The same of other mappings of this eye."""
+        solved = solve_pixels(mappings, self.source.device_from_camera, pixel, viewpoint)
+        return np.moveaxis(self._at_camera(solved.slope_offset, viewpoint), 0, -1)
 
     def tangents(self, rays: FloatArray, depth_m: float | None = None) -> FloatArray:
         """Tangents (..., 2) of the points of rays (4, ...) at a depth, by default `depth_m`, seen from the camera."""

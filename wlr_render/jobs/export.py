@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +10,9 @@ import numpy as np
 
 from wlr_render import __version__
 from wlr_render.exports.check_pictures import write_check
+from wlr_render.exports.facts import not_held
 from wlr_render.exports.formats import format_of
-from wlr_render.exports.view import ExportedView, Origin, has_ray, ray_map_plans
+from wlr_render.exports.view import ALL_COLOURS, ExportedView, Origin, has_ray, ray_map_plans
 from wlr_render.files import output_folder
 from wlr_render.finished_files import LIST, FinishedFiles, digest_of
 from wlr_render.geometry.pinhole import Pinhole
@@ -19,12 +20,21 @@ from wlr_render.input_files import hashes_of_inputs
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.export_page import export_page
 from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_frames
-from wlr_render.jobs.headset import headset_path, open_channels, require_in_eye_box
+from wlr_render.jobs.headset import (
+    PRIMARIES_UM,
+    headset_path,
+    is_model,
+    open_channels,
+    open_colours,
+    require_in_eye_box,
+)
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eye, ProgressArgument, eyes_of
-from wlr_render.mappings import EyeChannels, EyeMappings, middle_channel
+from wlr_render.jobs.options import ProgressArgument, eyes_of
+from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.traced_mappings import DEFAULT_WAVELENGTH_UM
 from wlr_render.progress import SILENT
+from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.raster_camera import RasterPosition, intermediate_camera
 from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.rendering.view import View
@@ -35,7 +45,8 @@ from wlr_render.tracking.trajectory import EyeTrajectory
 
 _KIND = "export "
 """Start of the digests of exports, in the list of finished files."""
-_WITHOUT_EFFECT = ("out", "model", "red_model", "blue_model", "eye_track")
+_NO_RAY, _OUTSIDE = "have no ray", "lie outside the source picture"
+_WITHOUT_EFFECT = ("out", "headset", "red_model", "blue_model", "eye_track")
 
 
 @job
@@ -47,10 +58,12 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
         MissingExtraError: a library that the format needs is not installed.
     """
     form = format_of(options.format)
+    if form.holds.is_exr:
+        require_exr(f"The format {form.name}")
     with hashes_of_inputs() as inputs:
         channels = _open_channels(options)
         track = read_eye_trajectory(options.eye_track) if options.eye_track else None
-    views, warnings = _planned(options, channels, track, _own_hashes(options, inputs))
+    views, warnings = _planned(options, channels, track, inputs)
     folder = output_folder(options.out)
     finished = FinishedFiles(
         folder, _KIND + digest_of(_stated(options), list(inputs.values()), __version__), kind=_KIND
@@ -63,13 +76,18 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
         finished.add([path], "\n".join(lost))
         lost.clear()
     maps = [folder / name for name in dict.fromkeys(name for view in views for name in form.files(view))]
-    check = write_check(folder, views[0], form.carries)
+    check = write_check(folder, views[0], form.holds)
     finished.add(check)
-    warnings += [sentence for path in maps for sentence in finished.remark(path).splitlines()]
-    warnings += [
-        f"{path}: was changed after an earlier export, and is left; remove it." for path in finished.remove_replaced()
+    warnings = [
+        *not_held(views[0], form),
+        *warnings,
+        *_lost_pixels([line for path in maps for line in finished.remark(path).splitlines()]),
+        *(
+            f"{path}: was changed after an earlier export, and is left; remove it."
+            for path in finished.remove_replaced()
+        ),
     ]
-    read = [*_headset_files(options), *filter(None, [options.eye_track])]
+    read = [*_headset_files(options).values(), *filter(None, [options.eye_track])]
     page = export_page(options, form, views, [*maps, *check, folder / LIST], read, len(views) - len(missing))
     return save_report(replace(page, warnings=warnings), folder)
 
@@ -82,112 +100,130 @@ def _stated(options: ExportOptions) -> dict[str, str]:
 def _solved(
     shown: Iterable[ExportedView], first_of_eye: Mapping[str, ExportedView], lost: list[str]
 ) -> Iterator[ExportedView]:
-    """Views to write; appends a sentence to `lost` for panel pixels that a map serves nothing.
+    """Views to write; appends a line to `lost` for each map that serves some panel pixels nothing.
 
     The page needs the maps of the first view of each eye. The others are copied, so that their maps go with the copy.
     """
     for planned in shown:
         view = planned if planned is first_of_eye[planned.eye] else replace(planned)
-        position = view.source_px(view.middle_colour)
-        is_solved, is_inside = has_ray(position), view.source.camera.contains(position)
-        for count, what in (
-            (np.sum(~is_solved), "have no ray"),
-            (np.sum(is_solved & ~is_inside), "lead past the picture"),
-        ):
-            if count:
-                lost.append(f"{view.stem}: {count} of {is_solved.size} panel pixels {what}.")
+        for colour, stem in zip(view.colours, view.stems, strict=True):
+            position = view.source_px(colour)
+            is_solved, is_inside = has_ray(position), view.source.camera.contains(position)
+            for kind, lacks in ((_NO_RAY, ~is_solved), (_OUTSIDE, is_solved & ~is_inside)):
+                if lacks.any():
+                    lost.append(f"{stem} {lacks.mean():.3%} {kind}")
         yield view
+
+
+def _lost_pixels(lines: Sequence[str]) -> list[str]:
+    """A sentence for each kind of line that `_solved` has made: of the only map, or of how many and of the worst."""
+    found = []
+    for kind in (_NO_RAY, _OUTSIDE):
+        own = [line.split(" ", 2)[:2] for line in lines if line.endswith(kind)]
+        if own:
+            stem, share = max(own, key=lambda each: float(each[1].rstrip("%")))
+            others = f" It is the worst of {len(own)} such maps." if len(own) > 1 else ""
+            found.append(f"{stem}: {share} of the panel pixels {kind}.{others}")
+    return found
 
 
 def _open_channels(options: ExportOptions) -> dict[str, EyeChannels]:
     eyes, colours = eyes_of(options.eye), (options.red_model, options.blue_model)
-    return open_channels(options.model, eyes, options.has_colours, *colours)
+    return open_channels(options.headset, eyes, options.has_colours, *colours)
 
 
-def _headset_files(options: ExportOptions) -> list[Path]:
-    return [headset_path(options.model), *filter(None, (options.red_model, options.blue_model))]
+def _headset_files(options: ExportOptions) -> dict[str, Path]:
+    """Files of the headset by the names that the facts give them: those of three models with their colours."""
+    middle = headset_path(options.headset)
+    if options.red_model is None or options.blue_model is None:
+        return {middle.name: middle}
+    paths = dict(zip(COLOURS, (options.red_model, middle, options.blue_model), strict=True))
+    return {f"{colour}: {path.name}": path for colour, path in paths.items()}
 
 
 def _planned(
-    options: ExportOptions, channels: dict[str, EyeChannels], track: EyeTrajectory | None, sha256: dict[str, str]
+    options: ExportOptions, channels: dict[str, EyeChannels], track: EyeTrajectory | None, inputs: Mapping[str, str]
 ) -> tuple[list[ExportedView], list[str]]:
     """All views, and warnings about the trajectory."""
     views: list[ExportedView] = []
     greens = {eye: middle_channel(each) for eye, each in channels.items()}
     planned = planned_frames(options, greens, None, track) if track else []
-    for eye, first in _views_from_centres(options, channels, sha256).items():
-        place_of = _source_place(options, greens[eye], first.source.device_from_camera)
+    for eye, first in views_from_centres(options, channels, inputs).items():
         pupils: list[tuple[str, FloatArray, float | None]]
         if track:
             pupils = [(frame.stem, frame.viewpoint, frame.time_s) for frame in planned if frame.eye == eye]
         else:
             pupils = [(stem, pupil, None) for stem, pupil in _still_pupils(options, greens[eye])]
-        for stem, pupil, time_s in pupils:
-            source = replace(first.source, position_in_device=place_of(pupil))
-            views.append(replace(first, stem=stem, viewpoint=pupil, source=source, time_s=time_s))
+        views += [first.moved_to(pupil, stem, time_s) for stem, pupil, time_s in pupils]
     if track is None:
         return views, []
     return views, [*gap_warnings(options, None, track), *held_warnings(options, planned)]
 
 
-def view_from_centre(options: ExportOptions, eye: Eye) -> ExportedView:
-    """The view of one eye from the centre of its eye box, without writing anything: for scripts.
-
-    Raises:
-        BadInputError: faulty files, or an eye that the headset does not have.
-    """
-    return views_from_centres(replace(options, eye=eye))[eye]
-
-
-def views_from_centres(options: ExportOptions) -> dict[str, ExportedView]:
-    """The same of all eyes of the options.
-
-    Raises:
-        BadInputError: faulty files, or an eye that the headset does not have.
-    """
-    with hashes_of_inputs() as inputs:
-        channels = _open_channels(options)
-    return _views_from_centres(options, channels, _own_hashes(options, inputs))
-
-
-def _views_from_centres(
-    options: ExportOptions, channels: dict[str, EyeChannels], sha256: dict[str, str]
+def views_from_centres(
+    options: ExportOptions, channels: dict[str, EyeChannels] | None = None, inputs: Mapping[str, str] | None = None
 ) -> dict[str, ExportedView]:
-    views = {eye: _view_from_centre(options, of_eye, sha256) for eye, of_eye in channels.items()}
-    has_own_cameras = format_of(options.format).carries.asymmetric_field
+    """The view of each eye from the centre of its eye box, without writing anything: for scripts.
+
+    Args:
+        options: of the export.
+        channels, inputs: mappings of each eye, and hashes of the files that they were read from by path; read if not
+            given.
+
+    Raises:
+        BadInputError: faulty files, or an eye that the headset does not have.
+    """
+    if channels is None or inputs is None:
+        with hashes_of_inputs() as inputs:
+            channels = _open_channels(options)
+    files = _headset_files(options)
+    sha256 = {name: inputs[str(path)] for name, path in files.items() if str(path) in inputs}
+    origin = Origin(next(iter(channels.values()))[0].name, sha256, _wavelengths(options, channels))
+    views = {eye: _view_from_centre(options, of_eye, origin) for eye, of_eye in channels.items()}
+    has_own_cameras = format_of(options.format).holds.asymmetric_field
     return views if has_own_cameras else _with_symmetric_camera(options, views)
 
 
-def _own_hashes(options: ExportOptions, inputs: dict[str, str]) -> dict[str, str]:
-    """SHA-256 of the headset's files by their names; files of one name have that of their folder before it."""
-    files = _headset_files(options)
-    names = [path.name for path in files]
-    return {
-        path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}": inputs[str(path)]
-        for path in files
-        if str(path) in inputs
-    }
+def _wavelengths(options: ExportOptions, channels: dict[str, EyeChannels]) -> dict[str, float]:
+    """Wavelength in nanometres of each map of a device; empty for fitted models."""
+    if is_model(options.headset):
+        return {}
+    if options.has_colours:
+        return {colour: 1e3 * um for colour, um in zip(COLOURS, PRIMARIES_UM, strict=True)}
+    return {ALL_COLOURS: 1e3 * DEFAULT_WAVELENGTH_UM}
 
 
-def _view_from_centre(options: ExportOptions, channels: EyeChannels, sha256: dict[str, str]) -> ExportedView:
+def _view_from_centre(options: ExportOptions, channels: EyeChannels, origin: Origin) -> ExportedView:
     """A view from the centre of the eye box, with the camera that serves all of the box."""
     middle = middle_channel(channels)
     panel, centre = middle.display.panel, middle.eye_box.centre
-    is_turned = options.source_axes == "field" and format_of(options.format).carries.asymmetric_field
+    is_turned = options.source_axes != "device" and format_of(options.format).holds.asymmetric_field
     axes = middle_axes(middle) if is_turned else np.eye(3)
     camera = intermediate_camera(channels, axes, options.resolution, (panel.width_px, panel.height_px), 0.0)
     if options.source_size:
         camera = Pinhole(*options.source_size, camera.tangent_min, camera.tangent_max)
-    source = View(camera, _source_place(options, middle, axes)(centre), np.eye(4), axes)
-    origin, depth_m = Origin(middle.name, sha256), options.depth_m or math.inf
-    return ExportedView(origin, middle.eye, channels, ray_map_plans(channels, axes), source, centre, depth_m)
+    place_of = RasterPosition(middle, axes).at if options.source_camera == "nearest" else np.array
+    source = View(camera, place_of(centre), np.eye(4), axes)
+    return ExportedView(
+        origin,
+        middle.eye,
+        channels,
+        ray_map_plans(channels, axes),
+        source,
+        centre,
+        options.depth_m or math.inf,
+        place_of=place_of,
+        other_light=_other_light(options, middle.eye),
+    )
 
 
-def _source_place(
-    options: ExportOptions, mappings: EyeMappings, device_from_camera: FloatArray
-) -> Callable[[FloatArray], FloatArray]:
-    """Place of the source camera as a function of the viewpoint."""
-    return RasterPosition(mappings, device_from_camera).at if options.raster_camera == "nearest" else np.array
+def _other_light(options: ExportOptions, eye: str) -> dict[str, EyeMappings]:
+    """Mappings of a device in red and blue light, for which one map is used too; empty if each colour has a map."""
+    if options.has_colours or is_model(options.headset):
+        return {}
+    red, _, blue = open_colours(options.headset, eye)
+    names = [f"{colour} light, {1e3 * PRIMARIES_UM[k]:.0f} nm" for colour, k in (("red", 0), ("blue", 2))]
+    return dict(zip(names, (red, blue), strict=True))
 
 
 def _with_symmetric_camera(options: ExportOptions, views: dict[str, ExportedView]) -> dict[str, ExportedView]:
@@ -203,10 +239,10 @@ def _with_symmetric_camera(options: ExportOptions, views: dict[str, ExportedView
 def _still_pupils(options: ExportOptions, mappings: EyeMappings) -> Iterator[tuple[str, FloatArray]]:
     """Stem of the files and viewpoint of each pupil that does not move."""
     box, eye = mappings.eye_box, mappings.eye
-    if options.viewpoint_mm is not None:
-        pupil = 1e-3 * np.array(options.viewpoint_mm)
-        require_in_eye_box(mappings, pupil, "--viewpoint-mm")
-        yield eye, pupil
+    chosen = options.viewpoint_m(eye)
+    if chosen is not None:
+        require_in_eye_box(mappings, chosen, "--viewpoint-mm")
+        yield eye, chosen
     elif options.pupils is None:
         yield eye, box.centre
     else:

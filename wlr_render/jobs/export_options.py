@@ -4,12 +4,17 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+
 from wlr_render.errors import BadInputError
 from wlr_render.exports.formats import FormatName, format_of
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import Eyes, Options, Range, described, described_size
+from wlr_render.numerics.arrays import FloatArray
 
 _FRAMES_PER_SECOND = 30.0
+_POSITION, _POSITIONS = 3, 6
+"""Numbers of a pupil position, and of those of both eyes."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +22,7 @@ class ExportOptions(Options):
     """Options of `export`."""
 
     format: Annotated[FormatName, described("File format.")]
-    model: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
+    headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to export.")] = "right"
     depth_m: Annotated[
@@ -26,8 +31,12 @@ class ExportOptions(Options):
         limits.DEPTH_M,
     ] = None
     viewpoint_mm: Annotated[
-        tuple[float, float, float] | None,
-        described("Pupil position x y z in the device frame, in mm (default: centre of the eye box)."),
+        tuple[float, ...] | None,
+        described(
+            "Pupil position x y z in the device frame, in mm; with --eye both that of the left eye, then of the right "
+            "(default: centre of the eye box).",
+            many=True,
+        ),
         Range(at_least=-1000, at_most=1000),
     ] = None
     pupils: Annotated[
@@ -35,10 +44,15 @@ class ExportOptions(Options):
         described("A grid of N x N pupil positions, over the width and height of the eye box."),
         Range(at_least=2, at_most=31),
     ] = None
-    eye_track: Annotated[Path | None, described("Eye trajectory: a map for each frame.")] = None
-    frames_per_second: Annotated[
-        float, described("Frames per second of --eye-track.", name="--fps"), Range(above=0, at_most=1000)
-    ] = _FRAMES_PER_SECOND
+    eye_track: Annotated[
+        Path | None,
+        described("Eye trajectory (docs/files.md) or OpenXR recording (docs/openxr.md): a map for each frame."),
+    ] = None
+    fps: Annotated[
+        float | None,
+        described(f"Frames per second of --eye-track (default: {_FRAMES_PER_SECOND:g})."),
+        Range(above=0, at_most=1000),
+    ] = None
     frame_limit: Annotated[
         int | None,
         described("Maximum number of frames along --eye-track (default: all).", name="--frames"),
@@ -58,12 +72,13 @@ class ExportOptions(Options):
         limits.PIXELS,
     ] = None
     source_axes: Annotated[
-        Literal["field", "device"],
+        Literal["field", "device"] | None,
         described(
-            "Axes of the source camera: towards the middle of the field of view, or the device's own (monado: always)."
+            "Axes of the source camera: towards the middle of the field of view, or the device's own (default: field; "
+            "monado: device)."
         ),
-    ] = "field"
-    raster_camera: Annotated[
+    ] = None
+    source_camera: Annotated[
         Literal["viewpoint", "nearest"],
         described("Position of the source camera: the viewpoint, or the point nearest to the bent rays."),
     ] = "viewpoint"
@@ -83,13 +98,12 @@ class ExportOptions(Options):
         ]
         if len(moving) > 1:
             raise BadInputError(f"{' and '.join(moving)} exclude each other; give one of them.")
-        if self.viewpoint_mm is not None and self.eye == "both":
-            raise BadInputError("--viewpoint-mm is of one eye; give --eye left or --eye right.")
-        for flag, is_given in (
-            ("--frames", self.frame_limit is not None),
-            ("--fps", self.frames_per_second != _FRAMES_PER_SECOND),
-        ):
-            if is_given and self.eye_track is None:
+        count, due = len(self.viewpoint_mm or ()), _POSITIONS if self.eye == "both" else _POSITION
+        if self.viewpoint_mm is not None and count != due:
+            whose = "x y z of the left eye, then of the right" if self.eye == "both" else f"x y z of the {self.eye} eye"
+            raise BadInputError(f"--viewpoint-mm has {count} numbers; give {due}: {whose}.")
+        for flag, value in (("--frames", self.frame_limit), ("--fps", self.fps)):
+            if value is not None and self.eye_track is None:
                 raise BadInputError(f"{flag} is used with --eye-track only; leave it out, or give a trajectory.")
         if (self.red_model is None) != (self.blue_model is None):
             raise BadInputError("--red-model and --blue-model go together; give both or neither.")
@@ -103,6 +117,17 @@ class ExportOptions(Options):
         return None
 
     @property
+    def frames_per_second(self) -> float:
+        """Frames per second of the eye trajectory."""
+        return self.fps or _FRAMES_PER_SECOND
+
+    def viewpoint_m(self, eye: str) -> FloatArray | None:
+        """(3,) the chosen pupil position of an eye, in metres; None if none is chosen."""
+        if self.viewpoint_mm is None:
+            return None
+        return 1e-3 * np.array(self.viewpoint_mm[-_POSITION:] if eye == "right" else self.viewpoint_mm[:_POSITION])
+
+    @property
     def has_colours(self) -> bool:
         """Whether red, green and blue have maps of their own."""
         return self.per_colour or self.red_model is not None
@@ -114,17 +139,23 @@ def _require_held(options: ExportOptions) -> None:
     Raises:
         BadInputError: the sentence names the option.
     """
-    carries = format_of(options.format).carries
-    if carries.every_depth and options.depth_m is not None:
+    holds = format_of(options.format).holds
+    if holds.every_depth and options.depth_m is not None:
         raise BadInputError(
             f"--depth-m has no use with {options.format}: its files hold rays, which serve every depth; leave it out."
         )
-    if options.has_colours and not carries.colours:
+    if options.has_colours and not holds.colours:
         raise BadInputError(
             f"{options.format} has one map for all colours; leave out --per-colour, --red-model and --blue-model, or "
             "choose a format with maps by colour, e.g. stmap."
         )
-    if not carries.pupils and (options.pupils or options.eye_track):
+    if not holds.asymmetric_field and options.source_axes == "field":
+        raise BadInputError(f"{options.format} takes the device's axes only; leave out --source-axes.")
+    if holds.both_eyes and options.eye != "both":
+        raise BadInputError(
+            f"{options.format} holds both eyes in one file; give --eye both, and a headset that has two."
+        )
+    if not holds.pupils and (options.pupils or options.eye_track):
         raise BadInputError(
             f"{options.format} has one pupil position; leave out --pupils and --eye-track, or choose a format that "
             "holds several, e.g. stmap."

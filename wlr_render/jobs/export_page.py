@@ -29,9 +29,11 @@ def export_page(
         kept: number of views whose files an earlier run has written.
     """
     first = views[0]
-    depth = "every depth" if form.carries.every_depth else f"points {depth_words(first.depth_m)}"
+    depth = "every depth" if form.holds.every_depth else f"points {depth_words(first.depth_m)}"
     eyes = f"{' and '.join(eyes_of(options.eye))} eye{'s' if options.eye == 'both' else ''}"
     keeping = f" ({kept} kept from an earlier run)" if kept else ""
+    checked = " and ".join(name for name in form.files(first) if not name.endswith("-map.json"))
+    exactness = "to rounding" if form.holds.every_pixel else "as far as its reader's interpolation goes"
     blocks: list[Block] = [
         Text(
             "An augmented-reality headset bends the light of its panel and of the world. For each pixel of the panel a "
@@ -41,23 +43,24 @@ def export_page(
         ),
         Section("What the numbers mean"),
         Text("In every file:", form.convention),
-        Text(f"Frames and pixels: {_FRAMES}"),
+        Text(f"Axes and pixels: {_AXES}"),
         Section("How to use the files"),
         Text("Step by step:", form.use),
+        Text(f"To lock the picture to the world: {_POSE}"),
         _source_cameras(views),
-        Section("What the files do not hold"),
-        Text("Of what the headset does:", _not_held(form)),
+        Section("What a map loses"),
         _loss_table(options, form, views),
         Section("How to check your program"),
         Text(
-            f"Warp the first picture with {files[0].name}: the second one must come out. It was drawn by our own "
-            f"sampling, {'bilinear' if form.carries.between_pixels else 'nearest pixel'}, of the codes as they are "
+            f"Take the first picture as the source picture of the {first.eye} eye and warp it with {checked} as above: "
+            f"the second one must come out, {exactness}. It was drawn by our own sampling, "
+            f"{'bilinear' if form.holds.between_pixels else 'nearest pixel'}, of the codes as they are "
             "stored, for points at the depth above (infinity if the files hold every depth)."
         ),
         Picture("Source picture", options.out / CHECK_SOURCE, "u to the right in red, v downwards in green"),
         Picture("Picture for the panel", options.out / CHECK_PANEL, f"the {first.eye} panel, pixel by pixel"),
         Section("Files"),
-        _views_table(views),
+        _views_table(form, views),
     ]
     return Report(
         f"Export of {first.origin.name}: {form.title}",
@@ -69,33 +72,17 @@ def export_page(
     )
 
 
-_FRAMES = (
+_AXES = (
     "the device frame has x to the right, y up, and looks along -z, in metres. The source camera has such axes too; "
     "tangents are x / -z and y / -z. In a picture (0, 0) is the outer corner of the top left pixel, u runs right and v "
     "down, and pixel centres lie at +0.5."
 )
-
-
-def _not_held(form: Format) -> list[str]:
-    carries = form.carries
-    lost = [
-        "A moving pupil: a map is right for its own pupil position alone; the table below says what another one costs."
-    ]
-    if not carries.every_depth:
-        lost.append(
-            "Depth: a map is right at one depth from the source camera, everywhere in the picture. The format rays "
-            "holds all."
-        )
-    if not carries.colours:
-        lost.append("Colour: one map serves all colours.")
-    if not carries.asymmetric_field:
-        lost.append(
-            "An asymmetric field of view, or a turned camera: the source pictures of both eyes reach as far to the "
-            "left as to the right, and up as down, in the device's axes; the rest of them is not used."
-        )
-    if not carries.between_pixels:
-        lost.append("Positions between pixels: each panel pixel shows one pixel of the source, up to half a pixel off.")
-    return lost
+_POSE = (
+    "the source camera is fixed in the device frame, that of the headset's own file: its pose there is "
+    "device_from_camera with the position of the last table. Its pose in the world is your head pose "
+    "(world_from_device: of this frame, not of your tracker's) times that pose. The eye's pupil must be at the "
+    "viewpoint of the last table."
+)
 
 
 def _source_cameras(views: list[ExportedView]) -> ReportTable:
@@ -131,22 +118,28 @@ def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView])
         view = next(each for each in views if each.eye == eye)
         rows += [
             [view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin]
-            for loss in losses(view, form.carries, view.middle_colour)
+            for loss in losses(view, form.holds, view.middle_colour)
         ]
     columns = ["map", "used for", "rms (arcmin)", "max (arcmin)"]
     notes = [
-        "Against this headset's own mappings, over the panel; pupils moved to the right, left, up and down as far as "
-        "the eye box allows."
+        "Against this headset's own mappings, over the panel, in green light where no other is named; pupils moved to "
+        "the right, left, up and down as far as the eye box allows."
     ]
     return ReportTable("Misalignment of what a map shows", columns, rows, notes)
 
 
-def _views_table(views: list[ExportedView]) -> ReportTable:
+def _views_table(form: Format, views: list[ExportedView]) -> ReportTable:
     rows: list[list[Cell]] = [
-        [view.stem, view.time_s, _millimetres(view.viewpoint), _millimetres(view.source.position_in_device)]
+        [
+            ", ".join(form.files(view)),
+            view.eye,
+            view.time_s,
+            _millimetres(view.viewpoint),
+            _millimetres(view.source.position_in_device),
+        ]
         for view in views[:_LISTED]
     ]
-    columns = ["files start with", "time (s)", "viewpoint (mm)", "source camera (mm)"]
+    columns = ["files", "eye", "time (s)", "viewpoint (mm)", "source camera (mm)"]
     more = [f"The first {_LISTED} of {len(views)}."] if len(views) > _LISTED else []
     return ReportTable("Views", columns, rows, ["Positions x, y, z in the device frame.", *more])
 

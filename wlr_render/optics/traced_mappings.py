@@ -95,11 +95,13 @@ def _spread(count: int) -> FloatArray:
     return np.asarray(2.0 * np.mod(0.5 + np.arange(count)[:, None] * powers, 1.0) - 1.0)
 
 
+DEFAULT_WAVELENGTH_UM = 0.55
+"""Green light, in which a device is traced where no colours are asked for."""
 Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
 """(tangents (k, m, 2), index (m,) into the queries) -> by how much the rays miss their targets, (k, m, 2)."""
 
 
-def traced_eye(device: Device, eye: str = "right", wavelength_um: float = 0.55) -> EyeMappings:
+def traced_eye(device: Device, eye: str = "right", wavelength_um: float = DEFAULT_WAVELENGTH_UM) -> EyeMappings:
     """Mappings of one eye of a device at one vacuum wavelength in micrometres.
 
     Raises:

@@ -6,7 +6,7 @@ import pytest
 from benchmarks.monado.comparison import EYE_CODES, position_errors
 from benchmarks.monado.study import MonadoOptions, run
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.export import view_from_centre
+from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 
 FOV = np.array([-0.9, 0.8, 1.1, -1.0])  # left, right, up, down
@@ -14,7 +14,7 @@ FOV = np.array([-0.9, 0.8, 1.1, -1.0])  # left, right, up, down
 
 @pytest.fixture(scope="module")
 def view(small_northstar):
-    return view_from_centre(ExportOptions("stmap", small_northstar, source_axes="device"), "right")
+    return views_from_centres(ExportOptions("stmap", small_northstar, source_axes="device"))["right"]
 
 
 def window_of(view):
