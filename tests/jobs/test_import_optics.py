@@ -1,6 +1,7 @@
 """From a lens file to a headset: which surface is the eye, which the panel, whichever way the file's light runs."""
 
 import json
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -141,8 +142,22 @@ def test_shapes_that_are_not_read_are_warned_of(tmp_path):
     text = LOUPE.replace("  CURV -0.02\n", "  TYPE SZERNSAG\n  CURV -0.02\n  XDAT 3 0.2\n")
     report, _ = imported(tmp_path, text)
     assert report.warnings == [
-        "Rays run otherwise than in the file, because of surface 3: the table of what was not taken says why."
+        "Rays run otherwise than in the file, because of surface 3: the table of ignored keys says why."
     ]
+
+
+def test_the_advice_is_a_command_that_runs_in_a_folder_with_spaces(tmp_path):
+    folder = tmp_path / "my lenses"
+    folder.mkdir()
+    report, _ = imported(folder, LOUPE)
+    program, *words = shlex.split(report.advice[0].partition(": ")[2])
+    assert program == "wlr-render"
+    assert main([*words, "--out", str(tmp_path / "traced")]) == 0
+
+
+def test_the_help_says_that_there_are_no_glass_files_by_default(capsys):
+    assert main(["import-optics", "--help"]) == 0
+    assert "[default: ]" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["HoO-V2C18Ex27.zmx", "Sasian Triplet.roa", "shapes.json"])

@@ -10,6 +10,7 @@ import pytest
 from make_lens_file_rays import FOLDER, OPTILAND, RAYOPTICS, STORED, WAVELENGTH_UM, starting_rays, trace_with_optiland
 
 from wlr_render.errors import BadInputError
+from wlr_render.extras import install_command
 from wlr_render.mappings import Status
 from wlr_render.optics.device import Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
@@ -58,7 +59,7 @@ def test_stored_rays_of_other_programs(name):
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", OPTILAND)
 def test_live_rays_of_optiland(name):
-    pytest.importorskip("optiland", reason="Optiland is not installed: pip install wlr_render[oracle]")
+    pytest.importorskip("optiland", reason="Optiland is not installed: pip install '.[oracle]'")
     origin, direction = starting_rays(*OPTILAND[name], seed=77)
     found = trace_with_optiland(FOLDER / name, origin, direction)
     assert_same_rays(FOLDER / name, np.concatenate([origin[:, None], direction[:, None], found], axis=1))
@@ -67,7 +68,7 @@ def test_live_rays_of_optiland(name):
 @pytest.mark.oracle
 @pytest.mark.parametrize(("name", "maker"), [("N-BK7", "schott"), ("SK16", "hikari"), ("F2", "hikari"), ("PMMA", "")])
 def test_glasses_of_the_database_are_those_of_optiland(name, maker):
-    materials = pytest.importorskip("optiland.materials", reason="pip install wlr_render[glasses]")
+    materials = pytest.importorskip("optiland.materials", reason="pip install '.[glasses]'")
     glass = GlassCatalogue().find(name, (maker,) if maker else ())
     expected = materials.Material(name, reference=maker) if maker else materials.Material(name)
     for wavelength_um in (0.45, 0.55, 0.65):
@@ -167,7 +168,7 @@ X, Y = np.array([0.004]), np.array([-0.003])
 def test_shapes_of_zemax_have_the_sag_of_its_manual(tmp_path, lines, kind, sag):
     text = ZMX.replace(SPHERE, "".join(f"  {line.strip()}\n" for line in lines.splitlines()))
     lens = lens_of(tmp_path, text)
-    assert not any(note.bends_rays for note in lens.not_taken)
+    assert not any(note.bends_rays for note in lens.ignored)
     shape = lens.surfaces[3].shape
     assert isinstance(shape, kind)
     assert 1e3 * shape.sag_and_slopes(X, Y)[0] == pytest.approx(sag, rel=1e-12)
@@ -204,10 +205,10 @@ def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path):
         ("MODE SEQ\n", "MODE SEQ\nMNUM 3 1\n", "MNUM", True),
     ],
 )
-def test_what_is_not_taken_is_named(tmp_path, old, new, key, bends_rays):
+def test_ignored_keys_are_named(tmp_path, old, new, key, bends_rays):
     assert old in ZMX
     lens = lens_of(tmp_path, ZMX.replace(old, new))
-    assert (key, bends_rays) in [(note.key, note.bends_rays) for note in lens.not_taken]
+    assert (key, bends_rays) in [(note.key, note.bends_rays) for note in lens.ignored]
 
 
 @pytest.mark.parametrize(
@@ -240,8 +241,36 @@ def test_a_glass_with_its_own_numbers_stands_in_for_a_catalogue(tmp_path, monkey
     monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
     lens = lens_of(tmp_path, ZMX.replace("___BLANK 1 0 1.5168 64.17", "E48R 0 0 1.5312 56.0"))
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5312)
-    (note,) = (note for note in lens.not_taken if note.key == "GLAS")
+    (note,) = (note for note in lens.ignored if note.key == "GLAS")
     assert "in no catalogue: taken by its index 1.5312 and Abbe number 56" in note.reason
+
+
+@pytest.mark.parametrize("name", ["LAK", "BK", "LAN"])
+def test_a_catalogue_glass_is_no_model_glass_because_of_its_letters(tmp_path, name):
+    """Zemax writes ___BLANK for a glass by index and Abbe number; these names have letters of it only."""
+    catalogue = tmp_path / "a.agf"
+    catalogue.write_text(f"NM {name} 1 0 1.5 40\nCD 2.56 0 0 0 0 0\n")
+    path = tmp_path / "lens.zmx"
+    path.write_text(ZMX.replace("___BLANK 1 0 1.5168 64.17", f"{name} 0 0 1.5168 64.17"))
+    glass = read_lens_file(path, GlassCatalogue((catalogue,)))[1].surfaces[2].medium
+    assert (glass.name, glass.index(0.5)) == (name, 1.6)
+
+
+def test_a_glass_in_no_catalogue_is_refused_with_the_command_that_installs_one(tmp_path, monkeypatch):
+    name = "NOSUCH"
+    monkeypatch.setattr("wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda name, makers: None)
+    shapes = (FOLDER / "shapes.json").read_text().replace('"SK16"', f'"{name}"')
+    decentred = json.loads((FOLDER / "decentred.roa").read_text())
+    medium = decentred["optical_model"]["attributes"]["seq_model"]["attributes"]["gaps"][1]["attributes"]["medium"]
+    medium["attributes"] = {"label": name}
+    for content in (ZMX.replace("___BLANK 1 0 1.5168 64.17", f"{name} 0 0 1.5 40"), shapes, json.dumps(decentred)):
+        path = tmp_path / "lens"
+        path.write_text(content)
+        with pytest.raises(BadInputError) as refused:
+            read_lens_file(path, CATALOGUE)
+        assert "no catalogue has th" in str(refused.value)
+        assert name in str(refused.value)
+        assert str(refused.value).endswith(f"{install_command('glasses')}")
 
 
 def test_a_catalogue_file_is_searched_by_name(tmp_path):
@@ -322,12 +351,12 @@ def test_a_glass_of_a_similar_name_is_told(tmp_path, monkeypatch, found):
     path = tmp_path / "lens.zmx"
     path.write_text(ZMX.replace("___BLANK 1 0 1.5168 64.17", "SF5 0 0 1.5 40"))
     _, lens = read_lens_file(path, GlassCatalogue())
-    notes = [note for note in lens.not_taken if note.key == "GLAS"]
+    notes = [note for note in lens.ignored if note.key == "GLAS"]
     assert [note.bends_rays for note in notes] == ([True] if found == "N-SF5" else [])
 
 
 @pytest.mark.oracle
 def test_optilands_nearest_name_is_not_taken_for_the_glass():
-    pytest.importorskip("optiland.materials", reason="pip install wlr_render[glasses]")
+    pytest.importorskip("optiland.materials", reason="pip install '.[glasses]'")
     assert GlassCatalogue().find("SF5", ("schott",)).name != "SF5"
     assert GlassCatalogue().find("N-SF5", ("schott",)).name == "N-SF5"

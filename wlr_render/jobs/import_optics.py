@@ -1,6 +1,7 @@
 """Convert a sequential prescription of Zemax, Optiland or rayoptics into a device file."""
 
 import re
+import shlex
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,7 +18,7 @@ from wlr_render.optics.device_writer import device_content, save_device
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, ImportedHeadset, headset_of_lens
 from wlr_render.optics.lens_files.lens_file import read_lens_file
-from wlr_render.optics.lens_files.sequence import LensFile, NotTaken
+from wlr_render.optics.lens_files.sequence import Ignored, LensFile
 from wlr_render.optics.surfaces import Shape
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
@@ -66,7 +67,8 @@ class ImportOpticsOptions(Options):
         int | None, described("Number of the panel's surface (default: the image, or the object)."), _NUMBER
     ] = None
     glasses: Annotated[
-        tuple[Path, ...], described("Glass catalogues of Zemax (.agf), searched in this order.", many=True)
+        tuple[Path, ...],
+        described("Glass catalogues of Zemax (.agf), searched in this order (default: none).", flag=True, many=True),
     ] = ()
     semi_diameters: Annotated[
         bool, described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True)
@@ -88,21 +90,22 @@ def import_optics(options: ImportOpticsOptions, *, progress: ProgressArgument = 
     _require_readable(options.file, headset.device)
     folder = output_folder(options.out)
     written = save_device(headset.device, folder / f"{headset.device.name}.toml")
-    changed = sorted({note.surface for note in headset.not_taken if note.bends_rays and note.surface is not None})
+    changed = sorted({note.surface for note in headset.ignored if note.bends_rays and note.surface is not None})
     report = Report(
         f"Import of {options.file.name}",
         f"{len(headset.path)} surfaces of {program}'s {options.file.name} are the display path of "
         f"'{headset.device.name}': the pupil stands {headset.pupil_text}, the panel is surface {headset.panel_number}.",
         advice=[
-            f"Draw it and find where rays are lost: wlr-render trace {written} --eye {options.eye}",
-            "Add what a lens file does not have: see_through_path (the real world is seen past the optics now), "
+            "Draw it and find where rays are lost: "
+            + shlex.join(["wlr-render", "trace", str(written), "--eye", options.eye]),
+            "Add the keys that no lens file has: see_through_path (the real world is seen past the optics now), "
             "field_deg, and also_mirrored for the other eye (devices/README.md).",
         ],
         warnings=_warnings(headset, changed),
-        blocks=[_surface_table(lens, headset), *_not_taken_table(headset)],
+        blocks=[_surface_table(lens, headset), *_ignored_table(headset)],
         inputs=[options.file, *options.glasses],
         files=[written],
-        record={"not_taken": list(headset.not_taken), "path": headset.path, "passed_over": headset.passed_over},
+        record={"ignored": list(headset.ignored), "path": headset.path, "passed_over": headset.passed_over},
     )
     return save_report(report, folder)
 
@@ -129,7 +132,7 @@ def _choices(options: ImportOpticsOptions, program: str, lens: LensFile) -> Head
 
 
 def _require_readable(path: Path, device: Device) -> None:
-    """Refuse what `load_device` would refuse, before anything is written."""
+    """Refuse a device that `load_device` would refuse, before anything is written."""
     device_of(Table(device_content(device), f"{path}, as a device"))
 
 
@@ -138,10 +141,9 @@ def _warnings(headset: ImportedHeadset, changed: list[int]) -> list[str]:
     if changed:
         listed = ", ".join(map(str, changed))
         warnings.append(
-            f"Rays run otherwise than in the file, because of surface {listed}: the table of what was not taken says "
-            "why."
+            f"Rays run otherwise than in the file, because of surface {listed}: the table of ignored keys says why."
         )
-    if any(note.surface is None and note.bends_rays for note in headset.not_taken):
+    if any(note.surface is None and note.bends_rays for note in headset.ignored):
         warnings.append("The file has several configurations; the one that was saved as current is taken.")
     if not headset.is_reached:
         warnings.append(
@@ -152,7 +154,7 @@ def _warnings(headset: ImportedHeadset, changed: list[int]) -> list[str]:
 
 
 def _surface_table(lens: LensFile, headset: ImportedHeadset) -> ReportTable:
-    """What became of each surface of the file."""
+    """Table of the surfaces of the file and their use in the device."""
     optics = headset.device.eyes[next(iter(headset.device.eyes))]
     steps = dict(zip(headset.path, optics.display.steps, strict=True))
     rows: list[list[Cell]] = []
@@ -182,15 +184,15 @@ def _radius_text(curvature: float) -> str:
     return f"{1e3 / curvature:.6g} mm" if curvature and np.isfinite(1.0 / curvature) else "none"
 
 
-def _not_taken_table(headset: ImportedHeadset) -> list[ReportTable]:
-    if not headset.not_taken:
+def _ignored_table(headset: ImportedHeadset) -> list[ReportTable]:
+    if not headset.ignored:
         return []
-    rows = [_not_taken_row(note) for note in headset.not_taken]
+    rows = [_ignored_row(note) for note in headset.ignored]
     notes = ("Keys of drawing, coating, solves and tolerances, of fields and wavelengths are not listed.",)
     columns = ("surface", "key", "value", "bends rays", "reason")
-    return [ReportTable("Not taken, or not as it stands", columns, rows, notes)]
+    return [ReportTable("Keys ignored, or read otherwise than the file states them", columns, rows, notes)]
 
 
-def _not_taken_row(note: NotTaken) -> list[Cell]:
+def _ignored_row(note: Ignored) -> list[Cell]:
     surface = "all" if note.surface is None else str(note.surface)
     return [surface, note.key, note.value, "yes" if note.bends_rays else "no", note.reason]

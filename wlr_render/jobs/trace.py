@@ -46,7 +46,7 @@ class TraceOptions(Options):
 def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Trace a device; writes a drawing of each eye, and the report, into `options.out`.
 
-    A device of which no ray reaches the panel is drawn as well, with what becomes of its rays.
+    A device of which no ray reaches the panel is drawn as well, with the surfaces where its rays are lost.
 
     Raises:
         BadInputError: a faulty device, an eye that the device does not have, or a folder that cannot be written.
@@ -74,7 +74,7 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
 
 @dataclass(frozen=True)
 class _TracedEye:
-    """What a report says of one eye."""
+    """The part of a report on one eye."""
 
     eye: str
     verdict: str

@@ -85,7 +85,9 @@ def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[L
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """What a file holds, in its own frame (glTF's is x right, y up, metres; the others' is as the file has it).
+    """Meshes, placements and lights of a file, in its own frame.
+
+    That of glTF is x right, y up, metres; the others are as the file has them.
 
     Attributes:
         meshes: one per material and mesh of the file.

@@ -60,7 +60,7 @@ class PathTracer:
         """Prepare the scene.
 
         Args:
-            scene: what is drawn.
+            scene: the surfaces and lights.
             bounces: reflections of light between surfaces that are followed; with 0 only light that comes straight
                 from a light source, or from the sky, is reflected.
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.extras import MissingExtraError, installed_by
+from wlr_render.extras import MissingExtraError, install_command, installed_by
 from wlr_render.input_files import LIMITS, read_bytes, read_text, reason_of, shown
 from wlr_render.optics.lens_files.lens_text import decode_lens_text
 from wlr_render.optics.media import Medium
@@ -30,7 +30,7 @@ class GlassCatalogue:
 
     Attributes:
         files: catalogue files (.agf), searched first, in this order.
-        found: what was found so far, by name and manufacturers.
+        found: glasses looked up so far, by name and manufacturers.
     """
 
     files: tuple[Path, ...] = ()
@@ -47,6 +47,13 @@ class GlassCatalogue:
             entry = self._entries.get(key[0])
             self.found[key] = _of_entry(name, *entry) if entry else _glass_of_optiland(name, key[1])
         return self.found[key]
+
+    def require(self, name: str, where: str, manufacturers: Sequence[str] = ()) -> Medium:
+        """As `find`, and refuses a glass that no catalogue has; `where` begins the sentence."""
+        medium = self.find(name, manufacturers)
+        if medium is None:
+            raise BadInputError(f"{where}: no catalogue has the glass {shown(name)}. {unknown_glass_remedy()}")
+        return medium
 
     @functools.cached_property
     def _entries(self) -> dict[str, tuple[str, str, list[str]]]:
@@ -86,6 +93,20 @@ def require_glass(medium: Medium, where: str) -> Medium:
     if not low <= index <= high:
         raise BadInputError(f"{where} has an index of {index:g} in green light; a glass has one from 1 to 5.")
     return medium
+
+
+def model_glass(index: float, abbe: float, where: str, name: str = "") -> Medium:
+    """A glass by n_d and V_d, without dispersion if V_d is not positive."""
+    name = name or f"nd{index:g}_vd{abbe:g}"
+    return require_glass(Medium.abbe(name, index, abbe) if abbe > 0 else Medium.constant(name, index), where)
+
+
+def unknown_glass_remedy() -> str:
+    """Sentence that says how to give a glass that no catalogue has."""
+    return (
+        "Name Zemax's catalogue file with --glasses FILE.agf, or install the database of refractiveindex.info: "
+        f"{install_command('glasses')}"
+    )
 
 
 def _of_entry(name: str, place: str, formula: str, words: list[str]) -> Medium:
@@ -131,8 +152,8 @@ def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | No
     return None
 
 
-def stand_in(name: str, medium: Medium) -> str | None:
-    """What to say of a glass that was found by a similar name only; None if it is the one that was asked for."""
+def substitution_note(name: str, medium: Medium) -> str | None:
+    """Note on a glass that was found by a similar name only; None if it has the name that was asked for."""
     if medium.name.upper() == name.upper():
         return None
     return f"no catalogue has a glass of exactly this name: {medium.name} stands in its place; check its index"

@@ -13,7 +13,7 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture, Device, EyeOptics, Interaction, PlacedPanel, PlacedSurface, Step
 from wlr_render.optics.device import Path as RayPath
-from wlr_render.optics.lens_files.sequence import LensFile, LensSurface, NotTaken, box_aperture
+from wlr_render.optics.lens_files.sequence import Ignored, LensFile, LensSurface, box_aperture
 from wlr_render.optics.media import AIR
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.tracer import trace
@@ -26,7 +26,7 @@ _SAME_UM = 0.1  # a difference between two forms of a panel that is not worth a 
 
 @dataclass(frozen=True, kw_only=True)
 class HeadsetChoices:
-    """What a lens file does not say about a headset; lengths in metres.
+    """Choices about a headset that a lens file does not state; lengths in metres.
 
     Attributes:
         name: of the device.
@@ -65,7 +65,7 @@ class ImportedHeadset:
         device: the headset, of one eye, whose real world is seen past the optics.
         path: numbers of the surfaces that the display path passes, from the eye to the panel.
         passed_over: surfaces between eye and panel without effect on rays.
-        not_taken: of the file, and of the panel's form.
+        ignored: keys of the file, and the panel's form, that the device does not have.
         panel_number: surface of the panel.
         pupil_text: where the pupil was put.
         is_reached: whether rays from the middle of the pupil meet the panel, which shows what is upright on it.
@@ -74,7 +74,7 @@ class ImportedHeadset:
     device: Device
     path: tuple[int, ...]
     passed_over: tuple[int, ...]
-    not_taken: tuple[NotTaken, ...]
+    ignored: tuple[Ignored, ...]
     panel_number: int
     pupil_text: str
     is_reached: bool
@@ -86,7 +86,7 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
     Args:
         path: of the lens file, for messages.
         lens: its content.
-        choices: what the file does not say.
+        choices: about the headset, beyond the file.
 
     Raises:
         BadInputError: the pupil or the panel cannot be told, or nothing lies between them.
@@ -106,11 +106,11 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
     file_from_pupil, pupil_text = _pupil(path, lens, choices, places, bending)
     device_from_file = _device_from_pupil(choices) @ np.linalg.inv(file_from_pupil)
     ordered = bending if from_eye else bending[::-1]
-    steps, names = [], set[str]()
+    steps = []
     for place in ordered:
         surface = lens.surfaces[place]
         placed = PlacedSurface(
-            _name(surface, names),
+            _name(surface),
             surface.shape,
             device_from_file @ surface.file_from_surface,
             _aperture(surface, choices.use_semi_diameters),
@@ -129,7 +129,7 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
         device,
         tuple(lens.surfaces[place].number for place in ordered),
         passed_over,
-        (*lens.not_taken, *notes),
+        (*lens.ignored, *notes),
         panel_surface.number,
         pupil_text,
         is_reached,
@@ -196,11 +196,9 @@ def _device_from_pupil(choices: HeadsetChoices) -> FloatArray:
     return rigid(np.diag([-1.0, 1.0, -1.0]), np.array(choices.eye_centre))
 
 
-def _name(surface: LensSurface, names: set[str]) -> str:
+def _name(surface: LensSurface) -> str:
     words = "".join(each if each.isascii() and each.isalnum() else "_" for each in surface.label.lower())
-    name = f"s{surface.number}_{words}".strip("_")[:60]
-    names.add(name)
-    return name
+    return f"s{surface.number}_{words}".strip("_")[:60]
 
 
 def _aperture(surface: LensSurface, use_semi_diameters: bool) -> ClearAperture:
@@ -231,13 +229,11 @@ def _panel(
     return PlacedPanel(pose, np.array(choices.panel_size), Panel(*choices.pixels)), is_reached
 
 
-def _bowed(
-    panel: PlacedPanel, surface: LensSurface, device_from_file: FloatArray
-) -> tuple[PlacedPanel, list[NotTaken]]:
+def _bowed(panel: PlacedPanel, surface: LensSurface, device_from_file: FloatArray) -> tuple[PlacedPanel, list[Ignored]]:
     """The panel with the curvature of its surface, which a device file has as a paraboloid."""
     shape = surface.shape
     if not isinstance(shape, Conic):
-        note = NotTaken(
+        note = Ignored(
             surface.number, "shape", type(shape).__name__, "a panel is flat or a paraboloid: taken flat", True
         )
         return panel, [note]
@@ -252,4 +248,4 @@ def _bowed(
         return bowed, []
     value = f"radius {1e3 / shape.curvature:g} mm"
     reason = f"a bowed panel is a paraboloid in a device file: off by {off_um:.2g} um at its corners"
-    return bowed, [NotTaken(surface.number, "CURV", value, reason, True)]
+    return bowed, [Ignored(surface.number, "CURV", value, reason, True)]

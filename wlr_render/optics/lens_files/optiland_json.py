@@ -5,20 +5,25 @@ from pathlib import Path
 
 import numpy as np
 
+from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass, stand_in
+from wlr_render.optics.lens_files.glass_catalogues import (
+    GlassCatalogue,
+    model_glass,
+    require_glass,
+    substitution_note,
+)
 from wlr_render.optics.lens_files.sequence import (
     LensFile,
     LensSurface,
-    NotTaken,
+    Notes,
     box_aperture,
     conic_or_asphere,
+    ignore,
     number_of,
     require_surfaces,
-    shift,
-    turn,
 )
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.sag_surfaces import SumOfProfiles, Toroid, XYPolynomial
@@ -29,7 +34,6 @@ _MM = 1e-3
 _MOST_TERMS = 21  # powers of x or y, from 0 on
 _DEEPEST = 20  # frames stated in other frames
 _OPEN = (-np.inf, -np.inf), (np.inf, np.inf)
-Notes = list[NotTaken]
 
 
 def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFile:
@@ -55,7 +59,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
         model = entry.table("interaction_model") if has_model else entry
         reflects = model.flag("is_reflective", default=False)
         if has_model and model.text("type") != "RefractiveReflectiveModel":
-            _leave(notes, number, "interaction_model", model.text("type"), "bends rays in another way", True)
+            ignore(notes, number, "interaction_model", model.text("type"), "bends rays in another way", True)
         medium = medium if reflects else _medium(entry, number, catalogue, notes)
         surfaces.append(
             LensSurface(
@@ -72,19 +76,15 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
     return LensFile(str(file.unchecked("name") or "")[:200], tuple(surfaces), tuple(notes))
 
 
-def _leave(notes: Notes, number: int, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
-    notes.append(NotTaken(number, key, shown(value, quoted=False), reason, bends_rays))
-
-
 def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
     """A frame by its place and its turns about the axes x, y, z of the frame it is stated in, in this order."""
     if depth > _DEEPEST:
         raise frame.fail(f"frames are stated in one another more than {_DEEPEST} deep; write them in the global frame.")
     x, y, z = (number_of(frame, key, 0.0, infinite and key == "z") for key in "xyz")
-    turns = [turn(axis, number_of(frame, f"r{axis}", 0.0)) for axis in "zyx"]
+    about = {axis: rotation_about(axis, number_of(frame, f"r{axis}", 0.0)) for axis in "xyz"}
     if not np.isfinite(z):
         return np.full((4, 4), np.nan)
-    pose = shift(_MM * x, _MM * y, _MM * z) @ turns[0] @ turns[1] @ turns[2]
+    pose = rigid(about["z"] @ about["y"] @ about["x"], _MM * np.array([x, y, z]))
     if frame.unchecked("reference_cs") is None:
         return pose
     return _pose(frame.table("reference_cs"), infinite, depth + 1) @ pose
@@ -98,24 +98,17 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
         return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), material.where)
     if kind == "AbbeMaterial":
         index, abbe = number_of(material, "index"), number_of(material, "abbe")
-        _leave(
+        ignore(
             notes, number, "AbbeMaterial", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ"
         )
-        called = f"nd{index:g}_vd{abbe:g}"
-        medium = Medium.abbe(called, index, abbe) if abbe > 0 else Medium.constant(called, index)
-        return require_glass(medium, material.where)
+        return model_glass(index, abbe, material.where)
     if kind == "Material":
         name = material.text("name")
         reference = material.unchecked("reference")
-        medium_found = catalogue.find(name, (reference,) if isinstance(reference, str) else ())
-        if medium_found is not None:
-            if note := stand_in(name, medium_found):
-                _leave(notes, number, "material_post", name, note, True)
-            return medium_found
-        raise material.fail(
-            f"no catalogue has the glass {shown(name)}; name Zemax's catalogue file with --glasses FILE.agf, or "
-            "install one: pip install 'wlr_render[glasses]'."
-        )
+        medium = catalogue.require(name, material.where, (reference,) if isinstance(reference, str) else ())
+        if note := substitution_note(name, medium):
+            ignore(notes, number, "material_post", name, note, True)
+        return medium
     raise material.fail(f"material {shown(kind)} is not read; write it as IdealMaterial, AbbeMaterial or Material.")
 
 
@@ -130,11 +123,11 @@ def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
     if kind in ("RadialAperture", "OffsetRadialAperture"):
         half = _MM * number_of(aperture, "r_max")
         x, y = (_MM * number_of(aperture, key, 0.0) for key in ("offset_x", "offset_y"))
-        _leave(notes, number, "aperture", kind, "a circle: the square around it is the clear aperture")
+        ignore(notes, number, "aperture", kind, "a circle: the square around it is the clear aperture")
         if number_of(aperture, "r_min", 0.0) > 0:
-            _leave(notes, number, "r_min", number_of(aperture, "r_min"), "rays pass the middle of the ring")
+            ignore(notes, number, "r_min", number_of(aperture, "r_min"), "rays pass the middle of the ring")
         return box_aperture((x - half, y - half), (x + half, y + half))
-    _leave(notes, number, "aperture", kind, "this form is not read: the surface is open")
+    ignore(notes, number, "aperture", kind, "this form is not read: the surface is open")
     return box_aperture(*_OPEN)
 
 
@@ -159,7 +152,7 @@ def _shape(geometry: Table, number: int, notes: Notes) -> Shape:
     kind = geometry.text("type")
     read = _SHAPES.get(kind)
     if read is None:
-        _leave(notes, number, "geometry", kind, "this shape is not read: its conic stands in its place", True)
+        ignore(notes, number, "geometry", kind, "this shape is not read: its conic stands in its place", True)
         return _conic(geometry, number, notes)
     return read(geometry, number, notes)
 
@@ -174,9 +167,9 @@ def _asphere_of(step: int) -> Callable[[Table, int, Notes], Shape]:
     def read(geometry: Table, number: int, notes: Notes) -> Shape:
         terms: dict[int, float] = {step * (k + 1): c for k, c in enumerate(_coefficients(geometry).ravel().tolist())}
         if terms.get(1):
-            _leave(notes, number, "coefficients[0]", terms[1], "the term in r, a tip on the axis, is not read", True)
+            ignore(notes, number, "coefficients[0]", terms[1], "the term in r, a tip on the axis, is not read", True)
         if any(value for power, value in terms.items() if power > 20):
-            _leave(notes, number, "coefficients", "above r20", "powers that a device file does not have", True)
+            ignore(notes, number, "coefficients", "above r20", "powers that a device file does not have", True)
         by_power = [terms.get(power, 0.0) for power in range(2, 21)]
         return conic_or_asphere(_curvature(geometry), number_of(geometry, "conic", 0.0), by_power, _MM)
 
@@ -189,7 +182,7 @@ def _polynomial(geometry: Table, number: int, notes: Notes) -> Shape:
         return _conic(geometry, number, notes)
     m, n = np.indices(in_mm.shape)
     if np.any(in_mm[m + n > 20]):
-        _leave(notes, number, "coefficients", "above order 20", "orders that a device file does not have", True)
+        ignore(notes, number, "coefficients", "above order 20", "orders that a device file does not have", True)
     curvature = _curvature(geometry) / _MM
     coefficients = np.where(m + n > 20, 0.0, in_mm) * _MM ** (1.0 - m - n)
     return XYPolynomial(coefficients, curvature, number_of(geometry, "conic", 0.0) if curvature else 0.0)
@@ -207,13 +200,13 @@ def _toroid(geometry: Table, number: int, notes: Notes) -> Shape:
     x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
     conic, terms = number_of(geometry, "conic_yz", 0.0), _coefficients(geometry, "coeffs_poly_y")
     if terms.any():
-        _leave(notes, number, "coeffs_poly_y", terms.tolist(), "terms of y of a toroid are not read", True)
+        ignore(notes, number, "coeffs_poly_y", terms.tolist(), "terms of y of a toroid are not read", True)
     if not x:
         return SumOfProfiles((0.0, y), (0.0, conic)) if y else Conic(0.0)
     if not y:
         return SumOfProfiles((x, 0.0))
     if conic:
-        _leave(notes, number, "conic_yz", conic, "the conic of a toroid is not read: it is a circle", True)
+        ignore(notes, number, "conic_yz", conic, "the conic of a toroid is not read: it is a circle", True)
     return Toroid(1.0 / x, 1.0 / y)
 
 

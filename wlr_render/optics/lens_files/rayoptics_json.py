@@ -5,37 +5,37 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.geometry.transforms import inverse
+from wlr_render.geometry.transforms import inverse, rigid, rotation_about
 from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.lens_files.glass_catalogues import (
     SCHOTT_POWERS,
     GlassCatalogue,
+    model_glass,
     require_glass,
     schott,
     sellmeier,
-    stand_in,
+    substitution_note,
 )
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
     LensFile,
     LensSurface,
-    NotTaken,
+    Notes,
     box_aperture,
     conic_or_asphere,
     finite,
+    ignore,
     number_of,
     require_surfaces,
     shift,
-    turn,
 )
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.sag_surfaces import SumOfProfiles, Toroid
 from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.toml_files import Table
 
-Notes = list[NotTaken]
 _INFINITE = 1e10  # rayoptics writes an object at infinity so, in its own unit
 _SELLMEIER_MAKERS = ("SchottGlass", "OharaGlass")
 _POWERS_OF_MAKERS = {
@@ -86,9 +86,9 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         pose = pose @ _step(before, thickness, decentre, unit)
         mode = surface.text("interact_mode")
         if mode not in ("transmit", "reflect", "dummy", "phantom"):
-            _leave(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
+            ignore(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
         if _class_of(entry) != "Surface" or surface.unchecked("phase_element"):
-            _leave(notes, number, "surface", _class_of(entry), "bends rays by more than its shape: not read", True)
+            ignore(notes, number, "surface", _class_of(entry), "bends rays by more than its shape: not read", True)
         if mode != "reflect":
             medium = _medium(gaps[number], number, catalogue, notes) if number < len(gaps) else medium
         thickness = number_of(gaps[number].table("attributes"), "thi") if number < len(gaps) else 0.0
@@ -110,10 +110,6 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
             thickness, decentre = 0.0, None
         before = decentre
     return LensFile(str(system.unchecked("title") or "")[:200], tuple(surfaces), tuple(notes))
-
-
-def _leave(notes: Notes, number: int, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
-    notes.append(NotTaken(number, key, shown(value, quoted=False), reason, bends_rays))
 
 
 def _class_of(entry: Table) -> str:
@@ -145,7 +141,7 @@ def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, 
     kind = table.unchecked("_dtype") or table.unchecked("dtype")
     alpha, beta, gamma = np.deg2rad(_array(table, "euler", 3))
     # About x and y the angles are left-handed, as in CODE V.
-    rotation = turn("x", -alpha) @ turn("y", -beta) @ turn("z", gamma)
+    rotation = rigid(rotation_about("x", -alpha) @ rotation_about("y", -beta) @ rotation_about("z", gamma), np.zeros(3))
     moved = shift(*(unit * each for each in _array(table, "dec", 3)))
     none = np.eye(4)
     cases = {
@@ -176,9 +172,8 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
         return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), where)
     if kind == "ModelGlass":
         index, abbe = (number_of(attributes, key) for key in "nv")
-        _leave(notes, number, "ModelGlass", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ")
-        called = f"nd{index:g}_vd{abbe:g}"
-        return require_glass(Medium.abbe(called, index, abbe) if abbe > 0 else Medium.constant(called, index), where)
+        ignore(notes, number, "ModelGlass", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ")
+        return model_glass(index, abbe, where)
     name = attributes.text("gname", "") or attributes.text("label", "") or kind
     if attributes.has("coefs"):
         coefficients = _array(attributes, "coefs")
@@ -186,14 +181,9 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
             return require_glass(sellmeier(name, coefficients[:3], coefficients[3:]), where)
         if kind in _POWERS_OF_MAKERS and len(coefficients) == len(_POWERS_OF_MAKERS[kind]):
             return require_glass(schott(name, coefficients, _POWERS_OF_MAKERS[kind]), where)
-    found = catalogue.find(name)
-    if found is None:
-        raise medium.fail(
-            f"no catalogue has the glass {shown(name)}; name Zemax's catalogue file with --glasses FILE.agf, or "
-            "install one: pip install 'wlr_render[glasses]'."
-        )
-    if note := stand_in(name, found):
-        _leave(notes, number, "medium", name, note, True)
+    found = catalogue.require(name, where)
+    if note := substitution_note(name, found):
+        ignore(notes, number, "medium", name, note, True)
     return found
 
 
@@ -205,14 +195,14 @@ def _aperture(surface: Table, number: int, unit: float, notes: Notes) -> ClearAp
     x, y = (unit * number_of(first, key, 0.0) for key in ("x_offset", "y_offset"))
     if kind == "Circular":
         half_x = half_y = unit * number_of(first, "radius")
-        _leave(notes, number, "clear_apertures", kind, "a circle: the square around it is the clear aperture")
+        ignore(notes, number, "clear_apertures", kind, "a circle: the square around it is the clear aperture")
     elif kind == "Rectangular":
         half_x, half_y = (unit * number_of(first, f"{axis}_half_width") for axis in "xy")
     else:
-        _leave(notes, number, "clear_apertures", kind, "this form is not read: the surface is open")
+        ignore(notes, number, "clear_apertures", kind, "this form is not read: the surface is open")
         half_x = half_y = np.inf
     if len(apertures) > 1 or first.unchecked("rotation"):
-        _leave(notes, number, "clear_apertures", len(apertures), "only the first, unturned, is read")
+        ignore(notes, number, "clear_apertures", len(apertures), "only the first, unturned, is read")
     return box_aperture((x - half_x, y - half_y), (x + half_x, y + half_y))
 
 
@@ -233,14 +223,14 @@ def _shape(surface: Table, profiles: Table | None, number: int, unit: float, not
         step = 2 if kind == "EvenPolynomial" else 1
         by_power = {step * (place + 1): term for place, term in enumerate(terms)}
         if by_power.get(1):
-            _leave(notes, number, "coefs[0]", by_power[1], "the term in r, a tip on the axis, is not read", True)
+            ignore(notes, number, "coefs[0]", by_power[1], "the term in r, a tip on the axis, is not read", True)
         if any(term for power, term in by_power.items() if power > 20):
-            _leave(notes, number, "coefs", "above r20", "powers that a device file does not have", True)
+            ignore(notes, number, "coefs", "above r20", "powers that a device file does not have", True)
         return conic_or_asphere(curvature, conic, [by_power.get(power, 0.0) for power in range(2, 21)], unit)
     if kind in ("XToroid", "YToroid"):
         return _toroid(kind, attributes, curvature / unit, conic, number, unit, notes)
     if kind not in ("Spherical", "Conic"):
-        _leave(notes, number, "profile", kind, "this shape is not read: its conic stands in its place", True)
+        ignore(notes, number, "profile", kind, "this shape is not read: its conic stands in its place", True)
     return Conic(curvature / unit, conic)
 
 
@@ -249,7 +239,7 @@ def _toroid(
 ) -> Shape:
     around = number_of(attributes, "cR", 0.0) / unit
     if any(_array(attributes, "coefs")) or (conic and around) or (kind == "XToroid" and curvature and around):
-        _leave(notes, number, "profile", kind, "taken as a toroid of two circles, turned about an axis along y", True)
+        ignore(notes, number, "profile", kind, "taken as a toroid of two circles, turned about an axis along y", True)
     if curvature and around:
         return Toroid(1.0 / around, 1.0 / curvature)
     x, y = (around, curvature) if kind == "YToroid" else (curvature, around)

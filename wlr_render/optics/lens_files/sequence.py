@@ -1,4 +1,4 @@
-"""A sequential prescription of a lens design program: surfaces in the order of the light, and what was left out.
+"""A sequential prescription of a lens design program: surfaces in the order of the light, and keys left out.
 
 Lengths are in metres and poses in the file's own frame, whose z axis the light follows before the first mirror.
 """
@@ -27,14 +27,14 @@ _LARGEST = 1e12
 
 
 @dataclass(frozen=True)
-class NotTaken:
-    """Something of the file that the device does not have.
+class Ignored:
+    """A key of the file that the device does not have.
 
     Attributes:
         surface: its number in the file; None for the file as a whole.
-        key: what the file calls it.
+        key: its name in the file.
         value: as the file has it, shortened.
-        reason: why it was left out, and what stands in its place.
+        reason: why it was left out, and its substitute.
         bends_rays: whether rays run otherwise without it.
     """
 
@@ -43,6 +43,14 @@ class NotTaken:
     value: str
     reason: str
     bends_rays: bool = False
+
+
+Notes = list[Ignored]
+
+
+def ignore(notes: Notes, surface: int | None, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
+    """Note a key that is not read, or is read otherwise than the file states it."""
+    notes.append(Ignored(surface, key, shown(value, quoted=False), reason, bends_rays))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +88,7 @@ class LensFile:
 
     title: str
     surfaces: tuple[LensSurface, ...]
-    not_taken: tuple[NotTaken, ...]
+    ignored: tuple[Ignored, ...]
 
     def medium_before(self, place: int) -> Medium:
         """The medium before the surface at a place of `surfaces`."""
@@ -126,16 +134,6 @@ def number_of(table: Table, key: str, default: float | None = None, infinite: bo
     if value is None and default is not None:
         return default
     return finite(value, f"{table.where}: '{key}'", infinite)
-
-
-def turn(axis: str, radians: float) -> FloatArray:
-    """Right-handed rotation about a local axis, (4, 4), exact at multiples of 90 degrees' zeros."""
-    c, s = math.cos(radians), math.sin(radians)
-    first, second = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
-    rotation = np.eye(3)
-    rotation[[first, second], [first, second]] = c
-    rotation[first, second], rotation[second, first] = -s, s
-    return rigid(rotation, np.zeros(3))
 
 
 def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> FloatArray:

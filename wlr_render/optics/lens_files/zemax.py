@@ -1,5 +1,6 @@
 """Read Zemax lens files (.zmx): text, sequential mode."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,22 +8,28 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.input_files import LIMITS, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass, stand_in
+from wlr_render.optics.lens_files.glass_catalogues import (
+    GlassCatalogue,
+    model_glass,
+    substitution_note,
+    unknown_glass_remedy,
+)
 from wlr_render.optics.lens_files.lens_text import decode_lens_text
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
     LensFile,
     LensSurface,
-    NotTaken,
+    Notes,
     box_aperture,
     conic_or_asphere,
     finite,
+    ignore,
     require_surfaces,
     shift,
-    turn,
 )
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, SumOfProfiles, Toroid, XYPolynomial
@@ -78,7 +85,7 @@ class _Reading:
     catalogue: GlassCatalogue
     unit: float = 1e-3
     manufacturers: tuple[str, ...] = ()
-    not_taken: list[NotTaken] = field(default_factory=list)
+    notes: Notes = field(default_factory=list)
     unknown_glasses: dict[str, list[int]] = field(default_factory=dict)
 
     def number(self, words: list[str], place: int, line: int, key: str, infinite: bool = False) -> float:
@@ -104,10 +111,9 @@ class _Reading:
         values.pop(0, None)  # means nothing to any surface that is read
         return values
 
-    def leave(self, surface: _Lines | None, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
-        """Note what is not taken."""
-        number = None if surface is None else surface.number
-        self.not_taken.append(NotTaken(number, key, shown(value, quoted=False), reason, bends_rays))
+    def ignore(self, surface: _Lines | None, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
+        """Note a key of a surface, or of the head, that is not read as it stands."""
+        ignore(self.notes, None if surface is None else surface.number, key, value, reason, bends_rays)
 
 
 def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
@@ -149,7 +155,7 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
         if surface.number:
             pose = pose @ shift(z=thickness)
     _refuse_unknown_glasses(reading)
-    return LensFile(title, tuple(taken), tuple(reading.not_taken))
+    return LensFile(title, tuple(taken), tuple(reading.notes))
 
 
 def _split(path: Path, text: str) -> tuple[dict[str, tuple[list[str], int]], list[_Lines]]:
@@ -189,7 +195,7 @@ def _read_header(reading: _Reading, header: dict[str, tuple[list[str], int]]) ->
     reading.manufacturers = tuple(header.get("GCAT", ([], 0))[0])
     words, line = header.get("MNUM", (["1"], 0))
     if words and words[0].isdecimal() and int(words[0]) > 1:
-        reading.leave(None, "MNUM", words[0], "the configuration that was saved as current is taken, no other", True)
+        reading.ignore(None, "MNUM", words[0], "the configuration that was saved as current is taken, no other", True)
     return " ".join(header.get("NAME", ([], 0))[0])[:200]
 
 
@@ -205,18 +211,18 @@ def _list_other_keys(reading: _Reading, surface: _Lines) -> None:
             continue
         moved = any(word.strip("-+0.eE") for word in words[3:]) if key == "SCBD" else False
         reason = "a tilt or shift of the surface's properties is not read: write a coordinate break" if moved else ""
-        reading.leave(surface, key, " ".join(words), reason or "this key is not read", moved)
+        reading.ignore(surface, key, " ".join(words), reason or "this key is not read", moved)
 
 
 def _coordinate_break(reading: _Reading, surface: _Lines) -> FloatArray:
     """Shift, then turns about the new x, y and z, or with a flag in the opposite order."""
     values = reading.numbered(surface, "PARM")
     x, y, *degrees = (values.get(place, 0.0) for place in range(1, 6))
-    turns = [turn(axis, np.deg2rad(angle)) for axis, angle in zip("xyz", degrees, strict=True)]
+    about_x, about_y, about_z = (rotation_about(axis, np.deg2rad(a)) for axis, a in zip("xyz", degrees, strict=True))
     shifted = shift(reading.unit * x, reading.unit * y)
     if values.get(6, 0.0) == 0.0:
-        return shifted @ turns[0] @ turns[1] @ turns[2]
-    return turns[2] @ turns[1] @ turns[0] @ shifted
+        return shifted @ rigid(about_x @ about_y @ about_z, np.zeros(3))
+    return rigid(about_z @ about_y @ about_x, np.zeros(3)) @ shifted
 
 
 def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Medium]:
@@ -228,7 +234,7 @@ def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Me
     name = words[0]
     if name.upper() == "MIRROR":
         return True, before
-    model = words[1:2] == ["1"] or set(name.upper()) <= set("_BLANK")
+    model = words[1:2] == ["1"] or re.fullmatch("_+BLANK", name.upper()) is not None
     stated = None
     if len(words) > 4:
         stated = reading.number(words, 3, line, "GLAS"), reading.number(words, 4, line, "GLAS")
@@ -236,18 +242,16 @@ def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Me
     if medium is None and stated is not None and (model or stated != _DEFAULT_GLASS):
         index, abbe = stated
         where = f"{reading.path}: line {line}: glass {shown(name)}"
-        called = f"nd{index:g}_vd{abbe:g}" if model else name
-        medium = Medium.abbe(called, index, abbe) if abbe > 0 else Medium.constant(called, index)
-        require_glass(medium, where)
+        medium = model_glass(index, abbe, where, "" if model else name)
         if not model:
-            reading.leave(
+            reading.ignore(
                 surface, "GLAS", name, f"in no catalogue: taken by its index {index:g} and Abbe number {abbe:g}"
             )
     if medium is None:
         reading.unknown_glasses.setdefault(name, []).append(surface.number)
         return False, Medium(name)
-    if not model and (note := stand_in(name, medium)):
-        reading.leave(surface, "GLAS", name, note, True)
+    if not model and (note := substitution_note(name, medium)):
+        reading.ignore(surface, "GLAS", name, note, True)
     return False, medium
 
 
@@ -256,10 +260,7 @@ def _refuse_unknown_glasses(reading: _Reading) -> None:
         names = "; ".join(
             f"{name} (surface {', '.join(map(str, numbers))})" for name, numbers in reading.unknown_glasses.items()
         )
-        raise BadInputError(
-            f"{reading.path}: no catalogue has these glasses: {names[:300]}. Name Zemax's catalogue file with "
-            "--glasses FILE.agf, or install one: pip install 'wlr_render[glasses]'."
-        )
+        raise BadInputError(f"{reading.path}: no catalogue has these glasses: {names[:300]}. {unknown_glass_remedy()}")
 
 
 def _aperture(reading: _Reading, surface: _Lines) -> ClearAperture:
@@ -272,9 +273,9 @@ def _aperture(reading: _Reading, surface: _Lines) -> ClearAperture:
             first, second = (reading.number(found[0], place, found[1], key) for place in (0, 1))
             half = (first, second) if key == "SQAP" else (second, second)
             if key != "SQAP":
-                reading.leave(surface, key, f"{second:g}", "a circle: the square around it is the clear aperture")
+                reading.ignore(surface, key, f"{second:g}", "a circle: the square around it is the clear aperture")
                 if first > 0:
-                    reading.leave(surface, key, f"{first:g}", "inner radius of a ring: rays pass its middle")
+                    reading.ignore(surface, key, f"{first:g}", "inner radius of a ring: rays pass its middle")
             if min(half) <= 0:
                 continue
             scaled = np.array(half) * reading.unit
@@ -290,7 +291,7 @@ def _shape(reading: _Reading, surface: _Lines, kind: str) -> Shape:
     if read is None:
         values = reading.numbered(surface, "PARM") | reading.numbered(surface, "XDAT")
         flat = not any(values.values())
-        reading.leave(surface, "TYPE", kind, "this shape is not read: its conic stands in its place", not flat)
+        reading.ignore(surface, "TYPE", kind, "this shape is not read: its conic stands in its place", not flat)
         return base
     return read(reading, surface, base)
 
@@ -306,7 +307,7 @@ def _even_asphere(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
 def _odd_asphere(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
     values = reading.numbered(surface, "PARM")
     if values.get(1, 0.0):
-        reading.leave(surface, "PARM 1", values[1], "the term in r, which makes a tip on the axis, is not read", True)
+        reading.ignore(surface, "PARM 1", values[1], "the term in r, which makes a tip on the axis, is not read", True)
     return _asphere(reading, surface, base, [values.get(place, 0.0) for place in range(2, max(values, default=1) + 1)])
 
 
@@ -337,7 +338,7 @@ def _terms_and_norm(reading: _Reading, surface: _Lines, values: dict[int, float]
 
 def _asphere(reading: _Reading, surface: _Lines, base: Conic, terms: list[float]) -> Shape:
     if any(terms[_MOST_POWER - 1 :]):
-        reading.leave(
+        reading.ignore(
             surface, "terms", f"above r{_MOST_POWER}", "powers of r that a device file does not have are left out", True
         )
     return conic_or_asphere(base.curvature * reading.unit, base.conic, terms[: _MOST_POWER - 1], reading.unit)
@@ -359,13 +360,13 @@ def _toroid(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
     further = {place: value for place, value in values.items() if place > 1 and value}
     if further:
         places = ", ".join(f"PARM {place}" for place in further)
-        reading.leave(surface, places, list(further.values()), "terms of y of a toroid are not read", True)
+        reading.ignore(surface, places, list(further.values()), "terms of y of a toroid are not read", True)
     if not radius:
         return SumOfProfiles((0.0, base.curvature), (0.0, base.conic)) if base.curvature else Conic(0.0)
     if not base.curvature:
         return SumOfProfiles((1.0 / radius, 0.0))
     if base.conic:
-        reading.leave(surface, "CONI", base.conic, "the conic of a toroid is not read: it is a circle", True)
+        reading.ignore(surface, "CONI", base.conic, "the conic of a toroid is not read: it is a circle", True)
     return Toroid(radius, 1.0 / base.curvature)
 
 
@@ -376,7 +377,7 @@ def _extended_polynomial(reading: _Reading, surface: _Lines, base: Conic) -> Sha
     coefficients = np.zeros((_MOST_POWER + 1, _MOST_POWER + 1))
     powers = [(order - n, n) for order in range(1, _MOST_POWER + 1) for n in range(order + 1)]
     if count > len(powers):
-        reading.leave(surface, "XDAT 1", count, f"only the terms up to order {_MOST_POWER} are read", True)
+        reading.ignore(surface, "XDAT 1", count, f"only the terms up to order {_MOST_POWER} are read", True)
     for place, (m, n) in enumerate(powers[:count]):
         coefficients[m, n] = values.get(3 + place, 0.0) * reading.unit * (norm * reading.unit) ** (-m - n)
     if not coefficients.any():
