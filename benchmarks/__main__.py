@@ -25,6 +25,7 @@ BENCHMARKS = {
     "wear": "Self-calibration by clicks over half an hour of simulated wear with slips.",
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
     "renderers": "Other renderers on a headset's rays, compared with Embree.",
+    "exports": "Other programs that read exports, compared with our own maps.",
     "rivals": "Published methods and ours on measurements of others.",
     "monado": "Monado's compositor with an exported distortion, compared with our own map.",
     "gallery": "Demos, a calibration, a budget, a diagnosis and a study, shown on one page.",

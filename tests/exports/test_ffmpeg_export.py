@@ -1,20 +1,15 @@
 import shutil
-import subprocess
 
 import cv2
 import numpy as np
 import pytest
-from export_readers import our_warp, smooth_picture
 
+from benchmarks.exports.readers import drawn_by_ffmpeg, our_warp, smooth_picture
 from wlr_render.exports.pixel_maps import FFMPEG_NO_RAY, Ffmpeg
 
 needs_ffmpeg = pytest.mark.skipif(
     shutil.which("ffmpeg") is None, reason="ffmpeg is not installed: apt-get install ffmpeg"
 )
-
-
-def ffmpeg(folder, *arguments):
-    subprocess.run(["ffmpeg", "-v", "error", "-y", *arguments], cwd=folder, check=True, timeout=60)
 
 
 def nearest(picture, view, colour):
@@ -43,12 +38,11 @@ def test_pixels_without_a_ray_are_left_to_the_fill(holed_view, tmp_path):
 def test_ffmpeg_draws_the_nearest_pixels_bit_for_bit(holed_view, tmp_path):
     list(Ffmpeg().write([holed_view], tmp_path))
     picture = smooth_picture(holed_view.source.camera.size_px).astype(np.uint8)
-    cv2.imwrite(str(tmp_path / "source.png"), picture)
-    remap = ["-i", "source.png", "-i", "right-x.pgm", "-i", "right-y.pgm", "-lavfi", "remap=fill=black"]
-    ffmpeg(tmp_path, *remap, "panel.png")
+    pair = ["-i", "right-x.pgm", "-i", "right-y.pgm", "-lavfi", "remap=fill=black"]
+    drawn = drawn_by_ffmpeg(tmp_path, picture, pair, "ffmpeg")
     expected = nearest(picture, holed_view, "all")
     expected[5, 7] = 0
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "panel.png")), expected)
+    np.testing.assert_array_equal(drawn, expected)
     assert not np.array_equal(our_warp(picture, holed_view)[0], expected)  # which interpolates
 
 
@@ -56,10 +50,8 @@ def test_ffmpeg_draws_the_nearest_pixels_bit_for_bit(holed_view, tmp_path):
 def test_ffmpeg_draws_each_colour_by_its_own_map(coloured_view, tmp_path):
     list(Ffmpeg().write([coloured_view], tmp_path))
     picture = smooth_picture(coloured_view.source.camera.size_px).astype(np.uint8)
-    cv2.imwrite(str(tmp_path / "source.png"), picture[..., ::-1])
     pairs = [part for name in coloured_view.colours for axis in "xy" for part in ("-i", f"right-{name}-{axis}.pgm")]
-    ffmpeg(tmp_path, "-i", "source.png", *pairs, "-filter_complex", PER_COLOUR, "panel.png")
-    drawn = cv2.imread(str(tmp_path / "panel.png"))[..., ::-1]
+    drawn = drawn_by_ffmpeg(tmp_path, picture, [*pairs, "-filter_complex", PER_COLOUR], "ffmpeg")
     for plane, name in enumerate(coloured_view.colours):
         np.testing.assert_array_equal(drawn[..., plane], nearest(picture, coloured_view, name)[..., plane])
     assert not np.array_equal(drawn[..., 0], nearest(picture, coloured_view, "blue")[..., 0])

@@ -3,8 +3,8 @@ import json
 import cv2
 import numpy as np
 import pytest
-from export_readers import our_warp, smooth_picture
 
+from benchmarks.exports.readers import our_warp, smooth_picture
 from wlr_render.exports.pixel_maps import FloatMap
 from wlr_render.rendering.image_files import read_map
 

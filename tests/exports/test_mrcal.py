@@ -1,7 +1,5 @@
 import ast
-import json
 import math
-import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -9,38 +7,17 @@ import pytest
 from scipy.interpolate import NdBSpline
 from scipy.spatial.transform import Rotation
 
+from benchmarks.exports.readers import has_mrcal, points_of_pixels, projected_by_mrcal
 from wlr_render.errors import BadInputError
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.view import ExportedView
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 
-DEBIAN_PYTHON = "/usr/bin/python3"  # Debian's python3-mrcal is no package of the Python that runs the tests
-PROJECT = """
-import json, sys, numpy as np, mrcal
-file, points, pixels = sys.argv[1:]
-model = mrcal.cameramodel(file)
-in_camera = mrcal.transform_point_rt(model.extrinsics_rt_fromref(), np.load(points))
-np.save(pixels, mrcal.project(in_camera, *model.intrinsics()))
-print(json.dumps([int(size) for size in model.imagersize()]))
-"""
-
 
 def written(view, folder):
     (path,) = Mrcal().write([view], folder)
     return path
-
-
-def held_out(view, distance_m):
-    """mrcal's pixels (n, 2) all over the panel, and points (n, 3) in the device frame that they show."""
-    width, height = view.panel_size_px
-    pixel = np.stack(np.meshgrid(np.arange(3, width - 3, width // 37), np.arange(3, height - 3, height // 41)), axis=-1)
-    pixel = pixel.reshape(-1, 2)
-    rays = view.rays_at("all", pixel + 0.5)
-    in_camera = np.concatenate([rays[:, :2] * distance_m + rays[:, 2:], np.full((len(rays), 1), -distance_m)], axis=-1)
-    known = np.isfinite(in_camera).all(axis=-1)
-    in_device = in_camera @ view.source.device_from_camera.T + view.source.position_in_device
-    return pixel[known], in_device[known]
 
 
 def rms(difference):
@@ -56,20 +33,15 @@ def rms(difference):
     ],
 )
 def test_mrcal_projects_points_to_the_pixels_that_show_them(device, axes, camera, depth_m, tmp_path):
-    if subprocess.run([DEBIAN_PYTHON, "-c", "import mrcal"], capture_output=True).returncode:
+    if not has_mrcal():
         pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
     options = ExportOptions("mrcal", device, source_axes=axes, source_camera=camera, depth_m=depth_m)
     view = views_from_centres(options)["right"]
-    pixel, points = held_out(view, depth_m or 1e6)
-    np.save(tmp_path / "points.npy", points)
-    files = [written(view, tmp_path), tmp_path / "points.npy", tmp_path / "pixels.npy"]
-    run = subprocess.run([DEBIAN_PYTHON, "-c", PROJECT, *files], capture_output=True, text=True)
-    assert run.returncode == 0, run.stderr
-    size = json.loads(run.stdout)
-    difference = np.load(files[-1]) - pixel
-    print(f"{device}: {rms(difference):.5f} px rms, {np.abs(difference).max():.5f} at most")
+    pixel, points = points_of_pixels(view, depth_m or 1e6)
+    found, size = projected_by_mrcal(written(view, tmp_path), points, tmp_path)
     assert size == list(view.panel_size_px)
-    assert rms(difference) <= 0.005
+    assert rms(found - pixel) <= 0.002
+    assert np.abs(found - pixel).max() <= 0.005
 
 
 def projected(path, points):
@@ -88,16 +60,16 @@ def projected(path, points):
 
 
 def test_the_published_formula_gives_the_same_pixels(view, tmp_path):
-    pixel, points = held_out(view, 1e6)
+    pixel, points = points_of_pixels(view, 1e6)
     assert rms(projected(written(view, tmp_path), points) - pixel) <= 0.002
 
 
 def test_a_model_is_for_its_depth(view, tmp_path):
     near = replace(view, depth_m=0.25)
-    pixel, points = held_out(near, 0.25)
+    pixel, points = points_of_pixels(near, 0.25)
     path = written(near, tmp_path)
     assert rms(projected(path, points) - pixel) <= 0.002
-    pixel, points = held_out(near, 1e6)
+    pixel, points = points_of_pixels(near, 1e6)
     assert rms(projected(path, points) - pixel) > 0.05
     assert "# depth_m: 0.25\n" in path.read_text()
 
@@ -134,8 +106,8 @@ def test_pixels_without_a_ray_are_left_out_of_the_fit(view, tmp_path):
         return np.where(pixel.sum(axis=-1, keepdims=True) < 60, np.nan, rays)
 
     holed = damaged(view, without_a_corner)
-    pixel, points = held_out(holed, 1e6)
-    assert len(pixel) < len(held_out(view, 1e6)[0])
+    pixel, points = points_of_pixels(holed, 1e6)
+    assert len(pixel) < len(points_of_pixels(view, 1e6)[0])
     assert rms(projected(written(holed, tmp_path), points) - pixel) <= 0.002
 
 

@@ -2,8 +2,8 @@ import json
 
 import numpy as np
 import pytest
-from export_readers import our_warp, smooth_picture
 
+from benchmarks.exports.readers import our_warp, smooth_picture, warped_by_openimageio
 from wlr_render.exports.pixel_maps import StMap
 from wlr_render.rendering.exr_file import read_exr
 
@@ -14,18 +14,12 @@ def written(view, folder):
 
 
 def test_openimageio_draws_what_our_own_warp_draws(view, tmp_path):
-    oiio = pytest.importorskip("OpenImageIO", reason="st_warp of OpenImageIO: pip install OpenImageIO")
+    pytest.importorskip("OpenImageIO", reason="st_warp of OpenImageIO: pip install OpenImageIO")
     picture = smooth_picture(view.source.camera.size_px)
     ours, inside = our_warp(picture, view)
-    height, width = ours.shape[:2]
-    source = oiio.ImageBuf(oiio.ImageSpec(picture.shape[1], picture.shape[0], 3, "float"))
-    source.set_pixels(oiio.ROI(), picture)
-    stmap = oiio.ImageBuf(str(written(view, tmp_path)))
-    region = oiio.ROI(0, width, 0, height, 0, 1, 0, 3)
-    warped = oiio.ImageBufAlgo.st_warp(source, stmap, "triangle", 0.0, 0, 1, False, True, region)
-    difference = np.abs(warped.get_pixels()[..., :3] - ours)
+    warped = warped_by_openimageio(picture, written(view, tmp_path), view.panel_size_px)
     assert inside.all()
-    assert difference.max() <= 0.01  # of 255
+    assert np.abs(warped - ours).max() <= 0.01  # of 255
 
 
 def test_header_says_what_a_receiver_must_know(view, tmp_path):

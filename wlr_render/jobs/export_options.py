@@ -35,6 +35,7 @@ class ExportOptions(Options):
         described(
             "Pupil position x y z in the device frame, in mm; with --eye both that of the left eye, then of the right "
             "(default: centre of the eye box).",
+            flag=True,
             many=True,
         ),
         Range(at_least=-1000, at_most=1000),
