@@ -21,8 +21,9 @@ OPTILAND = {
     "HoO-V2C18Ex27.zmx": (4.0, 0.01),
     "HoO-V2C18Ex66NEW.zmx": (4.0, 0.01),
     "shapes.json": (4.0, 0.05),
+    "zemax-aspheres.zmx": (4.0, 0.05),
 }
-RAYOPTICS = {"Sasian Triplet.roa": (3.0, 0.05), "decentred.roa": (2.0, 0.05)}
+RAYOPTICS = {"Sasian Triplet.roa": (3.0, 0.05), "decentred.roa": (2.0, 0.05), "zemax-toroids.zmx": (4.0, 0.05)}
 
 
 def starting_rays(width_mm, tangent, seed=5):
@@ -108,19 +109,28 @@ def trace_with_rayoptics(path, origin, direction):
     """As `trace_with_optiland`."""
     from rayoptics.gui.roafile import open_roa
     from rayoptics.raytr.raytrace import trace
+    from rayoptics.zemax.zmxread import read_lens_file
 
-    whole = open_roa(path)
+    whole = open_roa(path) if path.suffix == ".roa" else read_lens_file(path)[0]
+    breaks = [each for each in whole["seq_model"].ifcs if each.interact_mode == "phantom"]
+    for each in breaks:  # Zemax's tilts about x and y are right-handed; rayoptics takes them for its own, left-handed
+        each.decenter.euler[:2] *= -1
+        each.decenter.update()
     whole["seq_model"].gaps[0].thi = 20.0  # from 1e10 mm, rays would lose their digits
     whole.update_model()
     model = whole["seq_model"]
     frames = model.gbl_tfrms
     turn, place = frames[0]
-    wavelength_nm = round(1e3 * WAVELENGTH_UM, 4)  # as the file has it
+    wavelength_nm = min(model.wvlns, key=lambda each: abs(each - 1e3 * WAVELENGTH_UM))  # as the file has it, rounded
     rays = []
     for start, head in zip(origin, direction, strict=True):
         found, *_ = trace(model, start + [0.0, 0.0, 20.0], head, wavelength_nm, check_apertures=False)
-        points = [frames[k][0] @ segment[0] + frames[k][1] for k, segment in enumerate(found)]
-        last = frames[len(points) - 1][0] @ found[-1][1]
+        points = [
+            frames[k][0] @ segment[0] + frames[k][1]
+            for k, segment in enumerate(found)
+            if model.ifcs[k].interact_mode != "phantom"
+        ]
+        last = frames[len(found) - 1][0] @ found[-1][1]
         rays.append([*(turn.T @ (point - place) - [0.0, 0.0, 20.0] for point in points[1:]), turn.T @ last])
     return np.array(rays)
 
