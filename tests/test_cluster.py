@@ -4,10 +4,13 @@ import importlib
 import logging
 import os
 import platform
+import re
 import resource
 import signal
 import socket
+import subprocess
 import sys
+import tempfile
 from dataclasses import replace
 from functools import partial
 
@@ -141,14 +144,59 @@ def test_frames_are_those_of_one_process(address, tmp_path, straight_device, sce
     assert pictures(tmp_path / "there") == pictures(tmp_path / "here")
 
 
-@pytest.mark.parametrize("given", ["host", "tcp://", "fax://host:1", "tcp://127.0.0.1:{free}"])
-def test_an_address_where_nobody_answers(given, monkeypatch):
-    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+MALFORMED = (
+    "host",
+    "localhost",
+    "tcp://",
+    "tcp://host",
+    "tcp://:8786",
+    "fax://host:1",
+    "tcp://host:70000",
+    "tcp://a b:1",
+)
+
+
+@pytest.mark.parametrize("given", MALFORMED)
+def test_a_malformed_address(given):
+    with pytest.raises(BadInputError, match=rf"^--scheduler {given}: is no address of a Dask scheduler; start one"):
+        done(given, abs, [1])
+
+
+@pytest.mark.parametrize(
+    "given", ["tcp://127.0.0.1:{free}", "ws://127.0.0.1:{free}", "tcp://no.such.host.invalid:8786"]
+)
+def test_an_address_where_nobody_answers_is_refused_in_one_line(given):
+    """In a process of its own: Dask's client prints a traceback when it is deleted, and needs 20 s."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # nobody listens
         given = given.format(free=taken.getsockname()[1])
-        with pytest.raises(BadInputError, match=rf"--scheduler {given}: no Dask scheduler answers there"):
-            done(given, abs, [1])
+        error = refusal_of_a_render(given)
+    assert re.fullmatch(
+        rf"wlr-render: --scheduler {given}: no Dask scheduler answers there \(.*\); start one.*\n", error
+    )
+
+
+def test_a_server_that_is_no_scheduler(monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECT_S", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(BadInputError, match=r"no Dask scheduler answers there .another program may listen there.;"):
+            done(address, abs, [1])
+
+
+def refusal_of_a_render(address):
+    """What a refused `render` prints to stderr; it leaves nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "wlr_render", "render", "no_optics", "dots", "--method", "raytrace"]
+        finished = subprocess.run(
+            [*command, "--scheduler", address, "--out", f"{folder}/out"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert (finished.returncode, os.listdir(folder)) == (2, [])
+    return finished.stderr
 
 
 @pytest.mark.parametrize(
@@ -184,7 +232,12 @@ def test_a_cluster_without_workers_is_not_waited_for_forever(monkeypatch):
 def test_a_worker_with_several_threads(tmp_path):
     with (
         distributed.LocalCluster(
-            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0", silence_logs=logging.CRITICAL
+            n_workers=1,
+            threads_per_worker=2,
+            processes=False,
+            protocol="tcp://",
+            dashboard_address=":0",
+            silence_logs=logging.CRITICAL,
         ) as threaded,
         pytest.raises(BadInputError, match="has 2 threads, and a task needs a process of its own"),
     ):

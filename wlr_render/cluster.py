@@ -4,15 +4,21 @@ Every worker reads and writes the files of a job at the same paths as the progra
 a shared file system. A task checks this, and the versions of the libraries, before anything of it is unpickled.
 """
 
+import asyncio
 import contextlib
 import ctypes
 import functools
 import os
 import pickle
 import platform
+import queue
+import re
+import socket
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -27,12 +33,31 @@ Result = TypeVar("Result")
 
 is_cluster_worker = False
 """Whether this process is at a task of a job on another machine, whose file locks it may not see."""
-_LIBRARIES = ("wlr_render", "numpy", "scipy", "opencv-python-headless", "embreex")
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS") + (
+    ("VECLIB_MAXIMUM_THREADS",) if sys.platform == "darwin" else ()
+)
+"""Environment variables with the number of threads, which a library reads once, when a process loads it."""
+OPENGL_THREADS = "LP_NUM_THREADS"
+"""The same of OpenGL without a GPU, which reads it when a context is opened."""
+_LIBRARIES = (
+    "wlr_render",
+    "numpy",
+    "scipy",
+    "opencv-python-headless",
+    "embreex",
+    "trimesh",
+    "moderngl",
+    "pyrender-maintained",
+    "mitsuba",
+    "drjit",
+)
+_ADDRESS = re.compile(r"(tcp|tls|ws|wss)://(\[[0-9A-Fa-f:.%]+\]|[\w.-]+):([0-9]{1,5})/?")
+"""Scheme, host and port of a scheduler."""
 _CONNECT_S = 10.0
 _NO_WORKER_S = 120.0
 """Time for which a cluster may have no worker: a queue starts them later, a killed one is started again."""
-_POLL_S = 0.02
+_WORKERS_EVERY_S = 1.0
+"""Time between two questions to the scheduler whether there are workers, while no result arrives."""
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """Parameters of mallopt in glibc's malloc.h."""
 _KEPT_BYTES = 32 * 1024 * 1024
@@ -54,38 +79,80 @@ def as_finished_by_cluster(
             not see the folder, or a task ended several workers.
         MissingExtraError: Dask is not installed.
     """
-    with _client(address) as client, _marked(folder) as mark:
-        conditions = {"versions": _versions(), "folder": str(Path.cwd()), "mark": mark}
-        payloads = [pickle.dumps((run, task)) for task in tasks]
-        futures = client.map(_run_here, payloads, [conditions] * len(payloads), pure=False)
-        try:
-            for future in _as_completed(client, futures, address):
-                yield _result(future, address)
-                future.release()
-        finally:
-            with contextlib.suppress(Exception):  # the scheduler may be gone
-                client.cancel(futures)
+    results = _results(run, tasks, address, folder)
+    next(results)
+    return results
+
+
+def _results(run: Callable[[Task], Result], tasks: Sequence[Task], address: str, folder: Path | None) -> Iterator[Any]:
+    """None when the scheduler has answered, before anything is written or begun, and then all results."""
+    with _client(address) as client:
+        yield None
+        with _marked(folder) as mark:
+            conditions = {"versions": _versions(), "folder": str(Path.cwd()), "mark": mark}
+            futures = _submitted(client, [pickle.dumps((run, task)) for task in tasks], conditions)
+            try:
+                for future in _as_completed(client, futures, address):
+                    yield _result(future, address)
+                    future.release()
+            finally:
+                with contextlib.suppress(Exception):  # the scheduler may be gone
+                    client.cancel(futures)
 
 
 @contextlib.contextmanager
 def _client(address: str) -> "Iterator[Client]":
     with installed_by("dask", f"--scheduler {address}"):
-        import dask
         import distributed
-    # What goes wrong is said in one sentence; pickled tasks of some megabytes are no fault.
-    quiet = {"distributed.admin.large-graph-warning-threshold": "1 GB"}
-    with dask.config.set(quiet), _silent_log():
-        try:
-            client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
-        except (OSError, ValueError, TypeError, KeyError, RuntimeError) as error:
-            raise BadInputError(
-                f"--scheduler {address}: no Dask scheduler answers there ({' '.join(str(error).split())[:200]}); start "
-                "one with 'dask scheduler', and give the address that it prints, e.g. tcp://host:8786."
-            ) from error
-        try:
-            yield client
-        finally:
+    _require_scheduler(address)
+    with _silent_log():
+        client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+    try:
+        yield client
+    finally:
+        with _silent_log():
             client.close(timeout=_CONNECT_S)
+
+
+def _require_scheduler(address: str) -> None:
+    """Check that a Dask scheduler answers.
+
+    Dask's own client tries on for long where nobody listens, waits forever for a server of another kind, and prints a
+    traceback when it is given up.
+
+    Raises:
+        BadInputError: the address is malformed, or nobody, or something else, answers there.
+    """
+    remedy = "start one with 'dask scheduler', and give the address that it prints, e.g. tcp://host:8786"
+    found = _ADDRESS.fullmatch(address)
+    if found is None or not 0 < int(found[3]) < 1 << 16:
+        raise BadInputError(f"--scheduler {address}: is no address of a Dask scheduler; {remedy}.")
+    try:
+        with socket.create_connection((found[2].strip("[]"), int(found[3])), _CONNECT_S):
+            pass
+        # In a thread of its own: that of a notebook has an event loop already.
+        with _silent_log(), ThreadPoolExecutor(1) as thread:
+            thread.submit(lambda: asyncio.run(_shake_hands(address))).result()
+    except (OSError, UnicodeError, ValueError, TypeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200] or "another program may listen there"
+        raise BadInputError(f"--scheduler {address}: no Dask scheduler answers there ({reason}); {remedy}.") from error
+
+
+async def _shake_hands(address: str) -> None:
+    from distributed.core import connect
+    from distributed.security import Security
+
+    arguments = Security().get_connection_args("client")
+    comm = await asyncio.wait_for(connect(address, timeout=_CONNECT_S, **arguments), _CONNECT_S)
+    comm.abort()
+
+
+def _submitted(client: "Client", payloads: list[bytes], conditions: dict[str, Any]) -> "list[Future]":
+    import dask
+
+    # Pickled tasks of some megabytes are no fault.
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GB"}):
+        return list(client.map(_run_here, payloads, [conditions] * len(payloads), pure=False))
 
 
 @contextlib.contextmanager
@@ -140,22 +207,27 @@ def _as_completed(client: "Client", futures: "list[Future]", address: str) -> "I
     Raises:
         BadInputError: no worker has been there for long, or the scheduler is gone.
     """
-    from distributed import as_completed
+    finished: queue.SimpleQueue[Future] = queue.SimpleQueue()
+    for future in futures:
+        future.add_done_callback(finished.put)
+    for _ in futures:
+        last_seen_s = time.monotonic()
+        while (ready := _next_of(finished)) is None:
+            if client.scheduler_info(n_workers=1)["workers"]:
+                last_seen_s = time.monotonic()
+            elif time.monotonic() - last_seen_s > _NO_WORKER_S:
+                raise BadInputError(
+                    f"--scheduler {address}: it has had no worker for {_NO_WORKER_S:.0f} s; start some with 'dask "
+                    f"worker {address} --nthreads 1', and continue."
+                )
+        yield ready
 
-    finished = as_completed(futures, loop=client.loop)
-    last_seen_s = time.monotonic()
-    while not finished.is_empty():
-        if finished.has_ready():
-            yield next(finished)
-            continue
-        time.sleep(_POLL_S)
-        if client.scheduler_info(n_workers=1)["workers"]:
-            last_seen_s = time.monotonic()
-        elif time.monotonic() - last_seen_s > _NO_WORKER_S:
-            raise BadInputError(
-                f"--scheduler {address}: it has had no worker for {_NO_WORKER_S:.0f} s; start some with 'dask worker "
-                f"{address} --nthreads 1', and continue."
-            )
+
+def _next_of(finished: "queue.SimpleQueue[Future]") -> "Future | None":
+    try:
+        return finished.get(timeout=_WORKERS_EVERY_S)
+    except queue.Empty:
+        return None
 
 
 def _result(future: "Future", address: str) -> Any:
@@ -193,7 +265,7 @@ def _run_here(payload: bytes, conditions: dict[str, Any]) -> Any:
     global is_cluster_worker
     _check_worker(conditions)
     is_cluster_worker = True
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # of OpenGL without a GPU, which reads it when a context is opened
+    os.environ.setdefault(OPENGL_THREADS, "1")
     _keep_memory_for_arrays()
     try:
         with contextlib.chdir(conditions["folder"]):
@@ -241,9 +313,10 @@ def _check_worker(conditions: dict[str, Any]) -> None:
             f"{name} has {worker.state.nthreads} threads, and a task needs a process of its own; start workers with "
             "--nworkers auto --nthreads 1."
         )
-    if any(os.environ.get(variable) != "1" for variable in _ONE_THREAD):
+    if any(os.environ.get(variable) != "1" for variable in LIBRARY_THREADS):
         raise BadInputError(
-            f"{name} calculates with several threads; start it without --no-nanny, or with {'=1 '.join(_ONE_THREAD)}=1."
+            f"{name} calculates with several threads; start it without --no-nanny, or with "
+            f"{'=1 '.join(LIBRARY_THREADS)}=1."
         )
     for path, kind in ((conditions["folder"], "current folder"), (conditions["mark"], "output folder")):
         if path and not os.path.exists(path):

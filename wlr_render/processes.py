@@ -26,14 +26,6 @@ Result = TypeVar("Result")
 
 _GRACE_S = 1.0
 """Time in which a task that is given up removes its temporary files."""
-_ONE_THREAD = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "LP_NUM_THREADS",  # of OpenGL without a GPU
-)
-_is_worker = False
 
 
 @dataclass(frozen=True)
@@ -62,9 +54,10 @@ def as_finished(
 ) -> Iterator[Result]:
     """Results of all tasks, in the order in which they are finished.
 
-    Every process calculates with one thread, so that sums are taken in one order whatever the number of workers.
-    The processes end with this one, however it ends, and as soon as its caller stops listening or is interrupted:
-    the tasks at work are given up. The workers of a cluster finish them.
+    A scheduler has answered when this returns; tasks begin when the first result is asked for. Every process calculates
+    with one thread, so that sums are taken in one order whatever the number of workers. The processes end with this
+    one, however it ends, and as soon as its caller stops listening or is interrupted: the tasks at work are given up.
+    The workers of a cluster finish them.
 
     Args:
         run: what is done; it and its results go between processes.
@@ -77,11 +70,10 @@ def as_finished(
         MissingExtraError: there is a scheduler, and Dask is not installed.
     """
     if not tasks:
-        return
+        return iter(())
     if spread.scheduler is not None:
-        yield from cluster.as_finished_by_cluster(run, tasks, spread.scheduler, folder)
-    else:
-        yield from _as_finished_here(run, tasks, spread.workers)
+        return cluster.as_finished_by_cluster(run, tasks, spread.scheduler, folder)
+    return _as_finished_here(run, tasks, spread.workers)
 
 
 def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None) -> Iterator[Result]:
@@ -106,16 +98,14 @@ def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], work
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; a worker has one."""
-    if _is_worker or cluster.is_cluster_worker:
+    """Cores that this process may use; one that another has started to share its work has one."""
+    if cluster.is_cluster_worker or multiprocessing.parent_process() is not None:
         return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _prepare_worker(parent: Connection) -> None:
     """Leave Ctrl-C, which reaches every process of a terminal, to the parent, and end with the parent."""
-    global _is_worker
-    _is_worker = True
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _give_up)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
@@ -147,8 +137,9 @@ def _inherited_by_workers() -> Iterator[None]:
     One thread each: linear algebra libraries read these variables once, when a new process loads them. No Ctrl-C, which
     would print a traceback of a process that is starting.
     """
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    variables = (*cluster.LIBRARY_THREADS, cluster.OPENGL_THREADS)
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(dict.fromkeys(variables, "1"))
     has_mask = hasattr(signal, "pthread_sigmask")
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if has_mask else set()
     try:
