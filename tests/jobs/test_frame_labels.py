@@ -14,7 +14,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.extras import MissingExtraError
 from wlr_render.geometry import transforms
-from wlr_render.jobs.frame_labels import instance_annotations, read_labels
+from wlr_render.jobs.frame_labels import instance_annotations, read_labels, write_labels
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.rendering.exr_file import read_exr
@@ -174,16 +174,6 @@ def test_a_run_that_is_resumed_ends_up_with_the_same_files(labelled, tmp_path):
     assert render(replace(job, layers=LAYERS[::-1])).record["frames_drawn"] == 0
 
 
-def test_a_folder_of_a_version_without_layers_is_continued(labelled):
-    plain = replace(labelled, layers=())
-    render(plain)
-    record = json.loads((plain.out / "sequence.json").read_text())
-    assert record["job"].pop("layers") == []
-    assert record["job"].pop("misalignment", "absent") is None
-    (plain.out / "sequence.json").write_text(json.dumps(record))
-    assert render(plain).record["frames_kept"] == 4
-
-
 @pytest.mark.parametrize("method", ["raytrace", pytest.param("raster", marks=pytest.mark.gl)])
 def test_misalignment_of_each_frame_is_that_of_what_it_shows(
     tmp_path, model_file, small_panel_model, scene_file, method, request
@@ -289,4 +279,26 @@ def test_labels_of_another_kind_are_refused(tmp_path):
     path = tmp_path / "right-000000-labels.json"
     path.write_text('{"format": "wlr-view", "version": 1}')
     with pytest.raises(BadInputError, match="is not the labels of a frame of version 1; draw the frames again"):
-        read_labels(path)
+        read_labels(path, "misalignment")
+
+
+NUMBERS = {"rms_arcmin": 1.0, "median_arcmin": 1, "p95_arcmin": None, "max_arcmin": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("kind", "labels"),
+    [
+        ("misalignment", {}),
+        ("misalignment", {"misalignment": {"points": 3}}),
+        ("misalignment", {"misalignment": {"points": 3, **NUMBERS, "max_arcmin": "2"}}),
+        ("annotations", {"misalignment": {"points": 3, **NUMBERS}}),
+        ("annotations", {"annotations": [{"instance_id": 1}]}),
+        ("annotations", {"annotations": [3]}),
+        ("predicted_error", {"predicted_error": []}),
+    ],
+)
+def test_labels_without_what_is_asked_for_are_refused(tmp_path, kind, labels):
+    path = write_labels(tmp_path / "right-000000-labels.json", labels)
+    with pytest.raises(BadInputError, match=rf"labels\.json: '{kind}' is .*, which no frame of `render` has; draw the"):
+        read_labels(path, kind)
+    assert read_labels(write_labels(path, {"misalignment": {"points": 3, **NUMBERS}}), "misalignment")["points"] == 3

@@ -364,37 +364,49 @@ def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(m
     assert not moving.out.exists()
 
 
-def test_a_folder_of_a_version_without_raster_camera_is_continued(options):
+def test_frames_of_version_1_are_refused(options):
+    """It listed no finished files, and the hashes of the headset and the scene only."""
     render(options)
     record = json.loads((options.out / "sequence.json").read_text())
-    del record["job"]["raster_camera"]
-    (options.out / "sequence.json").write_text(json.dumps(record))
-    refuses(replace(options, raster_camera="viewpoint"), "--raster-camera has changed from nearest to viewpoint")
-    assert counts(render(options)) == (0, 1)
+    (options.out / "sequence.json").write_text(json.dumps(record | {"version": 1}))
+    with pytest.raises(
+        BadInputError, match=r"sequence\.json: is of version 1, and only version 2 can be continued; choo"
+    ):
+        render(options)
 
 
-def test_frames_of_version_1_are_drawn_again(options, tmp_path):
-    """It listed no finished files, and the hashes of the headset and the scene only."""
-    device = Path(shutil.copy(options.headset, tmp_path / "device.toml"))
-    job = replace(options, headset=str(device))
+def test_a_sequence_is_continued_whatever_the_spelling_of_its_paths(options, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    for name, path in (("device.toml", options.headset), ("scene.toml", options.scene)):
+        shutil.copy(path, tmp_path / name)
+    still_head(tmp_path / "head.tum", [0.0, 0.2])
+    names = {"headset": "device.toml", "scene": "scene.toml", "head": Path("head.tum"), "misalignment": "device.toml"}
+    job = replace(options, **names, frames_per_second=10.0)
+    assert counts(render(job)) == (3, 0)
+    moved = {
+        "headset": f"{tmp_path}/device.toml",
+        "scene": "./scene.toml",
+        "head": tmp_path / "head.tum",
+        "misalignment": "folder/../device.toml",
+    }
+    assert counts(render(replace(job, **moved))) == (0, 3)
+    still_head(tmp_path / "longer.tum", [0.0, 0.2, 0.3])
+    assert counts(render(replace(job, head=Path("longer.tum")))) == (1, 3)
+    refuses(replace(job, head=None), "--head has changed from longer.tum to None")
+    shutil.copy(options.headset, tmp_path / "other.toml")
+    (tmp_path / "other.toml").write_text((tmp_path / "other.toml").read_text() + "\n# another\n")
+    refuses(replace(job, headset="other.toml"), "--headset has changed from device.toml to other.toml")
+
+
+def test_exchanged_models_are_another_job(options, model_file, tmp_path, small_panel_model):
+    """Both jobs read the same files."""
+    other = tmp_path / "other.json"
+    other.write_text(Path(model_file).read_text().replace('"fitted"', '"other"'))
+    given = {"headset": model_file, "red_model": Path(model_file), "blue_model": other}
+    job = replace(options, **given)
     render(job)
-    whole = pictures(job.out)
-    record = json.loads((job.out / "sequence.json").read_text())
-    record["version"] = 1
-    record["job"]["sha256"] = list(record.pop("inputs").values())
-    text = json.dumps(record)
-    (job.out / "sequence.json").write_text(text)
-    (job.out / "finished.jsonl").unlink()
-    before = device.read_text(encoding="utf-8")
-    device.write_text(before + "\n# changed\n", encoding="utf-8")
-    refuses(job, "the headset or the scene has changed")
-    device.write_text(before, encoding="utf-8")
-    (job.out / "right-000000.png").write_bytes(b"cut")
-    report = render(job)
-    assert (counts(report), len(report.warnings)) == ((1, 0), 1)
-    assert "earlier version" in report.warnings[0]
-    assert pictures(job.out) == whole
-    assert (counts(render(job)), render(job).warnings) == ((0, 1), [])
+    refuses(replace(job, red_model=other, blue_model=Path(model_file)), "--red-model has changed")
 
 
 def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving):

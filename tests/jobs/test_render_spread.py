@@ -1,6 +1,7 @@
 """Frames that several processes draw are those that one draws."""
 
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ from jobs.test_render import moving_pupil, pictures, still_head
 
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import frame_drawing
-from wlr_render.jobs.frame_drawing import OpenedFiles, blocks_of, draw_block
+from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, draw_block
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions, render
@@ -36,14 +37,14 @@ def whole(folder):
 
 
 def block_of(options):
-    opened, raster = OpenedFiles.of(options), None
+    opened = OpenedFiles.of(options)
     plan = planned_frames(options, opened.middle(), *read_trajectories(options))
-    return blocks_of(options, opened, raster, plan[:1], {})[0]
+    return FrameDrawing(options, opened, None).block(plan[:1])
 
 
 @pytest.mark.parametrize("method", ["raster", "raytrace"])
 def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(moving, tmp_path, monkeypatch, method):
-    monkeypatch.setattr(frame_drawing, "_FRAMES_OF_A_BLOCK", 2)
+    monkeypatch.setattr(frame_drawing, "_BLOCKS", 2)
     options = replace(moving, method=method)
     render(options)
     assert len(set(pictures(options.out).values())) == 5
@@ -53,6 +54,18 @@ def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(movi
     (tmp_path / "spread" / "right-000003.png").unlink()
     assert render(replace(options, out=tmp_path / "spread")).record["frames_drawn"] == 1
     assert pictures(tmp_path / "spread") == pictures(options.out)
+
+
+def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(moving, monkeypatch):
+    made, before = [], frame_drawing.FrameDrawing._painters.func
+    painters = cached_property(lambda drawing: made.append(drawing) or before(drawing))
+    painters.__set_name__(frame_drawing.FrameDrawing, "_painters")
+    monkeypatch.setattr(frame_drawing.FrameDrawing, "_painters", painters)
+    options = replace(moving, method="raytrace")
+    render(replace(options, workers=1, out=moving.out.with_name("spread")))
+    assert not made
+    render(options)
+    assert len(made) == 1
 
 
 def test_a_worker_that_reads_another_file_is_refused(moving):

@@ -1,6 +1,7 @@
 """Drawing of frames and writing of their files, in the process of the job or in its workers.
 
-A worker opens the headset, the scene and OpenGL by itself, and keeps them for its next frames of the same job.
+`FrameDrawing.frames` draws in both cases, and `FrameDrawing.draw` one frame. A worker opens the headset, the scene and
+OpenGL by itself, and keeps them for its next frames of the same job.
 """
 
 import contextlib
@@ -8,27 +9,31 @@ import itertools
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from wlr_render.budget.error_map import PredictedError
+from wlr_render.budget.error_map import ErrorMap
 from wlr_render.compositing.raster_painter import raster_painter
 from wlr_render.errors import BadInputError
 from wlr_render.finished_files import Signature, signature_of
-from wlr_render.input_files import hashes_of_inputs, may_refer_outside, outside_references
+from wlr_render.input_files import hashes_of_inputs, may_refer_outside, naming, outside_references
+from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.frame_labels import (
     frame_misalignment,
     labels_file,
     layers_file,
     named_annotations,
+    predicted_labels,
     write_labels,
     write_layers,
 )
 from wlr_render.jobs.frame_plan import PlannedFrame
-from wlr_render.jobs.headset import is_model, open_channels
+from wlr_render.jobs.headset import headset_path, is_model, open_channels
 from wlr_render.jobs.options import eyes_of, seed_of
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
+from wlr_render.processes import THIS_MACHINE, as_finished
 from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.frame_layers import INSTANCE, frame_layers
 from wlr_render.rendering.image_files import write_map, write_png
@@ -36,11 +41,12 @@ from wlr_render.rendering.mitsuba_frames import PathTracedPainter, PathTracer
 from wlr_render.rendering.painters import Frame, Painter, TracedPainter, is_blank
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.scene_file import load_scene
+from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.rendering.view import write_view
 
-_FRAMES_OF_A_BLOCK = 8  # so many may be lost with each worker of a run that is interrupted
+_FRAMES_OF_A_BLOCK = 8  # at most: so many may be lost with each worker of a run that is interrupted
+_BLOCKS = 64  # at least, where there are so many frames: else workers wait for the last block
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +77,17 @@ class OpenedFiles:
                 options.headset, eyes_of(options.eye), options.has_colours, options.red_model, options.blue_model
             )
             return cls(channels, _open_truths(options, channels), load_scene(options.scene), inputs)
+
+    def of_options(self, options: RenderOptions) -> dict[str, str]:
+        """Hashes of the files that options name, by option."""
+        paths = {
+            "headset": headset_path(options.headset),
+            "red_model": options.red_model,
+            "blue_model": options.blue_model,
+            "scene": scene_path(options.scene),
+            "misalignment": headset_path(options.misalignment) if options.misalignment else None,
+        }
+        return {name: self.inputs[str(path)] for name, path in paths.items() if path}
 
     def middle(self) -> dict[str, EyeMappings]:
         """The only or the green channel of each eye."""
@@ -158,28 +175,7 @@ def files_of(folder: Path, planned: PlannedFrame, options: RenderOptions) -> lis
 
 def _needs_labels(options: RenderOptions) -> bool:
     """Whether each frame has a file of labels."""
-    return "instance" in options.layers or options.misalignment is not None
-
-
-def _painters(
-    options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None, renderer: RayRenderer | None
-) -> dict[str, Painter]:
-    channels = opened.channels
-    if options.method == "pathtrace":
-        tracer = PathTracer(opened.scene, options.bounces)
-        return {
-            eye: PathTracedPainter(each, tracer, options.samples, seed_of(options.seed, eye))
-            for eye, each in channels.items()
-        }
-    if options.method == "raytrace":
-        assert renderer is not None
-        return {
-            eye: TracedPainter(each, renderer, options.supersample, options.shadows) for eye, each in channels.items()
-        }
-    return {
-        eye: raster_painter(each, raster, renderer, options.map_from, options.resolution, options.raster_camera)
-        for eye, each in channels.items()
-    }
+    return "instance" in options.layers or bool(options.misalignment) or bool(options.predicted_error)
 
 
 @dataclass(frozen=True)
@@ -194,63 +190,106 @@ class DrawnFrame:
 class FrameDrawing:
     """Draws frames and writes their files.
 
+    What it needs for that is made when the first frame is drawn: a process whose workers draw needs none of it.
+
     Attributes:
         options: of the job.
-        painters, truths: by eye.
-        renderer: of the scene; None where nothing is ray traced.
+        opened: what it has read.
+        raster: None where frames are not rasterised.
     """
 
     options: RenderOptions
-    painters: Mapping[str, Painter]
-    truths: Mapping[str, EyeMappings]
-    renderer: RayRenderer | None
+    opened: OpenedFiles
+    raster: SceneRaster | None
 
-    @classmethod
-    def of(cls, options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None) -> "FrameDrawing":
-        """With painters that draw as the options say.
+    def frames(self, plan: Sequence[PlannedFrame]) -> "Iterator[DrawnFrame]":
+        """Frames in the order in which they are finished, drawn by this process or by workers.
 
         Raises:
+            BadInputError: no cluster answers, or something that the options need is not there; nothing is written then.
             MissingExtraError: a library that the options need is not installed.
         """
-        if options.layers:
+        if self.options.layers:
             require_exr("--layers")
-        is_traced = raster is None and options.method != "pathtrace"
-        needs_rays = is_traced or options.map_from == "mesh" or bool(options.layers)
-        renderer = RayRenderer(opened.scene) if needs_rays else None
-        painters = _painters(options, opened, raster, renderer)
-        return cls(options, painters, opened.truths, renderer)
+        if self.options.spread == THIS_MACHINE:
+            if plan:
+                _ = self._painters, self._error_maps
+            return map(self.draw, plan)
+        size = min(max(len(plan) // _BLOCKS, 1), _FRAMES_OF_A_BLOCK)
+        blocks = [self.block(plan[start : start + size]) for start in range(0, len(plan), size)]
+        drawn = as_finished(draw_block, blocks, self.options.spread, self.options.out)
+        return itertools.chain.from_iterable(drawn)
 
-    def drawn(self, plan: Sequence[PlannedFrame], predicted: Mapping[str, PredictedError]) -> Iterator["DrawnFrame"]:
-        """Draw frames, one after the other; `predicted` has the errors by the frames' stems, if they are asked for."""
+    def block(self, plan: Sequence[PlannedFrame]) -> "FrameBlock":
+        """Frames for a worker."""
+        return FrameBlock(self.options, self.opened.inputs, self.raster is not None, may_refer_outside(), plan)
+
+    @cached_property
+    def _renderer(self) -> RayRenderer:
+        return RayRenderer(self.opened.scene)
+
+    @cached_property
+    def _painters(self) -> Mapping[str, Painter]:
+        """By eye."""
+        options, channels, raster = self.options, self.opened.channels, self.raster
+        if options.method == "pathtrace":
+            tracer = PathTracer(self.opened.scene, options.bounces)
+            return {
+                eye: PathTracedPainter(each, tracer, options.samples, seed_of(options.seed, eye))
+                for eye, each in channels.items()
+            }
+        if options.method == "raytrace":
+            return {
+                eye: TracedPainter(each, self._renderer, options.supersample, options.shadows)
+                for eye, each in channels.items()
+            }
+        renderer = self._renderer if raster is None or options.map_from == "mesh" else None
+        return {
+            eye: raster_painter(each, raster, renderer, options.map_from, options.resolution, options.raster_camera)
+            for eye, each in channels.items()
+        }
+
+    @cached_property
+    def _error_maps(self) -> Mapping[str, ErrorMap]:
+        """Predicted errors by eye, if they are asked for."""
+        maps = {}
+        for eye in self.opened.channels if self.options.predicted_error else ():
+            mappings, sizes = opened_with_sizes(BudgetOptions(self.options.headset), eye)
+            with naming(Path(self.options.headset)):
+                maps[eye] = ErrorMap(mappings, sizes)
+        return maps
+
+    def draw(self, planned: PlannedFrame) -> DrawnFrame:
+        """Draw a frame and write its files."""
         options, folder, with_maps = self.options, self.options.out, self.options.maps is not None
-        with_geometry = with_maps or bool(self.truths)
-        for planned in plan:
-            painter = self.painters[planned.eye]
-            frame = painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
-            sources = frame.sources if with_maps else ()
-            for path, source in zip(map_files(folder, planned, options), sources, strict=True):
-                write_map(path, source)
-            if with_maps and frame.view is not None:
-                write_view(_view_file(folder, planned), frame.view)
-            if predicted:
-                write_map(_error_file(folder, planned), predicted[planned.stem].map_arcmin)
-            self._label(folder, planned, frame)
-            write_png(picture_file(folder, planned), frame.colour)
-            signatures = {path: signature_of(path) for path in files_of(folder, planned, options)}
-            yield DrawnFrame(signatures, is_blank(frame.colour))
+        with_geometry = with_maps or bool(self.opened.truths)
+        painter = self._painters[planned.eye]
+        frame = painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
+        sources = frame.sources if with_maps else ()
+        for path, source in zip(map_files(folder, planned, options), sources, strict=True):
+            write_map(path, source)
+        if with_maps and frame.view is not None:
+            write_view(_view_file(folder, planned), frame.view)
+        self._label(folder, planned, frame)
+        write_png(picture_file(folder, planned), frame.colour)
+        signatures = {path: signature_of(path) for path in files_of(folder, planned, options)}
+        return DrawnFrame(signatures, is_blank(frame.colour))
 
     def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> None:
-        """Write the layers and the labels of a frame, if they are asked for."""
+        """Write the layers, the map of predicted errors and the labels of a frame, if they are asked for."""
         labels: dict[str, Any] = {}
-        layers = self.options.layers
+        layers, depth_m = self.options.layers, self.options.predicted_error
         if layers:
-            assert self.renderer is not None
-            channels = frame_layers(self.renderer, frame.ray_map, planned.world_from_device, layers)
+            channels = frame_layers(self._renderer, frame.ray_map, planned.world_from_device, layers)
             write_layers(layers_file(folder, planned.stem), planned, channels, layers)
             if "instance" in layers:
-                labels["annotations"] = named_annotations(channels[INSTANCE], self.renderer.scene)
-        if self.truths:
-            labels["misalignment"] = frame_misalignment(self.truths[planned.eye], planned, frame)
+                labels["annotations"] = named_annotations(channels[INSTANCE], self.opened.scene)
+        if self.opened.truths:
+            labels["misalignment"] = frame_misalignment(self.opened.truths[planned.eye], planned, frame)
+        if depth_m is not None:
+            error = self._error_maps[planned.eye].at(planned.viewpoint, depth_m)
+            write_map(_error_file(folder, planned), error.map_arcmin)
+            labels["predicted_error"] = predicted_labels(error)
         if labels:
             write_labels(labels_file(folder, planned.stem), labels)
 
@@ -265,7 +304,6 @@ class FrameBlock:
         has_opengl: whether it has opened OpenGL.
         refers_outside: whether its files may refer to files of other folders.
         plan: the frames.
-        predicted: their errors by stem, if they are asked for.
     """
 
     options: RenderOptions
@@ -273,23 +311,6 @@ class FrameBlock:
     has_opengl: bool
     refers_outside: bool
     plan: Sequence[PlannedFrame]
-    predicted: Mapping[str, PredictedError]
-
-
-def blocks_of(
-    options: RenderOptions,
-    opened: OpenedFiles,
-    raster: SceneRaster | None,
-    plan: Sequence[PlannedFrame],
-    predicted: Mapping[str, PredictedError],
-) -> list[FrameBlock]:
-    """The frames of a plan in blocks for workers."""
-    blocks = []
-    for start in range(0, len(plan), _FRAMES_OF_A_BLOCK):
-        own = plan[start : start + _FRAMES_OF_A_BLOCK]
-        errors = {planned.stem: predicted[planned.stem] for planned in own if predicted}
-        blocks.append(FrameBlock(options, opened.inputs, raster is not None, may_refer_outside(), own, errors))
-    return blocks
 
 
 def draw_block(block: FrameBlock) -> list[DrawnFrame]:
@@ -298,7 +319,7 @@ def draw_block(block: FrameBlock) -> list[DrawnFrame]:
     Raises:
         BadInputError: the worker has other files or no OpenGL.
     """
-    return list(_kept_drawing(block).drawn(block.plan, block.predicted))
+    return [*map(_kept_drawing(block).draw, block.plan)]
 
 
 _kept: dict[tuple[object, ...], tuple[FrameDrawing, contextlib.ExitStack]] = {}
@@ -336,4 +357,4 @@ def _open(block: FrameBlock) -> tuple[FrameDrawing, contextlib.ExitStack]:
                 f"The worker on {platform.node()} {has} OpenGL, and the machine that started the job {lacks} it; "
                 "choose --backend cpu, or install libegl1 and libgl1 on all machines."
             )
-        return FrameDrawing.of(block.options, opened, raster), refused.pop_all()
+        return FrameDrawing(block.options, opened, raster), refused.pop_all()

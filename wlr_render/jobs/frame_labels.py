@@ -1,8 +1,9 @@
 """Layers and labels of a frame, and the files that join the labels of a sequence.
 
-`STEM.exr` has the layers of `rendering/frame_layers.py`. `STEM-labels.json` has what instances the frame shows and how
-far it is misaligned; it is a finished file of its frame, so that a run that is resumed need not look at old frames.
-`instances.json` (the layout of COCO) and `misalignment.json` are written at the end from the labels of all frames.
+`STEM.exr` has the layers of `rendering/frame_layers.py`. `STEM-labels.json` has what instances the frame shows, how
+far it is misaligned, and its predicted error; it is a finished file of its frame, so that a run that is resumed need
+not look at old frames. `instances.json` (the layout of COCO) and `misalignment.json` are written at the end from the
+labels of all frames.
 """
 
 import json
@@ -13,12 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.budget.error_map import PredictedError
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.files import disk_errors, write_text, written_whole
 from wlr_render.geometry import transforms
-from wlr_render.input_files import LIMITS, read_text
+from wlr_render.input_files import LIMITS, read_text, shown
 from wlr_render.jobs.frame_plan import PlannedFrame
 from wlr_render.mappings import EyeMappings, Panel
 from wlr_render.rendering.exr_file import write_exr
@@ -31,6 +33,21 @@ INSTANCES, MISALIGNMENT = "instances.json", "misalignment.json"
 _KIND = "the labels of a frame"
 _GRID = 60, 60
 """Pixels across and down whose misalignment is computed."""
+
+_TYPES: dict[str, dict[str, Any]] = {
+    "annotations": {
+        "instance": str,
+        "category": str,
+        "instance_id": int,
+        "bbox": list,
+        "area": int,
+        "segmentation": dict,
+    },
+    "misalignment": {"points": int}
+    | dict.fromkeys(("rms_arcmin", "median_arcmin", "p95_arcmin", "max_arcmin"), float | int | None),
+    "predicted_error": dict.fromkeys(("rms_arcmin", "radius_arcmin"), float | int | None),
+}
+"""Keys of the labels of each kind, with the types of their values."""
 
 Labels = Mapping[str, Any]
 
@@ -65,17 +82,25 @@ def write_labels(path: Path, labels: Labels) -> Path:
     return write_text(path, json.dumps({"format": "wlr-frame-labels", "version": 1, **labels}) + "\n")
 
 
-def read_labels(path: Path) -> dict[str, Any]:
-    """Read what `write_labels` wrote.
+def read_labels(path: Path, kind: str) -> Any:
+    """Labels of one kind, "annotations", "misalignment" or "predicted_error", from what `write_labels` wrote.
 
     Raises:
-        BadInputError: the file is missing or is no such file.
+        BadInputError: the file is missing, is no such file, or lacks these labels.
     """
     remedy = "draw the frames again"
     labels = parse_json(path, read_text(path, _KIND, LIMITS.data_bytes, remedy), _KIND, remedy)
     if labels.get("format") != "wlr-frame-labels" or labels.get("version") != 1:
         raise BadInputError(f"{path}: is not {_KIND} of version 1; {remedy}.")
-    return labels
+    found = labels.get(kind)
+    several = found if kind == "annotations" and isinstance(found, list) else [found]
+    if not all(isinstance(each, dict) and _has_types(each, _TYPES[kind]) for each in several):
+        raise BadInputError(f"{path}: '{kind}' is {shown(found)}, which no frame of `render` has; {remedy}.")
+    return found
+
+
+def _has_types(labels: Labels, types: Mapping[str, Any]) -> bool:
+    return all(key in labels and isinstance(labels[key], of_key) for key, of_key in types.items())
 
 
 def instance_annotations(instance: NDArray[np.uint32]) -> list[dict[str, Any]]:
@@ -137,6 +162,12 @@ def frame_misalignment(truth: EyeMappings, planned: PlannedFrame, frame: Frame) 
     return {"points": error.count} | {name: value if error.count else None for name, value in values.items()}
 
 
+def predicted_labels(error: PredictedError) -> dict[str, float | None]:
+    """Rms and radius within which 95 % of a frame's errors lie, in arcminutes, None where no pixel has one."""
+    values = {"rms_arcmin": error.rms_arcmin, "radius_arcmin": error.radius_arcmin}
+    return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+
 def named_annotations(instance: NDArray[np.uint32], scene: Scene) -> list[dict[str, Any]]:
     """`instance_annotations` with the names of each instance and of its category, the mesh."""
     found = instance_annotations(instance)
@@ -172,7 +203,7 @@ def write_instances(folder: Path, scene: Scene, panels: Mapping[str, Panel], pla
     with written_whole(path) as temporary, disk_errors(path), temporary.open("w", encoding="utf-8") as file:
         file.write(json.dumps(head)[:-1] + ', "annotations": [')
         for number, planned in enumerate(plan, start=1):
-            for each in read_labels(labels_file(folder, planned.stem))["annotations"]:
+            for each in read_labels(labels_file(folder, planned.stem), "annotations"):
                 count += 1
                 numbers = {"id": count, "image_id": number, "category_id": category[each["instance_id"] - 1]}
                 file.write((",\n" if count > 1 else "\n") + json.dumps(numbers | each))

@@ -97,16 +97,28 @@ def pack(options: PackOptions, *, progress: ProgressArgument = SILENT) -> Report
 
 @contextlib.contextmanager
 def _moved_when_complete(out: Path) -> Iterator[Path]:
-    """Context manager for a temporary folder, whose content is moved into `out` if the block ends without an error."""
+    """Context manager for a temporary folder, whose content is moved into `out` if the block ends without an error.
+
+    All of it is moved, or nothing: half of the shards would look like a whole data set.
+    """
     temporary = out / _TEMPORARY
     shutil.rmtree(temporary, ignore_errors=True)  # of a killed run: no other one may write into this folder now
     with disk_errors(temporary):
         temporary.mkdir()
+    moved: list[Path] = []
     try:
         yield temporary
-        with disk_errors(out):
-            for path in sorted(temporary.iterdir()):
-                path.replace(out / path.name)
+        try:
+            # The first shard last: readers begin with it, so that a killed run leaves nothing that has one.
+            for path in sorted(temporary.iterdir(), reverse=True):
+                moved.append(out / path.name)
+                with disk_errors(moved[-1]):
+                    path.replace(moved[-1])
+        except BaseException:
+            for path in moved:
+                with contextlib.suppress(FileNotFoundError):
+                    path.replace(temporary / path.name)
+            raise
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -139,11 +151,10 @@ def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[
             "held": entry.flag("held", default=False),
             **sources,
         }
-        of_frame = read_labels(labels) if has_labels or misaligned else {}
         if misaligned:
-            metadata["misalignment"] = of_frame["misalignment"]
+            metadata["misalignment"] = read_labels(labels, "misalignment")
         if has_labels:
-            metadata["objects"] = of_frame["annotations"]
+            metadata["objects"] = read_labels(labels, "annotations")
         yield _Sample(key, metadata, files)
 
 

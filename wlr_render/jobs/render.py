@@ -8,7 +8,7 @@ Layers and labels of a frame are in `frame_labels.py`.
 
 import contextlib
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,18 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.budget.error_map import ErrorMap, PredictedError
 from wlr_render.compositing.raster_painter import traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_text
 from wlr_render.finished_files import LIST, FinishedFiles
-from wlr_render.input_files import naming
-from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.frame_drawing import (
     FrameDrawing,
     OpenedFiles,
-    blocks_of,
-    draw_block,
     files_of,
     map_files,
     open_raster,
@@ -49,7 +44,6 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.sequence_record import RECORD, record_text, require_same_job, sequence_record
-from wlr_render.processes import THIS_MACHINE, as_finished
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.frame_layers import LAYERS
 from wlr_render.rendering.image_files import read_png, write_video
@@ -84,34 +78,28 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     """Draw what is missing; `raster` is None where frames are ray traced."""
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, opened.middle(), head, eyes)
-    record = sequence_record(_job(options, raster), opened.inputs, [_frame_record(planned) for planned in plan])
+    frames = [_frame_record(planned) for planned in plan]
+    record = sequence_record(_job(options, raster), opened.of_options(options), opened.inputs, frames)
     text = record_text(record)
-    predicted = _predicted(options, plan)
     folder = output_folder(options.out)
-    trajectories = [path for path in (options.head, options.eye_track) if path]
-    is_old = require_same_job(folder, record, RenderOptions, trajectories)
+    require_same_job(folder, record, RenderOptions)
     finished = FinishedFiles(folder)
     missing = [planned for planned in plan if finished.not_whole(files_of(folder, planned, options))]
     changed = [planned for planned in missing if finished.changed(files_of(folder, planned, options))]
-    drawing = FrameDrawing.of(options, opened, raster) if missing else None
+    drawn = FrameDrawing(options, opened, raster).frames(missing)
     sequence = write_text(folder / RECORD, text)
-    if drawing:
-        if options.spread == THIS_MACHINE:
-            drawn = drawing.drawn(missing, predicted)
-        else:
-            blocks = blocks_of(options, opened, raster, missing, predicted)
-            drawn = itertools.chain.from_iterable(as_finished(draw_block, blocks, options.spread, folder))
-        for frame in progress(drawn, len(missing), "frames"):
-            finished.add_signed(frame.files, _BLANK if frame.is_blank else "")
+    for frame in progress(drawn, len(missing), "frames"):
+        finished.add_signed(frame.files, _BLANK if frame.is_blank else "")
     pictures = [picture_file(folder, planned) for planned in plan]
-    misaligned = _misalignments(folder, options, plan)
+    predicted = _labels(folder, plan, "predicted_error") if options.predicted_error else []
+    misaligned = _labels(folder, plan, "misalignment") if options.misalignment else []
     joined = _joined(folder, options, opened, plan, misaligned)
     videos = _videos(folder, plan, options) if options.video else []
     warnings = [
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
         *gap_warnings(options, head, eyes),
         *held_warnings(options, plan),
-        *_redrawn_warnings(folder, changed, is_old),
+        *_redrawn_warnings(folder, changed),
         *blank_warnings([path.name for path in pictures if finished.remark(path) == _BLANK], opened.scene.name),
     ]
     files = [sequence, folder / LIST, *joined, *videos]
@@ -119,24 +107,16 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     return save_report(replace(report, warnings=warnings), folder)
 
 
-def _predicted(options: RenderOptions, plan: list[PlannedFrame]) -> dict[str, PredictedError]:
-    """Predicted error of each frame by its stem, if it is asked for."""
-    depth_m = options.predicted_error
-    if depth_m is None:
-        return {}
-    maps: dict[str, ErrorMap] = {}
-    for eye in eyes_of(options.eye):
-        mappings, sizes = opened_with_sizes(BudgetOptions(options.headset), eye)
-        with naming(Path(options.headset)):
-            maps[eye] = ErrorMap(mappings, sizes)
-    return {planned.stem: maps[planned.eye].at(planned.viewpoint, depth_m) for planned in plan}
+def _labels(folder: Path, plan: list[PlannedFrame], kind: str) -> list[Labels]:
+    """Labels of one kind of each frame."""
+    return [read_labels(labels_file(folder, planned.stem), kind) for planned in plan]
 
 
 def _report(
     options: RenderOptions,
     plan: list[PlannedFrame],
     drawn: int,
-    predicted: Mapping[str, PredictedError],
+    predicted: Sequence[Labels],
     misaligned: Sequence[Labels],
     files: list[Path],
 ) -> Report:
@@ -145,10 +125,11 @@ def _report(
     blocks: list[Block] = []
     for eye in eyes_of(options.eye):
         own = [planned for planned in plan if planned.eye == eye]
-        errors = [predicted[planned.stem] for planned in own if predicted]
-        stated = [max(each.rms_arcmin for each in errors), max(each.radius_arcmin for each in errors)] if errors else []
-        of_eye = [each for each, planned in zip(misaligned, plan, strict=False) if planned.eye == eye]
-        rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *stated, *_worst_misalignment(of_eye)])
+        largest = [
+            *_largest(_of_eye(predicted, plan, eye), ("rms_arcmin", "radius_arcmin")),
+            *_largest(_of_eye(misaligned, plan, eye), ("median_arcmin", "p95_arcmin", "max_arcmin")),
+        ]
+        rows.append([eye, len(own), own[0].time_s, own[-1].time_s, *largest])
         first = picture_file(options.out, own[0])
         blocks.append(Picture(f"First frame, {eye} eye", first, "The image on the panel, before the optics."))
     columns = ["eye", "frames", "first time stamp (s)", "last time stamp (s)"]
@@ -168,10 +149,7 @@ def _report(
         )
         blocks = [*_misalignment_plot(plan, misaligned), *blocks]
     table = ReportTable("Frames by eye", columns, rows, notes)
-    by_frame = [
-        {"file": f"{stem}.png", "rms_arcmin": each.rms_arcmin, "radius_arcmin": each.radius_arcmin}
-        for stem, each in predicted.items()
-    ]
+    by_frame = [{"file": f"{planned.stem}.png", **each} for planned, each in zip(plan, predicted, strict=False)]
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
         f"{drawn} frames drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
@@ -186,19 +164,14 @@ def _report(
     )
 
 
-def _misalignments(folder: Path, options: RenderOptions, plan: list[PlannedFrame]) -> list[Labels]:
-    """Misalignment of each frame, from its labels; none if it is not asked for."""
-    if options.misalignment is None:
-        return []
-    return [read_labels(labels_file(folder, planned.stem))["misalignment"] for planned in plan]
+def _of_eye(labels: Sequence[Labels], plan: list[PlannedFrame], eye: str) -> list[Labels]:
+    """Labels of the frames of an eye; none where no frame has any."""
+    return [each for each, planned in zip(labels, plan, strict=False) if planned.eye == eye]
 
 
-def _worst_misalignment(found: Sequence[Labels]) -> list[Cell]:
-    """Largest median, 95 % and maximum over the frames of an eye that show something."""
-    if not found:
-        return []
-    names = ("median_arcmin", "p95_arcmin", "max_arcmin")
-    return [max((each[name] for each in found if each["points"]), default=None) for name in names]
+def _largest(labels: Sequence[Labels], names: Sequence[str]) -> list[Cell]:
+    """Largest values over the frames that have one; none without labels."""
+    return [max((each[name] for each in labels if each[name] is not None), default=None) for name in names if labels]
 
 
 def _misalignment_plot(plan: list[PlannedFrame], misaligned: Sequence[Labels]) -> list[Plot]:
@@ -227,21 +200,15 @@ def _drawn_from(options: RenderOptions) -> list[Path]:
     return [headset_path(options.headset), *models, scene_path(options.scene)]
 
 
-def _redrawn_warnings(folder: Path, changed: list[PlannedFrame], is_old: bool) -> list[str]:
-    warnings = []
-    if changed:
-        names = [picture_file(folder, planned).name for planned in changed]
-        more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
-        warnings.append(
-            f"{folder}: frames had changed since they were drawn, and were drawn again: "
-            f"{', '.join(names[:_MOST_NAMES])}{more}."
-        )
-    if is_old:
-        warnings.append(
-            f"{folder}: an earlier version, which did not record what it had finished, left frames there; they were "
-            "drawn again."
-        )
-    return warnings
+def _redrawn_warnings(folder: Path, changed: list[PlannedFrame]) -> list[str]:
+    if not changed:
+        return []
+    names = [picture_file(folder, planned).name for planned in changed]
+    more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+    return [
+        f"{folder}: frames had changed since they were drawn, and were drawn again: "
+        f"{', '.join(names[:_MOST_NAMES])}{more}."
+    ]
 
 
 def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:

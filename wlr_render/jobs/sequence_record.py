@@ -1,5 +1,6 @@
 """The record of a sequence of frames, `sequence.json`: how, when, from where and from which files they are drawn."""
 
+import itertools
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -7,32 +8,28 @@ from pathlib import Path
 from typing import Any
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, parsing, read_text
+from wlr_render.input_files import LIMITS, parsing, read_text, shown
 from wlr_render.jobs.options import Options, flag_of
 from wlr_render.toml_files import parse_json
 
 RECORD = "sequence.json"
 _VERSION = 2
 _KIND = "the record of a sequence"
-_ABSENT_IN_OLD_RECORDS: dict[str, Any] = {
-    "raster_camera": "nearest",
-    "predicted_error": None,
-    "samples": 64,
-    "bounces": 4,
-    "seed": 0,
-    "layers": [],
-    "misalignment": None,
-}
-"""Options that earlier versions did not write, with the value that stands for theirs."""
+_TRAJECTORIES = ("head", "eye_track")
+"""Options."""
 
 
 def sequence_record(
-    job: Mapping[str, Any], inputs: Mapping[str, str], frames: Sequence[Mapping[str, Any]]
+    job: Mapping[str, Any],
+    files: Mapping[str, str],
+    inputs: Mapping[str, str],
+    frames: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Record as plain JSON.
 
     Args:
         job: the options that change what a frame shows.
+        files: SHA-256 of the files that options name, by option.
         inputs: SHA-256 of every file that the frames show, by its path.
         frames: file, time stamp, viewpoint and head pose of each frame.
     """
@@ -41,6 +38,7 @@ def sequence_record(
         "version": _VERSION,
         "frame": "openxr",
         "job": dict(job),
+        "files": dict(files),
         "inputs": dict(inputs),
         "frames": list(frames),
     }
@@ -65,13 +63,8 @@ def record_text(record: Mapping[str, Any]) -> str:
     return text
 
 
-def require_same_job(
-    folder: Path, record: Mapping[str, Any], options: type[Options], trajectories: Sequence[Path]
-) -> bool:
+def require_same_job(folder: Path, record: Mapping[str, Any], options: type[Options]) -> None:
     """Refuse a folder whose frames are of other options, or of files that have changed since.
-
-    Returns:
-        Whether the frames were drawn by an earlier version, which did not list finished files.
 
     Raises:
         BadInputError: the sentence names the first difference.
@@ -80,40 +73,54 @@ def require_same_job(
     if not os.path.lexists(path):
         if any((folder / frame["file"]).exists() for frame in record["frames"]):
             raise _refusal(folder, f"{RECORD} is missing")
-        return False
+        return
     remedy = "choose another folder or empty it"
     earlier = parse_json(path, read_text(path, _KIND, LIMITS.record_bytes, remedy), _KIND, remedy)
     with parsing(path, _KIND, remedy):
-        is_old = bool(earlier["version"] == 1)
-        changed = _changed(earlier, record, options, trajectories)
+        if earlier["version"] != _VERSION:
+            raise BadInputError(
+                f"{path}: is of version {shown(earlier['version'])}, and only version {_VERSION} can be continued; "
+                f"{remedy}."
+            )
+        changed = _changed(earlier, record, options)
     if changed:
         raise _refusal(folder, f"{changed} since they were drawn")
-    return is_old
 
 
 def _refusal(folder: Path, reason: str) -> BadInputError:
     return BadInputError(f"{folder}: holds the frames of another job ({reason}); choose another folder or empty it.")
 
 
-def _changed(
-    earlier: dict[str, Any], record: Mapping[str, Any], options: type[Options], trajectories: Sequence[Path]
-) -> str:
-    """The first difference between the records of two jobs in words, "" if there is none."""
-    job, inputs = {**_ABSENT_IN_OLD_RECORDS, **earlier["job"]}, record["inputs"]
-    for key, value in record["job"].items():
-        if job[key] != value:
-            return f"{flag_of(options, key)} has changed from {job[key]} to {value}"
-    # Files are compared by content alone: the same device may have another path in another installation.
-    if earlier["version"] == 1:
-        old = [("the headset or the scene", sha256) for sha256 in job["sha256"]]
-        new = []  # not all files were recorded
-    else:
-        old = list(earlier["inputs"].items())
-        new = [name for name, sha256 in inputs.items() if sha256 not in earlier["inputs"].values()]
-    different = new or [name for name, sha256 in old if sha256 not in inputs.values()]
-    if different:
-        return f"{different[0]} has changed"
+def _changed(earlier: Mapping[str, Any], record: Mapping[str, Any], options: type[Options]) -> str:
+    """The first difference between the records of two jobs in words, "" if there is none.
+
+    Files are compared by content alone: the same device may have another path in another folder or installation. What
+    frames show of a trajectory is in their own times, viewpoints and poses: a longer recording continues a sequence.
+    """
+    was, now = earlier["job"], record["job"]
+    for key, value in now.items():
+        of_file = earlier["files"].get(key), record["files"].get(key)
+        is_same = of_file[0] == of_file[1] if all(of_file) else was[key] == value
+        if not is_same and not (key in _TRAJECTORIES and was[key] and value):
+            return f"{value} has changed" if was[key] == value else _option_changed(options, key, was[key], value)
+    # In the order of reading: two files that are exchanged have changed.
+    both = itertools.zip_longest(_by_content(earlier["inputs"]), _by_content(record["inputs"]), fillvalue=("", ""))
+    for (sha256_before, path_before), (sha256, path) in both:
+        if sha256_before != sha256:
+            return f"{path or path_before} has changed"
     # Either may have been limited to fewer frames.
     if any(old != new for old, new in zip(earlier["frames"], record["frames"], strict=False)):
-        return f"{' or '.join(map(str, trajectories)) or 'the eye box'} has changed"
+        return f"{' or '.join(str(now[key]) for key in _TRAJECTORIES if now[key]) or 'the eye box'} has changed"
     return ""
+
+
+def _option_changed(options: type[Options], key: str, was: object, value: object) -> str:
+    return f"{flag_of(options, key)} has changed from {was} to {value}"
+
+
+def _by_content(inputs: Mapping[str, str]) -> list[tuple[str, str]]:
+    """SHA-256 and first path of each file; one that is read by two paths is there once."""
+    first: dict[str, str] = {}
+    for path, sha256 in inputs.items():
+        first.setdefault(sha256, path)
+    return list(first.items())
