@@ -1,17 +1,20 @@
 """Warp in a renderer that is not OpenGL: a WebGPU program draws, and warps with the mesh and the shipped WGSL shader.
 
-Needs `pip install 'wlr_render[wgpu]'` and a Vulkan, Metal or Direct3D device; lavapipe (mesa-vulkan-drivers) will do.
+Needs the extra `wgpu` and a Vulkan, Metal or Direct3D device; lavapipe (mesa-vulkan-drivers) will do.
 """
 
 import numpy as np
-import wgpu
 
 from wlr_render.compositing import Compositor, DepthKind, StoredDepth, WarpMesh
+from wlr_render.extras import script_needs
 from wlr_render.files import resource
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.image_files import write_png
+
+with script_needs("wgpu"):
+    import wgpu
 
 SIZE, NEAR_M = (720, 800), 0.2
 STORED = StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)

@@ -6,7 +6,7 @@
 Writes what the runtime locates to recording.jsonl, which `wlr-render render --head recording.jsonl --eye-track
 recording.jsonl` draws again.
 
-Needs `pip install 'wlr_render[xr]'` and a running OpenXR runtime: docs/openxr.md has one with a simulated headset.
+Needs the extra `xr` and a running OpenXR runtime: docs/openxr.md has one with a simulated headset.
 """
 
 import ctypes
@@ -17,9 +17,9 @@ from pathlib import Path
 
 import moderngl
 import numpy as np
-import xr
 
 from wlr_render.compositing import Compositor, DepthKind, StoredDepth
+from wlr_render.extras import script_needs
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
 from wlr_render.optics.device_file import load_device
@@ -29,6 +29,9 @@ from wlr_render.rendering.image_files import write_png
 from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.synthetic import eye_motion
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
+
+with script_needs("xr"):
+    import xr
 
 SIZE, FRAMES, NEAR_M, FIXATION_M = (360, 400), 20, 0.05, 1.0
 TO_FIRST_ROW_NS, SCAN_OUT_NS = 15_000_000, 8_000_000

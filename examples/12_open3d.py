@@ -1,14 +1,17 @@
 """The panel's rays in Open3D: what each display pixel shows of a scene, and how far away it is."""
 
 import numpy as np
-import open3d
 
+from wlr_render.extras import script_needs
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.ray_map import choose_plan, ray_map
 from wlr_render.rendering.scene import world_positions
 from wlr_render.rendering.scene_file import load_scene
+
+with script_needs("open3d"):
+    import open3d
 
 
 def ray_caster(scene):

@@ -1,14 +1,17 @@
 """The panel's rays in NVIDIA Warp, on a GPU or the CPU: a kernel of your own with the ray of each display pixel."""
 
 import numpy as np
-import warp
 
+from wlr_render.extras import script_needs
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.ray_map import choose_plan, ray_map
 from wlr_render.rendering.scene import world_positions
 from wlr_render.rendering.scene_file import load_scene
+
+with script_needs("warp"):
+    import warp
 
 FARTHEST_M = 1e6
 

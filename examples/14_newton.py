@@ -1,16 +1,19 @@
 """The panel's rays in a camera of the physics engine Newton: pictures and distances from a simulated world."""
 
-import newton
 import numpy as np
-import warp
-from newton.sensors import SensorCamera
 
+from wlr_render.extras import script_needs
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.ray_map import choose_plan, ray_map
 from wlr_render.rendering.scene import world_positions
 from wlr_render.rendering.scene_file import load_scene
+
+with script_needs("newton"):
+    import newton
+    import warp
+    from newton.sensors import SensorCamera
 
 
 class PanelCamera:

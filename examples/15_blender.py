@@ -1,20 +1,23 @@
 """A camera for Blender's Cycles whose pixels have the panel's rays, for scenes and materials made in Blender.
 
-Needs Python 3.11 and `pip install bpy 'wlr_render[exr]'`.
+Needs Python 3.11 and the extra `blender`.
 """
 
 import tempfile
 from pathlib import Path
 
-import bpy
 import numpy as np
 
+from wlr_render.extras import script_needs
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering.exr_file import write_exr
 from wlr_render.rendering.ray_map import choose_plan, ray_map
 from wlr_render.rendering.scene_file import load_scene
+
+with script_needs("blender"):
+    import bpy
 
 # In the axes of Cycles' cameras: x right, y up, z forward. The file has NaN where a pixel has no ray.
 SHADER = """

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.extras import install_command
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions
@@ -74,6 +75,17 @@ def test_an_example_runs(name, tmp_path, request):
     if name in NEED_EGL and request.getfixturevalue("gl_context").backend != "egl":
         pytest.skip("EGL does not open here.")
     run(name, tmp_path)
+
+
+@pytest.mark.parametrize(("name", "library"), (NEED_LIBRARY | {"09_own_warp": "wgpu", "10_openxr": "xr"}).items())
+def test_without_its_library_an_example_ends_with_the_command(name, library, tmp_path):
+    (tmp_path / f"{library}.py").write_text(f"raise ModuleNotFoundError('not here', name='{library}')\n")
+    path = next(path for path in EXAMPLES if path.stem == name)
+    given = os.environ | {"PYTHONPATH": str(tmp_path)}
+    result = subprocess.run([sys.executable, str(path)], cwd=tmp_path, env=given, capture_output=True, text=True)
+    (extra,) = re.findall(r'script_needs\("(\w+)"\)', path.read_text())
+    assert result.returncode == 1
+    assert result.stderr == f"{path.name}: {library} is not installed; install it: {install_command(extra)}\n"
 
 
 @pytest.mark.gl

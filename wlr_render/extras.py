@@ -52,3 +52,13 @@ def installed_by(extra: str, use: str) -> Iterator[None]:
         library = (error.name or "").partition(".")[0]
         fault = f"{library} is not installed" if isinstance(error, ModuleNotFoundError) else f"cannot load: {error}"
         raise MissingExtraError(f"{use}: {fault}; install it: {install_command(extra)}") from error
+
+
+@contextlib.contextmanager
+def script_needs(extra: str) -> Iterator[None]:
+    """As `installed_by`, for a script: without the library it ends with the sentence, not with a traceback."""
+    try:
+        with installed_by(extra, Path(sys.argv[0]).name):
+            yield
+    except MissingExtraError as error:
+        sys.exit(str(error))
