@@ -13,17 +13,24 @@ import sys
 import tempfile
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs.test_render import pictures, still_head
+from jobs.small_photo_session import far_panel_device, small_plan
+from jobs.test_render import still_head
 
+from benchmarks.diagnosis.study import DiagnosisOptions
+from benchmarks.diagnosis.study import run as run_diagnosis
 from wlr_render import cluster, files
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
+from wlr_render.finished_files import LIST
 from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
 from wlr_render.jobs.render import RenderOptions, render
+from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.processes import Spread, as_finished
+from wlr_render.simulation.photographs import simulate_photo_session
 
 distributed = pytest.importorskip(
     "distributed", reason="Dask is not installed; install it: pip install 'wlr_render[dask]'"
@@ -130,18 +137,92 @@ def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path):
     assert again[1:] == written[1:]
 
 
-def test_frames_are_those_of_one_process(address, tmp_path, straight_device, scene_file):
-    options = RenderOptions(
-        straight_device,
-        scene_file,
-        head=still_head(tmp_path / "head.tum", [0.0, 1.0]),
-        frames_per_second=10.0,
-        method="raytrace",
-        out=tmp_path / "here",
-    )
+def whole(folder):
+    """All files of a folder by name but reports, which have dates; the list of finished files in any order."""
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
+    kept = {name: content for name, content in files.items() if not name.startswith(("report.", "diagnosis."))}
+    return {name: sorted(each.splitlines()) if name == LIST else each for name, each in kept.items()}
+
+
+def trials(folder):
+    """Kept trials by name, without the time that each took, and the digest that has it."""
+    read = {path.name: path.read_text().splitlines() for path in Path(folder).glob("trials/*/*.json")}
+    assert read
+    timed = ('"seconds": ', '"sha256": ')
+    return {name: [line for line in lines if not line.strip().startswith(timed)] for name, lines in read.items()}
+
+
+@pytest.fixture
+def sequence(tmp_path, small_northstar, scene_file):
+    """Twenty frames of 180 x 200 pixels."""
+    head = still_head(tmp_path / "head.tum", [0.0, 1.9])
+    given = {"head": head, "frames_per_second": 10.0, "method": "raytrace"}
+    return RenderOptions(small_northstar, scene_file, out=tmp_path / "here", **given)
+
+
+@pytest.mark.parametrize("method", ["raytrace", pytest.param("raster", marks=pytest.mark.gl)])
+def test_frames_are_those_of_one_process(address, tmp_path, sequence, method, request):
+    if method == "raster":
+        request.getfixturevalue("gl_context")
+    options = replace(sequence, method=method)
     render(options)
-    assert render(replace(options, scheduler=address, out=tmp_path / "there")).record["frames_drawn"] == 11
-    assert pictures(tmp_path / "there") == pictures(tmp_path / "here")
+    assert render(replace(options, scheduler=address, out=tmp_path / "there")).record["frames_drawn"] == 20
+    assert whole(tmp_path / "there") == whole(tmp_path / "here")
+
+
+@pytest.fixture
+def kill_a_worker_at_work(dask_cluster):
+    """Progress of a job that kills a worker with tasks when the first outcome is there, and the killed ones."""
+    killed = []
+
+    def progress(items, total, label):
+        for item in items:
+            if not killed:
+                busy = [each.name for each in dask_cluster.scheduler.workers.values() if each.processing]
+                killed.append(dask_cluster.workers[busy[0]].pid)
+                os.kill(killed[0], signal.SIGKILL)
+            yield item
+
+    return progress, killed
+
+
+def test_frames_are_those_of_one_process_when_a_worker_is_killed(address, tmp_path, sequence, kill_a_worker_at_work):
+    render(sequence)
+    progress, killed = kill_a_worker_at_work
+    report = render(replace(sequence, scheduler=address, out=tmp_path / "there"), progress=progress)
+    assert (len(killed), report.record["frames_drawn"]) == (1, 20)
+    assert whole(tmp_path / "there") == whole(tmp_path / "here")
+
+
+def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(address, tmp_path, kill_a_worker_at_work):
+    few = {"experiment": ("camera-positions",), "counts": (5, 9), "degrees": (3,)}
+    evaluate(EvaluateOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
+    progress, killed = kill_a_worker_at_work
+    evaluate(EvaluateOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there"), progress=progress)
+    assert len(killed) == 1
+    assert trials(tmp_path / "there") == trials(tmp_path / "here")
+
+
+def test_a_simulated_session_is_that_of_local_processes(address, tmp_path, monkeypatch):
+    """Of the last two camera poses, with the six photographs of a bare lens each: panels take minutes."""
+    poses = simulate_photo_session.camera_poses
+    monkeypatch.setattr(simulate_photo_session, "camera_poses", lambda *given: [*poses(*given)][-2:])
+    monkeypatch.setattr(simulate_photo_session, "plan_photographs", small_plan)
+    small = {"viewpoints": 2, "camera": (160, 128), "tracking_camera": (160, 120)}
+    options = SimulateOptions(tmp_path / "here", device=far_panel_device(tmp_path), **small, workers=1)
+    simulate(options)
+    simulate(replace(options, session=tmp_path / "there", workers=None, scheduler=address))
+    photographs = whole(tmp_path / "here")
+    assert len(photographs) > 8
+    assert whole(tmp_path / "there") == photographs
+
+
+def test_a_benchmark_of_trials_is_that_of_local_processes(address, tmp_path):
+    options = DiagnosisOptions(trials=1, kinds=("clean",), conditions=("white",), workers=1, out=tmp_path / "here")
+    here = run_diagnosis(options)
+    there = run_diagnosis(replace(options, workers=None, scheduler=address, out=tmp_path / "there"))
+    assert there.verdict == here.verdict
+    assert trials(tmp_path / "there") == trials(tmp_path / "here")
 
 
 MALFORMED = (

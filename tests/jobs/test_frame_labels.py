@@ -4,6 +4,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -273,6 +274,28 @@ def _encodes_video(folder):
     except BadInputError:
         return False
     return True
+
+
+def test_a_video_that_is_given_up_is_closed(tmp_path, monkeypatch):
+    """A writer that is open has its thread and its file."""
+    released = []
+    writer = SimpleNamespace(isOpened=lambda: True, write=lambda frame: None, release=lambda: released.append(True))
+    monkeypatch.setattr(cv2, "VideoWriter", _Opener(writer))
+    pictures = [np.zeros((36, 64, 3), np.uint8), np.zeros((36, 66, 3), np.uint8)]
+    with pytest.raises(BadInputError, match="frame 1 has another size than the first"):
+        write_video(tmp_path / "right.mp4", pictures, 10.0)
+    assert (released, list(tmp_path.iterdir())) == ([True], [])
+
+
+class _Opener:
+    def __init__(self, writer):
+        self.writer = writer
+
+    def __call__(self, *_):
+        return self.writer
+
+    def fourcc(self, *_):
+        return 0
 
 
 def test_labels_of_another_kind_are_refused(tmp_path):

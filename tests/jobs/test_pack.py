@@ -3,11 +3,13 @@
 import json
 import tarfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
+from wlr_render.finished_files import FinishedFiles
 from wlr_render.jobs.pack import PackOptions, pack
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.rendering.image_files import read_png
@@ -151,6 +153,37 @@ def test_what_a_killed_pack_left_is_no_part_of_the_data_set(frames_of, tmp_path)
     pack(PackOptions("webdataset", drawn.out, out=tmp_path / "set"))
     reports = {f"report.{kind}" for kind in ("html", "json", "md")}
     assert {path.name for path in (tmp_path / "set").iterdir()} == {"frames-000000.tar", *reports}
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()], ids=["disk", "ctrl-c"])
+def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(frames_of, tmp_path, monkeypatch, fault):
+    drawn, out, before = frames_of(), tmp_path / "set", Path.replace
+
+    def replace_or_fail(path, target):
+        if target == out / "frames-000001.tar":
+            raise fault
+        return before(path, target)
+
+    options = PackOptions("webdataset", drawn.out, frames_per_shard=1, out=out)
+    monkeypatch.setattr(Path, "replace", replace_or_fail)
+    with pytest.raises(KeyboardInterrupt if isinstance(fault, KeyboardInterrupt) else BadInputError):
+        pack(options)
+    assert not out.exists()
+    monkeypatch.undo()
+    pack(options)
+
+
+@pytest.mark.parametrize("kind", ["misalignment", "annotations"])
+def test_labels_that_lack_what_the_record_says_are_refused(labelled, tmp_path, kind):
+    path = labelled.out / "left-000000-labels.json"
+    labels = json.loads(path.read_text())
+    del labels[kind]
+    path.write_text(json.dumps(labels))
+    FinishedFiles(labelled.out).add([path])
+    for job in (pack, render):
+        options = PackOptions("webdataset", labelled.out, out=tmp_path / "set") if job is pack else labelled
+        with pytest.raises(BadInputError, match=rf"left-000000-labels\.json: '{kind}' is None, which no frame of"):
+            job(options)
 
 
 def test_a_folder_with_a_data_set_is_left_as_it_is(frames_of, tmp_path):

@@ -38,6 +38,14 @@ def test_what_no_exr_file_holds_is_refused(tmp_path: Path, channels: dict[str, A
     assert not list(tmp_path.iterdir())
 
 
+def test_a_full_disk_is_named(tmp_path: Path, file_size_limit: Any) -> None:
+    pytest.importorskip("OpenEXR")
+    noise = np.random.default_rng(1).normal(size=(300, 300)).astype(np.float32)
+    with file_size_limit(1000), pytest.raises(BadInputError, match=r"frame\.exr: cannot be written \(.*\); free space"):
+        write_exr(tmp_path / "frame.exr", {"depth.Z": noise})
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     pytest.importorskip("OpenEXR")
     (tmp_path / "frame.exr").write_text("no picture")

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
-from wlr_render.files import written_whole
-from wlr_render.input_files import parsing, require_pixels
+from wlr_render.files import disk_errors, written_whole
+from wlr_render.input_files import parsing, reason_of, require_pixels
 
 _TYPES = (np.float16, np.float32, np.uint32)
 """Types of values that the format has."""
@@ -55,8 +55,12 @@ def write_exr(path: str | Path, channels: Mapping[str, NDArray[Any]], texts: Map
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     header |= {f"{_OWN}{name}": text for name, text in (texts or {}).items()}
     content = {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    with written_whole(path) as temporary, parsing(path, "an OpenEXR file", "choose another folder"):
-        OpenEXR.File(header, content).write(str(temporary))
+    file = OpenEXR.File(header, content)
+    with written_whole(path) as temporary, disk_errors(path):
+        try:
+            file.write(str(temporary))
+        except RuntimeError as error:  # OpenEXR has no other for what the system refuses
+            raise OSError(reason_of(error)) from error
     return Path(path)
 
 

@@ -3,6 +3,7 @@
 OpenCV stores colours as BGR; this is the only module that turns them round.
 """
 
+import contextlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -79,21 +80,24 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
             f"most {_FASTEST_FPS}."
         )
     with written_whole(path) as temporary:
-        writer, count, size = None, 0, (0, 0)
-        for frame in frames:
-            _require_image(path, frame, np.uint8, (3,))
-            if writer is None:
-                size = (frame.shape[1], frame.shape[0])
-                writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"vp09"), frames_per_second, size)
-                if not writer.isOpened():
-                    raise BadInputError(f"{path}: this OpenCV cannot encode video; the PNG frames are complete.")
-            if (frame.shape[1], frame.shape[0]) != size:
-                raise BadInputError(f"{path}: frame {count} has another size than the first; give frames of one size.")
-            writer.write(_reversed_channels(frame))
-            count += 1
+        with contextlib.ExitStack() as opened:
+            writer, count, size = None, 0, (0, 0)
+            for frame in frames:
+                _require_image(path, frame, np.uint8, (3,))
+                if writer is None:
+                    size = (frame.shape[1], frame.shape[0])
+                    writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"vp09"), frames_per_second, size)
+                    opened.callback(writer.release)
+                    if not writer.isOpened():
+                        raise BadInputError(f"{path}: this OpenCV cannot encode video; the PNG frames are complete.")
+                if (frame.shape[1], frame.shape[0]) != size:
+                    raise BadInputError(
+                        f"{path}: frame {count} has another size than the first; give frames of one size."
+                    )
+                writer.write(_reversed_channels(frame))
+                count += 1
         if writer is None:
             raise BadInputError(f"{path}: there are no frames to make a video of.")
-        writer.release()
         readable = _frame_count(temporary)
         if readable != count:
             raise BadInputError(
