@@ -189,6 +189,7 @@ def _marked(folder: Path | None) -> Iterator[str]:
             mark.close()
 
 
+@functools.cache
 def _versions() -> dict[str, str]:
     """What has to be the same on all machines, so that results do not depend on which of them computes."""
     from importlib import metadata  # a tenth of the time in which the package is imported

@@ -3,13 +3,17 @@
 import contextlib
 import logging
 import os
+import shutil
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from wlr_render.cluster import LIBRARY_THREADS, OPENGL_THREADS
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
 from wlr_render.files import output_folder
@@ -59,8 +63,8 @@ def run(options: ClusterOptions = ClusterOptions(), *, progress: ProgressArgumen
     """
     folder = output_folder(options.out)
     jobs = _jobs(folder, options.frames, options.repeats)
-    rehearsals = _jobs(folder, _REHEARSED_FRAMES, 2)  # in which the workers import the program
-    rounds = [(name, number) for number in range(-1, options.rounds) for name in jobs]
+    rehearsals = _jobs(folder, _REHEARSED_FRAMES, 2)  # in which the workers import the program, and open what they keep
+    rounds = [(name, number) for name in jobs for number in range(-1, options.rounds)]
     runs: dict[str, list[tuple[_Run, _Run]]] = {name: [] for name in jobs}
     with _workers(1) as one, _workers(2) as two:
         for name, number in progress(rounds, len(rounds), "pairs of runs"):
@@ -69,6 +73,7 @@ def run(options: ClusterOptions = ClusterOptions(), *, progress: ProgressArgumen
             pair = {id(client): _measured(client, job, folder / "work") for client in order}
             if number >= 0:
                 runs[name].append((pair[id(one)], pair[id(two)]))
+    without_dask = [_without_dask(folder, options.frames, method) for method in ("raster", "raytrace")]
     ratios = {name: statistics.median(a.wall_s / b.wall_s for a, b in pairs) for name, pairs in runs.items()}
     met = min(ratios.values()) >= WANTED
     words = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
@@ -79,7 +84,7 @@ def run(options: ClusterOptions = ClusterOptions(), *, progress: ProgressArgumen
             verdict=f"Two local Dask workers are this many times as fast as one, median of {options.rounds} pairs: "
             f"{words}. Wanted: at least {WANTED:g}, which is {'met' if met else 'not met by all'}. The load of the "
             f"machine, with {os.cpu_count()} processors, was {load:.1f} at the end.",
-            blocks=[_speed(runs, ratios), _costs(runs)],
+            blocks=[_speed(runs, ratios, without_dask), _costs(runs)],
             record={name: [[vars(each) for each in pair] for pair in pairs] for name, pairs in runs.items()},
         ),
         folder,
@@ -96,7 +101,36 @@ def _jobs(folder: Path, frames: int, repeats: int) -> dict[str, _Job]:
     }
 
 
-def _speed(runs: dict[str, list[tuple[_Run, _Run]]], ratios: dict[str, float]) -> ReportTable:
+def _without_dask(folder: Path, frames: int, method: str) -> list[Cell]:
+    """Row of two processes that draw a sequence each: one after the other, and side by side.
+
+    They share nothing but the machine: its memory and caches may allow no more.
+    """
+    head = _head(folder / f"head-{frames}.tum", frames)
+    environment = os.environ | dict.fromkeys((*LIBRARY_THREADS, OPENGL_THREADS), "1")
+
+    def started(name: str) -> subprocess.Popen[bytes]:
+        out = folder / "work" / name
+        shutil.rmtree(out, ignore_errors=True)
+        command = [sys.executable, "-m", "wlr_render", "render", "northstar", "desk", "--method", method, "--workers=1"]
+        return subprocess.Popen(
+            [*command, "--head", str(head), "--out", str(out)], env=environment, stdout=subprocess.DEVNULL
+        )
+
+    begun = time.perf_counter()
+    status = [started(name).wait() for name in ("first", "second")]
+    after_s = time.perf_counter() - begun
+    status += [process.wait() for process in [started("left"), started("right")]]
+    beside_s = time.perf_counter() - begun - after_s
+    if any(status):
+        raise BadInputError(f"{folder}: a process that draws frames without Dask has failed; see what it printed.")
+    ratio = after_s / beside_s
+    return [f"two processes without Dask, {method}", 2 * frames, after_s, beside_s, ratio, ratio]
+
+
+def _speed(
+    runs: dict[str, list[tuple[_Run, _Run]]], ratios: dict[str, float], without_dask: list[list[Cell]]
+) -> ReportTable:
     rows: list[list[Cell]] = [
         [
             name,
@@ -109,7 +143,8 @@ def _speed(runs: dict[str, list[tuple[_Run, _Run]]], ratios: dict[str, float]) -
         for name, pairs in runs.items()
     ]
     columns = ["job", "frames or fits", "one worker (s)", "two workers (s)", "ratio, median", "ratio, least"]
-    return ReportTable("Wall time", columns, rows)
+    note = "Without Dask: one process after the other, and both side by side; this is what the machine allows."
+    return ReportTable("Wall time", columns, [*rows, *without_dask], (note,))
 
 
 def _costs(runs: dict[str, list[tuple[_Run, _Run]]]) -> ReportTable:
@@ -120,13 +155,14 @@ def _costs(runs: dict[str, list[tuple[_Run, _Run]]]) -> ReportTable:
         size = statistics.median(each.disk_bytes / each.tasks for each in all_runs)
         rows.append([name, cpu_s, size / 1e6, cpu_s * _MILLION / 3600, size * _MILLION / 1e9])
     columns = ["job", "CPU time of one (s)", "size of one (MB)", "core hours of a million", "disk of a million (GB)"]
-    note = "CPU time of the workers, with what they open. The last two columns are extrapolated."
+    note = (
+        "CPU time of the workers, without the headset and the scene, which they have opened in a rehearsal. The last "
+        "two columns are extrapolated."
+    )
     return ReportTable("Cost", columns, rows, (note,))
 
 
 def _measured(client: Any, job: _Job, folder: Path) -> _Run:
-    import shutil
-
     shutil.rmtree(folder, ignore_errors=True)
     cpu_s = sum(client.run(time.process_time).values())
     started = time.perf_counter()

@@ -100,3 +100,7 @@ def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(moving, mon
     draw_block(replace(block, options=replace(block.options, supersample=2)))
     draw_block(block)
     assert len(opened) == 3
+    elsewhere = replace(block.options, head=None, eye_track=None, out=moving.out.with_name("elsewhere"))
+    draw_block(replace(block, options=elsewhere))
+    assert len(opened) == 3
+    assert pictures(elsewhere.out) == pictures(moving.out)

@@ -1,14 +1,14 @@
 """Drawing of frames and writing of their files, in the process of the job or in its workers.
 
 `FrameDrawing.frames` draws in both cases, and `FrameDrawing.draw` one frame. A worker opens the headset, the scene and
-OpenGL by itself, and keeps them for its next frames of the same job.
+OpenGL by itself, and keeps them for its next frames of this job or another one that draws the same from elsewhere.
 """
 
 import contextlib
 import itertools
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -214,7 +214,7 @@ class FrameDrawing:
         if self.options.spread == THIS_MACHINE:
             if plan:
                 _ = self._painters, self._error_maps
-            return map(self.draw, plan)
+            return (self.draw(planned, self.options.out) for planned in plan)
         size = min(max(len(plan) // _BLOCKS, 1), _FRAMES_OF_A_BLOCK)
         blocks = [self.block(plan[start : start + size]) for start in range(0, len(plan), size)]
         drawn = as_finished(draw_block, blocks, self.options.spread, self.options.out)
@@ -259,9 +259,9 @@ class FrameDrawing:
                 maps[eye] = ErrorMap(mappings, sizes)
         return maps
 
-    def draw(self, planned: PlannedFrame) -> DrawnFrame:
-        """Draw a frame and write its files."""
-        options, folder, with_maps = self.options, self.options.out, self.options.maps is not None
+    def draw(self, planned: PlannedFrame, folder: Path) -> DrawnFrame:
+        """Draw a frame and write its files into a folder."""
+        options, with_maps = self.options, self.options.maps is not None
         with_geometry = with_maps or bool(self.opened.truths)
         painter = self._painters[planned.eye]
         frame = painter.paint(planned.viewpoint, planned.world_from_device, with_geometry=with_geometry)
@@ -319,15 +319,27 @@ def draw_block(block: FrameBlock) -> list[DrawnFrame]:
     Raises:
         BadInputError: the worker has other files or no OpenGL.
     """
-    return [*map(_kept_drawing(block).draw, block.plan)]
+    drawing = _kept_drawing(block)
+    return [drawing.draw(planned, block.options.out) for planned in block.plan]
 
 
 _kept: dict[tuple[object, ...], tuple[FrameDrawing, contextlib.ExitStack]] = {}
 """What this worker has opened for the last job whose frames it drew, and what closes it."""
+_NOT_OPENED: dict[str, Any] = {
+    "head": None,
+    "eye_track": None,
+    "frames_per_second": 30.0,
+    "frame_limit": None,
+    "video": False,
+    "workers": None,
+    "scheduler": None,
+    "out": Path(),
+}
+"""Options that decide which frames there are, and where, but not what a worker opens, with one value for all."""
 
 
 def _kept_drawing(block: FrameBlock) -> FrameDrawing:
-    key = (block.options, *sorted(block.inputs.items()))
+    key = (replace(block.options, **_NOT_OPENED), *sorted(block.inputs.items()))
     if key not in _kept:
         for _, opened in _kept.values():
             opened.close()
