@@ -27,7 +27,13 @@ def nearest(
     ray = warp.tid()
     found = warp.mesh_query_ray(mesh, origin[ray], direction[ray], FARTHEST_M)
     if found.result:
-        distance[ray] = found.t
+        # The triangle's plane again, in 64 bits: those of the query are 32, whose rounding grazing rays multiply.
+        a = warp.vec3d(warp.mesh_get_point(mesh, 3 * found.face))
+        b = warp.vec3d(warp.mesh_get_point(mesh, 3 * found.face + 1))
+        c = warp.vec3d(warp.mesh_get_point(mesh, 3 * found.face + 2))
+        across = warp.cross(b - a, c - a)
+        along = warp.dot(a - warp.vec3d(origin[ray]), across) / warp.dot(warp.vec3d(direction[ray]), across)
+        distance[ray] = float(along)
         normal[ray] = found.normal
 
 

@@ -32,7 +32,8 @@ def install_command(extra: str) -> str:
     pip = [sys.executable, "-m", "pip", "install"]
     if find_spec("pip") is None:  # an environment made by uv
         pip = ["uv", "pip", "install", "--python", sys.executable]
-    return shlex.join([*pip, *libraries])
+    # bpy asks for NumPy 1, in place of the NumPy 2 that we need and that it runs with.
+    return shlex.join([*pip, *(["--no-deps"] if extra == "blender" else []), *libraries])
 
 
 @contextlib.contextmanager

@@ -1,14 +1,19 @@
-"""Renderers that nobody here wrote meet a headset's rays where Embree meets them."""
+"""Renderers that nobody here wrote meet a headset's rays where they meet the triangles in 64 bits.
+
+Bounds hold for every ray. Distances of 32 bits have the rounding of coordinates, which grazing rays multiply. Only a
+ray that passes an edge within 1 um may see either side of it.
+"""
 
 from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from gl_scenes import at, quad, unlit
 
 from benchmarks.renderers import study
-from benchmarks.renderers.casting import LIBRARIES, blender_positions
-from benchmarks.renderers.study import differences
+from benchmarks.renderers.casting import LIBRARIES, blender_positions, right_distances
+from benchmarks.renderers.study import along_ray, differences
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
@@ -30,9 +35,13 @@ def rays():
     return replace(every, slope_offset=slope_offset, status=every.status[::4, ::4])
 
 
+MOST_UM = {"warp": 0.25}
+"""Largest difference of distance in um; 10 where a library's own distance of 32 bits is taken."""
+
+
 @pytest.mark.parametrize("scene", ["sculpture", "desk"])
 @pytest.mark.parametrize("library", LIBRARIES, ids=lambda library: library.module)
-def test_ray_casters_meet_what_embree_meets_to_a_micrometre(rays, request, library, scene):
+def test_ray_casters_meet_the_same_surfaces_to_ten_micrometres_and_warp_to_rounding(rays, request, library, scene):
     if not library.is_installed:
         pytest.skip(f"{library.package} is not installed: pip install {library.package}.")
     if library.module == "mitsuba":
@@ -40,27 +49,53 @@ def test_ray_casters_meet_what_embree_meets_to_a_micrometre(rays, request, libra
     loaded = load_scene(scene)
     finite = np.isfinite(rays.slope_offset).all(axis=0).ravel()
     origin, direction = (each[finite] for each in rays.world_rays(POSE))
-    expected = SceneTracer(loaded).intersect(origin, direction).distance
-    assert np.isfinite(expected).mean() > 0.3
-    found = differences(library.caster(loaded)(origin, direction), expected)
-    in_one_only, beyond_a_micrometre = found[0], found[-1]
+    expected = right_distances(loaded, origin, direction)
+    assert np.isfinite(expected[0]).mean() > 0.3
+    beside_an_edge = ~(expected == expected[0]).all(axis=0)
+    assert beside_an_edge.mean() < 2e-3
+    other_side, in_one_only, median, _, most, _ = differences(library.caster(loaded)(origin, direction), expected)
+    assert other_side <= 1
     assert in_one_only == 0
-    assert beyond_a_micrometre < 1e-4 * len(expected)  # these meet an edge
+    assert median < 0.1
+    assert most < MOST_UM.get(library.module, 10.0)
 
 
 @pytest.mark.parametrize("scene", ["sculpture", "desk"])
-def test_blenders_cycles_meets_what_embree_meets(rays, scene):
+def test_blenders_cycles_meets_the_same_surfaces(rays, scene):
     if find_spec("bpy") is None:
-        pytest.skip("Blender is not installed: pip install bpy, with Python 3.11.")
+        pytest.skip("Blender is not installed; docs/renderers.md has the command, for Python 3.11.")
     position = blender_positions(rays, POSE, scene)
     origin, direction = rays.world_rays(POSE)
-    hits = SceneTracer(load_scene(scene)).intersect(origin, direction)
-    hit = np.isfinite(hits.distance)
-    np.testing.assert_array_equal((position != 0).any(axis=1), hit)
-    expected = origin + np.where(hit, hits.distance, 0)[:, None] * direction
-    difference = np.linalg.norm(position - expected, axis=1)[hit]
-    assert np.median(difference) < 2e-7
-    assert np.quantile(difference, 0.99) < 1e-6
+    expected = right_distances(load_scene(scene), origin, direction)
+    distance = along_ray(position, origin, direction)
+    other_side, in_one_only, median, _, most, _ = differences(distance, expected)
+    assert other_side <= 3
+    assert in_one_only == 0
+    assert median < 0.2
+    assert most < 100.0
+
+
+def scene_of_two_planes():
+    """A square at 2 m that ends at x = 0, before a larger one at 3 m."""
+    return unlit((quad((-1, -1), (0, 1)), at(0, 0, -2)), (quad((-4, -4), (4, 4)), at(0, 0, -3)))
+
+
+def test_right_distances_are_those_of_the_planes_and_both_at_an_edge():
+    x = np.float32([-0.5, -2e-6, -5e-7, 5e-7, 2e-6, 0.5, 20.0])
+    origin = np.stack([x, np.full_like(x, 0.3), np.zeros_like(x)], axis=-1)
+    direction = np.tile(np.float32([0, 0, -1]), (len(x), 1))
+    expected = right_distances(scene_of_two_planes(), origin, direction)
+    assert [set(each) for each in expected.T] == [{2.0}, {2.0}, {2.0, 3.0}, {2.0, 3.0}, {3.0}, {3.0}, {np.inf}]
+    np.testing.assert_array_equal(expected[0], [2, 2, 2, 3, 3, 3, np.inf])
+
+
+def test_differences_take_either_side_of_an_edge_and_count_what_neither_explains():
+    expected = np.array([[2, 2, 2, 2, np.inf, 2], [2, 3, 3, 2, 2, 2]], float)
+    distance = np.float32([2 + 3e-6, 3, 2.5, np.inf, 2, 2])
+    other_side, in_one_only, median, _, most, beyond = differences(distance, expected)
+    assert (other_side, in_one_only, beyond) == (2, 1, 2)
+    assert median == 0.0
+    assert most == pytest.approx(0.5e6)
 
 
 class Shifted:
@@ -89,8 +124,10 @@ def test_the_benchmark_counts_and_measures_what_differs(monkeypatch, tmp_path, s
         straight_device, scenes=(scene_file,), rounds=1, out=tmp_path / "out", record=tmp_path
     )
     (table,) = study.run(options).blocks
-    ((name, in_one_only, median, _, most, beyond, _, _),) = table.rows
-    assert (name, in_one_only, median, beyond) == ("shifted 1.0", 1, 0.0, 2)
+    embree, (name, other_side, in_one_only, median, _, most, beyond, _, _) = table.rows
+    assert embree[:3] == ["Embree", 0, 0]
+    assert (name, other_side, in_one_only, beyond) == ("shifted 1.0", 0, 1, 2)
+    assert median < 0.1
     assert most == pytest.approx(1000, rel=1e-3)
     assert "shifted 1.0" in (tmp_path / "renderers.md").read_text("utf-8")
 
