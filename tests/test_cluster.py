@@ -1,6 +1,7 @@
 """Work on a Dask cluster: what local processes give, workers that are killed, and clusters that cannot do it."""
 
 import importlib
+import importlib.metadata
 import logging
 import os
 import platform
@@ -334,6 +335,31 @@ def test_without_dask_the_sentence_says_how_to_install_it(monkeypatch):
 def test_workers_and_scheduler_exclude_each_other():
     with pytest.raises(BadInputError, match="--workers has no use with --scheduler"):
         EvaluateOptions(workers=2, scheduler="tcp://host:8786")
+
+
+def test_results_are_taken_at_once_and_the_scheduler_is_seldom_asked_for_workers(address, monkeypatch):
+    asked, before = [], distributed.Client.scheduler_info
+    monkeypatch.setattr(distributed.Client, "scheduler_info", lambda *given, **named: asked.append(1) or before(*given))
+    monkeypatch.setattr(cluster, "_WORKERS_EVERY_S", 1000.0)  # longer than the time limit of the test run
+    assert sorted(done(address, abs, range(20))) == list(range(20))
+    assert not asked
+
+
+def test_between_results_the_log_and_the_settings_of_dask_are_those_of_the_caller(address):
+    import dask
+
+    dask_log, setting = logging.getLogger("distributed"), "distributed.admin.large-graph-warning-threshold"
+    before = dask.config.get(setting)
+    results = as_finished(abs, [1, 2], Spread(scheduler=address))
+    for _ in results:
+        assert (dask_log.disabled, dask.config.get(setting)) == (False, before)
+
+
+def test_libraries_that_draw_are_compared():
+    installed = {each.metadata["Name"].lower() for each in importlib.metadata.distributions()}
+    drawing = {"moderngl", "trimesh", "pyrender-maintained", "embreex", "mitsuba", "drjit"} & installed
+    assert drawing
+    assert drawing <= cluster._versions().keys()
 
 
 def pages_of_ten_arrays(_):

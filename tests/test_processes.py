@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.processes import Spread, as_finished
+from wlr_render.processes import Spread, as_finished, usable_cores
 
 
 def test_every_task_is_done_once_with_one_thread_each(monkeypatch):
@@ -21,6 +21,16 @@ def test_every_task_is_done_once_with_one_thread_each(monkeypatch):
     assert sorted(as_finished(math.sqrt, [4.0, 9.0, 1.0], Spread(2))) == [1.0, 2.0, 3.0]
     assert list(as_finished(os.getenv, ["MKL_NUM_THREADS"], Spread(1))) == ["1"]
     assert "MKL_NUM_THREADS" not in os.environ
+
+
+def cores(_):
+    return usable_cores()
+
+
+def test_a_worker_has_one_core():
+    assert list(as_finished(cores, [0], Spread(1))) == [1]
+    if hasattr(os, "sched_getaffinity"):
+        assert usable_cores() == len(os.sched_getaffinity(0))
 
 
 def test_a_fault_of_a_task_comes_back():

@@ -12,7 +12,7 @@ from wlr_render.budget.registration import registration_covariance
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
-from wlr_render.jobs import sequence_record
+from wlr_render.jobs import frame_drawing, sequence_record
 from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.demo import DemoOptions, demo
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
@@ -334,7 +334,7 @@ def test_the_raster_camera_stands_where_it_is_put(moving, map_from):
     assert np.linalg.norm(place["nearest"] - viewpoint) > 1e-4
 
 
-def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving):
+def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving, monkeypatch):
     job = replace(moving, predicted_error=0.5)
     report = render(job)
     maps = [read_map(job.out / f"right-{number:06d}-error.tiff") for number in range(5)]
@@ -352,6 +352,9 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving)
     (job.out / "right-000002-error.tiff").write_bytes(b"")
     assert counts(render(job)) == (1, 4)
     np.testing.assert_array_equal(read_map(job.out / "right-000002-error.tiff"), maps[2])
+    # Kept frames have their errors in their labels: nothing is computed again.
+    monkeypatch.setattr(frame_drawing, "ErrorMap", None)
+    assert render(job).record == {**report.record, "frames_drawn": 0, "frames_kept": 5}
 
 
 def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(moving, tmp_path):

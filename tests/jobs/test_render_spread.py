@@ -68,6 +68,14 @@ def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(moving, monkey
     assert len(made) == 1
 
 
+def test_workers_predict_the_errors_of_their_frames(moving, tmp_path):
+    options = replace(moving, method="raytrace", predicted_error=0.5)
+    here = render(options).record["predicted_error"]
+    spread = replace(options, workers=2, out=tmp_path / "spread")
+    assert render(spread).record["predicted_error"] == here
+    assert whole(spread.out) == whole(options.out)
+
+
 def test_a_worker_that_reads_another_file_is_refused(moving):
     options = replace(moving, method="raytrace")
     block = block_of(options)
