@@ -99,10 +99,11 @@ def _changed(earlier: Mapping[str, Any], record: Mapping[str, Any], options: typ
     """
     was, now = earlier["job"], record["job"]
     for key, value in now.items():
-        of_file = earlier["files"].get(key), record["files"].get(key)
-        is_same = of_file[0] == of_file[1] if all(of_file) else was[key] == value
-        if not is_same and not (key in _TRAJECTORIES and was[key] and value):
-            return f"{value} has changed" if was[key] == value else _option_changed(options, key, was[key], value)
+        if not _is_same(earlier, record, key):
+            is_file = was[key] == value
+            return (
+                f"{value} has changed" if is_file else f"{flag_of(options, key)} has changed from {was[key]} to {value}"
+            )
     # In the order of reading: two files that are exchanged have changed.
     both = itertools.zip_longest(_by_content(earlier["inputs"]), _by_content(record["inputs"]), fillvalue=("", ""))
     for (sha256_before, path_before), (sha256, path) in both:
@@ -114,8 +115,14 @@ def _changed(earlier: Mapping[str, Any], record: Mapping[str, Any], options: typ
     return ""
 
 
-def _option_changed(options: type[Options], key: str, was: object, value: object) -> str:
-    return f"{flag_of(options, key)} has changed from {was} to {value}"
+def _is_same(earlier: Mapping[str, Any], record: Mapping[str, Any], key: str) -> bool:
+    """Whether an option draws the same frames in both jobs."""
+    was, now = earlier["job"][key], record["job"][key]
+    if key in _TRAJECTORIES:
+        return bool(was) == bool(now)
+    if key in earlier["files"] and key in record["files"]:
+        return bool(earlier["files"][key] == record["files"][key])
+    return bool(was == now)
 
 
 def _by_content(inputs: Mapping[str, str]) -> list[tuple[str, str]]:
