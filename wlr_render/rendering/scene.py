@@ -14,6 +14,7 @@ from wlr_render.numerics.arrays import Float32Array
 
 _MOST_NAMED = 5
 
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles with one material.
