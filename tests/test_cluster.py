@@ -34,7 +34,7 @@ from wlr_render.processes import Spread, as_finished
 from wlr_render.simulation.photographs import simulate_photo_session
 
 distributed = pytest.importorskip(
-    "distributed", reason="Dask is not installed; install it: pip install 'wlr_render[dask]'"
+    "distributed", reason="Dask is not installed; install it: pip install '.[dask]'"
 )
 
 
@@ -327,7 +327,7 @@ def test_a_worker_with_several_threads(tmp_path):
 
 
 def test_without_dask_the_sentence_says_how_to_install_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "dask", None)
+    monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'distributed"):
         done("tcp://127.0.0.1:8786", abs, [1])
 
