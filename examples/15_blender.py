@@ -1,6 +1,6 @@
 """A camera for Blender's Cycles whose pixels have the panel's rays, for scenes and materials made in Blender.
 
-Needs Python 3.11 and the extra `blender`.
+Needs Python 3.11 and bpy, which is installed without its dependencies (docs/renderers.md).
 """
 
 import tempfile

@@ -93,7 +93,7 @@ def measured_data() -> Callable[[str], Path]:
 @pytest.fixture(scope="session")
 def mitsuba():
     """The library, which few machines have; tests that need it are skipped elsewhere."""
-    library = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install 'wlr_render[mitsuba]'.")
+    library = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install '.[mitsuba]'.")
     try:
         PathTracer(Scene("empty", (), (), ()))
     except MissingExtraError as error:

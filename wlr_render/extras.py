@@ -14,6 +14,9 @@ from wlr_render.errors import BadInputError
 class MissingExtraError(BadInputError):
     """A library that is not installed; the sentence has the command that installs it."""
 
+_NO_EXTRA = {"blender": ("--no-deps", "bpy>=5.0", "OpenEXR>=3.3")}
+"""Arguments of pip for what cannot be an extra: bpy asks for NumPy 1, and runs with the NumPy 2 that we need."""
+
 
 def install_command(extra: str) -> str:
     """Command that installs an extra's libraries for the running interpreter.
@@ -27,13 +30,13 @@ def install_command(extra: str) -> str:
         stated = []
     named = [each.partition(";") for each in stated]
     libraries = [library.strip() for library, _, when in named if f"extra == '{extra}'" in when.replace('"', "'")]
+    libraries = list(_NO_EXTRA.get(extra, libraries))
     if not libraries:  # a checkout that was never installed, or not since it has this extra
         libraries = [f"{Path(__file__).resolve().parents[1]}[{extra}]"]
     pip = [sys.executable, "-m", "pip", "install"]
     if find_spec("pip") is None:  # an environment made by uv
         pip = ["uv", "pip", "install", "--python", sys.executable]
-    # bpy asks for NumPy 1, in place of the NumPy 2 that we need and that it runs with.
-    return shlex.join([*pip, *(["--no-deps"] if extra == "blender" else []), *libraries])
+    return shlex.join([*pip, *libraries])
 
 
 @contextlib.contextmanager

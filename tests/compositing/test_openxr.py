@@ -48,7 +48,7 @@ def running(command, log, **settings):
 @contextlib.contextmanager
 def running_monado(config, **settings):
     """Environment of a program that uses Monado; the test is skipped where it is not installed."""
-    pytest.importorskip("xr", reason="pyopenxr is not installed; pip install 'wlr_render[xr]'.")
+    pytest.importorskip("xr", reason="pyopenxr is not installed; pip install '.[xr]'.")
     if shutil.which("monado-service") is None:
         pytest.skip("monado-service is not installed; Debian 13 has it.")
     with tempfile.TemporaryDirectory(prefix="xr") as name:  # a socket's path must be short

@@ -183,7 +183,7 @@ def test_the_glsl_warp_shows_what_the_exact_rays_meet(gl_context, eye, mesh, row
 
 @pytest.mark.parametrize("newest", [TURNED, MOVED])
 def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye, mesh, newest):
-    wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install 'wlr_render[wgpu]'.")
+    wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install '.[wgpu]'.")
     try:
         gpu = WebGpu(wgpu)
     except RuntimeError as error:

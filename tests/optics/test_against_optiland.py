@@ -32,7 +32,7 @@ def test_stored_rays(name):
 @pytest.mark.oracle
 @pytest.mark.parametrize("name", CASES)
 def test_live(name):
-    pytest.importorskip("optiland", reason="Optiland is not installed: pip install wlr_render[oracle]")
+    pytest.importorskip("optiland", reason="Optiland is not installed: pip install '.[oracle]'")
     path, origin, direction = CASES[name]
     rays = np.concatenate([origin[:, None], direction[:, None], trace_with_optiland(path, origin, direction)], axis=1)
     assert_same_rays(path, rays)

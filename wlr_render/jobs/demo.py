@@ -162,7 +162,11 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     report = Report(
         f"Alignment of {scene.name} on {device.name}",
         " ".join(verdicts),
-        warnings=[*traced_instead(raster, options.backend), *blank_warnings(blank, scene.name)],
+        warnings=[
+            *scene.material_warnings,
+            *traced_instead(raster, options.backend),
+            *blank_warnings(blank, scene.name),
+        ],
         advice=[f"Look at {' and '.join(str(block.path) for block in blocks if isinstance(block, Picture))}."],
         blocks=blocks,
         inputs=[device_path(options.device), scene_path(options.scene)],

@@ -75,7 +75,7 @@ class RenderOptions(SpreadOptions):
     seed: Annotated[Seed, OnlyWith("method", ("pathtrace",))] = 0
     materials: Annotated[
         Literal["own", "gltf"],
-        described("Shading: the ray tracer's, or glTF materials (raster only, needs OpenGL)."),
+        described("Shading of the raster: the ray tracer's, or pyrender's of matt glTF materials (needs OpenGL)."),
         OnlyWith("method", ("raster",)),
     ] = "own"
     resolution: Annotated[
