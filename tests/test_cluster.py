@@ -33,9 +33,7 @@ from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.processes import Spread, as_finished
 from wlr_render.simulation.photographs import simulate_photo_session
 
-distributed = pytest.importorskip(
-    "distributed", reason="Dask is not installed; install it: pip install '.[dask]'"
-)
+distributed = pytest.importorskip("distributed", reason="Dask is not installed; install it: pip install '.[dask]'")
 
 
 @pytest.fixture(scope="module")
