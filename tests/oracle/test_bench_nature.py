@@ -1,6 +1,7 @@
 """Each imperfection of an ordinary bench is measured back from the tables."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,11 +17,17 @@ QUIET = replace(PLAN, sigma_px=0.0)
 GAP_PX = 0.72 * CAMERA_FOCAL_PX / 8  # between the dots of every target
 
 
+@cache
+def ideal_tables(plan, seed):
+    """Of a perfect bench without noise."""
+    return observe(replace(plan, sigma_px=0.0), [], np.random.default_rng(seed), PERFECT)
+
+
 def dots(nature, plan=QUIET, seed=1):
     """Dot noise and motion, camera pixels: (captures, dots, 2), and the table of a perfect bench in that shape."""
-    seen, ideal = (
-        observe(p, [], np.random.default_rng(seed), n).seethrough for p, n in ((plan, nature), (QUIET, PERFECT))
-    )
+    plan = replace(plan, grid=(2, 2), off_plane=0)  # what the display shows is not looked at
+    seen = observe(plan, [], np.random.default_rng(seed), nature).seethrough
+    ideal = ideal_tables(QUIET, 1).seethrough  # without noise nothing random is in it
     shape = (-1, plan.dots[0] * plan.dots[1])
     gap = np.stack([seen[c] - ideal[c] for c in ("camera_u", "camera_v")], axis=-1)
     return gap.reshape(*shape, 2), ideal.reshape(shape)
@@ -28,9 +35,7 @@ def dots(nature, plan=QUIET, seed=1):
 
 def display(nature, plan=PLAN, seed=1):
     """Change of the decoded pixels by a nature, (captures, points, 2) panel pixels."""
-    seen, ideal = (
-        observe(p, [], np.random.default_rng(seed), n).display for p, n in ((plan, nature), (QUIET, PERFECT))
-    )
+    seen, ideal = observe(plan, [], np.random.default_rng(seed), nature).display, ideal_tables(QUIET, seed).display
     gap = np.stack([seen[c] - ideal[c] for c in ("pixel_u", "pixel_v")], axis=-1)
     return gap.reshape(-1, plan.grid[0] * plan.grid[1], 2)
 
