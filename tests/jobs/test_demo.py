@@ -5,19 +5,31 @@ import cv2
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
+from memo import memoised
 
+from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.image_files import read_png
 from wlr_render.report.blocks import Picture, Plot
 
+FIT = "wlr_render.jobs.demo.fit_eye"
+
 
 @pytest.fixture(scope="module")
-def finished(opened_gl_context, tmp_path_factory, small_northstar):
+def fit_with_memo():
+    """`fit_eye`, which fits the same captures to the same kind of model once: a demo spends most of its time there."""
+    return memoised(fit_eye)
+
+
+@pytest.fixture(scope="module")
+def finished(opened_gl_context, tmp_path_factory, small_northstar, fit_with_memo):
     """The main job on a small panel: its result, and its folder."""
     folder = tmp_path_factory.mktemp("demo")
-    return demo(DemoOptions(device=small_northstar, viewpoints=5, out=folder)), folder
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FIT, fit_with_memo)
+        return demo(DemoOptions(device=small_northstar, viewpoints=5, out=folder)), folder
 
 
 def overall_rows(report):
@@ -44,8 +56,11 @@ def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
 
 
 @pytest.mark.slow
-def test_the_raster_of_the_paper_shows_other_pixels_at_the_same_points(finished, small_northstar, tmp_path):
+def test_the_raster_of_the_paper_shows_other_pixels_at_the_same_points(
+    finished, small_northstar, tmp_path, fit_with_memo, monkeypatch
+):
     """Its map is that of the ray-traced frame; its colours come from an image drawn from the viewpoint."""
+    monkeypatch.setattr(FIT, fit_with_memo)
     options = DemoOptions(device=small_northstar, viewpoints=5, out=tmp_path)
     paper = demo(replace(options, raster_camera="viewpoint", map_from="mesh"))
     figures = overall(paper)
@@ -57,7 +72,8 @@ def test_the_raster_of_the_paper_shows_other_pixels_at_the_same_points(finished,
 
 
 @pytest.mark.slow
-def test_without_opengl_no_row_says_that_frames_were_rasterised(small_northstar, tmp_path):
+def test_without_opengl_no_row_says_that_frames_were_rasterised(small_northstar, tmp_path, fit_with_memo, monkeypatch):
+    monkeypatch.setattr(FIT, fit_with_memo)
     report = demo(DemoOptions(device=small_northstar, viewpoints=5, backend="cpu", out=tmp_path))
     assert list(overall(report)) == ["naive", "static", "ray traced"]
     assert report.tables[1].columns == ["viewpoint (mm)", "naive", "static", "ray traced"]
@@ -148,6 +164,7 @@ def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is
 
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_tables(finished, small_northstar, tmp_path):
+    """Without the memo: its models are fitted anew."""
     again = demo(DemoOptions(device=small_northstar, viewpoints=5, out=tmp_path))
     assert again.tables == finished[0].tables
     for name in ("panel-raster-warp.png", "eye-static.png"):
@@ -178,7 +195,8 @@ def test_each_eye_has_captures_of_its_own(straight_device):
 
 
 @pytest.mark.slow
-def test_both_eyes_have_folders_of_their_own(tmp_path, straight_device):
+def test_both_eyes_have_folders_of_their_own(tmp_path, straight_device, monkeypatch):
+    monkeypatch.setattr("wlr_render.jobs.demo.CAMERA_POSITIONS", 9)
     report = demo(DemoOptions(device=straight_device, eye="both", viewpoints=5, out=tmp_path))
     assert {path.name for path in tmp_path.iterdir()} == {"left", "right", "report.html", "report.md", "report.json"}
     assert all((tmp_path / eye / "alignment.png").is_file() for eye in ("left", "right"))
