@@ -200,7 +200,10 @@ def _spoiling(file: str, spoil: Callable[[Path], object]) -> Change:
 
 
 def _forgiving(reader: Reader, title: str) -> bool:
-    """One table of a session is enough, the numbers of a code's photographs say which is missing, and Zemax is UTF-16."""
-    if reader.file in ("lens.zmx", "glasses.agf") and title == "is UTF-16":
+    """One table of a session is enough, and the numbers of a code's photographs say which is missing.
+
+    Zemax writes UTF-16; trimesh reads it where charset_normalizer is installed.
+    """
+    if reader.file in ("lens.zmx", "glasses.agf", "box.obj") and title == "is UTF-16":
         return True
     return title == "missing" and reader.kind in ("bench table", "bench packed table", "photograph of code")
