@@ -138,6 +138,9 @@ class DisplacedShape:
         start = self.footing.meet(origin, direction)
         distance, converged = start.distance.copy(), start.converged.copy()
         for row in range(len(distance)):
+            if row and np.array_equal(start.distance[row], start.distance[row - 1], equal_nan=True):
+                distance[row] = distance[row - 1]  # the only root with a plane takes both places
+                continue
             near = distance[row] > -self.reach
             if near.any():
                 distance[row], settled = self._settle(row, origin, direction)
