@@ -8,6 +8,7 @@ from toy_device import EYE_BOX, PANEL, PLANE, display_captures, grid_in_plane, t
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.smooth_fit import fit
+from wlr_render.captures.correspondences import select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
 from wlr_render.optics.device_file import load_device
@@ -169,3 +170,14 @@ def test_motions_of_the_camera_are_no_coefficients():
     report = fitted.report
     assert fitted.smooth.posterior.determined > report.coefficients == fitted.mapping.forward.coefficients.size
     assert 0.5 * report.coefficients < report.determined <= report.coefficients
+
+
+def test_what_is_left_out_is_predicted_as_by_a_fit_to_the_rest():
+    captures = IMPERFECTIONS["stage motion"](clean(3), np.random.default_rng(3))
+    out = captures.capture // 5 == 2  # the middle row, so that nothing is extrapolated
+    found, expected = fit_display(captures, "planar").smooth.left_out(out)
+    rest = fit_display(select(captures, ~out), "planar").mapping
+    seen = rest.view_dir_of_pixel(captures.pixel[out], captures.viewpoint[out]).value
+    rms = np.sqrt(np.mean(arcmin_between(seen, captures.view_dir[out]) ** 2))
+    assert found == pytest.approx(rms, rel=0.02)
+    assert expected == pytest.approx(rms, rel=0.3)

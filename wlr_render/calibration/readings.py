@@ -293,10 +293,24 @@ def free_part(readings: FitReadings) -> Polynomial:
     return Polynomial(orders, readings.box, np.ascontiguousarray(by_term.reshape(len(orders), -1)))
 
 
-def sums_of(readings: FitReadings, start: Polynomial | None, motion: FloatArray | None, kept: FloatArray) -> Sums:
-    """Sums over the readings less their free part and trend; without values if `start` is None."""
+def sums_of(
+    readings: FitReadings,
+    start: Polynomial | None,
+    motion: FloatArray | None,
+    kept: FloatArray,
+    captures: int | None = None,
+) -> Sums:
+    """Sums over the readings less their free part and trend.
+
+    Args:
+        readings: the readings.
+        start: the free part; None for sums without values.
+        motion: (n, 2, 6) columns of the motion of each reading's camera; None without motions.
+        kept: (n,) weights of the readings.
+        captures: number of camera positions; None for that of the readings.
+    """
     terms, own = len(readings.orders), 0 if motion is None else 6
-    groups = int(readings.capture.max()) + 1 if own else 0
+    groups = (captures or int(readings.capture.max()) + 1) if own else 0
     trend = readings.trend
     parameters = trend.parameters if trend else 0
     columns = 0 if readings.mixed else readings.blocks * terms

@@ -39,7 +39,7 @@ from wlr_render.calibration.smooth_prior import (
 from wlr_render.errors import BadInputError
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.evidence import Posterior, Prior, maximise, posterior
+from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, posterior
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
@@ -238,16 +238,26 @@ class SmoothFit:
         response = response_of(readings, polynomial, kept, sums, width, found.noise)
         return spread_of(readings, found, response)
 
+    @cached_property
+    def _sums(self) -> Sums:
+        """Over all readings."""
+        return sums_of(self.readings, self._start, self._columns, self.kept, captures=self._captures)
+
+    @property
+    def _captures(self) -> int:
+        return int(self.readings.capture.max()) + 1
+
     def left_out(self, rows: BoolArray) -> tuple[float, float]:
         """Predict readings (n,) bool by a fit to the others at the same hyperparameters.
 
         Returns:
             rms length of the prediction's errors in arcminutes, and what the fit expects of it.
         """
-        readings = self.readings
-        sums = sums_of(readings, self._start, self._columns, np.where(rows, 0.0, self.kept))
+        readings, out = self.readings, rows & (self.kept > 0)
+        chosen = readings.select(out)
+        columns = None if self._columns is None else self._columns[out]
+        sums = self._sums - sums_of(chosen, self._start, columns, self.kept[out], captures=self._captures)
         rest = posterior(sums, self._prior, self._hyper, evidence=False)
-        chosen = readings.select(rows & (self.kept > 0))
         polynomial = polynomial_of(readings, self._start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
         spread = spread_of(readings, rest)  # without common errors: what was left out shares them
@@ -258,9 +268,8 @@ class SmoothFit:
             by_block = sum(covariance[:, axis::2, axis::2] for axis in (0, 1))
             variance = np.einsum("nb,nbc,nc->n", chosen.multiplier, by_block, chosen.multiplier)
         variance = variance * chosen.metric**2 + 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
-        if self._columns is not None:
+        if columns is not None:
             own = self._motion_sizes[chosen.capture]
-            columns = self._columns[rows & (self.kept > 0)]
             variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
 
