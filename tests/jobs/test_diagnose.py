@@ -17,6 +17,7 @@ from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import readings_of_rows
+from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.jobs import diagnose
 from wlr_render.simulation.bench_file import load_bench
 from wlr_render.simulation.session_captures import observations_of
@@ -239,7 +240,8 @@ def test_stated_priors_reach_the_causes_and_go_where_the_corrected_bench_has_the
     def quick(nominal, session, progress, causes, settings):
         seen.update(causes)
         assert settings.max_causes == 0
-        return procedure.diagnose(nominal, session, progress, {name: causes[name] for name in FEW})
+        few = {name: causes[name] for name in FEW}
+        return procedure.diagnose(nominal, session, progress, few, replace(DEFAULT, subsample=1500))
 
     monkeypatch.setattr(diagnose, "diagnose_session", quick)
     bench, stated = tmp_path / "bench.toml", (session / "bench.toml").read_text()
