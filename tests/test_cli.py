@@ -223,6 +223,23 @@ def test_an_argument_too_many_is_refused(capsys):
     )
 
 
+@pytest.mark.parametrize(
+    ("arguments", "needs"),
+    [
+        (["import-optics", "lens.zmx"], "import-optics needs --panel"),
+        (["import-optics", "lens.zmx", "--panel", "800x600"], "import-optics needs --panel-mm"),
+        (["export", "stmap"], "export needs HEADSET"),
+        (["calibrate", "photos"], "calibrate photos needs SESSION"),
+    ],
+)
+def test_a_missing_argument_is_called_missing(arguments, needs, capsys):
+    assert refused(arguments, capsys) == f"wlr-render: {needs}; add --help to see what this verb takes."
+
+
+def test_an_option_without_its_value_is_named(capsys):
+    assert refused(["trace", "northstar", "--out"], capsys).endswith("--out requires an argument.")
+
+
 @pytest.mark.parametrize("argument", [["--out", ""], ["--out="], ["--out= "]], ids=str)
 def test_an_empty_value_is_refused(argument, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

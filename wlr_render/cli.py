@@ -18,6 +18,7 @@ from cyclopts import (
     App,
     CycloptsError,
     Group,
+    MissingArgumentError,
     Parameter,
     Token,
     UnknownCommandError,
@@ -272,6 +273,11 @@ _OF_THE_INPUT = (BadInputError, CycloptsError, MemoryError, OSError)
 def _sentence(error: Exception) -> str:
     if isinstance(error, UnusedCliTokensError):
         return f"Unexpected argument '{' '.join(error.unused_tokens or ())}'; add --help to see what this verb takes."
+    if isinstance(error, MissingArgumentError) and error.argument is not None and error.keyword is None:
+        name = error.argument.name  # of an argument without a dash --help shows the capitals
+        name = name if error.argument.field_info.is_keyword_only else name.lstrip("-").upper()
+        hint = f" Did you{str(error).partition('Did you')[2]}" if "Did you" in str(error) else ""
+        return f"{' '.join(error.command_chain or ())} needs {name}; add --help to see what this verb takes.{hint}"
     if isinstance(error, UnknownCommandError) and error.app is not None:
         # The parser's own sentence would import the modules of all verbs.
         token, verbs = (error.unused_tokens or [""])[0], [name for name in error.app if not name.startswith("-")]
