@@ -84,27 +84,29 @@ class FinishedFiles:
             os.fsync(file.fileno())
             self._is_torn = False
 
-    def remove_replaced(self) -> list[Path]:
+    def remove_replaced(self) -> tuple[int, list[Path]]:
         """Remove the files of the jobs that this one replaces, as far as it has not written files of their names.
 
         Returns:
-            Those that are not as they were listed, because somebody has changed them: they are left.
+            How many were removed, and those that are not as they were listed, because somebody has changed them: they
+            are left.
 
         Raises:
             BadInputError: the list cannot be written.
         """
-        changed = []
+        removed, changed = 0, []
         for name in self._replaced.keys() - self._listed.keys():
             path = self._folder / name
             if Path(name).name != name or not os.path.lexists(path):
                 continue
             if _has_signature(path, self._replaced[name]):
                 path.unlink()
+                removed += 1
             else:
                 changed.append(path)
         if self._replaced:
             write_text(self._path, "".join(map(self._line, self._listed)))
-        return sorted(changed)
+        return removed, sorted(changed)
 
     def _line(self, name: str) -> str:
         (length, sha256), remark = self._listed[name], self._remarks[name]

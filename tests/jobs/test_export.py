@@ -1,7 +1,10 @@
 import hashlib
 import json
+import re
+import shlex
 import sys
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import get_args
 
@@ -27,6 +30,7 @@ from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.headset import open_colours, open_eye
 from wlr_render.jobs.render import render
 from wlr_render.jobs.render_options import RenderOptions
+from wlr_render.jobs.trace import TraceOptions, trace
 from wlr_render.models.model_file import EyeModel, save_eye_models
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
@@ -45,7 +49,8 @@ def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
         report = exported(form.name, straight_device, tmp_path / form.name)
         page = (tmp_path / form.name / "report.md").read_text(encoding="utf-8")
         assert all(path.is_file() for path in report.files)
-        assert all(markdown_text(sentence) in page for sentence in (*form.convention, *form.use))
+        steps = [step.replace("NAME", "right").replace("WxH", "64x36") for step in form.use]
+        assert all(markdown_text(sentence) in page for sentence in (*form.convention, *steps))
         assert {"check-source.png", "check-panel.png"} <= {path.name for path in report.files}
 
 
@@ -126,6 +131,7 @@ def test_files_of_an_earlier_export_are_removed_and_no_others(straight_device, t
     (tmp_path / "notes.txt").touch()
     report = exported("stmap", straight_device, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"notes.txt", *(path.name for path in report.files)}
+    assert report.warnings[-1] == f"8 files of an earlier export were removed from {tmp_path}."
 
 
 def test_a_file_that_was_changed_after_an_export_is_left(straight_device, tmp_path):
@@ -153,6 +159,24 @@ def test_an_export_that_is_refused_leaves_the_earlier_one(straight_device, tmp_p
     with pytest.raises(MissingExtraError):
         exported("stmap", straight_device, tmp_path)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_job_of_another_kind_does_not_replace_the_page(straight_device, tmp_path):
+    exported("pfm", straight_device, tmp_path)
+    page = (tmp_path / "report.md").read_bytes()
+    with pytest.raises(BadInputError, match=r"holds the files of another job, which finished\.jsonl lists"):
+        trace(TraceOptions(straight_device, out=tmp_path))
+    assert (tmp_path / "report.md").read_bytes() == page
+
+
+def test_commands_of_the_page_can_be_copied(straight_device, tmp_path):
+    exported("ffmpeg", straight_device, tmp_path, per_colour=True)
+    page, html = ((tmp_path / f"report.{end}").read_text(encoding="utf-8") for end in ("md", "html"))
+    (command,) = re.findall(r"`(ffmpeg [^`]*mergeplanes[^`]*)`", page)
+    assert command in unescape(re.search(r"<code>(ffmpeg [^<]*mergeplanes[^<]*)</code>", html)[1])
+    assert [name for name in shlex.split(command) if name.endswith(".pgm")] == [
+        f"right-{colour}-{axis}.pgm" for colour in ("red", "green", "blue") for axis in "xy"
+    ]
 
 
 class Killed(BaseException):

@@ -2,13 +2,13 @@
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wlr_render.exports.format import Capabilities, Format
+from wlr_render.exports.format import Format, Loss
 from wlr_render.exports.view import ALL_COLOURS, ExportedView
 from wlr_render.files import write_text
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
@@ -17,32 +17,17 @@ from wlr_render.numerics.arrays import FloatArray
 JUDGED_DEPTH_M = 0.5
 PUPIL_SHIFT_M = 0.002
 _JUDGED_PIXELS = 41
+_ALIKE_ARCMIN = 1e-3
 
 
-@dataclass(frozen=True)
-class Loss:
-    """Misalignment over the panel where a fixed map is used for what it was not made for.
-
-    Attributes:
-        case: in words.
-        rms_arcmin, max_arcmin: over a grid of panel pixels that have a ray; None where the case is not defined.
-    """
-
-    case: str
-    rms_arcmin: float | None
-    max_arcmin: float | None
-
-
-def losses(view: ExportedView, holds: Capabilities, colour: str) -> list[Loss]:
+def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
     """Misalignment of a view in one colour: as it was made for, at other depths, in other light, with another pupil.
-
-    The first one is left out where the format approximates between panel pixels: its page has the tolerance.
 
     Directions are those from the source camera to the points that the panel's pixels show and should show, by the
     mappings. The pupil moves `PUPIL_SHIFT_M` right, left, up and down in the device, as far as the eye box allows; the
     errors are of all these together.
     """
-    mappings = view.mappings(colour)
+    mappings, holds = view.mappings(colour), form.holds
     pixel = _pixel_centres(view.panel_size_px)
     due = np.moveaxis(view.rays_at(colour, pixel), -1, 0)
     column, row = np.floor(pixel).astype(int).T
@@ -51,7 +36,9 @@ def losses(view: ExportedView, holds: Capabilities, colour: str) -> list[Loss]:
         camera = view.source.camera
         shown = camera.tangents_of_pixel(np.floor(camera.pixel_of_tangents(shown)) + 0.5)
     found = []
-    if holds.every_pixel:
+    if not holds.every_pixel:
+        found.append(form.interpolation(view, colour))
+    else:
         points = "points at any depth" if holds.every_depth else f"points {depth_words(view.depth_m)}"
         found.append(_loss(f"{points}, as the file is made for", [_arcmin(view, shown, due)]))
     if not holds.every_depth:
@@ -75,7 +62,7 @@ def not_held(view: ExportedView, form: Format) -> list[str]:
         lost.append(
             f"{name} holds one depth from the source camera, for all of the picture; the format rays holds all."
         )
-    if view.colours == (ALL_COLOURS,):
+    if view.colours == (ALL_COLOURS,) and not _bends_all_light_alike(view):
         (light,) = view.origin.wavelength_nm.values() or ("the light that the model was fitted in",)
         made_in = f"light of {light:.0f} nm" if isinstance(light, float) else light
         remedy = "--per-colour makes one for each" if holds.colours else f"{name} has no more"
@@ -90,6 +77,14 @@ def not_held(view: ExportedView, form: Format) -> list[str]:
     if not holds.every_pixel:
         lost.append(f"{name} holds some points of the panel, between which its reader interpolates.")
     return lost
+
+
+def _bends_all_light_alike(view: ExportedView) -> bool:
+    """Whether red and blue light go the way of green; False if it is not known."""
+    pixel, colour = _pixel_centres(view.panel_size_px), view.middle_colour
+    green = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
+    others = [np.moveaxis(view.rays_of(each, pixel, view.viewpoint), -1, 0) for each in view.other_light.values()]
+    return bool(others) and all(np.nanmax(_arcmin(view, green, rays)) < _ALIKE_ARCMIN for rays in others)
 
 
 def _pixel_centres(size_px: tuple[int, int]) -> FloatArray:
@@ -142,7 +137,7 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
         },
         "convention": list(form.convention),
         "does_not_hold": not_held(view, form),
-        "loses": [asdict(loss) for loss in losses(view, form.holds, judged)],
+        "loses": [asdict(loss) for loss in losses(view, form, judged)],
     }
 
 

@@ -35,6 +35,20 @@ class Capabilities:
     is_exr: bool = False
 
 
+@dataclass(frozen=True)
+class Loss:
+    """Misalignment over the panel where a fixed map is used for something that it was not made for.
+
+    Attributes:
+        case: in words.
+        rms_arcmin, max_arcmin: over panel pixels that have a ray; None where the case is not defined, or not known.
+    """
+
+    case: str
+    rms_arcmin: float | None
+    max_arcmin: float | None
+
+
 class Format(Protocol):
     """A file format, listed in `formats.FORMATS`.
 
@@ -43,7 +57,8 @@ class Format(Protocol):
         title: what it is, and for whom, in one line.
         holds: its capabilities.
         convention: what the numbers of a file mean, a sentence each; also in every file or beside it.
-        use: how a reader uses the files in the program that they are for, a step each.
+        use: how a reader uses the files in the program that they are for, a step each; NAME stands for the start of a
+            file's name, WxH for the panel's size.
     """
 
     @property
@@ -64,6 +79,9 @@ class Format(Protocol):
     def files(self, view: ExportedView) -> Sequence[str]:
         """Names of the files that hold a view, in the order in which they are written."""
 
+    def interpolation(self, view: ExportedView, colour: str) -> Loss:
+        """Error of what a reader interpolates between the points of a file; of formats that hold every pixel, none."""
+
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write the files of all views into a folder; yields each one when it is finished.
 
@@ -73,6 +91,14 @@ class Format(Protocol):
             BadInputError: the format does not hold a view, or a file cannot be written.
             MissingExtraError: a library that the format needs is not installed.
         """
+
+
+class EveryPixel:
+    """Base of formats that hold every pixel of the panel."""
+
+    def interpolation(self, view: ExportedView, colour: str) -> Loss:
+        """No error."""
+        return Loss("", 0.0, 0.0)
 
 
 class FormatByColour(ABC):

@@ -13,7 +13,7 @@ from wlr_render.compositing.warp_mesh import mesh_grid, mesh_triangles
 from wlr_render.errors import BadInputError
 from wlr_render.exports.check_pictures import CHECK_SOURCE
 from wlr_render.exports.facts import facts
-from wlr_render.exports.format import Capabilities
+from wlr_render.exports.format import Capabilities, Loss
 from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.rendering.warp_grid import WarpGrid
@@ -48,9 +48,13 @@ class GltfMesh:
         "Load the file as any glTF mesh. Draw it to the panel without light, the source picture as its texture with a "
         "linear filter, and its positions as clip coordinates.",
         f"Its texture is {CHECK_SOURCE}, so that a viewer of glTF files shows the check of this page; replace it.",
-        "OpenGL: textures whose first row is the bottom one need 1 - v.",
+        "OpenGL: textures whose first row is the bottom one need 1 - v. Vulkan: reverse y of POSITION.",
         "With a map for each colour: a fragment shader reads the picture three times, and keeps one channel each time.",
     )
+
+    def interpolation(self, view: ExportedView, colour: str) -> Loss:
+        """The tolerance of the mesh."""
+        return Loss("between the points of the mesh, at most", None, TOLERANCE_ARCMIN)
 
     def files(self, view: ExportedView) -> list[str]:
         """One file of all colours."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.facts import facts
-from wlr_render.exports.format import Capabilities
+from wlr_render.exports.format import Capabilities, Loss
 from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
@@ -36,15 +36,20 @@ class Monado:
         "A point has the tangents [x, y] of its ray as seen from the source camera, x to the right, y down.",
         "fov: borders of the source picture of each eye, [left, right, up, down] in radians; baseline: distance of the "
         "source cameras in mm.",
-        "about: all else, by eye. Monado does not read it.",
+        "about: all else, by eye, in all digits. Monado does not read it.",
     )
     use = (
         "Build Monado with -DXRT_BUILD_DRIVER_NS=ON: packages of distributions may lack the driver.",
-        "Start it with NS_CONFIG_PATH=FILE NS_LOG=info monado-service. It must print: Using Moshi's meshgrid-based "
-        "display distortion correction.",
+        "Start it with `NS_CONFIG_PATH=monado-northstar.json NS_LOG=info monado-service`. It must print: Using Moshi's "
+        "meshgrid-based display distortion correction.",
         "Monado's head pose is that of the middle between the source cameras (head_in_device_m in about), with the "
         "axes of the device frame.",
     )
+
+    def interpolation(self, view: ExportedView, colour: str) -> Loss:
+        """In the middle of the grid's cells, where it is largest."""
+        errors = _linear_errors(view, _tangents(view))
+        return Loss("between the points of the grid", float(np.sqrt(np.mean(errors**2))), float(errors.max()))
 
     def files(self, view: ExportedView) -> list[str]:
         """One file of both eyes."""
@@ -74,7 +79,7 @@ class Monado:
             "head_in_device_m": head.tolist(),
             "source_camera_from_where_monado_places_it_m": (view.source.position_in_device - placed).tolist(),
             "used_share_of_the_source_picture": {"width": float(used[0]), "height": float(used[1])},
-            "linear_between_points_max_arcmin": _linear_error(view, grid),
+            "linear_between_points_max_arcmin": float(_linear_errors(view, grid).max()),
         }
 
 
@@ -101,12 +106,12 @@ def _tangents(view: ExportedView, columns: FloatArray = _EDGE_TO_EDGE, rows: Flo
     return tangents
 
 
-def _linear_error(view: ExportedView, grid: FloatArray) -> float:
-    """Largest error in arcmin of bilinear interpolation, in the middle of the grid's cells, where it is largest."""
+def _linear_errors(view: ExportedView, grid: FloatArray) -> FloatArray:
+    """Errors in arcmin of bilinear interpolation in the middle of the grid's cells, where they are largest."""
     middle = (np.arange(_POINTS - 1) + 0.5) / (_POINTS - 1)
     bilinear = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
     exact = _tangents(view, middle, middle)
-    return float(arcmin_between(dir_of_tangents(bilinear), dir_of_tangents(exact)).max())
+    return arcmin_between(dir_of_tangents(bilinear), dir_of_tangents(exact))
 
 
 def _config(

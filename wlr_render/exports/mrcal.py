@@ -1,5 +1,6 @@
 """mrcal's camera model with splines: the panel as the picture of a camera at the pupil, for photogrammetry."""
 
+import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.facts import facts, header_texts
-from wlr_render.exports.format import Capabilities, FormatByColour
+from wlr_render.exports.format import Capabilities, FormatByColour, Loss
 from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_text
 from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.arrays import FloatArray
 
 _COLUMNS = (12, 16, 20, 26, 32)
@@ -49,11 +51,20 @@ class Mrcal(FormatByColour):
         "The comments at the top of a file have the headset, eye, viewpoint, depth, source camera and these sentences.",
     )
     use = (
-        "Python: model = mrcal.cameramodel(FILE); mrcal.project(directions, *model.intrinsics()) gives panel pixels, "
-        "mrcal.unproject the directions of pixels.",
-        "As a warp: mrcal.unproject(pixels, *model.intrinsics()) gives the direction (x, y, z) of each panel pixel; "
-        "the source picture is read at the tangents x / z to the right and y / z downwards.",
+        "`model = mrcal.cameramodel('NAME.cameramodel')`; `mrcal.project(directions, *model.intrinsics())` gives panel "
+        "pixels, `mrcal.unproject` the directions of pixels.",
+        "As a warp: `mrcal.unproject(pixels, *model.intrinsics())` gives the direction (x, y, z) of each panel pixel "
+        "in mrcal's axes; the source picture is read at the tangents tx = x / z and ty = -y / z.",
+        "As a projection: with `extrinsics` mrcal projects points of the device frame to the pixels that show them.",
     )
+
+    def interpolation(self, view: ExportedView, colour: str) -> Loss:
+        """Error of the splines at pixels that were not fitted."""
+        _, errors_px = _fitted_camera(view, colour)
+        middle = 0.5 * np.array(view.panel_size_px) + np.array([[0.0, 0.0], [1.0, 0.0]])
+        ray, neighbour = dir_of_tangents(view.tangents(np.moveaxis(view.rays_at(colour, middle), -1, 0)))
+        arcmin = errors_px * float(arcmin_between(ray, neighbour))
+        return Loss("error of the splines, in the middle's pixels", _rms(arcmin), float(arcmin.max()))
 
     def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterator[Path]:
         """Write a model.
@@ -112,6 +123,7 @@ def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> 
     return csr_array((weights.ravel(), (query.ravel(), index.ravel())), shape=(len(u), shape[0] * shape[1]))
 
 
+@functools.lru_cache(maxsize=3)
 def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, FloatArray]:
     """The camera with as few control points as the wanted error allows, and its errors (n,) in pixels."""
     u, pixel = _samples(view, colour, np.linspace(0.0, 1.0, _FITTED))

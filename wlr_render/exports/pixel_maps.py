@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from wlr_render.exports.facts import facts, header_texts, write_facts
-from wlr_render.exports.format import Capabilities, FormatByColour
+from wlr_render.exports.format import Capabilities, EveryPixel, FormatByColour
 from wlr_render.exports.view import ExportedView, has_ray
 from wlr_render.files import write_arrays, write_image
 from wlr_render.rendering.exr_file import write_exr
@@ -20,7 +20,13 @@ FFMPEG_NO_RAY = 65535
 """The same in the remap pair: ffmpeg fills positions outside the source."""
 
 
-class StMap(FormatByColour):
+_IN_HEADER = (
+    "The header has the headset, eye, viewpoint and source camera in all digits, as texts whose names begin with wlr: "
+    "(wlr:source_camera is JSON)."
+)
+
+
+class StMap(EveryPixel, FormatByColour):
     """The format `stmap`: normalised positions in OpenEXR, as Nuke, Fusion, Resolve and After Effects read them."""
 
     name = "stmap"
@@ -32,13 +38,16 @@ class StMap(FormatByColour):
         "G is the position from its bottom border, 0, to its top border, 1; B is 0.",
         "Values are those of the centres of the panel's pixels; the first row of the file is the panel's top row.",
         "R = G = -1 where a panel pixel has no ray: show black there.",
+        _IN_HEADER,
     )
     use = (
         "Draw the source picture with the camera of the table below, and show the warped picture on the panel pixel by "
         "pixel.",
-        "OpenImageIO: oiiotool source.exr map.exr --st_warp:filter=triangle:flip_t=1 --crop WxH+0+0 --fullpixels -o "
-        "panel.exr, with the panel's size as WxH, for its t runs down and its result has the size of the source.",
-        "OpenImageIO in Python: ImageBufAlgo.st_warp(source, map, 'triangle', flip_t=True, roi=the panel's pixels), "
+        "With a map for each colour: warp the source picture three times, with NAME-red-stmap.exr, NAME-green-stmap.exr"
+        " and NAME-blue-stmap.exr, and take red from the first result, green from the second and blue from the third.",
+        "OpenImageIO: `oiiotool source.exr NAME-stmap.exr --st_warp:filter=triangle:flip_t=1 --crop WxH+0+0 "
+        "--fullpixels -o panel.exr`, for its t runs down and its result has the size of the source.",
+        "OpenImageIO in Python: `ImageBufAlgo.st_warp(source, map, 'triangle', flip_t=True, roi=the_panels_pixels)`, "
         "which also serves a source picture smaller than the panel.",
         "Nuke: read the file as raw data, connect it to the stmap input of an STMap node, uv channels rgb, filter "
         "bilinear or better. The file was tried with OpenImageIO, not with Nuke, Fusion, Resolve or After Effects, "
@@ -53,7 +62,7 @@ class StMap(FormatByColour):
         yield write_exr(paths[0], channels, header_texts(facts(view, colour, self)))
 
 
-class FloatMap(FormatByColour):
+class FloatMap(EveryPixel, FormatByColour):
     """The formats `pfm` and `tiff`: positions in pixels, the warp maps that `render --maps` writes."""
 
     holds = Capabilities()
@@ -69,11 +78,14 @@ class FloatMap(FormatByColour):
             "(0, 0) is the outer corner of the picture's top left pixel, and pixel centres lie at +0.5.",
             f"Values are those of the centres of the panel's pixels; the file has {rows}.",
             "All three are NaN where a panel pixel has no ray: show black there.",
+            "The .json beside it has the headset, eye, viewpoint and source camera in all digits.",
         )
         self.use = (
-            "OpenCV: m = cv2.imread(file, cv2.IMREAD_UNCHANGED) reads it as B, G, R with the top row first, whatever "
-            "the format; cv2.remap(source, m[..., 2] - 0.5, m[..., 1] - 0.5, cv2.INTER_LINEAR) draws the panel's "
-            "picture.",
+            f"OpenCV: `m = cv2.imread('NAME-map.{name}', cv2.IMREAD_UNCHANGED)` reads it as B, G, R with the top row "
+            "first, whatever the format; `cv2.remap(source, m[..., 2] - 0.5, m[..., 1] - 0.5, cv2.INTER_LINEAR)` draws "
+            "the panel's picture.",
+            "With a map for each colour: remap three times, and take red from the result of the red map, green from "
+            "that of the green one, blue from that of the blue one.",
             "Write 0 in place of NaN before cv2.remap, and black there afterwards.",
             "Others: read three floats per pixel without any colour management.",
         )
@@ -88,7 +100,7 @@ class FloatMap(FormatByColour):
         yield write_facts(facts_path, facts(view, colour, self))
 
 
-class Ffmpeg(FormatByColour):
+class Ffmpeg(EveryPixel, FormatByColour):
     """The format `ffmpeg`: the pair of pictures that ffmpeg's filter remap reads, whole pixels of the source."""
 
     name = "ffmpeg"
@@ -100,13 +112,15 @@ class Ffmpeg(FormatByColour):
         "the left, row 0 on top.",
         "The pixel is the one that holds the position of the panel pixel's centre: nothing is interpolated.",
         f"Both are {FFMPEG_NO_RAY} where a panel pixel has no ray or one outside the picture: ffmpeg fills it.",
+        "NAME-remap.json has the headset, eye, viewpoint and source camera in all digits.",
     )
     use = (
         "Draw the source picture or video with the camera of the table below, at exactly its size.",
-        "ffmpeg -i source.png -i NAME-x.pgm -i NAME-y.pgm -lavfi remap=fill=black panel.png",
-        "With a map for each colour: ffmpeg -i source.png -i NAME-red-x.pgm -i NAME-red-y.pgm, then green and blue, "
-        '-filter_complex "[0]format=gbrp,extractplanes=r+g+b[r][g][b];[r][1][2]remap[R];[g][3][4]remap[G];'
-        '[b][5][6]remap[B];[G][B][R]mergeplanes=0x001020:gbrp" panel.png',
+        "`ffmpeg -i source.png -i NAME-x.pgm -i NAME-y.pgm -lavfi remap=fill=black panel.png`",
+        "With a map for each colour: `ffmpeg -i source.png -i NAME-red-x.pgm -i NAME-red-y.pgm -i NAME-green-x.pgm -i "
+        "NAME-green-y.pgm -i NAME-blue-x.pgm -i NAME-blue-y.pgm -filter_complex "
+        '"[0]format=gbrp,extractplanes=r+g+b[r][g][b];[r][1][2]remap[R];[g][3][4]remap[G];'
+        '[b][5][6]remap[B];[G][B][R]mergeplanes=0x001020:gbrp" panel.png`',
         "Videos with subsampled colours: add format=gbrp or format=yuv444p before remap.",
     )
 
@@ -125,13 +139,11 @@ _RAY_CONVENTION = (
     "metres.",
     "A reader who knows Z shows at this panel pixel what the source picture has at the tangents a + c / Z, b + d / Z; "
     "(a, b) at infinity.",
-    "In the picture that is u = (tx - left) / (right - left) width and v = (top - ty) / (top - bottom) height, with "
-    "the borders of the table below.",
     "Values are those of the centres of the panel's pixels, NaN where a pixel has no ray.",
 )
 
 
-class Rays(FormatByColour):
+class Rays(EveryPixel, FormatByColour):
     """The format `rays`: the rays of all panel pixels in OpenEXR pictures of four channels, right at every depth."""
 
     name = "rays"
@@ -142,11 +154,13 @@ class Rays(FormatByColour):
         "The channels R, G, B, A hold the numbers a, b, c, d of the ray of each panel pixel; A is no opacity.",
         *_RAY_CONVENTION,
         "The first row of the file is the panel's top row.",
+        _IN_HEADER,
     )
     use = (
         "As primary rays: origin (c, d, 0) and direction (a, b, -1), turned by device_from_camera and moved to the "
         "source camera's place.",
         "As a warp with depth: find the Z where the ray meets the source picture's depth, then read the picture there.",
+        "With a file for each colour: each is for its own channel of the picture.",
         "Read the file as raw data. Programs that know alpha must not divide by it (Blender: alpha mode channel "
         "packed).",
     )
@@ -156,7 +170,7 @@ class Rays(FormatByColour):
         yield write_exr(paths[0], channels, header_texts(facts(view, colour, self)))
 
 
-class Npz:
+class Npz(EveryPixel):
     """The format `npz`: the rays of all panel pixels as NumPy arrays, all colours of a view in one file."""
 
     name = "npz"
@@ -170,8 +184,8 @@ class Npz:
         *_RAY_CONVENTION,
     )
     use = (
-        'with numpy.load(file) as data: rays, facts = data["rays"], json.loads(str(data["facts"]))',
-        'camera = facts["source_camera"] has size_px, the tangents of the borders, position_in_device_m and '
+        "`with numpy.load('NAME-rays.npz') as data: rays, facts = data['rays'], json.loads(str(data['facts']))`",
+        "`camera = facts['source_camera']` has size_px, the tangents of the borders, position_in_device_m and "
         "device_from_camera.",
         "Nothing in the file needs allow_pickle.",
     )

@@ -78,14 +78,13 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
     maps = [folder / name for name in dict.fromkeys(name for view in views for name in form.files(view))]
     check = write_check(folder, views[0], form.holds)
     finished.add(check)
+    removed, changed = finished.remove_replaced()
     warnings = [
         *not_held(views[0], form),
         *warnings,
         *_lost_pixels([line for path in maps for line in finished.remark(path).splitlines()]),
-        *(
-            f"{path}: was changed after an earlier export, and is left; remove it."
-            for path in finished.remove_replaced()
-        ),
+        *([f"{removed} files of an earlier export were removed from {folder}."] if removed else []),
+        *(f"{each}: was changed after an earlier export, and is left; remove it." for each in changed),
     ]
     read = [*_headset_files(options).values(), *filter(None, [options.eye_track])]
     page = export_page(options, form, views, [*maps, *check, folder / LIST], read, len(views) - len(missing))

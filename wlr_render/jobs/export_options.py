@@ -154,7 +154,8 @@ def _require_held(options: ExportOptions) -> None:
         raise BadInputError(f"{options.format} takes the device's axes only; leave out --source-axes.")
     if holds.both_eyes and options.eye != "both":
         raise BadInputError(
-            f"{options.format} holds both eyes in one file; give --eye both, and a headset that has two."
+            f"{options.format} holds both eyes in one file; give --eye both, and a headset that has two "
+            "(also_mirrored = true in a device file adds the other)."
         )
     if not holds.pupils and (options.pupils or options.eye_track):
         raise BadInputError(

@@ -32,8 +32,10 @@ def export_page(
     depth = "every depth" if form.holds.every_depth else f"points {depth_words(first.depth_m)}"
     eyes = f"{' and '.join(eyes_of(options.eye))} eye{'s' if options.eye == 'both' else ''}"
     keeping = f" ({kept} kept from an earlier run)" if kept else ""
-    checked = " and ".join(name for name in form.files(first) if not name.endswith("-map.json"))
-    exactness = "to rounding" if form.holds.every_pixel else "as far as its reader's interpolation goes"
+    files_of_first = form.files(first)
+    checked = " and ".join(name for name in files_of_first if not name.endswith(".json")) or files_of_first[0]
+    exactness = "to rounding" if form.holds.every_pixel else "within the error of interpolation of the table above"
+    check_depth = "at infinity" if form.holds.every_depth else depth_words(first.depth_m)
     blocks: list[Block] = [
         Text(
             "An augmented-reality headset bends the light of its panel and of the world. For each pixel of the panel a "
@@ -45,8 +47,8 @@ def export_page(
         Text("In every file:", form.convention),
         Text(f"Axes and pixels: {_AXES}"),
         Section("How to use the files"),
-        Text("Step by step:", form.use),
-        Text(f"To lock the picture to the world: {_POSE}"),
+        Text(f"Step by step; NAME is {first.stem} for the first view:", [_filled(step, first) for step in form.use]),
+        Text("To lock the picture to the world:", _POSE),
         _source_cameras(views),
         Section("What a map loses"),
         _loss_table(options, form, views),
@@ -55,7 +57,7 @@ def export_page(
             f"Take the first picture as the source picture of the {first.eye} eye and warp it with {checked} as above: "
             f"the second one must come out, {exactness}. It was drawn by our own sampling, "
             f"{'bilinear' if form.holds.between_pixels else 'nearest pixel'}, of the codes as they are "
-            "stored, for points at the depth above (infinity if the files hold every depth)."
+            f"stored, for points {check_depth}."
         ),
         Picture("Source picture", options.out / CHECK_SOURCE, "u to the right in red, v downwards in green"),
         Picture("Picture for the panel", options.out / CHECK_PANEL, f"the {first.eye} panel, pixel by pixel"),
@@ -73,16 +75,27 @@ def export_page(
 
 
 _AXES = (
-    "the device frame has x to the right, y up, and looks along -z, in metres. The source camera has such axes too; "
-    "tangents are x / -z and y / -z. In a picture (0, 0) is the outer corner of the top left pixel, u runs right and v "
-    "down, and pixel centres lie at +0.5."
+    "the device frame has x to the right, y up, and looks along -z, in metres. The source camera has such axes too. A "
+    "point (x, y, z) there has the depth -z and the tangents tx = x / -z, ty = y / -z. In a picture (0, 0) is the outer"
+    " corner of the top left pixel, u runs right and v down, and pixel centres lie at +0.5: "
+    "`u = (tx - left) / (right - left) * width`, `v = (top - ty) / (top - bottom) * height`, with the borders of the "
+    "table of source cameras."
 )
 _POSE = (
-    "the source camera is fixed in the device frame, that of the headset's own file: its pose there is "
-    "device_from_camera with the position of the last table. Its pose in the world is your head pose "
-    "(world_from_device: of this frame, not of your tracker's) times that pose. The eye's pupil must be at the "
-    "viewpoint of the last table."
+    "The source camera is fixed in the device frame, that of the headset's own file. Its pose there is the matrix "
+    "`device_from_camera_4x4 = [[R, p], [0 0 0 1]]`, R being device_from_camera of the first table and p the position "
+    "of the source camera in the last table.",
+    "Draw the source picture with `camera_from_world = inverse(world_from_device @ device_from_camera_4x4)`, where "
+    "world_from_device is the head pose: that of this device frame, not of your tracker's own.",
+    "A world point is then at `camera_from_world @ (x, y, z, 1)`. The panel pixel that shows it is the one whose map "
+    "holds its position (u, v): search the map for it.",
+    "The eye's pupil must be at the viewpoint of the last table.",
 )
+
+
+def _filled(step: str, view: ExportedView) -> str:
+    """A step with the names of a view's files and the size of its panel."""
+    return step.replace("NAME", view.stem).replace("WxH", "{}x{}".format(*view.panel_size_px))
 
 
 def _source_cameras(views: list[ExportedView]) -> ReportTable:
@@ -117,13 +130,12 @@ def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView])
     for eye in eyes_of(options.eye):
         view = next(each for each in views if each.eye == eye)
         rows += [
-            [view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin]
-            for loss in losses(view, form.holds, view.middle_colour)
+            [view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin] for loss in losses(view, form, view.middle_colour)
         ]
     columns = ["map", "used for", "rms (arcmin)", "max (arcmin)"]
     notes = [
         "Against this headset's own mappings, over the panel, in green light where no other is named; pupils moved to "
-        "the right, left, up and down as far as the eye box allows."
+        "the right, left, up and down as far as the eye box allows. Of several pupils, the first of each eye."
     ]
     return ReportTable("Misalignment of what a map shows", columns, rows, notes)
 

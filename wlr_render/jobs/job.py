@@ -5,16 +5,21 @@ import inspect
 from collections.abc import Callable
 from typing import ParamSpec
 
+from wlr_render.errors import BadInputError
 from wlr_render.files import locked_folder
+from wlr_render.finished_files import LIST
 from wlr_render.report.blocks import Report
 
 Arguments = ParamSpec("Arguments")
+
+_LISTING = ("render", "export", "simulate", "capture")
+"""Jobs that list the files of their folder, and refuse a folder of other files themselves."""
 
 
 def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
     """Decorator of a job: no other job writes into its output folder, `options.out`, at the same time.
 
-    Two jobs in one folder would replace each other's files.
+    Two jobs in one folder would replace each other's files, one after the other the pages that explain them.
     """
     signature = inspect.signature(function)
 
@@ -22,7 +27,10 @@ def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Report:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
-        with locked_folder(bound.arguments["options"].out, function.__name__.replace("_", " ")):
+        out, name = bound.arguments["options"].out, function.__name__
+        if name not in _LISTING and (out / LIST).exists():
+            raise BadInputError(f"{out}: holds the files of another job, which {LIST} lists; choose another folder.")
+        with locked_folder(out, name.replace("_", " ")):
             return function(*args, **kwargs)
 
     return run

@@ -8,8 +8,9 @@ import json
 from typing import TYPE_CHECKING
 
 import jinja2
+import markupsafe
 
-from wlr_render.escapes import html_text, plotly_text
+from wlr_render.escapes import html_code, html_text, plotly_text
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.records import to_jsonable
 
@@ -43,6 +44,7 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, finalize=html_text, undefined=jinja2.StrictUndefined, trim_blocks=True
     )
+    environment.filters["code"] = lambda text: markupsafe.Markup(html_code(text))
     environment.filters["png"] = lambda path: base64.b64encode(path.read_bytes()).decode("ascii")
     environment.filters["figure"] = _figure_json
     return environment.from_string(importlib.resources.files(__package__).joinpath("page.html.j2").read_text("utf-8"))
