@@ -21,6 +21,16 @@ def test_every_device_can_be_drawn_with_everything_named(name, tmp_path):
         assert f"<!-- {text} -->" in drawing
 
 
+def test_arrows_on_the_panel_show_where_u_and_v_grow(tmp_path):
+    """From the side the u axis of the birdbath is seen end on; v is seen there, and u from above."""
+    path = tmp_path / "drawing.svg"
+    draw_device(load_device("birdbath28"), "right", path)
+    drawing = path.read_text(encoding="utf-8")
+    side, above = drawing.split("<!-- from above -->")[0], drawing
+    assert "<!-- v -->" in side
+    assert above.count("<!-- u -->") == 1
+
+
 def test_surfaces_without_apertures_do_not_run_out_of_the_drawing(tmp_path):
     text = resource("devices", "birdbath28.toml").read_text(encoding="utf-8")
     bare = tmp_path / "bare.toml"

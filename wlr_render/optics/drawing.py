@@ -27,6 +27,8 @@ _BEYOND = 1.3  # see-through rays are drawn to so many times the distance of wha
 _CUT_TO = 1.2  # of that distance, to which surfaces are drawn
 _LOST_ANGLE = np.deg2rad(15.0)  # to each side, of the rays that are drawn where none reaches the panel
 _LOST_LENGTH = 0.3  # of the device's size, to which a lost ray is drawn behind the last surface that it meets
+_ARROW = 0.6  # of the panel's edge: the length of the arrows that show where u and v grow
+_END_ON = 0.05  # of the panel's longer edge; an arrow that appears shorter is left out
 _FAN = np.deg2rad(np.arange(-180.0, 180.0, 0.1))
 _EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
 _SURFACE_COLOURS = ("tab:purple", "tab:brown", "tab:olive", "tab:pink", "tab:cyan", "tab:gray")
@@ -61,7 +63,8 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     """Write a drawing of one eye as a picture of the format that the path's suffix names (.png, .pdf, .svg).
 
     Surfaces are cut by the plane of the view through the nominal viewpoint, as far as their clear apertures go; the
-    panel, the eye box and the rays, which start in that plane, are projected onto it.
+    panel, the eye box and the rays, which start in that plane, are projected onto it. Arrows on the panel show where
+    u and v grow.
 
     Raises:
         BadInputError: the device has no such eye, or the path cannot be written.
@@ -101,6 +104,7 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
     _draw_rays(axes, optics, view)
     along, up = view.in_mm(optics.panel.point_of_pixel(_EDGES * optics.panel.pixels.size_px))
     axes.fill(along, up, facecolor="0.85", edgecolor="k", alpha=0.8, lw=2, zorder=1, label="panel")
+    _draw_panel_axes(axes, optics, view)
     _draw_eye_box(axes, optics, view)
     centre = optics.eye_box.centre
     for surface, colour in zip(optics.surfaces(), itertools.cycle(_SURFACE_COLOURS), strict=False):
@@ -110,6 +114,21 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
         axes.plot(*view.in_mm(cut), lw=2.5, color=colour, label=surface.name.replace("_", " "))
     if view.up == 0:
         axes.invert_yaxis()  # seen from above and looking to the right, the right-hand side is below
+
+
+def _draw_panel_axes(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
+    """Arrows along the panel's edges from its first pixel on: where u and v grow, unless they are seen end on."""
+    ends = optics.panel.point_of_pixel(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) * optics.panel.pixels.size_px)
+    along, up = view.in_mm(ends)
+    longest = 1e3 * float(optics.panel.size.max())
+    for name, end in (("u", 1), ("v", 2)):
+        run, rise = along[end] - along[0], up[end] - up[0]
+        if np.hypot(run, rise) < _END_ON * longest:
+            continue
+        tip = along[0] + _ARROW * run, up[0] + _ARROW * rise
+        arrow = {"arrowstyle": "-|>", "color": "tab:red", "lw": 1.5, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", tip, (along[0], up[0]), arrowprops=arrow, zorder=6)
+        axes.annotate(name, tip, (4, 4), textcoords="offset points", color="tab:red", weight="bold", zorder=6)
 
 
 def _draw_eye_box(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
