@@ -51,7 +51,7 @@ def test_swim_is_parallax(flat_image_headset):
 
 def test_the_image_lies_where_the_picture_stands(flat_image_headset):
     """2.01 m away; pixels aside of the axis lie farther, by 7 % on average."""
-    assert figures_of(flat_image_headset).image_distance_m == pytest.approx((2.01, 2.01), rel=0.1)
+    assert figures_of(flat_image_headset).parallax_distance_m == pytest.approx((2.01, 2.01), rel=0.1)
 
 
 def test_ignoring_the_viewpoint_is_parallax_over_the_box(flat_image_headset):

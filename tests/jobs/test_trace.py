@@ -80,15 +80,19 @@ def test_a_mirror_of_the_wrong_sign_is_warned_about(tmp_path):
     few, sign, near, nearer = traced(birdbath(tmp_path, WRONG_SIGN), tmp_path / "wrong").warnings
     assert few.startswith("Only 42 of 525 rays over the nominal field of the right eye reach the panel. The first to")
     assert few.endswith("is 'plate_far': of 525 rays that reach it, 256 fall outside its aperture.")
-    assert sign.startswith("Bent to the other side, 'mirror' would let 525 of 525 rays reach the panel: check the sign")
+    assert sign.startswith(
+        "With 'mirror' bent to the other side, 525 of 525 rays would reach the panel: check the sign"
+    )
     assert "0.051 m before the eye, where nobody can focus" in near
-    assert nearer.startswith("With 'mirror' bent to the other side")
+    assert nearer.startswith(
+        "With 'mirror' bent to the other side, the virtual image would lie 2 m away (0.49 dioptres)"
+    )
 
 
 def test_a_wrong_sign_is_found_without_a_stated_field_and_without_apertures(tmp_path):
     warnings = traced(birdbath(tmp_path, WRONG_SIGN, NO_FIELD, NO_APERTURES), tmp_path / "wrong").warnings
     assert "where nobody can focus" in warnings[0]
-    assert warnings[1].startswith("With 'mirror' bent to the other side the virtual image would lie where an eye can")
+    assert warnings[1].startswith("With 'mirror' bent to the other side, the virtual image would lie 2 m away (0.49")
 
 
 def test_a_panel_out_of_reach_is_drawn_and_explained(tmp_path):
@@ -148,9 +152,140 @@ def test_axes_stay_with_the_device_where_rays_and_surfaces_have_no_end(tmp_path)
     assert 10 < max(map(abs, ticks)) < 300  # millimetres
 
 
+GUIDE = (Path(__file__).resolve().parents[2] / "docs" / "your-headset.md").read_text(encoding="utf-8")
+STEPS = ['  { at = "mirror", do = "reflect" },\n', '  { at = "splitter", do = "reflect" },\n']
+
+
+NO_FIELD_OF_GUIDE = ("field_deg = [-18, 18, -10, 10]\n", "")
+
+
+def of_the_guide(tmp_path, *changes, surfaces=2):
+    """A file with the birdbath of docs/your-headset.md, its first surfaces only, and parts of its text replaced."""
+    text = re.search(r"```toml\n(.*?)```", GUIDE, re.DOTALL)[1]
+    text = "[[eye.surface]]".join(text.split("[[eye.surface]]")[: 1 + surfaces])
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_the_headline_states_the_image_distance_at_the_middle_of_the_field(tmp_path):
+    """The panel of the guide stands in the focus: aberrations swim as if the image were 2 m away, but it is not."""
+    report = traced(of_the_guide(tmp_path), tmp_path / "focus")
+    assert "virtual image at infinity, picture upright, real" in report.verdict
+    assert any("Mean parallax distance 1.95 m in x" in note for note in report.tables[0].notes)
+    assert table(report, "Imaging of the panel").rows[2][1] == pytest.approx(0.0, abs=1e-3)
+    near = traced(of_the_guide(tmp_path, ("[0, -12, 20]", "[0, -11, 20]")), tmp_path / "near")
+    # 29 mm before a mirror of 30 mm focal length, 38 mm before the eye: 1 / (1/29 - 1/30) + 38 mm.
+    assert "virtual image 0.91 m away (1.1 dioptres)" in near.verdict
+
+
+def test_both_distances_of_an_astigmatic_image_are_stated(tmp_path):
+    assert re.search(
+        r"virtual image 1\.\d m away \(.* dioptres\) along x and 2\.\d m away \(.* dioptres\) along y, picture bottom",
+        traced("freeform40", tmp_path).verdict,
+    )
+
+
+@pytest.mark.parametrize(
+    ("u", "v", "short", "remedy"),
+    [
+        ("[1, 0, 0]", "[0, 0, -1]", "bottom up", "reverse v_axis."),
+        ("[-1, 0, 0]", "[0, 0, 1]", "mirrored", "reverse u_axis."),
+        ("[-1, 0, 0]", "[0, 0, -1]", "turned by 180 degrees", "reverse u_axis and v_axis."),
+        ("[0, 0, 1]", "[1, 0, 0]", "turned by 90 degrees and mirrored", "with them."),
+        ("[0, 0, 1]", "[-1, 0, 0]", "turned by 90 degrees", "with them."),
+    ],
+)
+def test_a_picture_that_does_not_appear_upright_is_noticed(tmp_path, u, v, short, remedy):
+    axes = ("u_axis = [1, 0, 0]\nv_axis = [0, 0, 1]", f"u_axis = {u}\nv_axis = {v}")
+    report = traced(of_the_guide(tmp_path, axes), tmp_path / "out")
+    assert f", picture {short}, " in report.verdict
+    (warning,) = report.warnings
+    assert f"appear {short}." in warning.replace("appears", "appear")
+    assert warning.endswith(remedy)
+
+
+def test_an_upright_picture_is_stated(tmp_path):
+    notes = table(traced(of_the_guide(tmp_path), tmp_path / "out"), "Imaging of the panel").notes
+    assert notes[-1] == "Orientation: u runs to the wearer's right, v downwards: the picture is upright."
+
+
+TOROID = 'shape = "toroid"\nradius_x_mm = {}\nradius_y_mm = {}'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "hint"),
+    [
+        (
+            "".join(STEPS),
+            "".join(STEPS[::-1]),
+            "With 'mirror' before 'splitter', 525 of 525 rays would reach the panel: check the order of display_path.",
+        ),
+        (
+            'shape = "conic"\nradius_mm = -60',
+            TOROID.format(60, -60),
+            "With radius_x_mm of 'mirror' of the other sign, 525 of 525 rays would reach the panel: check the sign of "
+            "radius_x_mm.",
+        ),
+        (
+            'shape = "conic"\nradius_mm = -60',
+            TOROID.format(-60, 60).replace("toroid", "anamorphic"),
+            "With radius_y_mm of 'mirror' of the other sign, 525 of 525 rays would reach the panel: check the sign of "
+            "radius_y_mm.",
+        ),
+        (
+            "rotate_x_deg = 45",
+            "rotate_x_deg = -45",
+            "With 'splitter' turned the other way, 525 of 525 rays would reach the panel: check the sign of its "
+            "rotate_x_deg, or of its z_axis, and on which side the panel stands.",
+        ),
+    ],
+)
+def test_one_mistake_of_the_description_is_named(tmp_path, old, new, hint):
+    optics = load_device(of_the_guide(tmp_path, (old, new))).eyes["right"]
+    _, *hints = loss_warnings(optics, "right", display_losses(optics, 0.55))
+    assert hints == [hint]
+
+
+def test_a_panel_out_of_focus_is_named_before_the_radii(tmp_path):
+    report = traced(of_the_guide(tmp_path, ("[0, -12, 20]", "[0, -22, 20]")), tmp_path / "out")
+    (warning,) = report.warnings
+    assert warning.endswith("check the distance of the panel (its centre_mm) first, then the radii.")
+
+
+def test_rays_that_run_away_from_the_panel_are_counted_apart_from_those_that_miss_its_plane(tmp_path):
+    optics = load_device(of_the_guide(tmp_path, ("[0, -12, 20]", "[0, 12, 20]"))).eyes["right"]
+    reasons = display_losses(optics, 0.55)[-1].reasons
+    assert reasons["run away from it, for it lies behind them"] == 525
+    assert reasons["miss its plane"] == 0
+
+
+@pytest.mark.parametrize("changes", [[], [NO_FIELD_OF_GUIDE]], ids=["field stated", "no field"])
+def test_without_a_display_path_there_is_a_drawing_and_no_figure(tmp_path, changes):
+    """Step 1 of the guide."""
+    empty = ("[\n" + "".join(STEPS) + "]", "[]")
+    report = traced(of_the_guide(tmp_path, empty, *changes, surfaces=0), tmp_path / "out")
+    assert "nothing bends the rays yet" in report.verdict
+    assert not re.search(r"nan|-|per pixel", report.verdict)
+    assert not report.warnings
+    assert not report.tables
+    assert (tmp_path / "out" / "mine-right.png").exists()
+
+
+def test_a_panel_that_is_not_seen_straight_ahead_has_no_field_there(tmp_path):
+    """Step 2 of the guide: the mirror alone."""
+    report = traced(of_the_guide(tmp_path, (STEPS[1], ""), NO_FIELD_OF_GUIDE, surfaces=1), tmp_path / "out")
+    assert "panel not seen straight ahead" in report.verdict
+    assert "not seen horizontally" in report.tables[0].notes[0]
+    assert "nan" not in report.tables[0].notes[0]
+
+
 def test_the_guide_is_true(tmp_path):
     """The file of docs/your-headset.md has no fault, and with the other sign those that the guide prints."""
-    guide = (Path(__file__).resolve().parents[2] / "docs" / "your-headset.md").read_text(encoding="utf-8")
+    guide = GUIDE
     text = re.search(r"```toml\n(.*?)```", guide, re.DOTALL)[1]
     said = re.search(r"```text\n(.*?)```", guide, re.DOTALL)[1].splitlines()
     files = {radius: tmp_path / f"of{radius}.toml" for radius in (-60, 60)}

@@ -75,8 +75,11 @@ class DeviceFigures:
     colour: AngleSpread
 
     @property
-    def image_distance_m(self) -> tuple[float, float]:
-        """Distance of the virtual image by its parallax in x and in y; they differ where the optics are astigmatic."""
+    def parallax_distance_m(self) -> tuple[float, float]:
+        """Distance of a point without optics that would swim by the mean pupil swim in x, and in y.
+
+        It is that of the virtual image only if the optics have no aberrations.
+        """
         x, y = (_MOVE_M / (swim.mean * ARCMIN) if swim.mean > 0 else np.inf for swim in self.swim[:2])
         return x, y
 
@@ -127,14 +130,20 @@ def figures_table(mappings: EyeMappings, figures: DeviceFigures) -> ReportTable:
     angles = figures.field_angles
     judged = f"the nominal field, {mappings.field}" if mappings.field else "the whole panel"
     notes = (
-        f"Field through straight ahead: {angles.left_deg:.1f} to {angles.right_deg:+.1f} degrees horizontally,"
-        f" {angles.down_deg:.1f} to {angles.up_deg:+.1f} vertically.",
+        f"Field through straight ahead: {_extent(angles.left_deg, angles.right_deg)} horizontally,"
+        f" {_extent(angles.down_deg, angles.up_deg)} vertically.",
         f"Eye box {box_mm} mm, {_BOX_STEPS**3} viewpoints; {_COLUMNS} x {_ROWS} directions over {judged},"
         f" of which {figures.panel_share:.0%} meet the panel.",
-        "Virtual image {:.2f} m away by its parallax in x, {:.2f} m in y.".format(*figures.image_distance_m),
+        "Mean parallax distance {:.2f} m in x, {:.2f} m in y: a point there would swim by the mean pupil swim. Pixels "
+        "are seen through other parts of the optics when the pupil moves, so aberrations shift this figure as well as "
+        "the distance of the virtual image does.".format(*figures.parallax_distance_m),
     )
     columns = ("figure", "mean (arcmin)", "rms (arcmin)", "max (arcmin)")
     return ReportTable(f"{mappings.name}, {mappings.eye} eye", columns, rows, notes)
+
+
+def _extent(low: float, high: float) -> str:
+    return f"{low:.1f} to {high:+.1f} degrees" if np.isfinite(low) else "not seen"
 
 
 def judged_pixels(mappings: EyeMappings, columns: int, rows: int) -> FloatArray:

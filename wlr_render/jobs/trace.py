@@ -5,6 +5,8 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.device_figures import DeviceFigures, device_figures, figures_table
 from wlr_render.evaluation.lateral_colour import lateral_colour_table
@@ -17,7 +19,7 @@ from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.drawing import draw_device, require_eye
 from wlr_render.optics.first_order import FirstOrder, first_order
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
-from wlr_render.optics.ray_losses import SurfaceLosses, better_turned_round, display_losses, each_turned_round
+from wlr_render.optics.ray_losses import SurfaceLosses, curvature_changes, display_losses, helpful_changes, on_panel
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, cell_text
@@ -30,6 +32,7 @@ _MANY_LOST = 0.2  # of all rays: a surface that loses so many is named
 _FAR_PER_M = 1e-3  # an image farther than a kilometre is at infinity
 _TOO_NEAR_PER_M = 8.0  # dioptres; few adults focus nearer
 _BEHIND_THE_EYE_PER_M = 0.25  # a quarter of a dioptre beyond infinity is within what eyes and designs tolerate
+_ASTIGMATIC = 0.1  # dioptres, or share of the vergence, by which x and y differ before both are stated
 
 
 @dataclass(frozen=True)
@@ -88,12 +91,19 @@ class _TracedEye:
 def _trace_eye(spec: str, device: Device, eye: Eye, folder: Path) -> _TracedEye:
     optics, middle_um = device.eyes[eye], FRAUNHOFER_F_D_C_UM[1]
     losses = display_losses(optics, middle_um)
-    imaging = first_order(optics, middle_um)
     drawing = folder / f"{device.name}-{eye}.png"
     draw_device(device, eye, drawing)
     picture = Picture(f"Rays through {device.name}", drawing, "Side view and top view with surfaces, panel and rays.")
     blocks: list[Block] = [Section(f"The {eye} eye")]
+    if _bends_nothing_yet(optics, losses):
+        verdict = (
+            f"{device.name}, {eye} eye: nothing bends the rays yet, for display_path is empty, and the panel does not "
+            "stand straight ahead: see the drawing."
+        )
+        return _TracedEye(eye, verdict, [], [*blocks, picture], None, losses, None)
+    imaging = first_order(optics, middle_um)
     warnings = loss_warnings(optics, eye, losses) + imaging_warnings(optics, eye, imaging)
+    warnings += orientation_warnings(eye, imaging)
     figures: DeviceFigures | None = None
     try:
         figures, tables = _figures(spec, device, eye)
@@ -105,7 +115,7 @@ def _trace_eye(spec: str, device: Device, eye: Eye, folder: Path) -> _TracedEye:
         )
     else:
         blocks += tables
-        verdict = _summary(device.name, eye, figures)
+        verdict = _summary(device.name, eye, figures, imaging)
     if imaging is not None:
         blocks.append(_imaging_table(imaging))
     blocks += [_losses_table(optics, losses), picture]
@@ -128,14 +138,95 @@ def _figures(spec: str, device: Device, eye: Eye) -> tuple[DeviceFigures, list[B
     return figures, [figures_table(middle, figures), lateral_colour_table([open_colours(spec, eye)])]
 
 
-def _summary(name: str, eye: str, figures: DeviceFigures) -> str:
+def _bends_nothing_yet(optics: EyeOptics, losses: tuple[SurfaceLosses, ...]) -> bool:
+    """Whether a description has no display path yet: no surface, and a panel that is not looked at directly."""
+    if optics.display.steps:
+        return False
+    ahead = optics.panel.pixel_of_ray(optics.eye_box.centre, np.array([0.0, 0.0, -1.0]))
+    covers_field = optics.field is not None and losses[-1].passed >= MIN_PANEL_SHARE * losses[0].reached
+    return not (on_panel(optics, ahead) or covers_field)
+
+
+def _summary(name: str, eye: str, figures: DeviceFigures, imaging: FirstOrder | None) -> str:
     angles = figures.field_angles
+    width, height = angles.right_deg - angles.left_deg, angles.up_deg - angles.down_deg
+    if math.isfinite(width) and math.isfinite(height):
+        field = f"{cell_text(round(width, 0))} x {cell_text(round(height, 0))} degrees"
+    else:
+        field = "panel not seen straight ahead"
+    image = "" if imaging is None else f"virtual image {image_place(imaging)}, picture {_appearance(imaging).short}, "
     return (
-        f"{name}, {eye} eye: {cell_text(round(angles.right_deg - angles.left_deg, 0))} x "
-        f"{cell_text(round(angles.up_deg - angles.down_deg, 0))} degrees, "
-        f"{figures.pixel_arcmin:.2g}' per pixel, virtual image about {figures.image_distance_m[0]:.2g} m away, real "
-        f"world deviated by {cell_text(figures.deviation_far.mean)}' on average."
+        f"{name}, {eye} eye: {field}, {figures.pixel_arcmin:.2g}' per pixel, {image}real world deviated by "
+        f"{cell_text(figures.deviation_far.mean)}' on average."
     )
+
+
+def image_place(imaging: FirstOrder) -> str:
+    """Place of the virtual image at the middle of the field, to follow "virtual image" or "would lie"."""
+    x, y = imaging.vergence_per_m
+    middle = 0.5 * (x + y)
+    if abs(x - y) <= _ASTIGMATIC * max(1.0, abs(middle)):
+        return _place_of(middle)
+    return f"{_place_of(x)} along x and {_place_of(y)} along y"
+
+
+def _place_of(vergence: float) -> str:
+    dioptres = f"({vergence:.2g} dioptres)"
+    if abs(vergence) <= _FAR_PER_M:
+        return "at infinity"
+    if vergence > 0:
+        return f"{1.0 / vergence:.2g} m away {dioptres}"
+    if vergence > -_BEHIND_THE_EYE_PER_M:
+        return f"beyond infinity {dioptres}"
+    return f"{-1.0 / vergence:.2g} m behind the eye {dioptres}"
+
+
+@dataclass(frozen=True)
+class _Appearance:
+    """How a picture on the panel appears to the wearer.
+
+    Attributes:
+        short: in two words.
+        sentence: in which directions u and v grow, and the consequence; without a full stop.
+        remedy: what to change in the device file if the panel is mounted otherwise; empty for an upright picture.
+    """
+
+    short: str
+    sentence: str
+    remedy: str
+
+
+def _appearance(imaging: FirstOrder) -> _Appearance:
+    """By the directions in which u and v grow at the middle of the field."""
+    (u_right, u_up), (v_right, v_up) = imaging.u_direction, imaging.v_direction
+    if abs(u_right) + abs(v_up) < abs(u_up) + abs(v_right):
+        u, v = "upwards" if u_up > 0 else "downwards", "right" if v_right > 0 else "left"
+        short = "turned by 90 degrees" + (" and mirrored" if u_right * v_up > u_up * v_right else "")
+        remedy = "choose u_axis to the wearer's right and v_axis downwards, and size_mm and pixels with them"
+        return _Appearance(short, f"u runs {u} in the view, v to the wearer's {v}: a picture appears {short}", remedy)
+    if u_right > 0 and v_up < 0:
+        return _Appearance("upright", "u runs to the wearer's right, v downwards: the picture is upright", "")
+    if u_right > 0:
+        return _Appearance(
+            "bottom up", "v runs upwards in the view: rows of a picture appear bottom up", "reverse v_axis"
+        )
+    if v_up < 0:
+        return _Appearance("mirrored", "u runs to the wearer's left: a picture appears mirrored", "reverse u_axis")
+    return _Appearance(
+        "turned by 180 degrees",
+        "u runs to the wearer's left and v upwards: a picture appears turned by 180 degrees",
+        "reverse u_axis and v_axis",
+    )
+
+
+def orientation_warnings(eye: Eye, imaging: FirstOrder | None) -> list[str]:
+    """Whether a picture on the panel does not appear upright: right for some devices, and a mistake in others."""
+    if imaging is None or not (appearance := _appearance(imaging)).remedy:
+        return []
+    return [
+        f"{eye.capitalize()} eye: {appearance.sentence}. Rendering allows for it; if the panel is not mounted so, "
+        f"{appearance.remedy}."
+    ]
 
 
 def _losses_table(optics: EyeOptics, losses: tuple[SurfaceLosses, ...]) -> ReportTable:
@@ -165,12 +256,13 @@ def _imaging_table(imaging: FirstOrder) -> ReportTable:
         "At the middle of the field that is seen. Focal length: distance on the panel for a tangent of 1. Distortion: "
         "departure from that scale, over the distance of the farthest ray from the middle. An image farther than a "
         "kilometre has no distance.",
+        f"Orientation: {_appearance(imaging).sentence}.",
     )
     return ReportTable("Imaging of the panel", ("figure", "along x", "along y"), rows, notes)
 
 
 def loss_warnings(optics: EyeOptics, eye: str, losses: tuple[SurfaceLosses, ...]) -> list[str]:
-    """Which surface loses the rays first, and whether one is bent the wrong way."""
+    """Which surface loses the rays first, and which single changes of the description would let them arrive."""
     total, arriving = losses[0].reached, losses[-1].passed
     if arriving >= (MIN_PANEL_SHARE * total if optics.field else 1):
         return []
@@ -183,11 +275,10 @@ def loss_warnings(optics: EyeOptics, eye: str, losses: tuple[SurfaceLosses, ...]
         f"{few} of {total} rays {over} reach the panel. The first to lose many is "
         f"'{first.name}': of {first.reached} rays that reach it, {first.sentence()}."
     ]
-    for name, count in better_turned_round(optics, FRAUNHOFER_F_D_C_UM[1]):
-        warnings.append(
-            f"Bent to the other side, '{name}' would let {count} of {total} rays reach the panel: check the sign of "
-            "its radius_mm, or of all its terms."
-        )
+    warnings += [
+        f"{change.condition}, {count} of {total} rays would reach the panel: {change.check}."
+        for change, count in helpful_changes(optics, FRAUNHOFER_F_D_C_UM[1])
+    ]
     return warnings
 
 
@@ -198,18 +289,23 @@ def imaging_warnings(optics: EyeOptics, eye: str, imaging: FirstOrder | None) ->
     vergence = min(imaging.vergence_per_m)
     vergence = vergence if vergence < -_BEHIND_THE_EYE_PER_M else max(imaging.vergence_per_m)
     side = "behind" if vergence < 0 else "before"
-    warnings = [
-        f"The virtual image of the {eye} eye lies {abs(1.0 / vergence):.2g} m {side} the eye, where nobody can focus: "
-        "check the signs of the radii, and the distance of the panel."
-    ]
-    for name, changed in each_turned_round(optics):
-        other = first_order(changed, FRAUNHOFER_F_D_C_UM[1])
+    hints, changes = [], list(curvature_changes(optics))
+    for change in changes:
+        other = first_order(change.optics, FRAUNHOFER_F_D_C_UM[1])
         if other is not None and _can_focus(other):
-            warnings.append(
-                f"With '{name}' bent to the other side the virtual image would lie where an eye can focus "
-                f"({other.vergence_per_m[0]:.2g} dioptres): check the sign of its radius_mm, or of all its terms."
+            hints.append(
+                f"{change.condition}, the virtual image would lie {image_place(other)}, where an eye can focus: "
+                f"{change.check}."
             )
-    return warnings
+    if hints:
+        check = "check the signs of the radii, and the distance of the panel"
+    else:
+        check = "check the distance of the panel (its centre_mm)" + (" first, then the radii" if changes else "")
+    return [
+        f"The virtual image of the {eye} eye lies {abs(1.0 / vergence):.2g} m {side} the eye, where nobody can focus: "
+        f"{check}.",
+        *hints,
+    ]
 
 
 def _can_focus(imaging: FirstOrder) -> bool:

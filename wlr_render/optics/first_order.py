@@ -1,4 +1,7 @@
-"""Focal length, image distance, magnification and distortion of a display, from traces alone: no pixel is solved."""
+"""Focal length, image distance, orientation, magnification and distortion of a display.
+
+They come from traces alone: no pixel is solved.
+"""
 
 from dataclasses import dataclass
 
@@ -25,12 +28,16 @@ class FirstOrder:
         distortion_rms: departure of places on the panel from the scale at the middle, over the distance from it of
             the farthest; rms over the field.
         distortion_max: the largest.
+        u_direction: unit vector (to the wearer's right, up) in which u of the panel grows in the view.
+        v_direction: the same for v.
     """
 
     focal_length_m: tuple[float, float]
     vergence_per_m: tuple[float, float]
     distortion_rms: float
     distortion_max: float
+    u_direction: tuple[float, float]
+    v_direction: tuple[float, float]
 
     @property
     def magnification(self) -> tuple[float, float]:
@@ -72,11 +79,15 @@ def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
     away = np.linalg.norm(place - place[nearest] - straight, axis=-1)
     farthest = max(float(np.linalg.norm(straight, axis=-1).max()), np.finfo(float).tiny)
     focal = np.linalg.norm(scale, axis=0)
+    in_view = np.linalg.inv(scale)
+    (u_right, v_right), (u_up, v_up) = (in_view / np.linalg.norm(in_view, axis=0)).tolist()
     return FirstOrder(
         (float(focal[0]), float(focal[1])),
         (float(vergence[0, 0]), float(vergence[1, 1])),
         float(np.sqrt(np.mean(away**2)) / farthest),
         float(away.max() / farthest),
+        (u_right, u_up),
+        (v_right, v_up),
     )
 
 

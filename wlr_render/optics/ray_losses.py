@@ -1,21 +1,25 @@
-"""Where the rays of the display path are lost, surface by surface, and whether a surface bends them the wrong way."""
+"""Where the rays of the display path are lost, surface by surface, and which single change would let them arrive."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics, Interaction, Path, PlacedSurface, Step
-from wlr_render.optics.surfaces import Conic
+from wlr_render.optics.sag_surfaces import AnamorphicAsphere, SumOfProfiles, Toroid
+from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.optics.tracer import Trace, trace
 
 _COLUMNS, _ROWS = 25, 21
 _CONE_TANGENT = 0.4  # of the rays that are tried where no nominal field is stated
 _TURNED = np.diag([1.0, 1.0, -1.0, 1.0])
 _MANY = 0.5  # of the rays; fewer are called lost
-_BETTER = 2.0  # times as many rays, and most of them, say that a surface is the wrong way round
+_BETTER = 2.0  # times as many rays, and most of them, say that a change is right
+_TILTED = 1e-6  # component of the normal across the line of sight, from which a mirror is turned
+_AS_GOOD = 0.9  # of the rays that the best change lets arrive
 
 
 @dataclass(frozen=True)
@@ -72,16 +76,19 @@ def display_losses(optics: EyeOptics, wavelength_um: float) -> tuple[SurfaceLoss
     traced = trace(optics.display, start, view_dir, wavelength_um)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
     ahead = np.isfinite(pixel).all(axis=-1)
-    on_panel = alive & _on_panel(optics, pixel)
+    behind = np.isfinite(optics.panel.pixel_of_ray(traced.origin, -traced.direction)).all(axis=-1)
+    arriving = alive & on_panel(optics, pixel)
     reasons = {
-        "miss its plane, or run away from it": int((alive & ~ahead).sum()),
-        "pass beside its lit area": int((alive & ahead & ~on_panel).sum()),
+        "miss its plane": int((alive & ~ahead & ~behind).sum()),
+        "run away from it, for it lies behind them": int((alive & ~ahead & behind).sum()),
+        "pass beside its lit area": int((alive & ahead & ~arriving).sum()),
     }
-    entries.append(SurfaceLosses("panel", "panel", int(alive.sum()), int(on_panel.sum()), reasons))
+    entries.append(SurfaceLosses("panel", "panel", int(alive.sum()), int(arriving.sum()), reasons))
     return tuple(entries)
 
 
-def _on_panel(optics: EyeOptics, pixel: FloatArray) -> BoolArray:
+def on_panel(optics: EyeOptics, pixel: FloatArray) -> BoolArray:
+    """Which pixels (..., 2) lie on the panel's lit area; not those that are NaN."""
     return np.asarray(np.all((pixel >= 0.0) & (pixel <= optics.panel.pixels.size_px), axis=-1))
 
 
@@ -116,7 +123,7 @@ def reach_panel(optics: EyeOptics, wavelength_um: float) -> int:
     """How many of the judged rays end on the panel."""
     traced = trace(optics.display, optics.eye_box.centre, judged_directions(optics), wavelength_um)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
-    return int(np.sum((traced.status == Status.OK) & _on_panel(optics, pixel)))
+    return int(np.sum((traced.status == Status.OK) & on_panel(optics, pixel)))
 
 
 def turned_round(surface: PlacedSurface) -> PlacedSurface:
@@ -131,20 +138,89 @@ def turned_round(surface: PlacedSurface) -> PlacedSurface:
     )
 
 
-def each_turned_round(optics: EyeOptics) -> Iterator[tuple[str, EyeOptics]]:
-    """For each curved surface of the display path, its name and the eye with it bent to the other side."""
-    for surface in {step.surface.name: step.surface for step in optics.display.steps}.values():
+@dataclass(frozen=True, eq=False)
+class TriedChange:
+    """An eye with one likely mistake of its description undone.
+
+    Attributes:
+        condition: the change, as the beginning of a sentence: "With ...".
+        check: what to check in the device file if the change helps.
+        optics: the changed eye.
+    """
+
+    condition: str
+    check: str
+    optics: EyeOptics
+
+
+def curvature_changes(optics: EyeOptics) -> Iterator[TriedChange]:
+    """Each curved surface of the display path bent to the other side, and each one of its two radii alone."""
+    for surface in _surfaces_of_display(optics):
         if surface.shape == Conic(0.0):
             continue
+        yield TriedChange(
+            f"With '{surface.name}' bent to the other side",
+            "check the sign of its radius_mm, or of all its terms",
+            _with_surface(optics, turned_round(surface)),
+        )
+        for axis, shape in _one_radius_reversed(surface.shape):
+            yield TriedChange(
+                f"With radius_{axis}_mm of '{surface.name}' of the other sign",
+                f"check the sign of radius_{axis}_mm",
+                _with_surface(optics, replace(surface, shape=shape)),
+            )
 
-        def change(each: PlacedSurface, name: str = surface.name) -> PlacedSurface:
-            return turned_round(each) if each.name == name else each
 
-        yield surface.name, optics.with_surfaces(change)
+def path_changes(optics: EyeOptics) -> Iterator[TriedChange]:
+    """Each two neighbouring steps of the display path exchanged, and each plane mirror turned the other way."""
+    steps = optics.display.steps
+    for place, (first, second) in enumerate(pairwise(steps)):
+        if first.surface.name != second.surface.name:
+            exchanged = Path((*steps[:place], second, first, *steps[place + 2 :]))
+            condition = f"With '{second.surface.name}' before '{first.surface.name}'"
+            yield TriedChange(condition, "check the order of display_path", replace(optics, display=exchanged))
+    mirrors = {step.surface.name for step in steps if step.interaction is not Interaction.REFRACT}
+    for surface in _surfaces_of_display(optics):
+        if surface.name not in mirrors or surface.shape != Conic(0.0):
+            continue
+        for axis in range(2):
+            pose = surface.device_from_surface.copy()
+            if abs(pose[axis, 2]) < _TILTED:
+                continue
+            pose[axis, :3] *= -1.0  # the mirror image of the surface in a plane through its own origin
+            yield TriedChange(
+                f"With '{surface.name}' turned the other way",
+                "check the sign of its rotate_x_deg, or of its z_axis, and on which side the panel stands",
+                _with_surface(optics, replace(surface, device_from_surface=pose)),
+            )
 
 
-def better_turned_round(optics: EyeOptics, wavelength_um: float) -> list[tuple[str, int]]:
-    """Surfaces with which most rays would reach the panel if they were bent to the other side, and how many."""
+def _surfaces_of_display(optics: EyeOptics) -> list[PlacedSurface]:
+    """The surfaces of the display path, each once."""
+    return list({step.surface.name: step.surface for step in optics.display.steps}.values())
+
+
+def _with_surface(optics: EyeOptics, changed: PlacedSurface) -> EyeOptics:
+    return optics.with_surfaces(lambda each: changed if each.name == changed.name else each)
+
+
+def _one_radius_reversed(shape: Shape) -> Iterator[tuple[str, Shape]]:
+    """For a shape of two radii: the axis of each, and the shape with that radius of the other sign."""
+    if isinstance(shape, Toroid):
+        yield "x", replace(shape, radius_x=-shape.radius_x)
+        yield "y", replace(shape, radius_y=-shape.radius_y)
+    elif isinstance(shape, AnamorphicAsphere | SumOfProfiles):
+        x, y = shape.curvature
+        if x:
+            yield "x", replace(shape, curvature=(-x, y))
+        if y:
+            yield "y", replace(shape, curvature=(x, -y))
+
+
+def helpful_changes(optics: EyeOptics, wavelength_um: float) -> list[tuple[TriedChange, int]]:
+    """Changes with which most rays would reach the panel, and how many would; the best first."""
     total, now = len(judged_directions(optics)), reach_panel(optics, wavelength_um)
-    counts = [(name, reach_panel(changed, wavelength_um)) for name, changed in each_turned_round(optics)]
-    return [(name, count) for name, count in counts if count >= max(_MANY * total, _BETTER * now, 1)]
+    changes = [*curvature_changes(optics), *path_changes(optics)]
+    counted = [(change, reach_panel(change.optics, wavelength_um)) for change in changes]
+    enough = max(_MANY * total, _BETTER * now, _AS_GOOD * max((count for _, count in counted), default=0), 1)
+    return sorted((each for each in counted if each[1] >= enough), key=lambda each: -each[1])
