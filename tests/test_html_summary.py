@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from fitted_eyes import captures, fitted_eye
 
+from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.html_summary import MOST_ROWS, SummaryTable, html_summary
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.model_file import EyeModel
+from wlr_render.optics.device_file import load_device
 from wlr_render.report.blocks import Report, ReportTable
 
 HOSTILE = "a</td><img src=x onerror=f()><script>g()</script>\"'&amp;\x1b\u202e"
@@ -66,6 +68,24 @@ def test_a_model_of_one_side_or_with_a_strange_report_is_shown_too(eye):
     absent = replace(eye, display=AbsentDisplay(), see_through=AbsentSeeThrough())
     assert shown(model(absent)).count("not calibrated") == 3
     assert shown(model(eye, {"display": [1], "see_through": {"viewpoints": HOSTILE}})).count("-") == 6
+
+
+def test_a_fit_states_its_kinds_and_predicted_errors_and_prints_as_one_line():
+    fit = fit_eye(captures("northstar"), "planar", 3, 2)
+    texts = shown(fit)
+    assert texts[0].startswith("Fit of northstar")
+    first = texts.index("display")
+    assert texts[first + 1].startswith("planar, ")
+    assert max(len(repr(each)) for each in (fit, fit.mappings)) < 80
+
+
+def test_a_device_states_its_panels_and_paths():
+    device = load_device("prism5701202")
+    texts = shown(device)
+    assert texts[0] == "Device prism5701202"
+    assert texts[texts.index("panel") + 1].startswith("1280 x 960 px, ")
+    assert texts[texts.index("display path, from the eye") + 1].startswith("refract at S1, reflect at S2, ")
+    assert len(repr(device)) < 80
 
 
 def test_captures_state_their_numbers_and_ranges():

@@ -243,6 +243,9 @@ class EyeMappings:
         ]
         return SummaryTable([], rows)
 
+    def __repr__(self) -> str:
+        return f"EyeMappings({self.name!r}, {self.eye!r})"
+
     def _repr_html_(self) -> str:
         return html_summary(f"{self.name}, {self.eye} eye", [], [self.summary])
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -25,6 +26,7 @@ from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
@@ -73,6 +75,21 @@ class EyeFit:
             lacking = "display" if self.display is None else "see-through"
             raise BadInputError(f"the captures of {self.device} have no {lacking} part; add it.")
         return self.display, self.see_through
+
+    def __repr__(self) -> str:
+        return f"EyeFit({self.mappings.name!r}, {self.mappings.eye} eye)"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for name, fit in self.sides.items():
+            side: Any = fit  # of either kind, with its own mapping
+            rows.append((name, f"{side.kind}, {side.predicted_arcmin(side.mapping):.2g}'"))
+        title = f"Fit of {self.mappings.name}, {self.mappings.eye} eye"
+        return html_summary(
+            title,
+            [],
+            [self.mappings.summary, SummaryTable((), rows, "Model and its predicted error, rms over the eye box")],
+        )
 
     def model(self) -> EyeModel:
         """As `models.model_file.save_eye_models` takes it."""

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse
+from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.mappings import EyeBox, FieldOfView, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import AIR, Medium
@@ -176,6 +177,23 @@ class Device:
     name: str
     source: str
     eyes: dict[str, EyeOptics]
+
+    def __repr__(self) -> str:
+        return f"Device({self.name!r}, eyes: {', '.join(self.eyes)})"
+
+    def _repr_html_(self) -> str:
+        tables = []
+        for eye, optics in self.eyes.items():
+            width, height = (f"{1e3 * size:.3g}" for size in optics.panel.size)
+            pixels = optics.panel.pixels
+            path = [f"{step.interaction} at {step.surface.name}".replace("_", " ") for step in optics.display.steps]
+            rows = [
+                ("panel", f"{pixels.width_px} x {pixels.height_px} px, {width} x {height} mm"),
+                ("display path, from the eye", ", ".join(path) or "straight to the panel"),
+                ("nominal field of view", "not stated" if optics.field is None else str(optics.field)),
+            ]
+            tables.append(SummaryTable((), rows, f"The {eye} eye"))
+        return html_summary(f"Device {self.name}", [self.source], tables)
 
 
 def mirrored(eye: EyeOptics) -> EyeOptics:
