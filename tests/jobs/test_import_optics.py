@@ -15,6 +15,8 @@ from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.jobs.import_optics import ImportOpticsOptions, import_optics
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.first_order import first_order
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
+from wlr_render.optics.lens_files.lens_file import read_lens_file
 from wlr_render.optics.traced_mappings import TracedDisplay
 
 LENSES = Path(__file__).resolve().parent.parent / "optics" / "data" / "lens_files"
@@ -141,9 +143,41 @@ def test_an_eye_or_panel_that_cannot_be_told_is_refused(tmp_path, old, new, opti
 def test_shapes_that_are_not_read_are_warned_of(tmp_path):
     text = LOUPE.replace("  CURV -0.02\n", "  TYPE SZERNSAG\n  CURV -0.02\n  XDAT 3 0.2\n")
     report, _ = imported(tmp_path, text)
+    assert report.verdict.startswith(
+        "The device does not trace as the lens does: the type of surface 3 (SZERNSAG) is not read, and a simpler "
+        "surface stands in its place. 2 surfaces of"
+    )
     assert report.warnings == [
         "Rays run otherwise than in the file, because of surface 3: the table of ignored keys says why."
     ]
+
+
+def test_types_that_are_not_read_are_named_for_all_three_programs(tmp_path):
+    """Optiland's and rayoptics' files with the type of one surface changed to one that is not read."""
+    for name, old, new in (
+        ("shapes.json", '"EvenAsphere"', '"ZernikePolynomialGeometry"'),
+        ("Sasian Triplet.roa", '"Spherical"', '"Zernike"'),
+    ):
+        text = (LENSES / name).read_text(encoding="utf-8")
+        assert old in text
+        file = tmp_path / name
+        file.write_text(text.replace(old, new, 1))
+        _, lens = read_lens_file(file, GlassCatalogue((LENSES / "some_glasses.agf",)))
+        assert [note.part for note in lens.ignored if note.value in new] == ["shape"]
+
+
+def test_glasses_taken_approximately_are_warned_of(tmp_path):
+    text = LOUPE.replace("___BLANK 1 0 1.5 60", "MYGLASS 0 0 1.51 61")
+    report, _ = imported(tmp_path, text)
+    assert report.warnings == [
+        "Glass MYGLASS of surface 2 is taken approximately: in no catalogue: taken by its index 1.51 and Abbe number "
+        "61."
+    ]
+
+
+def test_the_size_of_the_glass_database_is_stated(tmp_path):
+    with pytest.raises(BadInputError, match=r"no catalogue has these glasses: MYGLASS .*\(1\.3 GB\)"):
+        imported(tmp_path, LOUPE.replace("___BLANK 1 0 1.5 60", "MYGLASS"))
 
 
 def test_the_advice_is_a_command_that_runs_in_a_folder_with_spaces(tmp_path):

@@ -26,6 +26,7 @@ from wlr_render.report.save import save_report
 from wlr_render.toml_files import Table
 
 _MM = 1e-3
+_MOST_NAMED = 8  # surfaces in one sentence
 _SIDE_MM = Range(at_least=0.1, at_most=200, unit="millimetres")
 _NUMBER = Range(at_least=0, at_most=1000)
 _PLACE_MM = Range(at_least=-1000, at_most=1000, unit="millimetres")
@@ -90,18 +91,18 @@ def import_optics(options: ImportOpticsOptions, *, progress: ProgressArgument = 
     _require_readable(options.file, headset.device)
     folder = output_folder(options.out)
     written = save_device(headset.device, folder / f"{headset.device.name}.toml")
-    changed = sorted({note.surface for note in headset.ignored if note.bends_rays and note.surface is not None})
     report = Report(
         f"Import of {options.file.name}",
-        f"{len(headset.path)} surfaces of {program}'s {options.file.name} are the display path of "
-        f"'{headset.device.name}': the pupil stands {headset.pupil_text}, the panel is surface {headset.panel_number}.",
+        f"{_not_the_lens(headset)}{len(headset.path)} surfaces of {program}'s {options.file.name} are the display "
+        f"path of '{headset.device.name}': the pupil stands {headset.pupil_text}, the panel is surface "
+        f"{headset.panel_number}.",
         advice=[
             "Draw it and find where rays are lost: "
             + shlex.join(["wlr-render", "trace", str(written), "--eye", options.eye]),
             "Add the keys that no lens file has: see_through_path (the real world is seen past the optics now), "
             "field_deg, and also_mirrored for the other eye (devices/README.md).",
         ],
-        warnings=_warnings(headset, changed),
+        warnings=_warnings(headset),
         blocks=[_surface_table(lens, headset), *_ignored_table(headset)],
         inputs=[options.file, *options.glasses],
         files=[written],
@@ -136,8 +137,22 @@ def _require_readable(path: Path, device: Device) -> None:
     device_of(Table(device_content(device), f"{path}, as a device"))
 
 
-def _warnings(headset: ImportedHeadset, changed: list[int]) -> list[str]:
+def _not_the_lens(headset: ImportedHeadset) -> str:
+    """Beginning of the verdict if surfaces of the file are of types that are not read; else empty."""
+    unread = [note for note in headset.ignored if note.part == "shape" and note.bends_rays]
+    if not unread:
+        return ""
+    listed = ", ".join(f"surface {note.surface} ({note.value})" for note in unread[:_MOST_NAMED])
+    more = f" and {len(unread) - _MOST_NAMED} more" if len(unread) > _MOST_NAMED else ""
+    return (
+        f"The device does not trace as the lens does: the type of {listed}{more} is not read, and a simpler surface "
+        "stands in its place. "
+    )
+
+
+def _warnings(headset: ImportedHeadset) -> list[str]:
     warnings = []
+    changed = sorted({note.surface for note in headset.ignored if note.bends_rays and note.surface is not None})
     if changed:
         listed = ", ".join(map(str, changed))
         warnings.append(
@@ -145,6 +160,14 @@ def _warnings(headset: ImportedHeadset, changed: list[int]) -> list[str]:
         )
     if any(note.surface is None and note.bends_rays for note in headset.ignored):
         warnings.append("The file has several configurations; the one that was saved as current is taken.")
+    glasses: dict[tuple[str, str], list[str]] = {}
+    for note in headset.ignored:
+        if note.part == "glass":
+            glasses.setdefault((note.value, note.reason), []).append(str(note.surface))
+    warnings += [
+        f"Glass {value} of surface {', '.join(numbers)} is taken approximately: {reason}."
+        for (value, reason), numbers in glasses.items()
+    ]
     if not headset.is_reached:
         warnings.append(
             "Rays from the middle of the pupil do not reach the panel, which is turned as in the file: trace the "

@@ -104,8 +104,8 @@ def model_glass(index: float, abbe: float, where: str, name: str = "") -> Medium
 def unknown_glass_remedy() -> str:
     """Sentence that says how to give a glass that no catalogue has."""
     return (
-        "Name Zemax's catalogue file with --glasses FILE.agf, or install the database of refractiveindex.info: "
-        f"{install_command('glasses')}"
+        "Name Zemax's catalogue file with --glasses FILE.agf, or install the database of refractiveindex.info "
+        f"(1.3 GB): {install_command('glasses')}"
     )
 
 

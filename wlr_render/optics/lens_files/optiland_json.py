@@ -59,7 +59,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
         model = entry.table("interaction_model") if has_model else entry
         reflects = model.flag("is_reflective", default=False)
         if has_model and model.text("type") != "RefractiveReflectiveModel":
-            ignore(notes, number, "interaction_model", model.text("type"), "bends rays in another way", True)
+            ignore(notes, number, "interaction_model", model.text("type"), "bends rays in another way", True, "shape")
         medium = medium if reflects else _medium(entry, number, catalogue, notes)
         surfaces.append(
             LensSurface(
@@ -99,7 +99,12 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
     if kind == "AbbeMaterial":
         index, abbe = number_of(material, "index"), number_of(material, "abbe")
         ignore(
-            notes, number, "AbbeMaterial", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ"
+            notes,
+            number,
+            "AbbeMaterial",
+            f"{index:g}, {abbe:g}",
+            "taken by n_d and V_d; between lines it may differ",
+            part="glass",
         )
         return model_glass(index, abbe, material.where)
     if kind == "Material":
@@ -107,7 +112,7 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
         reference = material.unchecked("reference")
         medium = catalogue.require(name, material.where, (reference,) if isinstance(reference, str) else ())
         if note := substitution_note(name, medium):
-            ignore(notes, number, "material_post", name, note, True)
+            ignore(notes, number, "material_post", name, note, True, "glass")
         return medium
     raise material.fail(f"material {shown(kind)} is not read; write it as IdealMaterial, AbbeMaterial or Material.")
 
@@ -152,7 +157,7 @@ def _shape(geometry: Table, number: int, notes: Notes) -> Shape:
     kind = geometry.text("type")
     read = _SHAPES.get(kind)
     if read is None:
-        ignore(notes, number, "geometry", kind, "this shape is not read: its conic stands in its place", True)
+        ignore(notes, number, "geometry", kind, "this shape is not read: its conic stands in its place", True, "shape")
         return _conic(geometry, number, notes)
     return read(geometry, number, notes)
 

@@ -88,7 +88,9 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         if mode not in ("transmit", "reflect", "dummy", "phantom"):
             ignore(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
         if _class_of(entry) != "Surface" or surface.unchecked("phase_element"):
-            ignore(notes, number, "surface", _class_of(entry), "bends rays by more than its shape: not read", True)
+            ignore(
+                notes, number, "surface", _class_of(entry), "bends rays by more than its shape: not read", True, "shape"
+            )
         if mode != "reflect":
             medium = _medium(gaps[number], number, catalogue, notes) if number < len(gaps) else medium
         thickness = number_of(gaps[number].table("attributes"), "thi") if number < len(gaps) else 0.0
@@ -172,7 +174,14 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
         return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), where)
     if kind == "ModelGlass":
         index, abbe = (number_of(attributes, key) for key in "nv")
-        ignore(notes, number, "ModelGlass", f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ")
+        ignore(
+            notes,
+            number,
+            "ModelGlass",
+            f"{index:g}, {abbe:g}",
+            "taken by n_d and V_d; between lines it may differ",
+            part="glass",
+        )
         return model_glass(index, abbe, where)
     name = attributes.text("gname", "") or attributes.text("label", "") or kind
     if attributes.has("coefs"):
@@ -183,7 +192,7 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
             return require_glass(schott(name, coefficients, _POWERS_OF_MAKERS[kind]), where)
     found = catalogue.require(name, where)
     if note := substitution_note(name, found):
-        ignore(notes, number, "medium", name, note, True)
+        ignore(notes, number, "medium", name, note, True, "glass")
     return found
 
 
@@ -230,7 +239,7 @@ def _shape(surface: Table, profiles: Table | None, number: int, unit: float, not
     if kind in ("XToroid", "YToroid"):
         return _toroid(kind, attributes, curvature / unit, conic, number, unit, notes)
     if kind not in ("Spherical", "Conic"):
-        ignore(notes, number, "profile", kind, "this shape is not read: its conic stands in its place", True)
+        ignore(notes, number, "profile", kind, "this shape is not read: its conic stands in its place", True, "shape")
     return Conic(curvature / unit, conic)
 
 

@@ -6,6 +6,7 @@ Lengths are in metres and poses in the file's own frame, whose z axis the light 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -26,6 +27,9 @@ _MOST_SURFACES = 1000
 _LARGEST = 1e12
 
 
+Part = Literal["shape", "glass", "other"]
+
+
 @dataclass(frozen=True)
 class Ignored:
     """A key of the file that the device does not have.
@@ -36,6 +40,7 @@ class Ignored:
         value: as the file has it, shortened.
         reason: why it was left out, and its substitute.
         bends_rays: whether rays run otherwise without it.
+        part: "shape" for a surface that is not read as what it is, "glass" for a glass that is taken approximately.
     """
 
     surface: int | None
@@ -43,14 +48,23 @@ class Ignored:
     value: str
     reason: str
     bends_rays: bool = False
+    part: Part = "other"
 
 
 Notes = list[Ignored]
 
 
-def ignore(notes: Notes, surface: int | None, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
+def ignore(
+    notes: Notes,
+    surface: int | None,
+    key: str,
+    value: object,
+    reason: str,
+    bends_rays: bool = False,
+    part: Part = "other",
+) -> None:
     """Note a key that is not read, or is read otherwise than the file states it."""
-    notes.append(Ignored(surface, key, shown(value, quoted=False), reason, bends_rays))
+    notes.append(Ignored(surface, key, shown(value, quoted=False), reason, bends_rays, part))
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from wlr_render.optics.lens_files.sequence import (
     LensFile,
     LensSurface,
     Notes,
+    Part,
     box_aperture,
     conic_or_asphere,
     finite,
@@ -111,9 +112,17 @@ class _Reading:
         values.pop(0, None)  # means nothing to any surface that is read
         return values
 
-    def ignore(self, surface: _Lines | None, key: str, value: object, reason: str, bends_rays: bool = False) -> None:
+    def ignore(
+        self,
+        surface: _Lines | None,
+        key: str,
+        value: object,
+        reason: str,
+        bends_rays: bool = False,
+        part: Part = "other",
+    ) -> None:
         """Note a key of a surface, or of the head, that is not read as it stands."""
-        ignore(self.notes, None if surface is None else surface.number, key, value, reason, bends_rays)
+        ignore(self.notes, None if surface is None else surface.number, key, value, reason, bends_rays, part)
 
 
 def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
@@ -244,14 +253,13 @@ def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Me
         where = f"{reading.path}: line {line}: glass {shown(name)}"
         medium = model_glass(index, abbe, where, "" if model else name)
         if not model:
-            reading.ignore(
-                surface, "GLAS", name, f"in no catalogue: taken by its index {index:g} and Abbe number {abbe:g}"
-            )
+            reason = f"in no catalogue: taken by its index {index:g} and Abbe number {abbe:g}"
+            reading.ignore(surface, "GLAS", name, reason, part="glass")
     if medium is None:
         reading.unknown_glasses.setdefault(name, []).append(surface.number)
         return False, Medium(name)
     if not model and (note := substitution_note(name, medium)):
-        reading.ignore(surface, "GLAS", name, note, True)
+        reading.ignore(surface, "GLAS", name, note, True, "glass")
     return False, medium
 
 
@@ -291,7 +299,9 @@ def _shape(reading: _Reading, surface: _Lines, kind: str) -> Shape:
     if read is None:
         values = reading.numbered(surface, "PARM") | reading.numbered(surface, "XDAT")
         flat = not any(values.values())
-        reading.ignore(surface, "TYPE", kind, "this shape is not read: its conic stands in its place", not flat)
+        reading.ignore(
+            surface, "TYPE", kind, "this shape is not read: its conic stands in its place", not flat, "shape"
+        )
         return base
     return read(reading, surface, base)
 
