@@ -175,6 +175,19 @@ def test_a_run_that_is_resumed_ends_up_with_the_same_files(labelled, tmp_path):
     assert render(replace(job, layers=LAYERS[::-1])).record["frames_drawn"] == 0
 
 
+def test_the_page_of_frames_reads_layers_as_it_says(labelled):
+    """The example in docs/frames.md."""
+    render(replace(labelled, eye="right"))
+    page = (Path(__file__).resolve().parents[2] / "docs" / "frames.md").read_text(encoding="utf-8")
+    (code,) = (part.split("```")[0] for part in page.split("```python\n")[1:])
+    path, found = labelled.out / "right-000000.exr", {}
+    exec(code.replace("out/set/right-000000.exr", str(path)), found)
+    channels, _ = read_exr(path)
+    np.testing.assert_array_equal(found["albedo"], np.stack([channels[f"albedo.{each}"] for each in "RGB"], axis=-1))
+    np.testing.assert_array_equal(found["depth_m"], channels["depth.Z"])
+    np.testing.assert_array_equal(found["position_m"][..., 1], channels["position.Y"])
+
+
 @pytest.mark.parametrize("method", ["raytrace", pytest.param("raster", marks=pytest.mark.gl)])
 def test_misalignment_of_each_frame_is_that_of_what_it_shows(
     tmp_path, model_file, small_panel_model, scene_file, method, request
@@ -241,7 +254,10 @@ def test_layers_without_openexr_leave_nothing_behind(labelled, monkeypatch):
 
 @pytest.mark.parametrize(
     ("device", "sentence"),
-    [("model", "is a fitted model; name the device"), ("northstar", "has another panel than .*no_optics.toml")],
+    [
+        ("model", "is a fitted model; name the device"),
+        ("northstar", "has another panel than .*no_optics.toml; .*; for a device file give that file again"),
+    ],
 )
 def test_an_exact_device_that_is_none_or_another_is_refused(labelled, model_file, device, sentence):
     given = model_file if device == "model" else device

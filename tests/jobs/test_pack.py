@@ -124,12 +124,38 @@ def test_webdataset_reads_the_shards(labelled, tmp_path):
 
 def test_frames_without_layers_are_packed_too(frames_of, tmp_path):
     drawn = frames_of()
-    pack(PackOptions("webdataset", drawn.out, out=tmp_path / "tar"))
+    report = pack(PackOptions("webdataset", drawn.out, out=tmp_path / "tar"))
+    assert report.verdict == "4 frames in 1 tar file, for webdataset."
     found = members(tmp_path / "tar" / "frames-000000.tar")
     assert list(found) == [f"{key}.{suffix}" for key in KEYS for suffix in ("json", "png")]
     assert "objects" not in json.loads(found["left-000000.json"])
     pack(PackOptions("huggingface", drawn.out, out=tmp_path / "folder"))
     assert len(list((tmp_path / "folder" / "train").iterdir())) == 5
+
+
+def test_one_frame_is_counted_as_one(straight_device, scene_file, tmp_path):
+    render(RenderOptions(straight_device, scene_file, method="raytrace", out=tmp_path / "frames"))
+    report = pack(PackOptions("webdataset", tmp_path / "frames", out=tmp_path / "set"))
+    assert report.verdict == "1 frame in 1 tar file, for webdataset."
+
+
+def test_the_predicted_error_of_a_frame_is_packed_without_its_map(model_file, scene_file, tmp_path):
+    drawn = RenderOptions(model_file, scene_file, method="raytrace", predicted_error=0.5, out=tmp_path / "frames")
+    render(drawn)
+    stated = json.loads((drawn.out / "right-000000-labels.json").read_text())["predicted_error"]
+    assert stated["rms_arcmin"] > 0
+    pack(PackOptions("webdataset", drawn.out, out=tmp_path / "tar"))
+    found = members(tmp_path / "tar" / "frames-000000.tar")
+    assert list(found) == ["right-000000.json", "right-000000.png"]
+    metadata = json.loads(found["right-000000.json"])
+    assert metadata["predicted_error"] == stated
+    assert "misalignment" not in metadata
+    pack(PackOptions("huggingface", drawn.out, out=tmp_path / "folder"))
+    (row,) = (tmp_path / "folder" / "train" / "metadata.jsonl").read_text().splitlines()
+    assert json.loads(row)["predicted_error"] == stated
+    (drawn.out / "right-000000-labels.json").write_text("{}")
+    with pytest.raises(BadInputError, match=r"right-000000-labels\.json: is missing, or is not as it was drawn"):
+        pack(PackOptions("webdataset", drawn.out, out=tmp_path / "again"))
 
 
 @pytest.mark.parametrize("layout", ["webdataset", "huggingface"])

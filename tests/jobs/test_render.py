@@ -347,6 +347,7 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving,
     viewpoint = json.loads((job.out / "sequence.json").read_text())["frames"][4]["viewpoint_in_device_m"]
     covariance = registration_covariance(mappings, mappings.display.panel.grid(18, 16), viewpoint, 0.5, sizes).total
     np.testing.assert_allclose(maps[4][..., 2], np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)), rtol=0.01)
+    assert "EYE-NNNNNN-error.tiff has the map of each frame" in report.tables[0].notes[0]
     worst = [max(each[name] for each in record) for name in ("rms_arcmin", "radius_arcmin")]
     assert report.tables[0].rows[0][4:] == worst
     (job.out / "right-000002-error.tiff").write_bytes(b"")
@@ -664,6 +665,16 @@ def test_the_report_lists_frames_inputs_and_files(moving):
     inputs = json.loads((moving.out / "report.json").read_text())["provenance"]["inputs"]
     assert [file["name"] for file in inputs] == [moving.headset, moving.scene, str(moving.head), str(moving.eye_track)]
     assert (moving.out / "report.html").read_text().count("data:image/png;base64,") == 1
+
+
+def test_a_file_of_two_options_is_one_input(options, straight_device):
+    render(replace(options, method="raytrace", misalignment=straight_device))
+    inputs = json.loads((options.out / "report.json").read_text())["provenance"]["inputs"]
+    assert [file["name"] for file in inputs] == [options.headset, options.scene]
+
+
+def test_one_frame_may_be_asked_for_without_a_trajectory(options):
+    assert counts(render(replace(options, frame_limit=1))) == (1, 0)
 
 
 def test_the_verdict_counts_pictures_and_maps(options, tmp_path):

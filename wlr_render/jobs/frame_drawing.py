@@ -113,7 +113,7 @@ def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) ->
         if truth.display.panel != channels[eye][0].display.panel:
             raise BadInputError(
                 f"--misalignment {device}: has another panel than {options.headset}; name the device that the headset "
-                "is a model of."
+                "is a model of; for a device file give that file again."
             )
     return truths
 

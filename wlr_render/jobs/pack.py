@@ -34,6 +34,8 @@ METADATA = "metadata.jsonl"
 _SHARD = "frames-{:06d}.tar"
 _SPLIT = "train"
 _TEMPORARY = ".wlr-part-pack"
+_JUDGEMENTS = ("misalignment", "predicted_error")
+"""Labels of a frame as a whole, each with the name of its option."""
 _FRAME = re.compile(r"(left|right)-(\d{6,9})\.png")
 
 
@@ -84,10 +86,12 @@ def pack(options: PackOptions, *, progress: ProgressArgument = SILENT) -> Report
         else:
             files = [_write_image_folder(temporary / _SPLIT, samples)]
     written = [out / path.relative_to(temporary) for path in files]
-    place = f"in {len(written)} tar files" if options.layout == "webdataset" else f"beside {written[0]}"
+    shards = "1 tar file" if len(written) == 1 else f"{len(written)} tar files"
+    place = f"in {shards}" if options.layout == "webdataset" else f"beside {written[0]}"
+    frames = "1 frame" if len(entries) == 1 else f"{len(entries)} frames"
     report = Report(
         f"Data set of {folder.resolve().name}",
-        f"{len(entries)} frames {place}, for {options.layout}.",
+        f"{frames} {place}, for {options.layout}.",
         inputs=[folder / RECORD, folder / LIST],
         files=written,
         record={"frames": len(entries)},
@@ -127,7 +131,7 @@ def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[
     finished, job_table = FinishedFiles(folder), record.table("job")
     has_layers = job_table.has("layers") and bool(job_table.unchecked("layers"))
     has_labels = has_layers and "instance" in job_table.texts("layers")
-    misaligned = job_table.has("misalignment") and job_table.unchecked("misalignment") is not None
+    judged = [each for each in _JUDGEMENTS if job_table.has(each) and job_table.unchecked(each) is not None]
     sources = {"headset": job_table.text("headset"), "scene": job_table.text("scene")}
     for entry in entries:
         name = entry.text("file")
@@ -136,7 +140,7 @@ def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[
             raise entry.fail(f"'file' is {shown(name)}, which is no frame of `render`; draw the frames again.")
         key, labels = Path(name).stem, labels_file(folder, Path(name).stem)
         files = ({"exr": layers_file(folder, key)} if has_layers else {}) | {"png": folder / name}
-        read = [*files.values(), *([labels] if has_labels or misaligned else [])]
+        read = [*files.values(), *([labels] if has_labels or judged else [])]
         if wrong := finished.not_whole(read):
             raise BadInputError(
                 f"{wrong[0]}: is missing, or is not as it was drawn; draw it again: `render` with the same options."
@@ -150,9 +154,8 @@ def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[
             "world_from_device": entry.vectors("world_from_device", 4).tolist(),
             "held": entry.flag("held", default=False),
             **sources,
+            **{kind: read_labels(labels, kind) for kind in judged},
         }
-        if misaligned:
-            metadata["misalignment"] = read_labels(labels, "misalignment")
         if has_labels:
             metadata["objects"] = read_labels(labels, "annotations")
         yield _Sample(key, metadata, files)

@@ -139,8 +139,8 @@ def _report(
         columns += ["predicted rms (arcmin)", "predicted 95 % (arcmin)"]
         notes = [
             f"Predicted: registration error of points at {options.predicted_error:g} m over the field of view, in the "
-            "frame where it is largest. STEM-error.tiff has the map of each frame: rms to the right, upwards and in "
-            "all, arcminutes."
+            "frame where it is largest. EYE-NNNNNN-error.tiff has the map of each frame: rms to the right, upwards and "
+            "in all, arcminutes."
         ]
     if options.misalignment is not None:
         columns += ["median misalignment (arcmin)", "95 % misalignment (arcmin)", "max misalignment (arcmin)"]
@@ -150,16 +150,13 @@ def _report(
         )
         blocks = [*_misalignment_plot(plan, misaligned), *blocks]
     table = ReportTable("Frames by eye", columns, rows, notes)
+    truth = [headset_path(options.misalignment)] if options.misalignment else []
     by_frame = [{"file": f"{planned.stem}.png", **each} for planned, each in zip(plan, predicted, strict=False)]
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
         f"{drawn} frames drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
         blocks=[table, *blocks],
-        inputs=[
-            *_drawn_from(options),
-            *map(headset_path, filter(None, [options.misalignment])),
-            *filter(None, (options.head, options.eye_track)),
-        ],
+        inputs=list(dict.fromkeys([*_drawn_from(options), *truth, *filter(None, (options.head, options.eye_track))])),
         files=files,
         record={"frames_drawn": drawn, "frames_kept": kept} | ({"predicted_error": by_frame} if by_frame else {}),
     )

@@ -136,7 +136,7 @@ class RenderOptions(SpreadOptions):
     def __post_init__(self) -> None:
         """Check that the models of red and blue light come together, and that several frames have a trajectory."""
         super().__post_init__()
-        if self.frame_limit is not None and self.head is None and self.eye_track is None:
+        if self.frame_limit not in (None, 1) and self.head is None and self.eye_track is None:
             raise BadInputError(
                 "--frames is used with --head or --eye-track only; leave it out (one frame of each eye is drawn), or "
                 "give a trajectory."
