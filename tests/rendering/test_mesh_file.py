@@ -12,7 +12,7 @@ from glb_writer import save_glb
 
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import InputLimits, outside_references
-from wlr_render.rendering import mesh_checks
+from wlr_render.rendering import gltf_document
 from wlr_render.rendering.mesh_file import load_meshes
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_positions
 from wlr_render.rendering.shapes import construction, objects
@@ -295,6 +295,8 @@ GLOSSY = {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [5, 0, 0, 1]}
 BOMB = "data:image/png;base64," + base64.b64encode(bomb()).decode()
 SPOT = {"KHR_lights_punctual": {"lights": [{"type": "spot"}]}}
 SPOT_NODES = [{"mesh": 0, "name": "bulb", "extensions": {"KHR_lights_punctual": {"light": 0}}}]
+PICTURE = "data:image/png;base64," + base64.b64encode(png(CORNERS)).decode()
+MATT = [{}]
 TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}], "textures": [{"source": 0}]}
 
 
@@ -310,7 +312,15 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: gltf(d, meshes=[], nodes=[{}]), "holds no triangles"),
         (lambda d: gltf(d, images=[{"uri": "gone.png"}], **TEXTURED), "its file gone.png is missing"),
         (lambda d: gltf(d, extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compression"),
-        (lambda d: gltf(d, nodes=SPOT_NODES, extensions=SPOT), "light 'bulb' is of kind 'spot'"),
+        (
+            lambda d: gltf(d, meshes=wedge(mode=6)),
+            "mesh 'wedge' has triangle fans, which are not read; export it as tri",
+        ),
+        (lambda d: gltf(d, meshes=wedge(mode=7)), "mesh 'wedge' has primitives of mode 7, which are not read"),
+        (
+            lambda d: gltf(d, **textured(texCoord=1)),
+            "mesh 'wedge': its base texture uses TEXCOORD_1, which the mesh lacks; export it with texture coordinates.",
+        ),
         (lambda d: gltf(d, buffers=[{"byteLength": 72, "uri": "gone.bin"}]), "its file gone.bin is missing"),
         (lambda d: gltf(d, nodes=[{"mesh": 0, "children": [0]}]), "nodes 0 is its own child"),
         (lambda d: gltf(d, nodes=chain(300)), "nests its nodes more than 200 deep"),
@@ -394,8 +404,157 @@ def test_a_faulty_file_is_refused_with_its_name(tmp_path, make, complaint):
     assert complaint in str(caught.value)
 
 
+def wedge(*more, **changes):
+    """The mesh of `gltf` with a changed primitive, and `more` primitives."""
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 2}, "indices": 1, "material": 0}
+    return [{"name": "wedge", "primitives": [primitive | changes, *more]}]
+
+
+def textured(sampler=None, **changes):
+    """Keys of `gltf` for a matt material 'm' with a texture."""
+    surface = {"metallicFactor": 0, "baseColorTexture": {"index": 0} | changes}
+    texture = {"source": 0} | ({} if sampler is None else {"sampler": 0})
+    return {
+        "materials": [{"name": "m", "pbrMetallicRoughness": surface}],
+        "textures": [texture],
+        "samplers": [sampler or {}],
+        "images": [{"uri": PICTURE}],
+    }
+
+
+@pytest.mark.parametrize("mode", [0, 1, 2, 3])
+def test_points_and_lines_beside_triangles_are_named(tmp_path, mode):
+    path = gltf(tmp_path, materials=MATT, meshes=wedge({"attributes": {"POSITION": 0}, "mode": mode}))
+    content = load_meshes(path)
+    assert content.not_drawn == (f"{'lines' if mode else 'points'} of mesh 'wedge' in wedge.gltf",)
+    assert [len(mesh.triangles) for mesh in content.meshes] == [1]
+
+
+def test_what_hangs_on_a_mesh_of_points_or_on_a_camera_is_drawn(tmp_path):
+    points = {"name": "dust", "primitives": [{"attributes": {"POSITION": 0}, "mode": 0}]}
+    nodes = [{"mesh": 1, "children": [1]}, {"camera": 0, "children": [2]}, {"mesh": 0, "name": "here"}]
+    camera = {"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1, "aspectRatio": 1}}
+    content = load_meshes(gltf(tmp_path, meshes=[*wedge(), points], nodes=nodes, cameras=[camera]))
+    assert [instance.name for instance in content.instances] == ["here"]
+
+
+@pytest.mark.parametrize(
+    ("mesh", "node", "named"),
+    [
+        ({"weights": [0.5]}, {}, True),
+        ({}, {"weights": [0.5]}, True),
+        ({}, {}, False),
+        ({"weights": [0.5]}, {"weights": [0]}, False),
+    ],
+)
+def test_morph_targets_with_weights_are_named(tmp_path, mesh, node, named):
+    meshes = [wedge(targets=[{"POSITION": 0}])[0] | mesh]
+    path = gltf(tmp_path, materials=MATT, meshes=meshes, nodes=[{"mesh": 0} | node])
+    assert load_meshes(path).not_drawn == (("morph targets of mesh 'wedge' in wedge.gltf",) if named else ())
+
+
+def test_animations_skins_and_extensions_of_nodes_are_named(tmp_path):
+    node = {"mesh": 0, "name": "here", "skin": 0, "extensions": {"EXT_mesh_gpu_instancing": {}}}
+    path = gltf(tmp_path, materials=MATT, nodes=[node], animations=[{"name": "walk"}, {}])
+    assert load_meshes(path).not_drawn == (
+        "skin of node 'here' in wedge.gltf",
+        "EXT_mesh_gpu_instancing of node 'here' in wedge.gltf",
+        "animation 'walk', 'animation 1' in wedge.gltf",
+    )
+
+
+@pytest.mark.parametrize(
+    ("sampler", "uv", "keys"),
+    [
+        ({"wrapS": 33071, "wrapT": 33648}, 1.5, "wrapT MIRRORED_REPEAT"),
+        ({"wrapS": 33071, "wrapT": 33071}, -0.5, "wrapT CLAMP_TO_EDGE"),
+        ({"wrapS": 33071, "wrapT": 33071}, 1.0, ""),
+        ({"wrapS": 10497, "magFilter": 9729}, 1.5, ""),
+        ({"magFilter": 9728}, 1.0, "magFilter NEAREST"),
+    ],
+)
+def test_samplers_that_differ_from_what_is_drawn_are_named(tmp_path, sampler, uv, keys):
+    path = gltf(tmp_path, **textured(sampler))
+    content = json.loads(path.read_text())
+    blob = base64.b64decode(content["buffers"][0]["uri"].partition(",")[2])
+    blob = blob[:-4] + np.float32(uv).tobytes()  # v of the last vertex
+    content["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(blob).decode()
+    path.write_text(json.dumps(content))
+    assert load_meshes(path).not_drawn == ((f"{keys} of 'm' in wedge.gltf",) if keys else ())
+
+
+def test_materials_that_lose_the_same_are_named_together_without_a_limit(tmp_path):
+    materials = [{"name": f"glass {n}", "alphaMode": "BLEND"} for n in range(30)]
+    primitive = wedge()[0]["primitives"][0]
+    meshes = [{"primitives": [primitive | {"material": n} for n in range(30)]}]
+    (text,) = load_meshes(gltf(tmp_path, meshes=meshes, materials=materials)).not_drawn
+    assert text == f"alphaMode of {', '.join(repr(each['name']) for each in materials)} in wedge.gltf"
+
+
+def test_a_spot_light_is_left_out_and_named(tmp_path):
+    lights = {"KHR_lights_punctual": {"lights": [{"type": "spot"}, {"type": "point"}]}}
+    nodes = [*SPOT_NODES, {"extensions": {"KHR_lights_punctual": {"light": 1}}}]
+    scenes = [{"nodes": [0, 1]}]
+    content = load_meshes(gltf(tmp_path, materials=MATT, nodes=nodes, scenes=scenes, extensions=lights))
+    assert [light.kind for light in content.lights] == ["point"]
+    assert content.not_drawn == ("light 'bulb' of kind 'spot' in wedge.gltf",)
+
+
+def test_a_light_on_a_mesh_of_two_primitives_shines_once(tmp_path):
+    lights = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
+    path = gltf(tmp_path, meshes=wedge(*wedge()[0]["primitives"]), nodes=SPOT_NODES, extensions=lights)
+    assert len(load_meshes(path).lights) == 1
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_instances_have_the_order_of_the_nodes_depth_first(tmp_path, binary):
+    names, children = ("root", "texbox", "ball", "lid", "pane"), {0: [1, 2, 4], 2: [3]}
+    nodes = [
+        {"mesh": 0, "name": name} | ({"children": children[n]} if n in children else {}) for n, name in enumerate(names)
+    ]
+    path = gltf(tmp_path, nodes=nodes)
+    if binary:
+        (tmp_path / "in").mkdir()
+        content = json.loads(path.read_text())
+        text = json.dumps(content).encode()
+        text += b" " * (-len(text) % 4)
+        path = tmp_path / "in" / "wedge.glb"
+        path.write_bytes(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text)
+    assert [instance.name for instance in load_meshes(path).instances] == list(names)
+
+
+def test_primitives_of_a_mesh_are_instances_with_names_that_do_not_change(tmp_path):
+    path = gltf(tmp_path, meshes=wedge(*wedge()[0]["primitives"]))
+    assert [instance.name for instance in load_meshes(path).instances] == ["here/wedge", "here/wedge_1"]
+
+
+def test_triangle_strips_are_read(tmp_path):
+    assert load_meshes(gltf(tmp_path, meshes=wedge(mode=5))).meshes[0].triangles.tolist() == [[0, 1, 2]]
+
+
+def test_a_base_texture_uses_its_own_coordinates(tmp_path):
+    keys = textured(texCoord=1)
+    # TEXCOORD_0 reads numbers of the positions.
+    other = [*accessors(), {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC2"}]
+    attributes = {"POSITION": 0, "TEXCOORD_0": 3, "TEXCOORD_1": 2}
+    mesh = load_meshes(gltf(tmp_path, meshes=wedge(attributes=attributes), accessors=other, **keys)).meshes[0]
+    np.testing.assert_allclose(mesh.uv, [[0, 0], [1, 0], [0, 1]])
+    np.testing.assert_array_equal(mesh.texture, CORNERS)
+
+
+@pytest.mark.parametrize("rough", [None, {"baseColorFactor": [1, 1, 1, 1]}])
+def test_the_diffuse_texture_of_specular_glossiness_is_drawn(tmp_path, rough):
+    glossy = {"diffuseFactor": [0.2, 0.4, 0.6, 1], "diffuseTexture": {"index": 0}, "glossinessFactor": 0.5}
+    material = {"name": "m", "extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}}
+    material |= {} if rough is None else {"pbrMetallicRoughness": rough | {"metallicFactor": 0}}
+    content = load_meshes(gltf(tmp_path, **(textured() | {"materials": [material]})))
+    np.testing.assert_array_equal(content.meshes[0].texture, CORNERS)
+    np.testing.assert_allclose(content.meshes[0].base_colour, [0.2, 0.4, 0.6], atol=0.5 / 255)
+    assert content.not_drawn == ("KHR_materials_pbrSpecularGlossiness of 'm' in wedge.gltf",)
+
+
 def test_bytes_that_are_used_many_times_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(mesh_checks, "LIMITS", InputLimits(mesh_bytes=100))
+    monkeypatch.setattr(gltf_document, "LIMITS", InputLimits(mesh_bytes=100))
     load_meshes(gltf(tmp_path))
     with pytest.raises(BadInputError, match=r"wedge\.gltf: uses the same bytes for more than 0\.0001 MB"):
         load_meshes(gltf(tmp_path, accessors=2 * accessors()))

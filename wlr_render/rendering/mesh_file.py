@@ -4,14 +4,14 @@ A glTF light shines along its node's -z axis. glTF's matt surface reflects 1/pi 
 intensity is divided by pi.
 
 Colours become linear: material factors and glTF's vertex colours are so already, vertex colours of OBJ and PLY are
-sRGB. trimesh keeps glTF's factors in 8 bits. Surfaces are matt and opaque; `MeshFile.not_drawn` lists the properties of
-materials that are lost.
+sRGB. trimesh keeps glTF's factors in 8 bits. Surfaces are matt and opaque; `MeshFile.not_drawn` lists what else
+the file states.
 """
 
 import functools
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,46 +34,41 @@ from wlr_render.input_files import (
     shown,
 )
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering.mesh_checks import GltfDocument, check_obj, check_ply
+from wlr_render.rendering.gltf_document import GLOSSY, LIGHTS, GltfDocument
+from wlr_render.rendering.gltf_losses import KINDS_OF_LIGHT, lost_material_keys, lost_parts
+from wlr_render.rendering.mesh_checks import check_obj, check_ply
 from wlr_render.rendering.scene import Instance, LightSource, Mesh
 from wlr_render.rendering.srgb import decode_srgb
 
-EXTENSION = "KHR_lights_punctual"
+EXTENSION = LIGHTS
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
 _GLTF = (".glb", ".gltf")
 _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 _FARTHEST = 1e6  # metres, and scale of a placement
 _BRIGHTEST = 1e6
 _LARGEST = 1e12  # of a coordinate, whose squares must fit into 32 bits
-_DRAWN = {
-    *("name", "extras", "doubleSided", "alphaCutoff"),  # without effect on what is drawn
-    *("pbrMetallicRoughness", "extensions"),  # their parts are looked at one by one
-    *("baseColorFactor", "baseColorTexture"),
-}
-_MATT_AND_OPAQUE = {"metallicFactor": 0, "roughnessFactor": 1, "emissiveFactor": [0, 0, 0], "alphaMode": "OPAQUE"}
 _MATT_AND_OPAQUE_OBJ = {"d": r"1(\.0*)?", "tr": "[0. ]+", "ke": "[0. ]+", "pm": "[0. ]+"}
-"""Values of glTF's materials, and patterns of those of OBJ, with which nothing is lost."""
-_UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness", "EXT_texture_webp"}
+"""Patterns of values with which nothing is lost."""
+_UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", GLOSSY, "EXT_texture_webp"}
 
 
-def lights_of_graph(path: Path, metadata: dict[str, Any], graph: Any) -> tuple[LightSource, ...]:
-    """The lights of a scene graph that trimesh has read, world frame.
+def lights_of_scene(path: Path, source: Any) -> tuple[LightSource, ...]:
+    """The directional and point lights of a trimesh.Scene, world frame.
 
     Raises:
-        BadInputError: a light that is neither directional nor a point.
+        BadInputError: a colour out of range.
     """
-    listed = metadata.get("gltf_extensions", {}).get(EXTENSION, {}).get("lights", [])
+    graph, geometry = source.graph, source.geometry
+    listed = source.metadata.get("gltf_extensions", {}).get(EXTENSION, {}).get("lights", [])
     lights = []
     for (_, node), edge in graph.transforms.edge_data.items():
         used = (edge.get("metadata") or {}).get("gltf_extensions", {}).get(EXTENSION)
-        if used is None:
+        if used is None or ("geometry" in edge and _is_part(geometry[edge["geometry"]])):
             continue
         stated = listed[used["light"]]
         kind = stated["type"]
-        if kind not in ("directional", "point"):
-            raise BadInputError(
-                f"{path}: light {shown(node)} is of kind {shown(kind)}; make it a point or directional light."
-            )
+        if kind not in KINDS_OF_LIGHT:
+            continue
         matrix = np.array(graph.get(node)[0], dtype=np.float64)
         vector = matrix[:3, 3] if kind == "point" else normalised(-matrix[:3, 2])
         colour = np.array(stated.get("color", (1.0, 1.0, 1.0))) * stated.get("intensity", 1.0) / np.pi
@@ -91,9 +86,10 @@ class MeshFile:
 
     Attributes:
         meshes: one per material and mesh of the file.
-        instances: one per placement in the file's scene graph.
+        instances: one per placement in the file's scene graph; those of glTF depth first, in the order of the file.
         lights: directional and point lights.
-        not_drawn: keys of each material, with its name and the file's, that a matt and opaque surface does not have.
+        not_drawn: keys of materials that a matt and opaque surface does not have, and parts of glTF that are not drawn;
+            one text per entry, with the file's name.
     """
 
     meshes: tuple[Mesh, ...]
@@ -107,8 +103,7 @@ def load_meshes(path: str | Path) -> MeshFile:
 
     Raises:
         BadInputError: a missing, unreadable or empty file, one that needs a glTF extension that is not understood, a
-            missing or broken texture or material file, vertices that are not finite, an index out of range, a light
-            of another kind.
+            missing or broken texture or material file, vertices that are not finite, or an index out of range.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -127,7 +122,7 @@ def _content(path: Path, source: Any, not_drawn: tuple[str, ...]) -> MeshFile:
         raise BadInputError(f"{path}: holds no triangles; export it again with faces.")
     placed = [(node, *source.graph.get(node)) for node in source.graph.nodes_geometry]
     instances = tuple(
-        Instance(str(node), names.index(name), np.array(matrix, dtype=np.float64))
+        Instance(_instance_name(source, str(node), name), names.index(name), np.array(matrix, dtype=np.float64))
         for node, matrix, name in placed
         if name in names
     )
@@ -135,7 +130,17 @@ def _content(path: Path, source: Any, not_drawn: tuple[str, ...]) -> MeshFile:
         matrix = instance.world_from_mesh
         if not np.abs(matrix).max() < _FARTHEST or not np.linalg.matrix_rank(matrix) == 4:
             raise BadInputError(f"{path}: node {shown(instance.name)} has no size or no finite place; export it again.")
-    return MeshFile(meshes, instances, lights_of_graph(path, source.metadata, source.graph), not_drawn)
+    return MeshFile(meshes, instances, lights_of_scene(path, source), not_drawn)
+
+
+def _is_part(geometry: Any) -> bool:
+    """Whether the geometry is one of several primitives of a glTF mesh."""
+    return bool(geometry.metadata.get("from_gltf_primitive"))
+
+
+def _instance_name(source: Any, node: str, mesh: str) -> str:
+    """The node's name; trimesh gives nodes of its own, with a random name, to meshes of several primitives."""
+    return f"{source.graph.transforms.parents[node]}/{mesh}" if _is_part(source.geometry[mesh]) else node
 
 
 class _Neighbours:
@@ -170,14 +175,18 @@ class _Neighbours:
 
 
 def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """The file as a trimesh.Scene, with everything that it refers to, and the properties that are not drawn."""
+    """The file as a trimesh.Scene, with everything that it refers to, and what is not drawn."""
     import trimesh
 
     content, neighbours = read_bytes(path, LIMITS.mesh_bytes), _Neighbours(path)
     suffix = path.suffix.lower()
     document = GltfDocument(path, content) if suffix in _GLTF else None
+    materials: Iterable[tuple[str, list[str]]] = ()
+    parts: list[str] = []
     if document:
         document.check(_UNDERSTOOD, neighbours.get)
+        materials, parts = lost_material_keys(document, neighbours.get), list(lost_parts(document))
+        content = document.for_trimesh()
     elif suffix == ".obj":
         check_obj(path, content, neighbours.get)
     else:
@@ -185,31 +194,23 @@ def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
     source = trimesh.load_scene(io.BytesIO(content), file_type=suffix[1:], process=False, resolver=neighbours)
     if neighbours.faults:
         raise neighbours.faults[0]
-    materials = _gltf_materials(document.tree) if document else _obj_materials(source)
-    named = ((name, ", ".join(keys)) for name, keys in materials if keys)
-    return source, tuple(f"{keys} of {shown(name)} in {path.name}" for name, keys in named)
-
-
-def _gltf_materials(tree: dict[str, Any]) -> Iterator[tuple[str, list[str]]]:
-    """Name, and keys that are not drawn, of each material that a mesh has."""
-    used = {each["material"] for mesh in tree.get("meshes", []) for each in mesh["primitives"] if "material" in each}
-    for number in sorted(used):
-        material = tree["materials"][number]
-        surface = material.get("pbrMetallicRoughness")
-        # A material that states its surface, and not how metallic it is, is a metal.
-        stated = material | ({} if surface is None else {"metallicFactor": 1.0} | surface)
-        keys = [key for key, value in stated.items() if key not in _DRAWN and value != _MATT_AND_OPAQUE.get(key)]
-        for part in (material, stated.get("baseColorTexture", {})):
-            keys += part.get("extensions", {})
-        yield material.get("name", f"material {number}"), keys
+    names_of: dict[str, list[str]] = {}
+    for name, keys in materials if document else _obj_materials(source):
+        if keys:
+            names_of.setdefault(", ".join(keys), []).append(name)
+    lost = [*(f"{keys} of {', '.join(dict.fromkeys(names))}" for keys, names in names_of.items()), *parts]
+    return source, tuple(f"{each} in {path.name}" for each in lost)
 
 
 def _obj_materials(source: Any) -> Iterator[tuple[str, list[str]]]:
-    """As `_gltf_materials`, of the material library of an OBJ file."""
+    """Name, and keys that are not drawn, of each material of an OBJ file."""
     materials = [getattr(geometry.visual, "material", None) for geometry in source.geometry.values()]
     for material in filter(None, materials):
         words = {key: " ".join(each) for key, each in material.kwargs.items() if key in _MATT_AND_OPAQUE_OBJ}
-        yield material.name, [key for key, each in words.items() if not re.fullmatch(_MATT_AND_OPAQUE_OBJ[key], each)]
+        yield (
+            shown(material.name),
+            [key for key, each in words.items() if not re.fullmatch(_MATT_AND_OPAQUE_OBJ[key], each)],
+        )
 
 
 def _mesh(path: Path, name: str, source: Any) -> Mesh:

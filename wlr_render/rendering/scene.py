@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import Float32Array
 
-_MOST_NAMED = 5
-
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -87,7 +85,7 @@ class Scene:
         meshes, instances, lights: as above.
         ambient: (3,) linear RGB added to every surface's irradiance.
         background: (3,) linear RGB where nothing is hit.
-        not_drawn: what files state of their materials and no method of ours draws, one text per material.
+        not_drawn: what mesh files state and no method of ours draws, one text per entry.
     """
 
     name: str
@@ -100,12 +98,10 @@ class Scene:
 
     @property
     def material_warnings(self) -> list[str]:
-        """A sentence that names the materials which are drawn without all of their properties, or nothing."""
+        """A sentence that names all that mesh files state and no method draws, or nothing."""
         if not self.not_drawn:
             return []
-        more = len(self.not_drawn) - _MOST_NAMED
-        named = [*self.not_drawn[:_MOST_NAMED], *([f"properties of {more} more materials"] if more > 0 else [])]
-        return [f"Surfaces are drawn matt and opaque by every method. Not drawn: {'; '.join(named)}."]
+        return [f"Surfaces are drawn matt and opaque by every method. Not drawn: {'; '.join(self.not_drawn)}."]
 
     @property
     def triangle_count(self) -> int:
