@@ -152,9 +152,10 @@ def _report(
     table = ReportTable("Frames by eye", columns, rows, notes)
     truth = [headset_path(options.misalignment)] if options.misalignment else []
     by_frame = [{"file": f"{planned.stem}.png", **each} for planned, each in zip(plan, predicted, strict=False)]
+    frames = "1 frame" if drawn == 1 else f"{drawn} frames"
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
-        f"{drawn} frames drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
+        f"{frames} drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
         blocks=[table, *blocks],
         inputs=list(dict.fromkeys([*_drawn_from(options), *truth, *filter(None, (options.head, options.eye_track))])),
         files=files,
@@ -189,7 +190,8 @@ def _misalignment_plot(plan: list[PlannedFrame], misaligned: Sequence[Labels]) -
 def _counts_of_files(plan: list[PlannedFrame], options: RenderOptions) -> str:
     maps = sum(len(map_files(options.out, planned, options)) for planned in plan)
     layers = f", {len(plan)} EXR" if options.layers else ""
-    return f"{len(plan)} PNG" + (f", {maps} {options.maps.upper()}" if options.maps else "") + layers
+    of_each = f"{len(plan) // 2} of each eye, " if options.eye == "both" else ""
+    return f"{of_each}{len(plan)} PNG" + (f", {maps} {options.maps.upper()}" if options.maps else "") + layers
 
 
 def _drawn_from(options: RenderOptions) -> list[Path]:
