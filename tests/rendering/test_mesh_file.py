@@ -316,6 +316,10 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
             lambda d: gltf(d, meshes=wedge(mode=6)),
             "mesh 'wedge' has triangle fans, which are not read; export it as tri",
         ),
+        (
+            lambda d: gltf(d, nodes=SPOT_NODES, extensions={"KHR_lights_punctual": {"lights": [{"type": "magic"}]}}),
+            "light 'bulb' is of kind 'magic'",
+        ),
         (lambda d: gltf(d, meshes=wedge(mode=7)), "mesh 'wedge' has primitives of mode 7, which are not read"),
         (
             lambda d: gltf(d, **textured(texCoord=1)),
@@ -497,7 +501,7 @@ def test_a_spot_light_is_left_out_and_named(tmp_path):
     scenes = [{"nodes": [0, 1]}]
     content = load_meshes(gltf(tmp_path, materials=MATT, nodes=nodes, scenes=scenes, extensions=lights))
     assert [light.kind for light in content.lights] == ["point"]
-    assert content.not_drawn == ("light 'bulb' of kind 'spot' in wedge.gltf",)
+    assert content.not_drawn == ("spot light 'bulb' in wedge.gltf",)
 
 
 def test_a_light_on_a_mesh_of_two_primitives_shines_once(tmp_path):

@@ -3,10 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
-from wlr_render.input_files import shown
 from wlr_render.rendering.gltf_document import FLAT_MODES, LIGHTS, Fetch, GltfDocument, base_texture
 
-KINDS_OF_LIGHT = ("directional", "point")
+SPOT = "spot"
+"""The kind of light that is not drawn."""
 _DRAWN = {
     *("name", "extras", "doubleSided", "alphaCutoff"),  # without effect on what is drawn
     *("pbrMetallicRoughness", "extensions"),  # their parts are looked at one by one
@@ -60,7 +60,7 @@ def _sampler_keys(
 
 
 def lost_parts(document: GltfDocument) -> Iterator[str]:
-    """Points, lines, morph targets, skins, lights of other kinds, extensions of nodes, and animations."""
+    """Points, lines, morph targets, skins, spot lights, extensions of nodes, and animations."""
     nodes = [(index, document.entries("nodes")[index]) for index in document.placed_nodes()]
     weights: dict[int, list[list[float]]] = {}
     for _, node in nodes:
@@ -82,8 +82,8 @@ def lost_parts(document: GltfDocument) -> Iterator[str]:
             kind = lights[value["light"]]["type"] if key == LIGHTS else None
             if kind is None:
                 yield f"{key} of node {name}"
-            elif kind not in KINDS_OF_LIGHT:
-                yield f"light {name} of kind {shown(kind)}"
+            elif kind == SPOT:
+                yield f"spot light {name}"
     animations = [document.name_of("animations", number) for number in range(len(document.entries("animations")))]
     if animations:
         yield f"animation {', '.join(animations)}"

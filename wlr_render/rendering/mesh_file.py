@@ -35,7 +35,7 @@ from wlr_render.input_files import (
 )
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.gltf_document import GLOSSY, LIGHTS, GltfDocument
-from wlr_render.rendering.gltf_losses import KINDS_OF_LIGHT, lost_material_keys, lost_parts
+from wlr_render.rendering.gltf_losses import SPOT, lost_material_keys, lost_parts
 from wlr_render.rendering.mesh_checks import check_obj, check_ply
 from wlr_render.rendering.scene import Instance, LightSource, Mesh
 from wlr_render.rendering.srgb import decode_srgb
@@ -56,7 +56,7 @@ def lights_of_scene(path: Path, source: Any) -> tuple[LightSource, ...]:
     """The directional and point lights of a trimesh.Scene, world frame.
 
     Raises:
-        BadInputError: a colour out of range.
+        BadInputError: a kind that glTF does not have, or a colour out of range.
     """
     graph, geometry = source.graph, source.geometry
     listed = source.metadata.get("gltf_extensions", {}).get(EXTENSION, {}).get("lights", [])
@@ -67,8 +67,12 @@ def lights_of_scene(path: Path, source: Any) -> tuple[LightSource, ...]:
             continue
         stated = listed[used["light"]]
         kind = stated["type"]
-        if kind not in KINDS_OF_LIGHT:
+        if kind == SPOT:
             continue
+        if kind not in ("directional", "point"):
+            raise BadInputError(
+                f"{path}: light {shown(node)} is of kind {shown(kind)}; make it a point or directional light."
+            )
         matrix = np.array(graph.get(node)[0], dtype=np.float64)
         vector = matrix[:3, 3] if kind == "point" else normalised(-matrix[:3, 2])
         colour = np.array(stated.get("color", (1.0, 1.0, 1.0))) * stated.get("intensity", 1.0) / np.pi
@@ -103,7 +107,8 @@ def load_meshes(path: str | Path) -> MeshFile:
 
     Raises:
         BadInputError: a missing, unreadable or empty file, one that needs a glTF extension that is not understood, a
-            missing or broken texture or material file, vertices that are not finite, or an index out of range.
+            missing or broken texture or material file, vertices that are not finite, an index out of range, or a light
+            of a kind that glTF does not have.
     """
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
