@@ -199,14 +199,14 @@ def test_an_unknown_name_lists_the_shipped_scenes():
 
 
 def test_materials_that_are_drawn_in_part_are_named_once_and_without_a_limit(tmp_path, box_glb):
-    assert load_scene(box_glb).material_warnings == []
+    assert load_scene(box_glb).warnings == []
     parts = obj(tmp_path, mtl="newmtl m\nKd 0.5 0.25 1\nd 0.5\n", texture=False)
     placed = f"[[object]]\nmesh = '{parts.name}'\nposition_m = [0, 0, -2]\n"
-    (sentence,) = scene_of(tmp_path, HEADER + 2 * placed).material_warnings
+    (sentence,) = scene_of(tmp_path, HEADER + 2 * placed).warnings
     assert sentence == "Surfaces are drawn matt and opaque by every method. Not drawn: d of 'm' in wedge.obj."
-    assert load_scene(parts).material_warnings == [sentence]
+    assert load_scene(parts).warnings == [sentence]
     many = replace(load_scene(parts), not_drawn=tuple(f"alphaMode of 'glass {n}' in a.glb" for n in range(70)))
-    assert all(each in many.material_warnings[0] for each in many.not_drawn)
+    assert all(each in many.warnings[0] for each in many.not_drawn)
 
 
 def test_a_scene_file_numbers_the_instances_of_a_glb_in_the_order_of_its_nodes(tmp_path):

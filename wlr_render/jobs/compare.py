@@ -134,7 +134,7 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
     report = Report(
         f"Rasterisation error of {scene.name} on {Path(options.headset).stem}",
         " ".join(verdicts),
-        warnings=[*scene.material_warnings, *blank_warnings(blank, scene.name)],
+        warnings=[*scene.warnings, *blank_warnings(blank, scene.name)],
         blocks=blocks,
         inputs=[headset_path(options.headset), scene_path(options.scene)],
         files=files,

@@ -163,7 +163,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
         f"Alignment of {scene.name} on {device.name}",
         " ".join(verdicts),
         warnings=[
-            *scene.material_warnings,
+            *scene.warnings,
             *traced_instead(raster, options.backend),
             *blank_warnings(blank, scene.name),
         ],

@@ -96,7 +96,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     joined = _joined(folder, options, opened, plan, misaligned)
     videos = _videos(folder, plan, options) if options.video else []
     warnings = [
-        *opened.scene.material_warnings,
+        *opened.scene.warnings,
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
         *gap_warnings(options, head, eyes),
         *held_warnings(options, plan),

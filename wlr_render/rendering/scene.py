@@ -97,7 +97,7 @@ class Scene:
     not_drawn: tuple[str, ...] = ()
 
     @property
-    def material_warnings(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """A sentence that names all that mesh files state and no method draws, or nothing."""
         if not self.not_drawn:
             return []
