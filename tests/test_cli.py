@@ -410,7 +410,7 @@ def test_trace_prints_its_figures_and_where_the_drawing_is(tmp_path, capsys):
 def test_render_says_what_it_drew_and_what_it_kept(tmp_path, capsys):
     arguments = ["render", device(tmp_path), "dots", "--backend", "cpu", "--out", str(tmp_path / "out")]
     assert main(arguments) == 0
-    assert "1 frames drawn, 0 kept from an earlier run" in capsys.readouterr().out
+    assert "1 frame drawn, 0 kept from an earlier run" in capsys.readouterr().out
     assert main(arguments) == 0
     assert "0 frames drawn, 1 kept from an earlier run" in capsys.readouterr().out
 

@@ -14,6 +14,7 @@ from wlr_render.errors import BadInputError
 class MissingExtraError(BadInputError):
     """A library that is not installed; the sentence has the command that installs it."""
 
+
 _NO_EXTRA = {"blender": ("--no-deps", "bpy>=5.0", "OpenEXR>=3.3")}
 """Arguments of pip for what cannot be an extra: bpy asks for NumPy 1, and runs with the NumPy 2 that we need."""
 
