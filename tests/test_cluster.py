@@ -309,19 +309,6 @@ def test_a_cluster_without_workers_is_not_waited_for_forever(monkeypatch):
         done(empty.scheduler_address, abs, [1])
 
 
-def test_a_cluster_without_workers_is_said_to_be_waited_for_once(monkeypatch, capsys):
-    monkeypatch.setattr(cluster, "_NO_WORKER_S", 0.5)
-    monkeypatch.setattr(cluster, "_SAY_AFTER_S", 0.1)
-    monkeypatch.setattr(cluster, "_WORKERS_EVERY_S", 0.05)
-    with (
-        distributed.SpecCluster({}, {"cls": distributed.Scheduler, "options": {"dashboard_address": ":0"}}) as empty,
-        pytest.raises(BadInputError, match="it has had no worker for"),
-    ):
-        done(empty.scheduler_address, abs, [1, 2])
-    said = f"wlr-render: --scheduler {empty.scheduler_address}: it has no worker; waiting for one.\n"
-    assert capsys.readouterr().err.count(said) == 1
-
-
 def test_a_worker_with_several_threads(tmp_path):
     with (
         distributed.LocalCluster(

@@ -56,8 +56,6 @@ _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://(\[[0-9A-Fa-f:.%]+\]|[\w.-]+):([0-9]{
 _CONNECT_S = 10.0
 _NO_WORKER_S = 120.0
 """Time for which a cluster may have no worker: a queue starts them later, a killed one is started again."""
-_SAY_AFTER_S = 5.0
-"""Time without a worker after which one line says that the job waits."""
 _WORKERS_EVERY_S = 1.0
 """Time between two questions to the scheduler whether there are workers, while no result arrives."""
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -213,23 +211,16 @@ def _as_completed(client: "Client", futures: "list[Future]", address: str) -> "I
     finished: queue.SimpleQueue[Future] = queue.SimpleQueue()
     for future in futures:
         future.add_done_callback(finished.put)
-    is_said = False
     for _ in futures:
         last_seen_s = time.monotonic()
         while (ready := _next_of(finished)) is None:
             if client.scheduler_info(n_workers=1)["workers"]:
                 last_seen_s = time.monotonic()
-                continue
-            without_s = time.monotonic() - last_seen_s
-            if without_s > _NO_WORKER_S:
+            elif time.monotonic() - last_seen_s > _NO_WORKER_S:
                 raise BadInputError(
                     f"--scheduler {address}: it has had no worker for {_NO_WORKER_S:.0f} s; start some with 'dask "
                     f"worker {address} --nthreads 1', and continue."
                 )
-            if without_s > _SAY_AFTER_S and not is_said:
-                is_said = True
-                with contextlib.suppress(OSError):  # a full disk takes no more words
-                    print(f"wlr-render: --scheduler {address}: it has no worker; waiting for one.", file=sys.stderr)
         yield ready
 
 

@@ -48,7 +48,7 @@ def test_a_known_displacement_is_measured(photo_session, pairs, tmp_path):
 def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
     given = ["--calibration", str(photo_session.out), "--out", str(tmp_path / "verified")]
     assert main(["verify", "pairs", str(pairs), *given]) == 2
-    assert "board" in capsys.readouterr().err
+    assert "needs BOARD" in capsys.readouterr().err
     board = str(photo_session.folder / "board.toml")
     assert main(["verify", "pairs", str(pairs), board, *given, "--eye", "left"]) == 2
     assert "station-left.json" in capsys.readouterr().err
