@@ -55,13 +55,11 @@ def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
 
 
 def not_held(view: ExportedView, form: Format) -> list[str]:
-    """What the files of a format lose of what the headset does, a sentence each."""
+    """Properties of the headset that the files of a format lose, a sentence each."""
     holds, name = form.holds, form.name
     lost = [f"{name} holds no moving pupil: a map is right for its own pupil position alone."]
     if not holds.every_depth:
-        lost.append(
-            f"{name} holds one depth from the source camera, for all of the picture; the format rays holds all."
-        )
+        lost.append(f"{name} holds one depth from the source camera, for the whole picture; the format rays holds all.")
     if view.colours == (ALL_COLOURS,) and not _bends_all_light_alike(view):
         (light,) = view.origin.wavelength_nm.values() or ("the light that the model was fitted in",)
         made_in = f"light of {light:.0f} nm" if isinstance(light, float) else light
@@ -84,7 +82,8 @@ def _bends_all_light_alike(view: ExportedView) -> bool:
     pixel, colour = _pixel_centres(view.panel_size_px), view.middle_colour
     green = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
     others = [np.moveaxis(view.rays_of(each, pixel, view.viewpoint), -1, 0) for each in view.other_light.values()]
-    return bool(others) and all(np.nanmax(_arcmin(view, green, rays)) < _ALIKE_ARCMIN for rays in others)
+    # Pixels without a ray compare as False; a panel without any has nothing to lose.
+    return bool(others) and not any(np.any(_arcmin(view, green, rays) >= _ALIKE_ARCMIN) for rays in others)
 
 
 def _pixel_centres(size_px: tuple[int, int]) -> FloatArray:
