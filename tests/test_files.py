@@ -182,13 +182,6 @@ def test_what_toml_cannot_hold_is_refused_and_no_file_appears(tmp_path, value):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.fixture
-def full_disk(file_size_limit):
-    """A disk on which no file can grow beyond 4 kB."""
-    with file_size_limit(4096):
-        yield
-
-
 _BOARD = Chessboard(12, 9, 0.03, 0.0)
 _REPORT = Report("Noise", blocks=[curves("noise", {"a": (range(200), range(200))}, ("x", "y"))])
 _ORIGIN = provenance([], Path())
@@ -221,10 +214,11 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_on_a_full_disk_no_output_appears_and_the_old_one_stays(tmp_path, full_disk, name):
+def test_on_a_full_disk_no_output_appears_and_the_old_one_stays(tmp_path, file_size_limit, name):
     target = tmp_path / name
     target.write_text("old")
-    with pytest.raises(BadInputError, match=rf"{name}: .*free space.* or choose another folder"):
+    full = pytest.raises(BadInputError, match=rf"{name}: .*free space.* or choose another folder")
+    with file_size_limit(4096), full:
         WRITERS[name](target)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert target.read_text() == "old"
