@@ -58,7 +58,7 @@ OSMESA_PICTURE = """
     from wlr_render.rendering import gl, gl_raster
     scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
     with gl.open_context("osmesa") as context:
-        image = gl_raster.GlRaster(context, scene).draw(gl_scenes.view(), ("position",))
+        image = gl_raster.GlRaster(context, scene).draw(gl_scenes.view())
     np.savez({out!r}, colour=image.colour, inverse_depth=image.inverse_depth)
 """
 
