@@ -43,6 +43,16 @@ def test_every_block_makes_its_own_context_current(gl_context):
 
 
 @pytest.mark.gl
+def test_a_context_destroyed_while_current_does_not_leave_ours_current(caller, gl_context):
+    """EGL keeps a destroyed context current until another one is, and cannot make it current again."""
+    caller.ctx.release()
+    with gl_context.drawing():
+        pass
+    with pytest.raises(MissingGlError, match="No OpenGL context is current"):
+        gl.adopt_context()
+
+
+@pytest.mark.gl
 def test_textures_keep_their_top_row_first(gl_context):
     image = np.arange(5 * 3 * 4, dtype=np.float32).reshape(5, 3, 4)
     with gl_context.drawing() as ctx:

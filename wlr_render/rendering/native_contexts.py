@@ -110,14 +110,12 @@ class EglBinding:
     def save(self) -> Callable[[], None]:
         """Save the current context and its surfaces; the returned function makes them current again.
 
-        If no context is current now, the returned function leaves none current.
+        If no context is current now, or it has been destroyed by then, the returned function leaves none current.
         """
         saved = self._display(), self._surface(_EGL_DRAW), self._surface(_EGL_READ), self._context()
 
         def restore() -> None:
-            if saved[-1]:
-                self._make_current(*saved)
-            elif self._context():
+            if not (saved[-1] and self._make_current(*saved)) and self._context():
                 self._make_current(self._display(), None, None, None)
 
         return restore
