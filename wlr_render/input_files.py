@@ -148,8 +148,11 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def reason_of(error: BaseException) -> str:
-    """The reason that an exception gives, in at most 200 characters of one line."""
-    reason = getattr(error, "strerror", None) or " ".join(str(error).split()).rstrip(".")
+    """The reason that an exception gives, in at most 200 characters of one line; of OpenCV's without its source line."""
+    if isinstance(error, SystemError) and error.__cause__ is not None:  # as OpenCV's constructors raise
+        error = error.__cause__
+    reason = getattr(error, "strerror", None) or getattr(error, "err", None) or str(error)
+    reason = " ".join(str(reason).split()).rstrip(".")
     if isinstance(error, KeyError) or not reason:
         reason = f"{type(error).__name__} {reason}".rstrip()
     return reason if len(reason) <= 200 else reason[:200] + "..."

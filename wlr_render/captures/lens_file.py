@@ -1,18 +1,19 @@
-"""Reading the calibrated lenses of other programs: mrcal's .cameramodel, and OpenCV's and ROS' YAML, XML and JSON.
+"""Reading the calibrated lenses of other programs: mrcal, OpenCV, ROS and Kalibr.
 
-Both count pixels from the centre of the top-left one; they are converted. What else the files say is not read: poses,
+All count pixels from the centre of the top-left one; they are converted. What else the files say is not read: poses,
 and mrcal's record of its optimisation, from which mrcal computes the uncertainty of the lens.
 """
 
 import ast
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from wlr_render.captures.plain_data import read_mapping
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.splined_lens import SplinedLens
@@ -30,22 +31,41 @@ _SPLINED = re.compile(
     r"LENSMODEL_SPLINED_STEREOGRAPHIC_order=(?P<order>\d)_Nx=(?P<nx>\d{1,4})_Ny=(?P<ny>\d{1,4})_fov_x_deg=(?P<fov>\d{1,3}(\.\d*)?)"
 )
 
-_MATRIX_KEYS = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "cameraMatrix1", "M1")
+_MATRIX_KEYS = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "mtx", "cameraMatrix1", "M1")
 _TERM_KEYS = (
     "distortion_coefficients",
     "Distortion_Coefficients",
+    "distortion_coeffs",
     "dist_coeffs",
     "distCoeffs",
     "D",
+    "d",
+    "dist",
     "distCoeffs1",
     "D1",
 )
 _WIDTH_KEYS, _HEIGHT_KEYS = ("image_width", "image_Width", "width"), ("image_height", "image_Height", "height")
-_SIZE_KEYS = ("image_size", "imageSize")
+_SIZE_KEYS = ("image_size", "imageSize", "resolution")
 _MODEL_KEYS = ("distortion_model", "camera_model")
 _FISHEYE_KEYS = ("fisheye_model", "fisheye")
+_OPENCV_KEYS = (*(_MATRIX_KEYS + _TERM_KEYS + _WIDTH_KEYS + _HEIGHT_KEYS + _SIZE_KEYS + _MODEL_KEYS + _FISHEYE_KEYS),)
+_OPENCV_MARKS = ("<", "!!opencv-", '"type_id"')  # of XML, and of matrices in YAML and JSON
+_UNREAD_TERMS = re.compile(r"(?i).*dist(?!ortion_model).*|k_?[1-6]|.*\.k[1-6]")  # keys of terms in other files
 _FISHEYE_NAMES = ("equidistant", "fisheye", "kannala_brandt")
-_PERSPECTIVE_NAMES = ("plumb_bob", "rational_polynomial", "pinhole", "brown", "thin_prism")
+_PERSPECTIVE_NAMES = (
+    *("plumb_bob", "rational_polynomial", "pinhole", "brown", "thin_prism", "radtan", "radial_tangential", "none"),
+)
+_OTHER_PROGRAMS = {
+    **{"value0": "Basalt", "model_type": "VINS-Fusion", "projection_parameters": "VINS-Fusion"},
+    **{"Camera.fx": "ORB-SLAM", "Camera1.fx": "ORB-SLAM", "intrinsic_matrix": "Open3D"},
+}
+"""Programs whose files are not read, by a key of them."""
+_COLMAP = re.compile(r"\d+ [A-Z_]+ \d+ \d+( [-+.\deE]+)+")
+_AS_ROS = (
+    "write image_width, image_height, camera_matrix, distortion_model and distortion_coefficients as ROS does, in "
+    "OpenCV's order"
+)
+_KALIBR_CAMERA = re.compile(r"cam\d+")
 _KIND_OF_COUNT = {0: "brown", 4: "brown", 5: "brown", 8: "rational", 12: "thin-prism"}
 _TILTED = 14  # terms of OpenCV's tilted sensor model: those of "thin-prism", and two angles
 _REMEDY = "give a file of a calibrated lens"
@@ -63,9 +83,10 @@ def load_lens(path: str | Path) -> LensCamera | SplinedLens:
     """Read a calibrated lens.
 
     Reads mrcal's models (file name ends with .cameramodel) LENSMODEL_PINHOLE, _OPENCV4, _OPENCV5, _OPENCV8, _OPENCV12
-    and _SPLINED_STEREOGRAPHIC; and files of cv2.FileStorage or ROS camera_info with a camera matrix, distortion terms,
-    the image's width and height, and for a fisheye lens `distortion_model: equidistant` or `fisheye_model: 1`. Of a
-    stereo pair it reads the first camera.
+    and _SPLINED_STEREOGRAPHIC; files of cv2.FileStorage or ROS CameraInfo with a camera matrix, distortion terms,
+    the image's width and height, and for a fisheye lens `distortion_model: equidistant` or `fisheye_model: 1`; and
+    Kalibr's camera chain of one pinhole camera with radtan or equidistant distortion. Of OpenCV's stereo pair it reads
+    the first camera.
 
     Raises:
         BadInputError: the file is missing, is no such file, or has another lens model.
@@ -73,7 +94,7 @@ def load_lens(path: str | Path) -> LensCamera | SplinedLens:
     file = Path(path)
     text = read_text(file, "a file of a lens", remedy=_REMEDY)
     check_nesting(file, text)
-    lens = _mrcal_lens(file, text) if file.suffix == ".cameramodel" else _opencv_lens(file, text)
+    lens = _mrcal_lens(file, text) if file.suffix == ".cameramodel" else _lens_of_keys(file, text)
     require_plausible_lens(str(file), lens)
     return lens
 
@@ -176,21 +197,102 @@ def _lens_camera(size_px: tuple[int, int], core: FloatArray, terms: FloatArray, 
     return LensCamera(size_px, core[:2], core[2:] - OPENCV_PIXEL_SHIFT, filled, kind)
 
 
-def _opencv_lens(file: Path, text: str) -> LensCamera:
-    with parsing(
-        file,
-        "a YAML, XML or JSON file of OpenCV",
-        "save it with cv2.FileStorage, or write each list in brackets in one line",
-    ):
+def _lens_of_keys(file: Path, text: str) -> LensCamera:
+    _refuse_other_programs(file, text)
+    if text.lstrip().startswith(_OPENCV_MARKS[0]) or any(mark in text for mark in _OPENCV_MARKS[1:]):
+        content = _opencv_content(file, text)
+    else:
+        content = _camera_of(file, read_mapping(file, text, "a file of a lens", "save it again, or correct it"))
+    with parsing(file, "a file of a lens", _REMEDY):
+        matrix, terms = (_values(file, content, keys) for keys in (_MATRIX_KEYS, _TERM_KEYS))
+        width, height = _values(file, content, _WIDTH_KEYS), _values(file, content, _HEIGHT_KEYS)
+        size = _values(file, content, _SIZE_KEYS) if width.size + height.size == 0 else np.concatenate([width, height])
+    unread = [key for key in content if _UNREAD_TERMS.fullmatch(key)]
+    if unread and _first(content, _TERM_KEYS) is None:
+        raise BadInputError(
+            f"{file}: {shown(unread[0])} is not read; write the distortion terms as the list {_TERM_KEYS[0]}, in "
+            "OpenCV's order."
+        )
+    return _lens_of_matrix(file, matrix, terms, size, _kind(file, content, terms))
+
+
+def _camera_of(file: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """The camera in a file of ROS, Kalibr or another program, with a camera matrix."""
+    program = next((program for key, program in _OTHER_PROGRAMS.items() if key in content), None)
+    if program is not None:
+        raise BadInputError(f"{file}: is a file of {program}, which is not read; {_AS_ROS}.")
+    cameras = [key for key, value in content.items() if _KALIBR_CAMERA.fullmatch(key) and isinstance(value, dict)]
+    if len(cameras) > 1:
+        raise BadInputError(
+            f"{file}: has the cameras {', '.join(cameras)}; copy the one that took the photographs into a file of its "
+            "own."
+        )
+    content = content[cameras[0]] if cameras else content
+    _refuse_cropped(file, content)
+    return _kalibr_camera(file, content) if {"intrinsics", "camera_model"} <= content.keys() else content
+
+
+def _refuse_other_programs(file: Path, text: str) -> None:
+    """Refuse a file without keys, by the program that writes such files."""
+    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if lines[:1] == ["[image]"]:
+        raise BadInputError(
+            f"{file}: is the ost.txt of ROS' camera calibrator, which is not read; give the ost.yaml beside it."
+        )
+    if lines and _COLMAP.fullmatch(lines[0]):
+        raise BadInputError(f"{file}: is a file of COLMAP, which is not read; {_AS_ROS}, with cx and cy less by 0.5.")
+
+
+def _opencv_content(file: Path, text: str) -> dict[str, Any]:
+    """Keys and values of a file of OpenCV, those of a lens only."""
+    with parsing(file, "a YAML, XML or JSON file of OpenCV", "save it with cv2.FileStorage"):
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        root = storage.root()
-        matrix = _values(file, root, _MATRIX_KEYS)
-        terms = _values(file, root, _TERM_KEYS)
-        width, height = _values(file, root, _WIDTH_KEYS), _values(file, root, _HEIGHT_KEYS)
-        size = _values(file, root, _SIZE_KEYS) if width.size + height.size == 0 else np.concatenate([width, height])
-        model = _text(root, _MODEL_KEYS)
-        flag = _values(file, root, _FISHEYE_KEYS)
-    return _lens_of_matrix(file, matrix, terms, size, _kind(file, model, bool(flag.any()), terms))
+        root = storage.root()  # valid while the storage is
+        if not root.isMap():
+            raise ValueError("it has no keys")
+        unread = {key: None for key in root.keys() if _UNREAD_TERMS.fullmatch(key)}  # noqa: SIM118
+        return unread | {key: _plain(root.getNode(key)) for key in _OPENCV_KEYS if not root.getNode(key).empty()}
+
+
+def _plain(node: Any) -> Any:
+    """Value of a node: an array for a matrix, else a list, a number or text."""
+    if node.isMap():
+        is_matrix = not node.getNode("dt").empty()
+        return np.asarray(node.mat(), dtype=np.float64) if is_matrix else _plain(node.getNode("data"))
+    if node.isSeq():  # a node of many numbers takes time quadratic in them
+        return [_plain(node.at(place)) for place in range(min(node.size(), _LONGEST_LIST + 1))]
+    return node.real() if node.isReal() or node.isInt() else node.string()
+
+
+def _kalibr_camera(file: Path, content: dict[str, Any]) -> dict[str, Any]:
+    """A camera of Kalibr with a camera matrix from its intrinsics."""
+    model = content["camera_model"]
+    if model != "pinhole":
+        raise BadInputError(
+            f"{file}: camera model {shown(model)} of Kalibr is not supported; calibrate with pinhole-radtan or "
+            "pinhole-equi."
+        )
+    core = _values(file, content, ("intrinsics",))
+    if len(core) != 4:
+        raise BadInputError(
+            f"{file}: 'intrinsics' must be the 4 numbers fu, fv, pu, pv of a pinhole camera; {_REMEDY}."
+        )
+    fx, fy, cx, cy = core
+    return {"distortion_model": "none", **content, "camera_matrix": [fx, 0, cx, 0, fy, cy, 0, 0, 1]}
+
+
+def _refuse_cropped(file: Path, content: Mapping[str, Any]) -> None:
+    """Refuse a camera of ROS whose photographs are a part of the picture that the camera matrix is for."""
+    binning = [content.get(f"binning_{axis}") or 1 for axis in "xy"]
+    region = content.get("roi")
+    region = region if isinstance(region, dict) else {}
+    part = [region.get("x_offset"), region.get("y_offset"), region.get("width"), region.get("height")]
+    whole = ([0, 0, 0, 0], [0, 0, content.get("width"), content.get("height")], [None] * 4)
+    if binning != [1, 1] or part not in whole:
+        raise BadInputError(
+            f"{file}: states binning or a region of interest (roi), and its camera matrix is that of the whole sensor; "
+            "give the CameraInfo of whole pictures."
+        )
 
 
 def _lens_of_matrix(file: Path, matrix: FloatArray, terms: FloatArray, size: FloatArray, kind: str) -> LensCamera:
@@ -198,6 +300,10 @@ def _lens_of_matrix(file: Path, matrix: FloatArray, terms: FloatArray, size: Flo
         raise BadInputError(f"{file}: needs a camera matrix of 9 numbers under one of {', '.join(_MATRIX_KEYS)}.")
     if size.size != 2 or not np.all((size >= 1) & np.isfinite(size)):
         raise BadInputError(f"{file}: needs the size of the image; add image_width and image_height in pixels.")
+    if not matrix.any():
+        raise BadInputError(
+            f"{file}: is of a camera that was not calibrated (its camera matrix is zero); calibrate it."
+        )
     (fx, skew, cx), (below, fy, cy), last = matrix.reshape(3, 3)
     if below != 0 or not np.array_equal(last, (0, 0, 1)):
         raise BadInputError(f"{file}: its camera matrix must be fx 0 cx, 0 fy cy, 0 0 1, row by row; {_REMEDY}.")
@@ -214,18 +320,21 @@ def _lens_of_matrix(file: Path, matrix: FloatArray, terms: FloatArray, size: Flo
     return _lens_camera((int(size[0]), int(size[1])), core, terms[: len(LENS_KINDS[kind])], kind)
 
 
-def _kind(file: Path, model: str, is_fisheye: bool, terms: FloatArray) -> str:
+def _kind(file: Path, content: Mapping[str, Any], terms: FloatArray) -> str:
     """Kind of lens by the names that the file gives it and the number of its terms."""
+    stated = _first(content, _MODEL_KEYS)
+    model = re.sub(r"[ -]", "_", stated.lower()) if isinstance(stated, str) else ""
+    flag = _values(file, content, _FISHEYE_KEYS)
     if model and model not in (*_FISHEYE_NAMES, *_PERSPECTIVE_NAMES):
         known = ", ".join((*_PERSPECTIVE_NAMES, *_FISHEYE_NAMES))
-        raise BadInputError(f"{file}: distortion model {shown(model)} is not supported; it must be one of {known}.")
-    if is_fisheye or model in _FISHEYE_NAMES:
+        raise BadInputError(f"{file}: distortion model {shown(stated)} is not supported; it must be one of {known}.")
+    if flag.any() or model in _FISHEYE_NAMES:
         if terms.size != len(LENS_KINDS["fisheye"]):
             raise BadInputError(
                 f"{file}: has {terms.size} distortion terms; a fisheye lens of OpenCV has 4: fit it again."
             )
         return "fisheye"
-    if terms.size == len(LENS_KINDS["fisheye"]) and not model:
+    if terms.size == len(LENS_KINDS["fisheye"]) and not model and not flag.size:
         raise BadInputError(
             f"{file}: has 4 distortion terms, which may be those of cv2.fisheye (k1 k2 k3 k4) or of "
             "cv2.calibrateCamera (k1 k2 p1 p2); add distortion_model: equidistant or distortion_model: plumb_bob."
@@ -240,30 +349,34 @@ def _kind(file: Path, model: str, is_fisheye: bool, terms: FloatArray) -> str:
     return _KIND_OF_COUNT[terms.size]
 
 
-def _node(root: Any, keys: Sequence[str]) -> Any:
-    """Node of the first key that the file has, or None."""
-    nodes = (root.getNode(key) for key in keys)
-    return next((node for node in nodes if not node.empty()), None)
+def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:
+    """Value of the first key that the file has, or None."""
+    return next((content[key] for key in keys if content.get(key) is not None), None)
 
 
-def _values(file: Path, root: Any, keys: Sequence[str]) -> FloatArray:
-    """Numbers (n,) under the first key that the file has: a matrix, nested lists, or one number."""
-    node = _node(root, keys)
-    return np.zeros(0) if node is None else np.array(_numbers(file, node), dtype=np.float64)
+def _values(file: Path, content: Mapping[str, Any], keys: Sequence[str]) -> FloatArray:
+    """Numbers (n,) under the first key that the file has."""
+    value = _first(content, keys)
+    numbers = [] if value is None else _numbers(value)
+    if len(numbers) > _LONGEST_LIST:
+        raise BadInputError(f"{file}: has a list of more than {_LONGEST_LIST} numbers as {keys[0]}; {_REMEDY}.")
+    return np.array(numbers, dtype=np.float64)
 
 
-def _numbers(file: Path, node: Any) -> list[float]:
-    if node.isMap():  # OpenCV's matrix or that of ROS: rows, cols and data
-        return _numbers(file, node.getNode("data"))
-    if node.isSeq() and node.size() > _LONGEST_LIST:  # a node of many numbers takes time quadratic in them
-        raise BadInputError(
-            f"{file}: has a list of {node.size()} numbers; a lens has at most {_LONGEST_LIST}: {_REMEDY}."
-        )
-    if node.isSeq():
-        return [number for place in range(node.size()) for number in _numbers(file, node.at(place))]
-    return [node.real()] if node.isReal() or node.isInt() else [np.nan]
-
-
-def _text(root: Any, keys: Sequence[str]) -> str:
-    node = _node(root, keys)
-    return str(node.string()) if node is not None and node.isString() else ""
+def _numbers(value: Any) -> list[float]:
+    """Numbers of a matrix, of nested lists, or of one number, about the first 100; NaN for what is not a number."""
+    if isinstance(value, dict):  # a matrix of ROS: rows, cols and data
+        return _numbers(value.get("data"))
+    if isinstance(value, np.ndarray):
+        return [float(each) for each in value.ravel()]
+    if isinstance(value, list):
+        found: list[float] = []
+        for each in value:
+            found += _numbers(each)
+            if len(found) > _LONGEST_LIST:
+                break
+        return found
+    try:
+        return [float(value)]  # YAML takes 1e-5 for text
+    except (TypeError, ValueError, OverflowError):
+        return [np.nan]

@@ -189,3 +189,35 @@ def test_a_file_of_another_kind_that_is_wrong_is_named(tmp_path, kind, old, new,
     with pytest.raises(BadInputError, match=sentence) as caught:
         load_board(path)
     assert str(path) in str(caught.value)
+
+
+APRIL_OF_KALIBR = "target_type: 'aprilgrid' #gridtype\ntagCols: 6\ntagRows: 5\ntagSize: 0.088\ntagSpacing: 0.3\n"
+CHECKER_OF_KALIBR = (
+    "target_type: 'checkerboard'\ntargetCols: 6\ntargetRows: 7\nrowSpacingMeters: 0.06\ncolSpacingMeters: 0.06\n"
+)
+
+
+def test_targets_of_kalibr_are_read(tmp_path):
+    file = tmp_path / "target.yaml"
+    file.write_text(APRIL_OF_KALIBR)
+    expected = AprilGrid(6, 5, 0.088, 0.3, border_bits=2, first_id=0, first_at_bottom=True)
+    assert board_table(load_board(file)) == board_table(expected)
+    file.write_text(CHECKER_OF_KALIBR)
+    assert board_table(load_board(file)) == board_table(Chessboard(6, 7, 0.06, 0.06))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        (APRIL_OF_KALIBR.replace("tagRows: 5\n", ""), "key 'tagRows' is missing"),
+        (APRIL_OF_KALIBR + "tagFamily: t16h5\n", "unknown key 'tagFamily'"),
+        (CHECKER_OF_KALIBR.replace("colSpacingMeters: 0.06", "colSpacingMeters: 0.05"), "square squares"),
+        ("target_type: circlegrid\ntargetCols: 6\n", "has no diameter of the circles"),
+        ("target_type: hexgrid\n", "must be one of aprilgrid, checkerboard, circlegrid"),
+        ("", "is not a target of Kalibr; write board.toml"),
+    ],
+)
+def test_what_is_not_read_of_a_target_of_kalibr_is_named(tmp_path, text, sentence):
+    (tmp_path / "target.yaml").write_text(text)
+    with pytest.raises(BadInputError, match=rf"target\.yaml: .*{sentence}"):
+        load_board(tmp_path / "target.yaml")

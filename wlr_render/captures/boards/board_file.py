@@ -1,4 +1,7 @@
-"""Board files: board.toml with the design of a board of any kind and how far the print may differ from it."""
+"""Board files: board.toml with the design of a board of any kind and how far the print may differ from it.
+
+Kalibr's target files are read, too.
+"""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -14,8 +17,9 @@ from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.boards.markers import DICTIONARIES, dictionary_of
+from wlr_render.captures.plain_data import read_mapping
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS
+from wlr_render.input_files import LIMITS, read_text
 from wlr_render.numerics.arrays import BoolArray
 from wlr_render.toml_files import Table, read_toml, write_toml
 
@@ -32,6 +36,8 @@ where the printer scaled it, measure the ruler and multiply all of them by measu
 scale_sigma, flatness_mm, print_error_um: standard deviations of how far the print may differ from this design."""
 _DOTS_COMMENT = "\nsizes: one text per row of dots, from the top; 1 large, 0 small."
 _FIRST_TAGS = ("top-left", "bottom-left")
+_KALIBR_SUFFIXES = (".yaml", ".yml")
+_KALIBR_TARGETS = ("aprilgrid", "checkerboard", "circlegrid")
 _CLASSES = (DotBoard, CharucoBoard, AprilGrid, Chessboard, CircleGrid)  # in the order of KINDS
 
 
@@ -73,7 +79,7 @@ def _design_keys(board: Board) -> dict[str, Any]:
 
 
 def load_board(path: str | Path) -> Board:
-    """Read a board of any kind; a file without `kind` is a board of dots.
+    """Read a board of any kind; a file without `kind` is a board of dots, a .yaml file is a target of Kalibr.
 
     With `screen = true` the board is shown on a monitor: `pixel_pitch_mm` is the monitor's, and all lengths are given
     in its pixels (`square_px` in place of `square_mm`).
@@ -82,7 +88,41 @@ def load_board(path: str | Path) -> Board:
         BadInputError: the file is missing or not as `save_board` writes it, or its features cannot be distinguished;
             the sentence has the key.
     """
+    if Path(path).suffix.lower() in _KALIBR_SUFFIXES:
+        return board_of_table(_kalibr_target(Path(path)))
     return board_of_table(read_toml(path))
+
+
+def _kalibr_target(path: Path) -> Table:
+    """The keys of board.toml for a target of Kalibr; its tags have borders of two bits, its numbers are inner corners.
+
+    Raises:
+        BadInputError: the file is not a target of Kalibr, or the target is none of `KINDS`.
+    """
+    kind, remedy = "a target of Kalibr", "write board.toml"
+    table = Table(read_mapping(path, read_text(path, kind, remedy=remedy), kind, remedy), str(path))
+    target = table.text("target_type", choices=_KALIBR_TARGETS)
+    keys: dict[str, Any]
+    if target == "aprilgrid":
+        keys = {"kind": "april-grid", "tag_columns": table.whole("tagCols", 1), "tag_rows": table.whole("tagRows", 1)}
+        keys |= {"tag_mm": 1e3 * table.number("tagSize"), "spacing": table.number("tagSpacing")}
+    elif target == "checkerboard":
+        squares = table.number("colSpacingMeters"), table.number("rowSpacingMeters")
+        if squares[0] != squares[1]:
+            raise table.fail("'rowSpacingMeters' and 'colSpacingMeters' differ; boards here have square squares.")
+        keys = {
+            "kind": "chessboard",
+            "corner_columns": table.whole("targetCols"),
+            "corner_rows": table.whole("targetRows"),
+        }
+        keys |= {"square_mm": 1e3 * squares[0]}
+    else:
+        raise table.fail(
+            "a circlegrid of Kalibr has no diameter of the circles, which is needed here; write board.toml with kind = "
+            '"circles" or "asymmetric-circles".'
+        )
+    table.finish()
+    return Table(keys, str(path))
 
 
 def board_of_table(table: Table) -> Board:
