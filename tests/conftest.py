@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,6 +26,34 @@ from wlr_render.rendering.scene import Scene
 pytest_plugins = ["small_headsets"]
 
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+LEFT_TO_THE_USER = re.compile(
+    "measured s|Optiland|(open3d|warp|warp-lang|newton|datasets|pyopenxr|monado-service|Blender) is not installed"
+    "|rattler-build|OpenCV has no structured_light|root may|user namespaces"
+)
+"""Reasons of skips that `./wlr readers` does not remove: large libraries, data of others, rights of the user."""
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--readers", action="store_true", help="fail tests that are skipped although ./wlr readers installs their needs"
+    )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item):
+    return failed_if_skipped((yield), item.config)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    return failed_if_skipped((yield), collector.config)
+
+
+def failed_if_skipped(report, config):
+    if report.skipped and config.getoption("--readers") and not LEFT_TO_THE_USER.search(reason := report.longrepr[-1]):
+        report.outcome, report.longrepr = "failed", f"{reason}\nNo test may be skipped for this after `./wlr readers`."
+    return report
 
 
 def mapped(value):

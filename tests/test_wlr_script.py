@@ -1,14 +1,20 @@
 """The script `wlr` with stand-ins for what it calls."""
 
 import os
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
+
+import pytest
+
+from wlr_render.rendering.gl_programs import GLSL_VERSION
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
-def run_script(folder, arguments, commands):
+def run_script(folder, arguments, commands, opengl="gl\n"):
     """Run a copy of `wlr` whose venv is complete, with `commands` (shell scripts by name) before all others."""
     bin_folder = folder / ".venv" / "bin"
     bin_folder.mkdir(parents=True)
@@ -19,7 +25,8 @@ def run_script(folder, arguments, commands):
         (bin_folder / name).chmod(0o755)
     stamp = subprocess.run("cat pyproject.toml constraints.txt | cksum", shell=True, cwd=folder, capture_output=True)
     (folder / ".venv" / "wlr-stamp").write_bytes(stamp.stdout)
-    (folder / ".venv" / "wlr-gl").write_text("egl\n")
+    if opengl is not None:
+        (folder / ".venv" / "wlr-gl").write_text(opengl)
     environment = {**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}", "WLR_NO_APT": "1"}
     return subprocess.run(
         [folder / "wlr", *arguments], capture_output=True, text=True, timeout=60, env=environment, check=True
@@ -28,7 +35,42 @@ def run_script(folder, arguments, commands):
 
 def test_readers_says_at_the_end_what_is_installed(tmp_path):
     """No package can be installed, and mrcal is missing."""
-    commands = {"python": "exit 0", "dpkg": '[ "$2" != python3-mrcal ]'}
+    commands = {"python": "exit 0", "dpkg": '[ "$2" = python3-mrcal ] || echo Status: install ok installed'}
     *_, missing, last = run_script(tmp_path, ["readers"], commands).stderr.splitlines()
     assert missing == "wlr: could not install python3-mrcal; the tests that need it are skipped"
-    assert last == "wlr: installed: Mitsuba, LLVM 19, ffmpeg"
+    assert last.startswith("wlr: installed: mitsuba,wgpu, chromium, ffmpeg, glslang-tools, libllvm19, ")
+    assert "mrcal" not in last
+
+
+@pytest.mark.parametrize("verb", ["test", "check"])
+def test_tests_run_in_one_process_per_core_and_take_arguments(tmp_path, verb):
+    commands = {name: "" for name in ("ruff", "mypy", "lint-imports")} | {"python": 'printf "[%s] " "$@"; echo'}
+    *_, last = run_script(tmp_path, [verb, "tests/optics", "-k", "a b"], commands).stdout.splitlines()
+    assert last == "[-m] [pytest] [-n] [auto] [--dist] [worksteal] [tests/optics] [-k] [a b] "
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(("version", "found"), [("4.1", "gl\n"), ("3.3", "cpu\n")])
+def test_opengl_4_1_is_enough(gl_context, tmp_path, version, found):
+    python = f'[ "$1" = -c ] || exit 0\nMESA_GL_VERSION_OVERRIDE={version} exec {sys.executable} "$@"'
+    said = run_script(tmp_path, ["demo"], {"python": python, "wlr-render": ""}, opengl=None).stderr
+    assert (tmp_path / ".venv" / "wlr-gl").read_text() == found
+    assert ("frames are drawn on the CPU" in said) == (found == "cpu\n")
+
+
+def test_the_instructions_ask_for_the_version_of_the_shaders():
+    texts = [(ROOT / name).read_text(encoding="utf-8") for name in ("wlr", "docs/install.md", "shaders/README.md")]
+    named = [re.findall(r"OpenGL (\d\.\d)", text) for text in texts]
+    assert named == [[f"{GLSL_VERSION // 100}.{GLSL_VERSION // 10 % 10}"]] * 3
+
+
+def test_ci_fails_where_a_test_lacks_what_readers_install_and_passes_where_it_lacks_what_is_the_users(tmp_path):
+    node = "captures/patterns/test_show_server.py::test_a_window_smaller_than_the_panel_is_refused"
+    users = "test_release.py::test_rattler_build_renders_the_recipe"
+    (tmp_path / "rattler_build.py").write_text("raise ModuleNotFoundError('not here')\n")
+    environment = os.environ | {"PATH": "", "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    command = [sys.executable, "-m", "pytest", "--readers", *(ROOT / "tests" / name for name in (node, users))]
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=60)
+    assert result.returncode == 1
+    assert "no Node here: install Debian's package nodejs" in result.stdout
+    assert "1 skipped, 1 error" in result.stdout
