@@ -22,6 +22,7 @@ out vec2 mixed_bend[CHANNELS];
 flat out float known[CHANNELS];  // 1 if the triangle's three points have rays
 flat out vec2 cell;
 flat out vec2 range;  // of inverse depth along the cell's paths
+invariant gl_Position;  // several programs draw the cells of one picture, which must meet without holes
 
 const ivec2 CORNERS[6] = ivec2[](ivec2(0, 0), ivec2(1, 0), ivec2(0, 1), ivec2(1, 0), ivec2(1, 1), ivec2(0, 1));
 

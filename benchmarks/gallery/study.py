@@ -13,12 +13,15 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+import cv2
+import numpy as np
 from PIL import Image
 
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder, write_bytes, write_text
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.report.blocks import Block, Picture, Report, Section, Text
 from wlr_render.report.save import markdown, save_report
 
@@ -167,7 +170,9 @@ def small_picture(png: bytes) -> bytes:
     with Image.open(io.BytesIO(png)) as opened:
         image = opened.convert("RGB")
     if image.width > _WIDTH_PX:
-        image = image.resize((_WIDTH_PX, round(image.height * _WIDTH_PX / image.width)), Image.Resampling.LANCZOS)
+        size = _WIDTH_PX, round(image.height * _WIDTH_PX / image.width)
+        light = cv2.resize(decode_srgb(np.asarray(image)), size, interpolation=cv2.INTER_AREA)
+        image = Image.fromarray(encode_srgb(light))
     small = _png(image)
     return small if len(small) <= _MOST_BYTES else _png(image.quantize())
 

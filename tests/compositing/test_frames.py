@@ -245,3 +245,14 @@ def test_a_shared_context_outlives_its_compositors(flat_image_headset, gl_contex
             pictures.append(made.compose().read())
     assert pictures[0].any()
     np.testing.assert_array_equal(*pictures)
+
+
+def test_a_frame_is_itself_alone_and_may_be_a_key(compositor, flat_image_headset):
+    made, seen = compositor(flat_image_headset), flat_image_headset.eye_box.centre
+    first, second = (made.begin_frame(HEAD, seen) for _ in range(2))
+    pending = {first: "first", second: "second"}
+    assert (pending[first], pending[second]) == ("first", "second")
+    assert first != second
+    camera = first["right"].view.camera
+    assert camera != replace(camera)
+    assert {camera: "its renderer"}[second["right"].view.camera] == "its renderer"

@@ -285,6 +285,27 @@ def test_a_scan_from_the_bottom_turns_the_poses_of_the_rows_round(compositor, fl
         made.compose(pose_at_last_row=MOVED, scan="left")
 
 
+def moving(time_s):
+    """Head and pupil at a constant velocity."""
+    return HEAD @ at(0.4 * time_s, 0, 0, np.eye(3)), np.array([0.05 * time_s, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("late_s", [0.004, 0.008, 0.015])
+def test_a_pipelined_engine_is_predicted(compositor, flat_image_headset, late_s):
+    made, box = compositor(flat_image_headset), flat_image_headset.eye_box
+    source, period_s = SceneSource(made, scene()), 0.011
+    for k in range(4):
+        time_s = period_s * k  # from the second frame on before the last frame's late pose, or after it
+        head, pupil = moving(time_s)
+        frame = made.begin_frame(head, box.centre + pupil, time_s=time_s, predict_s=0.02)
+        due_head, due_pupil = moving(time_s + (0.02 if k else 0.0))
+        np.testing.assert_allclose(frame.world_from_device, due_head, atol=1e-9)
+        np.testing.assert_allclose(frame.viewpoints["right"], box.centre + due_pupil, atol=1e-9)
+        source.submit(frame["right"])
+        late = made.compose(pose=moving(time_s + late_s)[0], time_s=time_s + late_s, predict_s=0.005)
+        np.testing.assert_allclose(late.world_from_device, moving(time_s + late_s + 0.005)[0], atol=1e-9)
+
+
 def test_poses_and_pupils_are_predicted_from_the_last_two(compositor, flat_image_headset):
     made, seen = compositor(flat_image_headset), flat_image_headset.eye_box.centre
     step = np.array([0.0005, 0.0, 0.0])
@@ -309,5 +330,6 @@ def test_poses_and_pupils_are_predicted_from_the_last_two(compositor, flat_image
     ):
         with pytest.raises(BadInputError, match=words):
             call()
+    np.testing.assert_array_equal(made.begin_frame(HEAD, seen, time_s=1.9).world_from_device, HEAD)  # 100 ms late
     far = made.begin_frame(HEAD, seen + 8 * step, time_s=2.01, predict_s=0.1)
     np.testing.assert_allclose(far.viewpoints["right"], made.within_reach("right", seen + 88 * step), atol=1e-12)

@@ -10,6 +10,7 @@ from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.rendering.framebuffers import TextureLayer
+from wlr_render.rendering.gl import GlContext
 from wlr_render.rendering.panel_light import PanelLight
 from wlr_render.rendering.srgb import decode_srgb
 from wlr_render.rendering.stored_picture import StoredColour
@@ -92,6 +93,14 @@ def test_textures_of_an_srgb_format_hold_codes(compositor, flat_image_headset, e
     made = compositor(flat_image_headset)
     for picture in textures(made, 100 / 255, "f1", SRGB8_ALPHA8):
         assert (shown(made, flat_image_headset, picture, encoding=encoding)[INSIDE][..., :3] == 100).all()
+
+
+def test_codes_that_a_driver_decodes_in_any_case_are_taken_as_light(compositor, flat_image_headset, monkeypatch):
+    monkeypatch.setattr(GlContext, "reads_srgb_codes", False)  # as without GL_EXT_texture_sRGB_decode
+    made = compositor(flat_image_headset)
+    for internal_format in (None, SRGB8_ALPHA8):
+        for picture in textures(made, 100 / 255, "f1", internal_format):
+            assert (shown(made, flat_image_headset, picture)[INSIDE][..., :3] == 100).all()
 
 
 @pytest.mark.parametrize("bits", [10, 12, 16])

@@ -286,3 +286,30 @@ def test_depths_in_textures_that_are_no_distance_are_background(compositor, flat
         assert (expected != composed(stored, sound, sound)).any()
         for value in values:
             np.testing.assert_array_equal(composed(stored, sound, value), expected)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("on_gpu", [False, True])
+def test_pull_maps_of_colours_are_those_of_their_own_picture(compositor, flat_image_headset, on_gpu):
+    made = compositor({"right": [flat_image_headset] * 3})
+    source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
+
+    def submit(pose, depth_m):
+        (camera,) = made.begin_frame(pose, seen).values()
+        if on_gpu:
+            source.submit(camera)
+        else:
+            size = camera.size_px[::-1]
+            made.submit(np.zeros((*size, 3), np.uint8), np.full(size, depth_m, np.float32))
+
+    submit(HEAD, 2.0)
+    frame = made.compose(pose=TURNED, with_source=True)
+    maps = [frame.source(channel=channel) for channel in (None, 0, 1, 2)]
+    for each in maps[1:]:  # three equal models
+        np.testing.assert_allclose(each, maps[0], atol=1e-3)
+    submit(TURNED, 0.3)
+    np.testing.assert_array_equal(frame.source(), maps[0])
+    for channel in (0, 2):
+        with pytest.raises(BadInputError, match=r"right eye's picture, .*; read them before the next submit"):
+            frame.source(channel=channel)
+    assert made.compose(with_source=True).source(channel=0).shape == maps[1].shape

@@ -35,6 +35,7 @@ from wlr_render.models.model_file import EyeModel, save_eye_models
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.ray_map import ray_map
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 
 
 def exported(form, model, folder, **options):
@@ -72,7 +73,7 @@ def test_check_picture_is_what_opencv_draws_from_the_file(small_northstar, tmp_p
     exported("tiff", small_northstar, tmp_path, source_camera="nearest")
     source, panel = read_png(tmp_path / "check-source.png"), read_png(tmp_path / "check-panel.png")
     u, v, _ = np.moveaxis(read_map(tmp_path / "right-map.tiff"), -1, 0)
-    drawn = cv2.remap(source, u - 0.5, v - 0.5, cv2.INTER_LINEAR)
+    drawn = encode_srgb(cv2.remap(decode_srgb(source), u - 0.5, v - 0.5, cv2.INTER_LINEAR))
     assert np.abs(drawn.astype(int) - panel).max() <= 1
     assert np.ptp(panel) > 100
 

@@ -113,6 +113,13 @@ def test_light_adds_up():
     np.testing.assert_array_equal(seen.with_display(np.full_like(shown, 255)), 255)
 
 
+def test_between_panel_pixels_light_is_averaged_and_not_codes():
+    shown = np.zeros((1, 2, 3), np.uint8)
+    shown[0, 1] = 255
+    half_way = EyeView(np.zeros((1, 1, 3), np.uint8), np.array([[[1.0, 0.5]]]))
+    np.testing.assert_array_equal(half_way.with_display(shown), 188)
+
+
 def test_beside_the_panel_there_is_only_the_world():
     real = np.full((2, 2, 3), 90, np.uint8)
     pixel = np.array([[[np.nan, np.nan], [-0.2, 1.0]], [[1.0, 1.0], [1.5, 0.5]]])

@@ -93,7 +93,8 @@ class ComposedFrame:
             channel: 0, 1 or 2 for red, green or blue of an eye with three models; green if left out.
 
         Raises:
-            BadInputError: no such eye, or it was composed without.
+            BadInputError: as `read`, it was composed without, or red's or blue's is asked for after the eye's next
+                `submit`.
         """
         source = self._eye(eye).read_source(channel)
         if source is None:

@@ -1,5 +1,6 @@
 """Handles of frames that an engine draws, the prediction of their poses, and poses of a display's rows."""
 
+import bisect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -38,6 +39,10 @@ class FrameHandle(Mapping[str, EyeCamera]):
     cameras: Mapping[str, EyeCamera]
     submitted: set[str] = field(default_factory=set)
 
+    # Mapping compares by content; a frame is itself alone, and may be a key of a dictionary.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
     def __getitem__(self, eye: str) -> EyeCamera:
         return self.cameras[eye]
 
@@ -48,21 +53,38 @@ class FrameHandle(Mapping[str, EyeCamera]):
         return len(self.cameras)
 
 
-@dataclass(frozen=True, eq=False)
-class _Sample:
-    time_s: float
-    world_from_device: FloatArray
-    viewpoints: Mapping[str, FloatArray]
+class _Samples:
+    """The newest samples of one quantity, an array of fixed shape, in the order of their times."""
+
+    def __init__(self) -> None:
+        self._times_s: list[float] = []
+        self._values: list[FloatArray] = []
+
+    def add(self, time_s: float, value: FloatArray) -> tuple[float, FloatArray] | None:
+        """Keep a sample, and return the newest kept one that is older, with its time; None if there is none."""
+        at = bisect.bisect_left(self._times_s, time_s)
+        replaced = at < len(self._times_s) and self._times_s[at] == time_s
+        self._times_s[at : at + replaced], self._values[at : at + replaced] = [time_s], [value]
+        before = (self._times_s[at - 1], self._values[at - 1]) if at else None
+        # A call may come by LONGEST_S late, and is then predicted from a sample that is as much older.
+        old = bisect.bisect_left(self._times_s, self._times_s[-1] - 2 * LONGEST_S)
+        del self._times_s[:old], self._values[:old]
+        return before
 
 
 class MotionPredictor:
-    """Predicts head pose and pupils from the last two samples that came with a time, at constant velocity."""
+    """Predicts head pose and pupils from two samples that came with a time, at constant velocity.
+
+    Head and pupils have samples of their own: a call without a pupil leaves its prediction as it was. An engine may
+    begin a frame with a pose that is older than the pose that the last frame was composed for.
+    """
 
     def __init__(self, boxes: Mapping[str, EyeBox]) -> None:
         """Prepare; `boxes` are the eye boxes, half a box outside of which predicted pupils are held."""
         self._boxes = boxes
-        self._before: _Sample | None = None
-        self._last: _Sample | None = None
+        self._head = _Samples()
+        self._pupils = {eye: _Samples() for eye in boxes}
+        self._newest_s = -np.inf
 
     def predict(
         self,
@@ -73,11 +95,11 @@ class MotionPredictor:
     ) -> tuple[FloatArray, dict[str, FloatArray]]:
         """Pose (4, 4) and viewpoints (3,) by eye, `predict_s` after `time_s`.
 
-        Unchanged if `predict_s` is 0, or if the last sample is more than 100 ms old or there is none.
+        Each is unchanged if `predict_s` is 0, or if its sample before `time_s` is more than 100 ms older or missing.
 
         Raises:
-            BadInputError: `predict_s` is not from 0 to 100 ms or has no `time_s`, or the time is not later than the
-                last one; no sample is kept then.
+            BadInputError: `predict_s` is not from 0 to 100 ms or has no `time_s`, or the time is more than 100 ms
+                before the latest; no sample is kept then.
         """
         ahead_s = checked_number(predict_s, "predict_s", 0, LONGEST_S)
         if time_s is None:
@@ -85,23 +107,28 @@ class MotionPredictor:
                 raise BadInputError("predict_s needs time_s, the time of the pose in seconds; give both.")
             return world_from_device, dict(viewpoints)
         now = checked_number(time_s, "time_s", -1e12, 1e12)
-        if self._last is not None and now < self._last.time_s:
+        if now < self._newest_s - LONGEST_S:
             raise BadInputError(
-                f"time_s is {now:g} s, and that of the pose before was {self._last.time_s:g} s; give rising times."
+                f"time_s is {now:g} s, and that of the pose before was {self._newest_s:g} s; take all times from one "
+                f"clock, and drop poses that come more than {LONGEST_S * 1e3:g} ms late."
             )
-        if self._last is not None and now > self._last.time_s:
-            self._before = self._last
-        self._last, before = _Sample(now, world_from_device, dict(viewpoints)), self._before
-        if before is None or not ahead_s or now - before.time_s > LONGEST_S:
-            return world_from_device, dict(viewpoints)
-        between_s = now - before.time_s
-        pupils = {
-            eye: nearest_in_reach(predicted_point(before.viewpoints[eye], at, between_s, ahead_s), self._boxes[eye])
-            if eye in before.viewpoints
-            else at
-            for eye, at in viewpoints.items()
-        }
-        return predicted_pose(before.world_from_device, world_from_device, between_s, ahead_s), pupils
+        self._newest_s = max(now, self._newest_s)
+        before = self._head.add(now, world_from_device)
+        pose = world_from_device
+        if before and _is_usable(now - before[0], ahead_s):
+            pose = predicted_pose(before[1], pose, now - before[0], ahead_s)
+        pupils = {eye: self._predicted_pupil(eye, at, now, ahead_s) for eye, at in viewpoints.items()}
+        return pose, pupils
+
+    def _predicted_pupil(self, eye: str, at: FloatArray, now_s: float, ahead_s: float) -> FloatArray:
+        before = self._pupils[eye].add(now_s, at)
+        if before is None or not _is_usable(now_s - before[0], ahead_s):
+            return at
+        return nearest_in_reach(predicted_point(before[1], at, now_s - before[0], ahead_s), self._boxes[eye])
+
+
+def _is_usable(between_s: float, ahead_s: float) -> bool:
+    return bool(ahead_s) and between_s <= LONGEST_S
 
 
 def row_poses(first: FloatArray, last: FloatArray, rows: int, scan: Scan = "down") -> FloatArray:

@@ -41,7 +41,8 @@ CONTEXTS = ("auto", "egl", "osmesa", "current")
 class GlComposed:
     """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's.
 
-    `draw_source` draws the pull map of one channel; None if the picture was composed without.
+    `draw_source` draws the pull map of another channel than green, from the submitted picture; None if the picture was
+    composed without.
     """
 
     warped: GpuWarped | None
@@ -83,8 +84,9 @@ class GlComposed:
         chosen = len(self.ray_maps) // 2 if channel is None else channel
         if chosen not in range(len(self.ray_maps)):
             raise BadInputError(f"channel {shown(channel)} does not exist; the eye has {len(self.ray_maps)}.")
-        drawn = own if len(self.ray_maps) == 1 else self.draw_source(chosen) if self.draw_source else None
-        if drawn is None or drawn.source is None:
+        is_there = own.source is None or chosen == len(self.ray_maps) // 2  # a warp of three channels gives green's
+        drawn = own if is_there or self.draw_source is None else self.draw_source(chosen)
+        if drawn.source is None:
             return None
         with drawn.context.drawing():
             return gl.read(drawn.source, np.float32)
@@ -122,6 +124,7 @@ class GlEye:
         )
         self._encoder = PanelEncoder.of(context, panel)
         self._warp = GlWarp(context, len(channels), self._encoder)
+        self._warp_of_one = GlWarp(context, 1, self._encoder)  # for pull maps of red and blue
         self._import = PictureImport(context)
         self._pictures: list[WarpedPicture] = []  # the widest first
         self._import_insets: list[PictureImport] = []
@@ -246,11 +249,15 @@ class GlEye:
         warped = self._warp.draw(*drawn, size_px, *settings, with_source, overlays, insets)
         if not with_source or len(ray_maps) == 1:
             return GlComposed(warped, ray_maps)
-        of_one = GlWarp(self._context, 1, self._encoder)  # a warp of three channels gives green's pull map alone
 
         def draw_source(channel: int) -> GpuWarped:
+            if self._pictures is not pictures or widest.image.is_overwritten():
+                raise BadInputError(
+                    f"the {self._plan.eye} eye's picture, from which the pull maps of red and blue are drawn, was "
+                    "replaced after this frame was composed; read them before the next submit."
+                )
             of_channel = widest.image, [ray_maps[channel]], image_from_ray_map
-            return of_one.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
+            return self._warp_of_one.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
 
         return GlComposed(warped, ray_maps, draw_source)
 

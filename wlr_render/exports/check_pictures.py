@@ -10,6 +10,7 @@ from wlr_render.exports.format import Capabilities
 from wlr_render.exports.view import ALL_COLOURS, ExportedView
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.sampling import remap
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 
 CHECK_SOURCE, CHECK_PANEL = "check-source.png", "check-panel.png"
 _CELLS = 16
@@ -17,14 +18,18 @@ _WORDS = (("TOP LEFT", 0.06, 0.1), ("BOTTOM RIGHT", 0.62, 0.94))
 
 
 def write_check(folder: Path, view: ExportedView, holds: Capabilities) -> list[Path]:
-    """Write `CHECK_SOURCE` of the size of a view's source picture, and `CHECK_PANEL`, its warp for the panel."""
+    """Write `CHECK_SOURCE` of the size of a view's source picture, and `CHECK_PANEL`, its warp for the panel.
+
+    The warp is filtered in linear light.
+    """
     source = check_picture(view.source.camera.size_px)
     colours = [view.middle_colour] * 3 if view.colours == (ALL_COLOURS,) else view.colours
     positions = {colour: view.source_px(colour) for colour in set(colours)}
     if not holds.between_pixels:
         positions = {colour: np.floor(each) + np.float32(0.5) for colour, each in positions.items()}
-    planes = [remap(source, positions[colour])[0][..., k] for k, colour in enumerate(colours)]
-    panel = np.ascontiguousarray(np.stack(planes, axis=-1))
+    light = decode_srgb(source)
+    planes = [remap(light, positions[colour])[0][..., k] for k, colour in enumerate(colours)]
+    panel = encode_srgb(np.stack(planes, axis=-1))
     return [write_png(folder / CHECK_SOURCE, source), write_png(folder / CHECK_PANEL, panel)]
 
 

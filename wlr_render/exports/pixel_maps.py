@@ -82,8 +82,10 @@ class FloatMap(EveryPixel, FormatByColour):
         )
         self.use = (
             f"OpenCV: `m = cv2.imread('NAME-map.{name}', cv2.IMREAD_UNCHANGED)` reads it as B, G, R with the top row "
-            "first, whatever the format; `cv2.remap(source, m[..., 2] - 0.5, m[..., 1] - 0.5, cv2.INTER_LINEAR)` draws "
+            "first, whatever the format; `cv2.remap(light, m[..., 2] - 0.5, m[..., 1] - 0.5, cv2.INTER_LINEAR)` draws "
             "the panel's picture.",
+            "`light` is the source picture in linear light as float32: decode its sRGB codes before cv2.remap, and "
+            "encode the result; between codes that differ much, a mean of codes is too dark.",
             "With a map for each colour: remap three times, and take red from the result of the red map, green from "
             "that of the green one, blue from that of the blue one.",
             "Write 0 in place of NaN before cv2.remap, and black there afterwards.",

@@ -7,7 +7,7 @@ import numpy as np
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pinhole:
     """An off-axis pinhole camera with the axes of the device frame: pixels are affine in the tangents.
 

@@ -215,7 +215,7 @@ class _Compared:
         figure = Figure(figsize=(15, 6), dpi=110, layout="constrained")
         axes = figure.subplots(1, 3)
         for place, picture, name in ((axes[0], self.traced, "ray traced"), (axes[1], self.rastered, self.rows[0][0])):
-            place.imshow(picture)
+            place.imshow(picture, interpolation="none")
             place.set_title(name)
         low, high = ERROR_LIMITS_ARCMIN
         angle: FloatArray = np.clip(self.error.raster.registration_arcmin, low, None)

@@ -70,6 +70,7 @@ from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
 from wlr_render.report.plots import curves, small_heat_maps
 from wlr_render.report.save import save_report
@@ -358,6 +359,6 @@ def _content_tangents(truth: EyeMappings, scene: Scene, viewpoint: FloatArray) -
 
 def _blended(view: EyeView, shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The virtual twin glows over the real object in one colour, so that the two can be told apart."""
-    luminance = shown.astype(np.float32) @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-    tint = np.array([0.15, 1.0, 0.45], np.float32)
-    return view.with_display((luminance[..., None] * tint).astype(np.uint8), gain=0.6, see_through=0.5)
+    luminance = decode_srgb(shown) @ np.array([0.2126, 0.7152, 0.0722], np.float32)
+    tint = decode_srgb(np.array([38, 255, 115], np.uint8))
+    return view.with_display(encode_srgb(luminance[..., None] * tint), gain=0.6, see_through=0.5)

@@ -34,7 +34,8 @@ _FRAMEBUFFER = 0x8D40
 _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
 SRGB8_ALPHA8 = 0x8C43
 _RGB10_A2 = 0x8059
-_SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # of GL_EXT_texture_sRGB_decode, which every desktop driver has
+_SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # of GL_EXT_texture_sRGB_decode, which some drivers of OpenGL ES lack
+_TEXTURE_2D, _INTERNAL_FORMAT = 0x0DE1, 0x1003
 
 
 class GlContext:
@@ -232,10 +233,23 @@ class GlContext:
         """A sampler that reads the nearest texel, without depth comparison; `decodes` sRGB formats or reads codes."""
         nearest = moderngl.NEAREST, moderngl.NEAREST
         sampler = self._tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
-        if not decodes and "GL_EXT_texture_sRGB_decode" in self._ctx.extensions:
+        if not decodes and self.reads_srgb_codes:
             number = vars(sampler)["_glo"]
             self.function("glSamplerParameteri", *[ctypes.c_uint] * 3)(number, _SRGB_DECODE, _SKIP_DECODE)
         return sampler
+
+    @property
+    def reads_srgb_codes(self) -> bool:
+        """Whether `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL decodes them all the same."""
+        return "GL_EXT_texture_sRGB_decode" in self._ctx.extensions
+
+    def has_srgb_format(self, texture: Texture) -> bool:
+        """Whether OpenGL decodes a texture's sRGB codes when it is sampled; call it in a drawing block."""
+        texture.use(self._ctx.default_texture_unit)
+        found = ctypes.c_int()
+        query = self.function("glGetTexLevelParameteriv", ctypes.c_uint, ctypes.c_int, ctypes.c_uint, ctypes.c_void_p)
+        query(_TEXTURE_2D, 0, _INTERNAL_FORMAT, ctypes.addressof(found))
+        return found.value in (_SRGB8, SRGB8_ALPHA8)
 
     def depth_target(self, size: tuple[int, int]) -> Texture:
         """An empty depth texture of (width, height), 24 bits, read as plain values."""

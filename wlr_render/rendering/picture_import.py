@@ -199,6 +199,8 @@ class PictureImport:
     ) -> GpuImage:
         """Convert textures; a caller's textures may have any filter, so that they are read by a sampler of ours."""
         codes = stored_colour.encoding == "srgb"
+        if codes and not self._context.reads_srgb_codes and self._context.has_srgb_format(colour):
+            codes = False  # OpenGL has decoded them
         # The codes of an inset are decoded, to be mixed with the wider picture's light.
         in_bytes = codes and stored_colour.bits == 8 and colour.dtype in ("f1", "nu1") and wider is None
         kind = "srgb" if in_bytes else "f2"

@@ -184,8 +184,8 @@ class EyeView:
         Returns:
             (height, width, 3) uint8 sRGB.
         """
-        reflected, _ = remap(shown, self.panel_pixel)
-        light = see_through * decode_srgb(self.real) + gain * decode_srgb(np.asarray(reflected, np.uint8))
+        reflected, _ = remap(decode_srgb(shown), self.panel_pixel)
+        light = see_through * decode_srgb(self.real) + gain * reflected
         return encode_srgb(light.astype(np.float32))
 
 
