@@ -1,5 +1,7 @@
 """Meshes, their placements and lights from GLB, glTF, OBJ and PLY files: the only module that imports trimesh.
 
+trimesh parses glTF; `obj_file.py` and `ply_file.py` read the others.
+
 A glTF light shines along its node's -z axis. glTF's matt surface reflects 1/pi of the light, ours all of it, so an
 intensity is divided by pi.
 
@@ -10,35 +12,26 @@ the file states.
 
 import functools
 import io
-import re
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
-from wlr_render.input_files import (
-    LIMITS,
-    decode_image,
-    inside_folder,
-    parsing,
-    read_bytes,
-    require_picture,
-    require_pixels,
-    shown,
-)
-from wlr_render.numerics.arrays import Float32Array
+from wlr_render.input_files import LIMITS, inside_folder, parsing, read_bytes, require_picture, shown
+from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.gltf_document import GLOSSY, LIGHTS, GltfDocument
 from wlr_render.rendering.gltf_losses import SPOT, lost_material_keys, lost_parts
-from wlr_render.rendering.mesh_checks import check_obj, check_ply
+from wlr_render.rendering.mtl_file import Materials
+from wlr_render.rendering.obj_file import ObjFile
+from wlr_render.rendering.ply_file import PlyFile
+from wlr_render.rendering.raw_mesh import RawMesh, texture_of
 from wlr_render.rendering.scene import Instance, LightSource, Mesh
-from wlr_render.rendering.srgb import decode_srgb
 
 EXTENSION = LIGHTS
 SUFFIXES = (".glb", ".gltf", ".obj", ".ply")
@@ -47,8 +40,6 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 _FARTHEST = 1e6  # metres, and scale of a placement
 _BRIGHTEST = 1e6
 _LARGEST = 1e12  # of a coordinate, whose squares must fit into 32 bits
-_MATT_AND_OPAQUE_OBJ = {"d": r"1(\.0*)?", "tr": "[0. ]+", "ke": "[0. ]+", "pm": "[0. ]+"}
-"""Patterns of values with which nothing is lost."""
 _UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", GLOSSY, "EXT_texture_webp"}
 
 
@@ -115,14 +106,34 @@ def load_meshes(path: str | Path) -> MeshFile:
         raise BadInputError(
             f"{path}: cannot read {shown(path.suffix)} files, only {', '.join(SUFFIXES)}; convert it to one of these."
         )
-    with parsing(path, "a mesh", "export it again"):
-        return _content(path, *_loaded(path))
+    # What overflows is refused by the checks.
+    with parsing(path, "a mesh", "export it again"), np.errstate(all="ignore"):
+        return (_gltf_file if path.suffix.lower() in _GLTF else _polygon_file)(path)
 
 
-def _content(path: Path, source: Any, not_drawn: tuple[str, ...]) -> MeshFile:
+def _polygon_file(path: Path) -> MeshFile:
+    """The meshes of an OBJ or PLY file, each placed once where it is."""
+    content, neighbours = read_bytes(path, LIMITS.mesh_bytes), _Neighbours(path)
+    lost: Iterable[tuple[str, list[str]]] = ()
+    file: ObjFile | PlyFile
+    if path.suffix.lower() == ".obj":
+        materials = Materials(path, neighbours)
+        file = ObjFile(path, content, materials)
+        raw, lost = [*file.meshes()], materials.lost()
+    else:
+        file = PlyFile(path, content, neighbours)
+        raw = [*file.meshes()]
+    meshes = tuple(_mesh(path, each) for each in raw)
+    if not meshes:
+        raise BadInputError(f"{path}: holds no triangles; export it again with faces.")
+    instances = tuple(Instance(mesh.name, number, np.eye(4)) for number, mesh in enumerate(meshes))
+    return MeshFile(meshes, instances, (), _named(path, lost, file.not_drawn))
+
+
+def _gltf_file(path: Path) -> MeshFile:
+    source, not_drawn = _loaded(path)
     names = [name for name, geometry in source.geometry.items() if hasattr(geometry, "faces")]
-    with np.errstate(all="ignore"):  # what overflows is refused below
-        meshes = tuple(_mesh(path, name, source.geometry[name]) for name in names)
+    meshes = tuple(_mesh(path, _of_trimesh(name, source.geometry[name])) for name in names)
     if not meshes:
         raise BadInputError(f"{path}: holds no triangles; export it again with faces.")
     placed = [(node, *source.graph.get(node)) for node in source.graph.nodes_geometry]
@@ -154,6 +165,7 @@ class _Neighbours:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._left = LIMITS.mesh_bytes
+        self._is_gltf = path.suffix.lower() in _GLTF  # whose names are percent-encoded
         self.file_name = path.name
         self.faults: list[BadInputError] = []
         self.get = functools.cache(self._get)
@@ -161,10 +173,16 @@ class _Neighbours:
     def __getitem__(self, name: str) -> bytes:
         return self.get(name)
 
+    def find(self, names: Sequence[str]) -> str | None:
+        """The first of these names that a file beside the one being read has."""
+        return next((name for name in names if name and (self._path.parent / name).is_file()), None)
+
     def _get(self, name: str) -> bytes:
         """The content of a file beside the one being read."""
         try:
-            file = inside_folder(self._path.parent, unquote(name.strip()), str(self._path))
+            file = inside_folder(
+                self._path.parent, unquote(name.strip()) if self._is_gltf else name.strip(), str(self._path)
+            )
             if not file.is_file():
                 raise BadInputError(
                     f"{self._path}: its file {shown(name)[1:-1]} is missing or no regular file; put it beside this one."
@@ -180,47 +198,33 @@ class _Neighbours:
 
 
 def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """The file as a trimesh.Scene, with everything that it refers to, and what is not drawn."""
+    """A glTF file as a trimesh.Scene, with everything that it refers to, and what is not drawn."""
     import trimesh
 
-    content, neighbours = read_bytes(path, LIMITS.mesh_bytes), _Neighbours(path)
-    suffix = path.suffix.lower()
-    document = GltfDocument(path, content) if suffix in _GLTF else None
-    materials: Iterable[tuple[str, list[str]]] = ()
-    parts: list[str] = []
-    if document:
-        document.check(_UNDERSTOOD, neighbours.get)
-        materials, parts = lost_material_keys(document, neighbours.get), list(lost_parts(document))
-        content = document.for_trimesh()
-    elif suffix == ".obj":
-        check_obj(path, content, neighbours.get)
-    else:
-        check_ply(path, content)
-    source = trimesh.load_scene(io.BytesIO(content), file_type=suffix[1:], process=False, resolver=neighbours)
+    neighbours = _Neighbours(path)
+    document = GltfDocument(path, read_bytes(path, LIMITS.mesh_bytes))
+    document.check(_UNDERSTOOD, neighbours.get)
+    materials, parts = lost_material_keys(document, neighbours.get), list(lost_parts(document))
+    content = io.BytesIO(document.for_trimesh())
+    source = trimesh.load_scene(content, file_type=path.suffix.lower()[1:], process=False, resolver=neighbours)
     if neighbours.faults:
         raise neighbours.faults[0]
+    return source, _named(path, materials, parts)
+
+
+def _named(path: Path, materials: Iterable[tuple[str, list[str]]], parts: Sequence[str]) -> tuple[str, ...]:
+    """Texts of what is not drawn: keys of materials by name, and parts of the file."""
     names_of: dict[str, list[str]] = {}
-    for name, keys in materials if document else _obj_materials(source):
+    for name, keys in materials:
         if keys:
             names_of.setdefault(", ".join(keys), []).append(name)
     lost = [*(f"{keys} of {', '.join(dict.fromkeys(names))}" for keys, names in names_of.items()), *parts]
-    return source, tuple(f"{each} in {path.name}" for each in lost)
+    return tuple(f"{each} in {path.name}" for each in lost)
 
 
-def _obj_materials(source: Any) -> Iterator[tuple[str, list[str]]]:
-    """Name, and keys that are not drawn, of each material of an OBJ file."""
-    materials = [getattr(geometry.visual, "material", None) for geometry in source.geometry.values()]
-    for material in filter(None, materials):
-        words = {key: " ".join(each) for key, each in material.kwargs.items() if key in _MATT_AND_OPAQUE_OBJ}
-        yield (
-            shown(material.name),
-            [key for key, each in words.items() if not re.fullmatch(_MATT_AND_OPAQUE_OBJ[key], each)],
-        )
-
-
-def _mesh(path: Path, name: str, source: Any) -> Mesh:
-    """One trimesh.Trimesh as our Mesh."""
-    position, triangles = np.asarray(source.vertices, dtype=np.float64), np.asarray(source.faces)
+def _mesh(path: Path, raw: RawMesh) -> Mesh:
+    """A checked mesh."""
+    name, position, triangles = raw.name, raw.position, raw.triangles
     if not (np.abs(position) < _LARGEST).all():
         raise BadInputError(
             f"{path}: mesh {shown(name)} has a vertex that is not finite in 32 bits; mend it where it was made."
@@ -234,64 +238,70 @@ def _mesh(path: Path, name: str, source: Any) -> Mesh:
     triangles = triangles[doubled_area > 0]
     if len(triangles) == 0:
         raise BadInputError(f"{path}: mesh {shown(name)} has no triangles with an area; export it again.")
-    factor, uv, texture = _material(path, name, source.visual)
-    normal, colour = _unit_normals(source), _vertex_colour(path, source.visual)
-    for what, values in (("normal", normal), ("colour", factor), ("colour", colour), ("texture coordinate", uv)):
+    raw = replace(raw, triangles=triangles) if raw.normal is not None else _flat(raw, triangles)
+    assert raw.normal is not None
+    mesh = Mesh(
+        name,
+        raw.position.astype(np.float32),
+        _unit_normals(raw.normal),
+        raw.triangles.astype(np.uint32),
+        raw.base_colour.astype(np.float32),
+        None if raw.uv is None else raw.uv.astype(np.float32),
+        vertex_colour=None if raw.vertex_colour is None else raw.vertex_colour.astype(np.float32),
+    )
+    factor, uv, colour = mesh.base_colour, mesh.uv, mesh.vertex_colour
+    for what, values in (("normal", mesh.normal), ("colour", factor), ("colour", colour), ("texture coordinate", uv)):
         if values is not None and not np.isfinite(values).all():
             raise BadInputError(f"{path}: mesh {shown(name)} has a {what} that is not finite; export it again.")
     if factor.min() < 0 or (colour is not None and colour.size and colour.min() < 0):
         raise BadInputError(f"{path}: mesh {shown(name)} has a negative colour; export it again.")
-    return Mesh(name, position.astype(np.float32), normal, triangles.astype(np.uint32), factor, uv, texture, colour)
+    if raw.picture is None:
+        return mesh
+    if uv is None:
+        raise BadInputError(
+            f"{path}: mesh {shown(name)} has a texture but no texture coordinates; export it with them."
+        )
+    return replace(mesh, texture=texture_of(f"{path}: the texture of mesh {shown(name)}", raw.picture))
 
 
-def _unit_normals(source: Any) -> Float32Array:
-    """The file's normals or, where it has none, the mean of those of the triangles around."""
-    normal = np.array(source.vertex_normals, dtype=np.float64)
+def _flat(raw: RawMesh, triangles: NDArray[np.int64]) -> RawMesh:
+    """A mesh without normals as these triangles of it, each with three vertices and the normal of its plane."""
+    corners = raw.position[triangles]
+    normal = np.repeat(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), 3, axis=0)
+    kept = triangles.ravel()
+    return replace(
+        raw,
+        position=raw.position[kept],
+        triangles=np.arange(len(kept)).reshape(-1, 3),
+        normal=normal / np.abs(normal).max(axis=1, keepdims=True),
+        uv=None if raw.uv is None else raw.uv[kept],
+        vertex_colour=None if raw.vertex_colour is None else raw.vertex_colour[kept],
+    )
+
+
+def _unit_normals(normal: FloatArray) -> Float32Array:
+    """Unit normals (vertices, 3) of normals of any length; up where one has no length."""
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     unit = np.where(~(length <= 1e-12), normal / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
     return unit.astype(np.float32)
 
 
-def _material(path: Path, name: str, visual: Any) -> tuple[Float32Array, Float32Array | None, NDArray[np.uint8] | None]:
-    """Linear factor (3,), uv (vertices, 2) with its origin at the top left, and texture of a mesh."""
+def _of_trimesh(name: str, source: Any) -> RawMesh:
+    """A trimesh.Trimesh of a glTF file."""
+    visual, factor, uv, picture = source.visual, np.ones(3), None, None
     material = getattr(visual, "material", None)
-    if material is None:
-        return np.ones(3, np.float32), None, None
-    if hasattr(material, "baseColorTexture"):
-        image, factor = material.baseColorTexture, material.baseColorFactor
-        factor = np.ones(3) if factor is None else factor[:3] / 255.0
-    else:
-        image, factor = material.image, np.array(material.kwargs.get("kd", (1.0, 1.0, 1.0)))
-    uv = None if visual.uv is None else np.asarray(visual.uv, dtype=np.float32)[:, :2] * [1, -1] + [0, 1]
-    if image is not None and uv is None:
-        raise BadInputError(
-            f"{path}: mesh {shown(name)} has a texture but no texture coordinates; export it with them."
-        )
-    if image is None or uv is None:
-        return factor.astype(np.float32), None, None
-    where, stored = f"{path}: the texture of mesh {shown(name)}", image.fp
-    require_pixels(where, image.size)
-    try:
-        texture = np.asarray(image.convert("RGB"), dtype=np.uint8)
-    except (OSError, SyntaxError) as error:
-        raise BadInputError(
-            f"{where} cannot be read ({error}); replace the picture, or export the mesh again."
-        ) from error
-    if not texture[-1].any() and isinstance(stored, io.BytesIO):
-        # Pillow leaves rows that a PNG lacks black, and says nothing; OpenCV refuses them.
-        decode_image(where, stored.getvalue(), cv2.IMREAD_COLOR, "replace the picture, or export the mesh again")
-    return factor.astype(np.float32), uv.astype(np.float32), texture
-
-
-def _vertex_colour(path: Path, visual: Any) -> Float32Array | None:
-    """Linear colours (vertices, 3), or None."""
-    gltf = path.suffix.lower() in _GLTF
+    if material is not None:
+        picture = material.baseColorTexture
+        factor = factor if material.baseColorFactor is None else material.baseColorFactor[:3] / 255.0
+        if picture is not None and visual.uv is not None:
+            uv = np.asarray(visual.uv, dtype=np.float32)[:, :2] * [1, -1] + [0, 1]
+    colour = None
     if visual.kind in ("vertex", "face"):
-        byte = np.asarray(visual.vertex_colors)[:, :3]
-        return (byte / 255).astype(np.float32) if gltf else decode_srgb(byte)
-    # Only glTF has colours and a material at once; they are floats, or integers of which the greatest means 1.
-    stored = getattr(visual, "vertex_attributes", {}).get("color")
-    if stored is None:
-        return None
-    whole = 1.0 if stored.dtype.kind == "f" else float(np.iinfo(stored.dtype).max)
-    return (np.asarray(stored)[:, :3] / whole).astype(np.float32)
+        colour = np.asarray(visual.vertex_colors)[:, :3] / 255
+    elif (stored := getattr(visual, "vertex_attributes", {}).get("color")) is not None:
+        # Colours beside a material are floats, or integers of which the greatest means 1.
+        whole = 1.0 if stored.dtype.kind == "f" else float(np.iinfo(stored.dtype).max)
+        colour = np.asarray(stored)[:, :3] / whole
+    position, triangles = np.asarray(source.vertices, dtype=np.float64), np.asarray(source.faces)
+    normal = np.array(source.vertex_normals, dtype=np.float64) if "vertex_normals" in source._cache else None
+    return RawMesh(name, position, triangles, normal, factor, uv, picture, colour)
