@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.soak.records import EyeMoment, StreamFrame
 from benchmarks.soak.synthetic_tracker import tracker_samples
@@ -18,9 +17,6 @@ from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.synthetic import eye_motion, head_motion
 from wlr_render.tracking.trajectory import EYES, EyeTrajectory, HeadTrajectory
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
-
-GAP = 2.5
-"""Rows of a track that are so many times farther apart in time than usual have a gap between them."""
 
 JITTER_M = 20e-6
 """Standard deviation, per axis, of a made-up tracker's samples: ours. Real ones never say the same twice, so that every
@@ -73,7 +69,7 @@ class Wearer:
         time_s = np.minimum(time_s, end - late_s)
         followed = {eye: _followed(self._samples(eyes, eye, time_s), time_s, box) for eye, box in boxes.items()}
         begun, lit = (_newest_pose(head, at_s) for at_s in (time_s, np.minimum(time_s + late_s, end)))
-        lost = in_gap(head.time_s, time_s)
+        lost = head.gaps_at(time_s).length_s > 0
         return [
             StreamFrame(float(t), begun[k], lit[k], {eye: track[k] for eye, track in followed.items()}, bool(lost[k]))
             for k, t in enumerate(time_s)
@@ -95,7 +91,7 @@ class Wearer:
             noise = JITTER_M * rng.normal(size=(len(time_s), 3))
             samples = tracker_samples(eyes, time_s, self.seed)[eye]
             return [None if point is None else point + noise[k] for k, point in enumerate(samples)]
-        seen = ~in_gap(eyes.tracks[eye].time_s, time_s)
+        seen = eyes.gaps_at(eye, time_s).length_s == 0
         return [point if good else None for point, good in zip(eyes.viewpoint_at(eye, time_s), seen, strict=True)]
 
     def _overlap(self, head: HeadTrajectory, eyes: EyeTrajectory, boxes: Mapping[str, EyeBox]) -> tuple[float, float]:
@@ -110,18 +106,9 @@ class Wearer:
         return " and ".join(str(path) for path in (self.head, self.eyes) if path)
 
 
-def in_gap(row_s: FloatArray, time_s: FloatArray) -> NDArray[np.bool_]:
-    """Moments (n,) strictly between rows (m,) that are farther apart than a tracker's own interval explains, (n,)."""
-    step_s = np.diff(row_s)
-    before = np.clip(np.searchsorted(row_s, time_s, side="right") - 1, 0, len(step_s) - 1)
-    on_a_row = (time_s == row_s[before]) | (time_s == row_s[before + 1])
-    return np.asarray((step_s[before] > GAP * np.median(step_s)) & ~on_a_row)
-
-
 def _newest_pose(head: HeadTrajectory, time_s: FloatArray) -> FloatArray:
     """(n, 4, 4): interpolated between rows, but in a gap the last row's, as who draws knows no later one."""
-    last_s = head.time_s[np.searchsorted(head.time_s, time_s, side="right") - 1]
-    return head.at(np.where(in_gap(head.time_s, time_s), last_s, time_s))
+    return head.at(head.gaps_at(time_s).start_s)
 
 
 def _followed(samples: Samples, time_s: FloatArray, box: EyeBox) -> list[EyeMoment]:

@@ -562,6 +562,24 @@ def test_a_pupil_outside_the_eye_box_is_held_marked_and_counted(options, tmp_pat
     assert f"{track}: the right pupil is outside the eye box in 6 of 11 frames, first at 0.0000 s" in sentence
 
 
+def test_frames_in_a_gap_of_a_track_are_held_marked_and_counted(options, tmp_path):
+    times = [0.0, 0.1, 0.5, 0.6, 0.7]  # a blink of 0.4 s
+    centre = open_eye(options.headset).eye_box.centre
+    track = moving_pupil(tmp_path / "eyes.txt", "right", times, centre, step_m=(0.001, 0.0, 0.0))
+    head = still_head(tmp_path / "head.tum", [0.0, 0.1, 0.2, 0.5, 0.6, 0.7])
+    job = replace(options, head=head, eye_track=track, frames_per_second=10.0)
+    report = render(job)
+    frames = json.loads((job.out / "sequence.json").read_text())["frames"]
+    at_mm = [1e3 * (frame["viewpoint_in_device_m"][0] - centre[0]) for frame in frames]
+    np.testing.assert_allclose(at_mm, [0, 0.1, 0.1, 0.1, 0.1, 0.5, 0.6, 0.7], atol=1e-9)
+    assert [frame.get("held", False) for frame in frames] == [False] * 2 + [True] * 3 + [False] * 3
+    lost = "first at 0.2000 s", "first at 0.3000 s"
+    assert [sentence.partition(";")[0] for sentence in report.warnings] == [
+        f"{track}: the right pupil was not tracked in 3 of 8 frames, {lost[0]}, in gaps of up to 0.4 s",
+        f"{head}: the head was not tracked in 2 of 8 frames, {lost[1]}, in gaps of up to 0.3 s",
+    ]
+
+
 def test_pupils_that_are_all_outside_the_eye_box_are_refused(options, tmp_path):
     track = moving_pupil(tmp_path / "eyes.txt", "right", [0.0, 1.0], np.array([0.006, 0.0, 0.0]))
     with pytest.raises(

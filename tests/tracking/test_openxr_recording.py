@@ -131,3 +131,12 @@ def test_what_is_no_json_is_named_by_its_line(tmp_path):
     path.write_text("\n")
     with pytest.raises(BadInputError, match="has no lines"):
         read_head_trajectory(path)
+
+
+def test_invalid_poses_make_gaps(tmp_path):
+    lines = [head(k * 10_000_000, flags=1 if k == 3 else 15) for k in range(6)]
+    lines += [each for k in range(6) for each in eyes(k * 10_000_000)]
+    path = recorded(tmp_path, *lines)
+    moments = np.array([0.015, 0.025, 0.035, 0.045])
+    np.testing.assert_allclose(read_head_trajectory(path).gaps_at(moments).length_s, [0, 0.02, 0.02, 0], atol=1e-12)
+    assert not read_eye_trajectory(path).gaps_at("left", moments).length_s.any()

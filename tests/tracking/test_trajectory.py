@@ -55,6 +55,21 @@ def test_the_head_pose_carries_the_device_origin_to_its_position():
     np.testing.assert_allclose(transforms.apply(head.at(0.25), np.zeros(3)), [0.5, 1, 0], atol=1e-15)
 
 
+@pytest.mark.parametrize("interval_s", [0.002, 0.011, 0.5])
+def test_a_gap_is_where_two_samples_are_missing_whatever_the_rate(interval_s):
+    sample = np.array([0.0, 1.0, 2.0, 3.0, 6.0, 7.0, 9.0, 10.0])
+    track = ViewpointTrack(interval_s * sample, np.zeros((8, 3)))
+    moment = np.array([0.5, 3.0, 3.1, 5.9, 6.0, 8.0])
+    gaps = track.gaps_at(interval_s * moment)
+    np.testing.assert_allclose(gaps.start_s, interval_s * np.array([0.5, 3.0, 3.0, 3.0, 6.0, 8.0]), atol=1e-12)
+    np.testing.assert_allclose(gaps.length_s, interval_s * np.array([0, 0, 3, 3, 0, 0]), atol=1e-12)
+
+
+def test_a_sample_that_the_recording_calls_invalid_makes_a_gap():
+    track = ViewpointTrack(np.array([0.0, 1.0, 3.0, 4.0]), np.zeros((4, 3)), invalid_s=np.array([-1.0, 2.0, 5.0]))
+    np.testing.assert_array_equal(track.gaps_at([0.5, 1.0, 1.5, 2.5, 3.5]).length_s, [0, 0, 2, 2, 0])
+
+
 @pytest.mark.parametrize("moment", [0.9, 2.1, np.nan])
 def test_a_moment_outside_is_refused_with_the_range(head, gaze, moment):
     with pytest.raises(BadInputError, match=r"lies outside its range 1\.000000 to 2\.000000 s"):

@@ -50,7 +50,11 @@ class PlannedFrame:
     viewpoint: FloatArray
     world_from_device: FloatArray
     held: bool = False
-    """Whether the pupil was outside the eye box, and was held inside."""
+    """Whether the pupil is held: in a gap of the eye track, or outside the eye box."""
+    eye_gap_s: float = 0.0
+    """Length of the gap between samples of the eye in which it lies; 0 in none."""
+    head_gap_s: float = 0.0
+    """Length of the gap between samples of the head in which it lies; 0 in none."""
 
     @property
     def stem(self) -> str:
@@ -74,35 +78,39 @@ def planned_frames(
     """
     times = _times(options, head, eyes)
     pupils = {eye: _pupils(options, mappings[eye], eyes, times) for eye in mappings}
+    head_gap_s = head.gaps_at(times).length_s if head else np.zeros(len(times))
     plan = []
     for index, time_s in enumerate(times):
         pose = head.at(time_s) if head else np.eye(4)
         for eye in mappings:
-            viewpoint, held = pupils[eye][index]
-            plan.append(PlannedFrame(index, float(time_s), eye, viewpoint, pose, held))
+            viewpoint, held, eye_gap_s = pupils[eye][index]
+            gaps_s = eye_gap_s, float(head_gap_s[index])
+            plan.append(PlannedFrame(index, float(time_s), eye, viewpoint, pose, held, *gaps_s))
     return plan
 
 
 def _pupils(
     options: MotionOptions, mappings: EyeMappings, eyes: EyeTrajectory | None, times: FloatArray
-) -> list[tuple[FloatArray, bool]]:
-    """Viewpoint (3,) of each frame, and whether it is held: where the tracked pupil is outside the eye box.
+) -> list[tuple[FloatArray, bool, float]]:
+    """Viewpoint (3,) of each frame, whether it is held, and the length of the gap in which it lies, or 0.
 
-    A pupil is held at its last place inside or, before there is one, at the nearest point of the eye box.
+    In a gap between samples, such as a blink, a pupil is held at the last sample. Outside the eye box it is held at its
+    last place inside or, before there is one, at the nearest point of the eye box.
     """
     box = mappings.eye_box
     if eyes is None:
-        return [(box.centre, False)] * len(times)
-    tracked = [eyes.viewpoint_at(mappings.eye, time_s) for time_s in times]
+        return [(box.centre, False, 0.0)] * len(times)
+    gaps = eyes.gaps_at(mappings.eye, times)
+    tracked = [eyes.viewpoint_at(mappings.eye, time_s) for time_s in gaps.start_s]
     inside = [box.contains(place, margin=1e-6) for place in tracked]
     if not any(inside):
         require_in_eye_box(mappings, tracked[0], f"{options.eye_track} at {times[0]:.4f} s, {mappings.eye} eye")
-    pupils: list[tuple[FloatArray, bool]] = []
+    pupils: list[tuple[FloatArray, bool, float]] = []
     last: FloatArray | None = None
-    for place, is_inside in zip(tracked, inside, strict=True):
+    for place, is_inside, gap_s in zip(tracked, inside, gaps.length_s, strict=True):
         last = place if is_inside else last
         nearest = np.clip(place, box.centre - box.size / 2, box.centre + box.size / 2) if last is None else last
-        pupils.append((nearest, not is_inside))
+        pupils.append((nearest, not is_inside or gap_s > 0, float(gap_s)))
     return pupils
 
 
@@ -140,22 +148,39 @@ def gap_warnings(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeT
     for file, time_s in _sample_times(options, head, eyes):
         gaps[file] = max(gaps.get(file, 0.0), float(np.diff(time_s).max()))
     return [
-        f"{file}: neighbouring samples are up to {gap:.3g} s apart, and poses between them are interpolated; are the "
-        "times in seconds?"
+        f"{file}: neighbouring samples are up to {gap:.3g} s apart; are the times in seconds?"
         for file, gap in gaps.items()
         if gap > LONGEST_GAP_S
     ]
 
 
 def held_warnings(options: MotionOptions, plan: list[PlannedFrame]) -> list[str]:
-    """A sentence for each eye whose pupil was held in some frames."""
+    """A sentence for each eye whose pupil was held in some frames, and one for gaps of the head."""
     warnings = []
     for eye in eyes_of(options.eye):
         own = [planned for planned in plan if planned.eye == eye]
-        held = [planned for planned in own if planned.held]
-        if held:
+        lost = [planned for planned in own if planned.eye_gap_s]
+        outside = [planned for planned in own if planned.held and not planned.eye_gap_s]
+        if lost:
             warnings.append(
-                f"{options.eye_track}: the {eye} pupil is outside the eye box in {len(held)} of {len(own)} frames, "
-                f"first at {held[0].time_s:.4f} s; there it is held at its last place inside ('held' in {RECORD})."
+                f"{options.eye_track}: the {eye} pupil was not tracked in {_share(lost, own)}, in gaps of up to "
+                f"{max(planned.eye_gap_s for planned in lost):.3g} s; there it is held at the last sample ('held' in "
+                f"{RECORD})."
             )
+        if outside:
+            warnings.append(
+                f"{options.eye_track}: the {eye} pupil is outside the eye box in {_share(outside, own)}; there it is "
+                f"held at its last place inside ('held' in {RECORD})."
+            )
+    frames = list({planned.index: planned for planned in plan}.values())
+    lost = [planned for planned in frames if planned.head_gap_s]
+    if lost:
+        warnings.append(
+            f"{options.head}: the head was not tracked in {_share(lost, frames)}, in gaps of up to "
+            f"{max(planned.head_gap_s for planned in lost):.3g} s; there its pose is interpolated."
+        )
     return warnings
+
+
+def _share(some: list[PlannedFrame], of: list[PlannedFrame]) -> str:
+    return f"{len(some)} of {len(of)} frames, first at {some[0].time_s:.4f} s"

@@ -9,8 +9,8 @@ names of OpenXR's structures; the first line is a header:
 
 `time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`; `left_view`,
 `right_view` (views of xrLocateViews) and `gaze` (XR_EXT_eye_gaze_interaction) are located in `view`. Lines of other
-spaces are left out, and those without valid position and orientation. OpenXR's axes and units are ours, so that only
-the place of the headset's VIEW space is needed: `device_from_view` of the header, 4 rows of 4, or the identity.
+spaces are left out. Lines without valid position and orientation mark a gap. OpenXR's axes and units are ours, so that
+only the place of the headset's VIEW space is needed: `device_from_view` of the header, 4 rows of 4, or the identity.
 """
 
 from collections.abc import Sequence
@@ -44,11 +44,15 @@ _HEAD_FAR_M, _EYE_FAR_M = 1000.0, 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Located:
-    """Where a space was found: times (n,), positions (n, 3) and quaternions xyzw (n, 4) in its base space."""
+    """Where a space was found: times (n,), positions (n, 3) and quaternions xyzw (n, 4) in its base space.
+
+    `invalid_s` (m,) are the times at which it was not found.
+    """
 
     time_s: FloatArray
     position: FloatArray
     xyzw: FloatArray
+    invalid_s: FloatArray
 
     def poses(self) -> FloatArray:
         """(n, 4, 4)."""
@@ -71,7 +75,7 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
     world_from_device = head.poses() @ transforms.inverse(device_from_view)
     require_plausible_motion(str(path), head.time_s, head.position, _HEAD_FAR_M)
     xyzw = Rotation.from_matrix(world_from_device[:, :3, :3]).as_quat()
-    return HeadTrajectory(head.time_s, world_from_device[:, :3, 3], xyzw, str(path))
+    return HeadTrajectory(head.time_s, world_from_device[:, :3, 3], xyzw, str(path), head.invalid_s)
 
 
 def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
@@ -102,9 +106,9 @@ def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
                 raise BadInputError(
                     f"{path}: the pose of 'gaze' looks backwards; it looks along its -z, and must be located in 'view'."
                 )
-            tracks[eye] = GazeTrack(gaze.time_s, gaze_dir, turning, name)
+            tracks[eye] = GazeTrack(gaze.time_s, gaze_dir, turning, name, gaze.invalid_s)
         else:
-            tracks[eye] = ViewpointTrack(view.time_s, place, name)
+            tracks[eye] = ViewpointTrack(view.time_s, place, name, view.invalid_s)
     if not tracks:
         raise BadInputError(
             f"{path}: has no pose of 'left_view' or 'right_view', the places of the eyes; record xrLocateViews in VIEW "
@@ -130,6 +134,7 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
     if header.number("version") != _VERSION:
         raise header.fail(f"'version' is {header.number('version'):g}; this program reads version {_VERSION}.")
     found: dict[str, list[tuple[Table, list[float]]]] = {}
+    invalid_s: dict[str, list[float]] = {}
     bases: set[str] = set()
     for row in rows:
         space = row.text("space")
@@ -142,7 +147,10 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
             raise row.fail(f"'base_space' changes from {' to '.join(sorted(bases))}; record the head in one space.")
         if row.whole("locationFlags", most=2**32) & _VALID == _VALID:
             found.setdefault(space, []).append((row, _numbers(row)))
-    return _device_from_view(header), {space: _located(entries) for space, entries in found.items()}
+        else:
+            invalid_s.setdefault(space, []).append(row.number("time") / 1e9)
+    located = {space: _located(entries, invalid_s.get(space, [])) for space, entries in found.items()}
+    return _device_from_view(header), located
 
 
 def _numbers(row: Table) -> list[float]:
@@ -156,14 +164,14 @@ def _numbers(row: Table) -> list[float]:
     return [row.number("time") / 1e9, *(place.number(axis) for axis in "xyz"), *(each / length for each in xyzw)]
 
 
-def _located(entries: Sequence[tuple[Table, list[float]]]) -> _Located:
+def _located(entries: Sequence[tuple[Table, list[float]]], invalid_s: Sequence[float]) -> _Located:
     content = np.array([numbers for _, numbers in entries])
     late = np.flatnonzero(np.diff(content[:, 0]) <= 0)
     if late.size:
         raise entries[int(late[0]) + 1][0].fail(
             "'time' does not come after that of the same space before it; sort the lines, drop duplicates."
         )
-    return _Located(content[:, 0], content[:, 1:4], content[:, 4:])
+    return _Located(content[:, 0], content[:, 1:4], content[:, 4:], np.array(invalid_s))
 
 
 def _device_from_view(header: Table) -> FloatArray:

@@ -50,6 +50,43 @@ def bracket(sample_time_s: FloatArray, time_s: ArrayLike, what: str) -> Bracket:
     return Bracket(np.asarray(before), np.asarray((moment - start) / (end - start)))
 
 
+GAP = 2.5
+"""Samples that are more than so many times the median interval apart have a gap between them: two or more are missing.
+
+A recording of 90 Hz has a gap after 28 ms without a sample; a track of two samples has none."""
+
+_ROUNDING_S = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Gaps:
+    """Gaps between samples at time stamps.
+
+    Attributes:
+        start_s: (...) time of the last sample before the gap; outside of gaps the time stamp itself.
+        length_s: (...) time between the samples around the gap; 0 outside of gaps.
+    """
+
+    start_s: FloatArray
+    length_s: FloatArray
+
+
+def gaps_at(sample_time_s: FloatArray, time_s: ArrayLike, invalid_s: FloatArray) -> Gaps:
+    """Find gaps at time stamps (...), given ascending sample times (n,), n >= 2.
+
+    There is a gap where neighbouring samples are more than GAP median intervals apart, and where one of the times
+    `invalid_s` (m,) at which the recording itself has no valid sample lies between them.
+    """
+    moment, step_s = np.asarray(time_s, dtype=np.float64), np.diff(sample_time_s)
+    without = step_s > GAP * np.median(step_s)
+    after = np.searchsorted(sample_time_s, invalid_s)
+    without[after[(after > 0) & (after < len(sample_time_s))] - 1] = True
+    before = np.clip(np.searchsorted(sample_time_s, moment, side="right") - 1, 0, len(step_s) - 1)
+    start, end = sample_time_s[before], sample_time_s[before + 1]
+    inside = without[before] & (moment > start + _ROUNDING_S) & (moment < end - _ROUNDING_S)
+    return Gaps(np.where(inside, start, moment), np.where(inside, end - start, 0.0))
+
+
 def require_ascending(time_s: FloatArray, what: str) -> None:
     """Check that there are at least two samples and that their times ascend strictly."""
     if len(time_s) < 2:

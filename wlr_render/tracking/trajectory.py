@@ -1,7 +1,10 @@
-"""Sampled head and eye trajectories, interpolated between the first and the last sample."""
+"""Sampled head and eye trajectories, interpolated between the first and the last sample.
+
+They interpolate over gaps too; `gaps_at` says where there are gaps.
+"""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -13,13 +16,28 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import RotatingEye
-from wlr_render.tracking.samples import bracket, require_ascending
+from wlr_render.tracking.samples import Gaps, bracket, gaps_at, require_ascending
 
 EYES = ("left", "right")
 
 
+class _Sampled:
+    """Samples at ascending times, and times at which the recording has no valid sample."""
+
+    time_s: FloatArray
+    invalid_s: FloatArray
+
+    def gaps_at(self, time_s: ArrayLike) -> Gaps:
+        """Gaps between the samples at times (...)."""
+        return gaps_at(self.time_s, time_s, self.invalid_s)
+
+
+def _none() -> FloatArray:
+    return np.zeros(0)
+
+
 @dataclass(frozen=True, eq=False)
-class HeadTrajectory:
+class HeadTrajectory(_Sampled):
     """Head trajectory: poses of the headset in the world.
 
     Attributes:
@@ -27,12 +45,14 @@ class HeadTrajectory:
         position_in_world: (n, 3) origin of the device frame, metres.
         world_from_device_xyzw: (n, 4) unit quaternions.
         name: for messages, e.g. the file.
+        invalid_s: (m,) times at which the recording has no valid sample.
     """
 
     time_s: FloatArray
     position_in_world: FloatArray
     world_from_device_xyzw: FloatArray
     name: str = "head trajectory"
+    invalid_s: FloatArray = field(default_factory=_none)
 
     def __post_init__(self) -> None:
         require_ascending(self.time_s, self.name)
@@ -59,23 +79,28 @@ class EyeTrack(Protocol):
     def time_s(self) -> FloatArray:
         """(n,) ascending sample times."""
 
+    def gaps_at(self, time_s: ArrayLike) -> Gaps:
+        """Gaps between the samples at times (...)."""
+
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
         """Entrance pupils (..., 3) at times (...), device frame, metres."""
 
 
 @dataclass(frozen=True, eq=False)
-class ViewpointTrack:
+class ViewpointTrack(_Sampled):
     """Trajectory of one eye from tracked entrance pupils.
 
     Attributes:
         time_s: (n,) ascending, n >= 2.
         viewpoint_in_device: (n, 3) metres.
         name: for messages.
+        invalid_s: (m,) times at which the recording has no valid sample.
     """
 
     time_s: FloatArray
     viewpoint_in_device: FloatArray
     name: str = "eye trajectory"
+    invalid_s: FloatArray = field(default_factory=_none)
 
     def __post_init__(self) -> None:
         require_ascending(self.time_s, self.name)
@@ -86,7 +111,7 @@ class ViewpointTrack:
 
 
 @dataclass(frozen=True, eq=False)
-class GazeTrack:
+class GazeTrack(_Sampled):
     """Trajectory of one eye from tracked gaze; the eye model gives the entrance pupil.
 
     Attributes:
@@ -94,12 +119,14 @@ class GazeTrack:
         gaze_dir: (n, 3) unit, device frame.
         eye_model: rotation centre and pupil distance.
         name: for messages.
+        invalid_s: (m,) times at which the recording has no valid sample.
     """
 
     time_s: FloatArray
     gaze_dir: FloatArray
     eye_model: RotatingEye
     name: str = "eye trajectory"
+    invalid_s: FloatArray = field(default_factory=_none)
 
     def __post_init__(self) -> None:
         require_ascending(self.time_s, self.name)
@@ -143,6 +170,17 @@ class EyeTrajectory:
         Raises:
             BadInputError: an eye that was not tracked, or a time outside its track.
         """
+        return self._track(eye).viewpoint_at(time_s)
+
+    def gaps_at(self, eye: str, time_s: ArrayLike) -> Gaps:
+        """Gaps between the samples of one eye at times (...).
+
+        Raises:
+            BadInputError: an eye that was not tracked.
+        """
+        return self._track(eye).gaps_at(time_s)
+
+    def _track(self, eye: str) -> EyeTrack:
         if eye not in self.tracks:
             raise BadInputError(f"{self.name}: there is no eye '{eye}' in it, only {', '.join(sorted(self.tracks))}.")
-        return self.tracks[eye].viewpoint_at(time_s)
+        return self.tracks[eye]

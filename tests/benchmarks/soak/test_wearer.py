@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from streamed import BOX, RATE_HZ, fixations, recorded
 
-from benchmarks.soak.wearer import GAP, Wearer, in_gap
+from benchmarks.soak.wearer import Wearer
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox
 from wlr_render.tracking.viewpoint_filter import TrackingState
@@ -22,13 +22,6 @@ def states_of(moments):
 
 def viewpoints_of(moments):
     return np.stack([moment.eyes["right"].viewpoint for moment in moments])
-
-
-def test_a_gap_is_where_rows_are_missing_whatever_the_trackers_rate():
-    for interval_s in (0.002, 0.5):
-        row_s = interval_s * np.array([0.0, 1.0, 2.0, 3.0, 3.0 + 1.1 * GAP, 4.0 + 1.1 * GAP])
-        asked = interval_s * np.array([0.0, 0.5, 3.0, 3.1, 5.0, 3.0 + 1.1 * GAP, 3.5 + 1.1 * GAP])
-        np.testing.assert_array_equal(in_gap(row_s, asked), [False, False, False, True, True, False, False])
 
 
 def test_a_gap_in_a_recording_is_held_then_faded_then_waited_out_and_left_at_once(tmp_path):
