@@ -1,5 +1,6 @@
 """What a cause must pay for: Occam's razor, whole steps, and chance."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -137,3 +138,14 @@ def test_a_panel_displaced_by_any_amount_is_not_counted_wrong(bench, plan, readi
         origin, shift = costs(observations, explanation(pixel_origin=[0, 0]), explanation(panel_shift=[0, 0]))
         called += int(shift - origin > 2.0 * np.log(100.0))
     assert called <= most
+
+
+@pytest.mark.parametrize(("name", "field"), [("latency", "latency_s"), ("rolling_scanout", "scanout_s")])
+@pytest.mark.parametrize(("stated_ms", "change_ms", "physical"), [(0.0, -4.0, False), (10.0, -4.0, True)])
+def test_a_delay_below_zero_is_not_physical(bench, run_time, name, field, stated_ms, change_ms, physical):
+    """What counts is the whole delay, of which the bench file may state some."""
+    nominal = replace(bench, clock=replace(bench.clock, **{field: 1e-3 * stated_ms}))
+    observations = measured(nominal, run_time, SIGMA_PX, seed=10, **{name: [change_ms]})
+    found = fitted(observations, explanation(**{name: [0.0]}))
+    assert found.explanation.vector() == pytest.approx([change_ms], abs=0.5)
+    assert is_physical(found) is physical

@@ -260,3 +260,45 @@ def test_improvement_in_use_is_tabulated_where_there_is_some():
     )
     assert [row[1:] for row in table.text_rows()] == [["1.06", "0.347", "67.2 +- 0.7"], ["0.99", "0.169", "82.9"]]
     assert table.notes[-1] == "s: no display table."
+
+
+def test_sentences_judge_by_the_settings_of_the_diagnosis(explained, unexplained):
+    """With higher odds asked for, what the residual depends on, and what is undecided, is another matter."""
+
+    def strict(diagnosis, **changes):
+        return replace(diagnosis, settings=replace(diagnosis.settings, **changes))
+
+    assert " depends on panel pixels" in verdict_sentence(unexplained)
+    assert "follows no smooth function" in verdict_sentence(strict(unexplained, least_log10_odds=1e6))
+    assert not any("smooth function" in step for step in advice(strict(unexplained, least_log10_odds=1e6)))
+    cause = replace(
+        explained.causes[0],
+        degenerate=(DegenerateCause(OTHER, 0.99, "a nearer target"),),
+        ranking=(RankedCandidate(OTHER, "as a whole", 3.2, 6.0),),
+    )
+    decided = replace(explained, causes=(cause,))
+    assert any("The session decides" in each for each in warnings(decided))
+    assert any("does not decide" in each for each in warnings(strict(decided, decisive_odds=8.0)))
+    assert "not determined" in bench_sentence(strict(unexplained, material_excess=-1.0))
+    assert unexplained.settings.subsample == 1200  # as `diagnose` was given
+
+
+def test_values_to_type_have_the_digits_that_their_errors_allow(late):
+    """Two digits of the standard error."""
+    (line,) = values_to_type(late)
+    (latency,) = late.causes[0].parameters
+    typed = re.fullmatch(r"\[clock\] latency_s = (0\.\d+)", line)[1]
+    decimals = len(typed.partition(".")[2])
+    assert 10 <= 1e-3 * latency.sigma * 10**decimals < 100
+    assert float(typed) == pytest.approx(1e-3 * latency.value, abs=10.0**-decimals)
+
+
+def test_a_rotation_is_typed_in_full_but_in_no_sentence(bench, plan):
+    observations = measured(bench, plan, SIGMA_PX, seed=3, camera_rotation=[0.2, -0.1, 0.3])
+    found = diagnosed(observations.of_rows(observations.spread(600)), ("camera_rotation",))
+    (line,) = values_to_type(found)
+    rotation = np.array(tomllib.loads(line.split("] ", 1)[1])["rotation"])
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    (step,) = advice(found)
+    assert step.endswith("The corrected session's bench.toml has rotation of [camera].")
+    assert "[[" not in step

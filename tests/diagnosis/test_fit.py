@@ -1,12 +1,15 @@
 """Fits: what was injected comes back, also from far away; and the error bars say how well."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_noise
 
-from wlr_render.diagnosis.cause import Role
+from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis
+from wlr_render.errors import BadInputError
 
 # Forms and moments cannot be drawn at a share of their prior sigma; and from where a fit of them sets out.
 VALUES = {
@@ -130,3 +133,20 @@ def test_no_iterations_only_look(bench, plan):
     found = fitted_at_rest(observations, explanation(panel_shift=[0.1, 0.0]), iterations=0)
     np.testing.assert_array_equal(found.explanation.vector(), [0.1, 0.0])
     assert np.all(found.sigmas() > 0)
+
+
+def test_a_step_that_no_headset_can_take_is_a_shorter_one(bench, plan):
+    """The function of a cause refuses what is beyond 0.2; the truth is 0.5."""
+
+    def refusing(old, px):
+        if abs(px[0]) > 0.2:
+            raise BadInputError("device: the panel is not seen from most of the eye box")
+        return replace(old, readout=replace(old.readout, origin_px=old.readout.origin_px + px))
+
+    cause = Cause("origin", "origin", "device", (Parameter("u", "px", 0.5),), "s", "m", {"v": refusing})
+    observations = measured(bench, plan, pixel_origin=[0.5, 0.0])
+    observations = observations.of_rows(observations.spread(300))
+    (value,) = fitted_at_rest(observations, Explanation().plus(Hypothesis(cause, "v"))).explanation.values
+    assert 0.0 < value[0] <= 0.2
+    beyond = Explanation().plus(Hypothesis(cause, "v"), np.array([0.3]))
+    assert fitted_at_rest(observations, beyond) is None

@@ -1,13 +1,17 @@
 """Extensions of a bench: their order, their fast prediction against the plain one, and their Jacobian."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_session import explanation, hypothesis, measured
 
 from wlr_render.captures.session import SessionPlan
+from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
-from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.errors import BadInputError
 from wlr_render.simulation.simulate_session import simulate
 
 # One of every kind of change: of all surfaces, of media, of the panel, of the camera, of the target, of the readout.
@@ -144,3 +148,43 @@ def test_one_part_alone_can_be_predicted(bench, plan):
         )
         assert at.free.size == 6
         np.testing.assert_allclose(at.jacobian, plain_jacobian(observations, at), atol=1e-2 * np.abs(at.jacobian).max())
+
+
+@pytest.mark.parametrize(
+    ("changes", "touched"),
+    [
+        ({"wavelengths_um": (0.68, 0.58, 0.48)}, (True, False, False)),
+        ({"target_wavelength_um": 0.65}, (False, True, True)),
+    ],
+)
+def test_a_cause_of_other_colours_changes_the_readings(bench, plan, run_time, changes, touched):
+    """A user's own cause may change any attribute of a bench."""
+    whole = replace(plan, run_time=run_time.run_time)
+    predictor = Predictor(measured(bench, whole))
+    cause = Cause(
+        "leds", "LEDs", "device", (Parameter("share", "1", 1.0),), "s", "m", {"v": lambda old, v: other_colours(old, v)}
+    )
+
+    def other_colours(old, share):
+        return replace(old, **{name: old_to_new(getattr(old, name), new, share[0]) for name, new in changes.items()})
+
+    at = Explanation().plus(Hypothesis(cause, "v"), np.ones(1))
+    found, plain = predictor.state(at).readings, simulate(at.bench(bench), whole)
+    for name in ("panel_pixel", "dot_pixel", "seen"):
+        np.testing.assert_allclose(getattr(found, name), getattr(plain, name), atol=1e-7, err_msg=name)
+    nominal = predictor.state(Explanation()).readings
+    assert tuple(new is not old for new, old in zip(found.parts, nominal.parts, strict=True)) == touched
+
+
+def old_to_new(old, new, share):
+    mixed = np.asarray(old) + share * np.subtract(new, old)
+    return tuple(mixed.tolist()) if mixed.ndim else float(mixed)
+
+
+def test_a_headset_that_cannot_be_traced_predicts_no_reading(bench, run_time):
+    """The panel is seen from nowhere; a step of a fit may well lead there."""
+    predictor = Predictor(measured(bench, run_time))
+    away = explanation(panel_shift=[900.0, 0.0])
+    with pytest.raises(BadInputError):
+        simulate(away.bench(bench), run_time)
+    assert np.isnan(predictor.residual(away)).all()

@@ -183,3 +183,11 @@ def test_the_excess_is_that_of_the_captures_that_count(clean_and_noisy):
     assert readings.excess(calm, 0, everyone) == pytest.approx(0.5 * np.mean(np.sum((mine * size) ** 2, axis=(1, 2))))
     assert readings.excess(one, 0, everyone) > 100 * readings.excess(calm, 0, everyone)
     assert readings.excess(one, 0, others) == pytest.approx(readings.excess(calm, 0, others))
+
+
+def test_values_that_lose_readings_are_fitted_from_null_values(clean_and_noisy):
+    """Without another cause, the values of one may leave readings unpredicted."""
+    search = searching(clean_and_noisy)
+    far = explanation(combiner_shift=[100.0, 0.0, 0.0])
+    found = search.refitted(far, Scatter.usual(len(search.full.observations.captures)))
+    assert np.abs(found.explanation.vector()).max() < 1.0

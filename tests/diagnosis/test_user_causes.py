@@ -122,3 +122,43 @@ def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench, own):
     for each in CAUSES.values():
         listed = ", ".join(f"`{p.name}`: {p.unit} ({p.prior_sigma:g})" for p in each.parameters)
         assert f"| `{each.name}` | {listed} |\n" in text
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ('changed("camera", "focal_px", lambda old, s: old * float(s[0]))', "camera.focal_px"),
+        ('changed("camera", "focal_px", lambda old, s: old * (1.002 + 0.01 * float(s[0])))', "camera.focal_px"),
+        ("lambda bench, s: replace(bench, wavelengths_um=(0.68, 0.55, 0.45))", "wavelengths_um"),
+        ("lambda bench, s: replace(bench, target_wavelength_um=0.6 + float(s[0]))", "target_wavelength_um"),
+        ("lambda bench, s: replace(bench, device=replace(bench.device, eyes={'right': other(bench)}))", "device"),
+        ("in_place", "stage.backlash"),
+    ],
+)
+def test_a_cause_whose_null_values_change_the_bench_is_refused(bench, own, change, where):
+    given = replace(bench, stage=replace(bench.stage, backlash=np.zeros(2)))
+    text = GOOD.replace('changed("camera", "centre_px", lambda old, deg: old + deg)', change).replace(
+        "CAUSES = [", f"{HELPERS}\n\nCAUSES = ["
+    )
+    sentence = rf"'lens_hood' changes {where} in its variant 'v' at its null values \[0.0\]; there it must return"
+    with pytest.raises(BadInputError, match=sentence):
+        causes_for(given, [own(text)])
+
+
+HELPERS = """
+def other(bench):
+    return bench.optics.with_media(lambda medium: medium.shifted(0.001))
+
+
+def in_place(bench, values):
+    bench.stage.backlash[0] += 1e-3
+    return bench
+"""
+
+
+def test_a_cause_that_fails_at_some_values_refuses_these(bench, own):
+    """A fit then takes a shorter step, as with a headset that cannot be traced."""
+    text = GOOD.replace("lambda old, deg: old + deg", "lambda old, deg: old + [10, 20][int(deg[0])] * deg")
+    cause = causes_for(bench, [own(text)])["lens_hood"]
+    with pytest.raises(BadInputError, match=r"cause 'lens_hood' fails in its variant 'v' .IndexError"):
+        cause.perturb(bench, np.array([2.0]))

@@ -57,6 +57,8 @@ class Parameter:
         starts: first values of a SHAPE parameter; the first one is its null value, and what is expected.
         minimum: values below are not physical.
         prior_mean: expected value of a SIZE parameter; its null value, 0, is that of no effect whatever is expected.
+        in_bench: the whole quantity in a bench, in the unit, where a bench file may state some of it already; then this
+            must not be below `minimum`. None where the value is the whole.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Parameter:
     starts: tuple[float, ...] = (0.0,)
     minimum: float = -np.inf
     prior_mean: float = 0.0
+    in_bench: Callable[[Bench], float] | None = None
 
 
 PARTS = ("device", "camera", "stage", "target", "tracking", "mount", "eye tracking", "clock")
@@ -140,7 +143,7 @@ def _with_prior(name: str, parameter: Parameter, prior: tuple[float, float] | No
     mean, sigma = prior
     if parameter.role is Role.TIME:
         raise BadInputError(f"[prior.{name}]: '{parameter.name}' is searched for between captures; leave it out.")
-    if mean < parameter.minimum:
+    if parameter.in_bench is None and mean < parameter.minimum:
         raise BadInputError(
             f"[prior.{name}]: the mean of '{parameter.name}' is {mean:g}; the least is {parameter.minimum:g}."
         )

@@ -7,6 +7,7 @@ from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.html_summary import html_summary
 from wlr_render.numerics.arrays import BoolArray, FloatArray
@@ -157,7 +158,7 @@ class DetectionLimit:
 
     Attributes:
         cause, parameter, unit: which.
-        limit: five standard errors.
+        limit: `Settings.detection_limit_se` standard errors.
     """
 
     cause: str
@@ -249,6 +250,7 @@ class Diagnosis:
         corrected: the corrected bench.
         readings: those that are no outliers by themselves, with the errors that the bench gives them.
         fit: of all causes to them.
+        settings: by which it was made, and by which its sentences judge.
     """
 
     session: str
@@ -277,6 +279,7 @@ class Diagnosis:
     corrected: Bench = field(metadata={"json": False})
     readings: WeighedReadings = field(metadata={"json": False})
     fit: Fit = field(metadata={"json": False})
+    settings: Settings = field(metadata={"json": False})
 
     def _repr_html_(self) -> str:
         # Both import this module.

@@ -1,8 +1,10 @@
 """A diagnosis in sentences: the verdict and the advice."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from math import floor, log10
 from typing import Any
+
+import numpy as np
 
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
@@ -18,7 +20,7 @@ from wlr_render.diagnosis.diagnosis import (
 )
 from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.outliers import MovedCapture
-from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.settings import Settings
 from wlr_render.report.blocks import cell_text
 from wlr_render.simulation.bench_file import WRITTEN_FRAME, changed_keys
 
@@ -83,14 +85,14 @@ def times_the_noise(diagnosis: Diagnosis, part: str) -> float:
 
 def _left_over(diagnosis: Diagnosis, left: Unexplained) -> str:
     """The sentence on the residual that no cause explains."""
-    times, best = cell_text(times_the_noise(diagnosis, left.part)), _smooth_match(left)
+    times, best = cell_text(times_the_noise(diagnosis, left.part)), _smooth_match(left, diagnosis.settings)
     size = f"the {left.part} residual is {'still ' if diagnosis.causes else ''}{times} times the noise"
     if best is None:
         return f"{size} and follows no smooth function that was tried"
     return f"{size} and depends on {best.depends_on} (log10 odds {odds_text(best.log10_odds)})"
 
 
-def _smooth_match(left: Unexplained, settings: Settings = DEFAULT) -> Correction | None:
+def _smooth_match(left: Unexplained, settings: Settings) -> Correction | None:
     """The smooth function of best odds; None where none has good odds."""
     best = max(left.corrections, key=lambda each: each.log10_odds, default=None)
     return best if best is not None and best.log10_odds > settings.least_log10_odds else None
@@ -102,13 +104,13 @@ def _captures_beside(diagnosis: Diagnosis, moved: Iterable[MovedCapture]) -> int
     return sum(name.part in parts for name in diagnosis.readings.observations.captures)
 
 
-def advice(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
+def advice(diagnosis: Diagnosis) -> list[str]:
     """Next steps, most urgent first; each a sentence."""
     if diagnosis.verdict == NO_EFFECT:
         return ["Keep using the bench file; effects below the detection limits would not have been seen."]
+    left, settings = diagnosis.unexplained, diagnosis.settings
     steps = [_before_acting(cause, other) for cause in diagnosis.causes for other in undecided(cause, settings)]
     steps += _remedies(diagnosis)
-    left = diagnosis.unexplained
     if left is not None:
         best = _smooth_match(left, settings)
         dependence = f" that depends on {best.depends_on} and is none of the causes considered" if best else ""
@@ -137,34 +139,64 @@ def advice(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
 
 def _remedies(diagnosis: Diagnosis) -> list[str]:
     """One sentence for each remedy, naming the causes that it is for; with the values to type for each part."""
-    values = changed_keys(diagnosis.observations.nominal, diagnosis.corrected)
+    values = _typed_keys(diagnosis)
     titles: dict[tuple[str, str], list[str]] = {}
     for cause in diagnosis.causes:
         titles.setdefault((cause.part, cause.remedy or _REMEDIES[cause.part]), []).append(cause.title)
     steps, parts = [], [part for part, _ in titles]
     for number, ((part, remedy), named) in enumerate(titles.items()):
         step = f"{_capital(' and '.join(named))}: {remedy}."
-        keys = values.get(_TABLES.get(part, part), {}) if part not in parts[:number] else {}
+        table = _TABLES.get(part, part)
+        keys = values.get(table, {}) if part not in parts[:number] else {}
+        matrices = [key for key, typed in keys.items() if typed.startswith(_MATRIX)]
+        line = toml_line(table, {key: typed for key, typed in keys.items() if key not in matrices})
         if keys:
             together = [cause.name for cause in diagnosis.causes if cause.part == part]
             both = f" ({' and '.join(together)} together)" if parts.count(part) > 1 else ""
-            step += f" In bench.toml{both}: {toml_line(part, keys)}."
-        elif part == "device":
+            step += f" In bench.toml{both}: {line}." if len(matrices) < len(keys) else ""
+            step += (
+                f" The corrected session's bench.toml has {' and '.join(matrices)} of [{table}]." if matrices else ""
+            )
+        elif part == "device" and diagnosis.corrected.device is not diagnosis.observations.nominal.device:
             step += " The corrected device is device.toml in the corrected session."
         steps.append(step)
     return steps
 
 
-def toml_line(part: str, keys: dict[str, Any]) -> str:
+_MATRIX = "[["  # what is typed of a list of lists: too long for a sentence
+
+
+def toml_line(table: str, keys: Mapping[str, str]) -> str:
     """Keys of one table of bench.toml as they are typed, e.g. "[target] scale = [0.99696, 0.99692]"."""
-    typed = ", ".join(f"{key} = {_rounded(value)}" for key, value in keys.items())
-    return f"[{_TABLES.get(part, part)}] {typed}"
+    return f"[{table}] {', '.join(f'{key} = {typed}' for key, typed in keys.items())}"
 
 
 def values_to_type(diagnosis: Diagnosis) -> list[str]:
     """Lines that make the bench file describe the corrected bench, all but changes of the device's prescription."""
-    values = changed_keys(diagnosis.observations.nominal, diagnosis.corrected)
-    return [toml_line(table, keys) for table, keys in values.items()]
+    return [toml_line(table, keys) for table, keys in _typed_keys(diagnosis).items()]
+
+
+def _typed_keys(diagnosis: Diagnosis) -> dict[str, dict[str, str]]:
+    """The keys of the bench file that the causes change, by table, each number to two digits of its error.
+
+    The error is that with the other values as found: of correlated values, it is what the readings allow one to round.
+    """
+    nominal, found = diagnosis.observations.nominal, diagnosis.fit
+    values, vector = changed_keys(nominal, diagnosis.corrected), found.explanation.vector()
+    prior_sigma = np.array([parameter.prior_sigma for parameter in found.explanation.parameters()])[found.at.free]
+    moved = []
+    for free, step in zip(found.at.free, prior_sigma / np.sqrt(np.diag(found.information)), strict=True):
+        ahead = vector.copy()
+        ahead[free] += step
+        moved.append(changed_keys(nominal, found.explanation.at(ahead).bench(nominal)))
+
+    def typed(table: str, key: str, value: Any) -> str:
+        off = [np.subtract(each.get(table, {}).get(key, value), value) for each in moved]
+        # A matrix of a rotation is one only with all its digits.
+        sigma = np.zeros(np.shape(value)) if key == "rotation" else np.sqrt(np.sum(np.square(off), axis=0))
+        return _typed(value, sigma + np.zeros(np.shape(value)))
+
+    return {table: {key: typed(table, key, value) for key, value in keys.items()} for table, keys in values.items()}
 
 
 AXES_NOTE = (
@@ -192,7 +224,7 @@ def value_and_sigma(parameter: ParameterValue) -> tuple[str, str]:
     """Both as text, to two digits of the standard error."""
     if not 0 < parameter.sigma < float("inf"):
         return f"{parameter.value:.5g}", "-"
-    decimals = max(0, 1 - floor(log10(parameter.sigma)))
+    decimals = _decimals(parameter.sigma)
     return f"{parameter.value:.{decimals}f}", f"{parameter.sigma:.{decimals}f}"
 
 
@@ -242,10 +274,19 @@ def _with_unit(summary: ResidualSummary, attribute: str, unit: str) -> str:
     return cell_text(getattr(summary, attribute)) + unit
 
 
-def _rounded(value: Any) -> str:
-    if isinstance(value, Iterable) and not isinstance(value, str):
-        return f"[{', '.join(_rounded(each) for each in value)}]"
-    return f"{value:.7g}"
+def _typed(value: Any, sigma: Any) -> str:
+    """A number, or lists of numbers, to two digits of the standard error; to seven where there is none."""
+    if np.ndim(value):
+        return f"[{', '.join(_typed(*each) for each in zip(value, sigma, strict=True))}]"
+    if not 0 < sigma < float("inf"):
+        return f"{value:.7g}"
+    decimals = _decimals(float(sigma))
+    return f"{round(float(value), decimals) + 0.0:.{decimals}f}"  # + 0.0 turns -0.0 into 0.0
+
+
+def _decimals(sigma: float) -> int:
+    """Decimal places that show two digits of a standard error."""
+    return max(0, 1 - floor(log10(sigma)))
 
 
 def _capital(text: str) -> str:

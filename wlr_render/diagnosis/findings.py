@@ -121,7 +121,7 @@ def correlations(found: Fit) -> Correlations:
 
 
 def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) -> tuple[DetectionLimit, ...]:
-    """Five standard errors of every parameter, each cause alone; those that a session says nothing of are left out.
+    """Detection limit of every parameter, each cause alone; those that a session says nothing of are left out.
 
     Those of a cause that acts from some moment on are for the middle of the session.
 

@@ -265,13 +265,15 @@ def reduced_chi_squared(found: Fit) -> float:
 
 def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
     """Whether all values are possible: above their minimum, to three standard errors, and of a usual size."""
-    parameters, values = found.explanation.parameters(), found.explanation.vector()
+    parameters, values, bench = found.explanation.parameters(), found.explanation.vector(), found.at.state.bench
+    pairs = zip(parameters, values, strict=True)
+    whole = np.array([value if each.in_bench is None else each.in_bench(bench) for each, value in pairs])
     minimum = np.array([parameter.minimum for parameter in parameters])
     sizes = np.array([parameter.role is Role.SIZE for parameter in parameters], dtype=bool)
     prior_sigma = np.array([parameter.prior_sigma for parameter in parameters])
     mean = np.array([parameter.prior_mean for parameter in parameters])
     usual = np.abs((values - mean)[sizes]) <= settings.max_prior_sigmas * prior_sigma[sizes]
-    return bool(np.all(values >= minimum - 3.0 * found.sigmas()) and np.all(usual))
+    return bool(np.all(whole >= minimum - 3.0 * found.sigmas()) and np.all(usual))
 
 
 def few_captures_factor(found: Fit, observations: Observations) -> float:

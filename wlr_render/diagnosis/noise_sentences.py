@@ -6,7 +6,6 @@ from math import exp, expm1, floor, hypot, isfinite, log10
 from wlr_render.diagnosis.diagnosis import PARTLY, UNEXPLAINED, Diagnosis, MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import PART_NAMES
-from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.report.blocks import cell_text
 
 _UNSURE = 0.5  # relative error from which only an upper limit of a size is stated
@@ -41,7 +40,7 @@ def both_parts(diagnosis: Diagnosis) -> tuple[NoiseFloor, MotionSize] | None:
     return (noise, motion) if noise is not None and motion is not None else None
 
 
-def undetermined_parts(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> set[str]:
+def undetermined_parts(diagnosis: Diagnosis) -> set[str]:
     """Parts with an unexplained residual that noise and repeatability of a usual size do not cover.
 
     The fit then takes the unexplained effect for motions of the captures, so their size is no repeatability.
@@ -52,7 +51,7 @@ def undetermined_parts(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> se
     return {
         floor.part
         for floor in diagnosis.noise_floors
-        if not scatter.is_ordinary(PART_NAMES.index(floor.part), settings.material_excess)
+        if not scatter.is_ordinary(PART_NAMES.index(floor.part), diagnosis.settings.material_excess)
     }
 
 

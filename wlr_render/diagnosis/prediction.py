@@ -1,25 +1,41 @@
 """Predicted readings of a bench with causes at work, and their derivatives by the causes' values."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from wlr_render.captures.session import Readings, Session, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.observations import (
+    DISPLAY,
     PART_NAMES,
+    RUN_TIME,
     SEE_THROUGH,
     Observations,
     all_parts,
     observe_predicted,
     readings_of_rows,
 )
+from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.optics.device import EyeOptics
 from wlr_render.simulation.bench import Bench
 from wlr_render.simulation.simulate_session import DotViews, simulate, simulate_to_first_order
 
 _STEP = 2e-3  # of a parameter's prior sigma, for the differences
 _NOTHING = 1e-6  # sigma per prior sigma: the rounding of predictions that do not change
+_READ_BY: dict[str, tuple[int, ...]] = {
+    **dict.fromkeys(("stage", "mount"), (DISPLAY, SEE_THROUGH)),
+    **dict.fromkeys(("readout", "wavelengths_um"), (DISPLAY,)),
+    **dict.fromkeys(("target", "tracking"), (SEE_THROUGH,)),
+    "target_wavelength_um": (SEE_THROUGH, RUN_TIME),
+    **dict.fromkeys(("eye_tracking", "clock"), (RUN_TIME,)),
+    "priors": (),
+    **dict.fromkeys(("panel", "display"), (DISPLAY, RUN_TIME)),
+    "see_through": (SEE_THROUGH, RUN_TIME),
+}
+"""Parts of a session that depend on an attribute of a bench or of its optics; on any other one, all parts do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,13 +171,20 @@ class Predictor:
         return self.observations.residual(state.readings)
 
     def state(self, explanation: Explanation, near: State | None = None) -> State:
-        """An explanation's bench and its readings, starting from the nominal or a nearer state."""
-        near, bench = near or self._nominal, explanation.bench(self.observations.nominal)
-        todo = self._touched(bench, near)
-        dot_views = near.dot_views
-        if todo.see_through is not None:
-            dot_views = DotViews(bench, todo.see_through, near.dot_views)
-        return State(bench, _merged(simulate(bench, todo, dot_views), near.readings), dot_views)
+        """An explanation's bench and its readings, starting from the nominal or a nearer state.
+
+        All readings are NaN where there is no such bench, as where a displaced panel is seen from nowhere.
+        """
+        near = near or self._nominal
+        try:
+            bench = explanation.bench(self.observations.nominal)
+            todo = self._touched(bench, near)
+            dot_views = near.dot_views
+            if todo.see_through is not None:
+                dot_views = DotViews(bench, todo.see_through, near.dot_views)
+            return State(bench, _merged(simulate(bench, todo, dot_views), near.readings), dot_views)
+        except BadInputError:
+            return replace(near, readings=_lost(near.readings))
 
     def linearised(self, explanation: Explanation, state: State | None = None) -> Linearisation:
         """Residual and Jacobian at an explanation, whose state may be known, by forward differences."""
@@ -177,41 +200,52 @@ class Predictor:
         return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), current)
 
     def _differences(self, explanation: Explanation, first: int, base: State) -> Linearisation:
-        residual, nominal = self.residual_of(base), self.observations.nominal
-        vector, columns, free = explanation.vector(), [], []
+        residual, vector, columns, free = self.residual_of(base), explanation.vector(), [], []
         for number, parameter in list(enumerate(explanation.parameters()))[first:]:
             if parameter.role is Role.TIME:
                 continue
             moved = vector.copy()
             moved[number] += _STEP * parameter.prior_sigma
-            bench = explanation.at(moved).bench(nominal)
-            readings = _merged(
-                simulate_to_first_order(bench, self._touched(bench, base), base.dot_views), base.readings
-            )
+            ahead = self.observations.residual(self._near(explanation.at(moved), base))
             # A reading that the step loses says nothing of the value.
-            column = np.nan_to_num((residual - self.observations.residual(readings)) / _STEP)
+            column = np.nan_to_num((residual - ahead) / _STEP)
             if np.max(np.abs(column), initial=0.0) > _NOTHING:
                 columns.append(column)
                 free.append(number)
         jacobian = np.stack(columns, axis=-1) if columns else np.zeros((*residual.shape, 0))
         return Linearisation(explanation, base, residual, jacobian, np.array(free, dtype=np.int64))
 
+    def _near(self, explanation: Explanation, base: State) -> Readings:
+        """The readings to first order in the change from a state; NaN where there is no such bench."""
+        try:
+            bench = explanation.bench(self.observations.nominal)
+            found = simulate_to_first_order(bench, self._touched(bench, base), base.dot_views)
+        except BadInputError:
+            return _lost(base.readings)
+        return _merged(found, base.readings)
+
     def _touched(self, bench: Bench, near: State) -> SessionPlan:
         """The parts of the session whose readings may differ between a bench and a state."""
-        plan, old = self.observations.session.plan, near.bench
-        common = all(getattr(bench, name) is getattr(old, name) for name in ("camera", "stage", "mount"))
-        paths, was = bench.optics, old.optics
-        same_display = common and bench.readout is old.readout and paths.panel is was.panel
-        same_display = same_display and paths.display is was.display
-        same_world = common and bench.target is old.target and bench.tracking is old.tracking
-        same_world = same_world and paths.see_through is was.see_through
-        same_run = paths is was and bench.camera is old.camera
-        same_run = same_run and bench.eye_tracking is old.eye_tracking and bench.clock is old.clock
+        every = range(len(PART_NAMES))
+        touched = {part for name in _changes(bench, near.bench) for part in _READ_BY.get(name, every)}
+        plan = self.observations.session.plan
         return SessionPlan(
-            None if same_display else plan.display,
-            None if same_world else plan.see_through,
-            None if same_run else plan.run_time,
+            plan.display if DISPLAY in touched else None,
+            plan.see_through if SEE_THROUGH in touched else None,
+            plan.run_time if RUN_TIME in touched else None,
         )
+
+
+def _changes(bench: Bench, old: Bench) -> Iterator[str]:
+    """Attributes that differ between two benches, and between the optics of their eyes."""
+    for kind, new, was in ((Bench, bench, old), (EyeOptics, bench.optics, old.optics)):
+        names = (each.name for each in fields(kind) if each.name not in ("device", "eye"))  # known by their optics
+        yield from (name for name in names if getattr(new, name) is not getattr(was, name))
+
+
+def _lost(readings: Readings) -> Readings:
+    """Readings of which none is predicted."""
+    return Readings(*(None if part is None else np.full_like(part, np.nan) for part in readings.parts))
 
 
 def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:

@@ -124,6 +124,7 @@ def diagnose(
         corrected=found.explanation.bench(nominal),
         readings=readings,
         fit=found,
+        settings=settings,
     )
 
 

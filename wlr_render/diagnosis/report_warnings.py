@@ -9,7 +9,7 @@ from wlr_render.diagnosis.explain import undecided, value_text
 from wlr_render.diagnosis.fit import times_between_captures
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.scatter import FEWEST_TO_STAND_OUT, USUAL_SHIFT, USUAL_TURN
-from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.settings import Settings
 
 _SAME_STATED = 1e-3  # relative difference of two stated sigmas that is rounding
 _NEARLY_ONE = 1.1  # ratio of the parts' noise up to which one number states both
@@ -18,9 +18,9 @@ ENOUGH_CAPTURES = 6
 _UNUSUAL = 5.0  # prior sigmas
 
 
-def warnings(diagnosis: Diagnosis, settings: Settings = DEFAULT) -> list[str]:
+def warnings(diagnosis: Diagnosis) -> list[str]:
     """Limits of the result; each a sentence."""
-    found = _noise_to_state(diagnosis)
+    found, settings = _noise_to_state(diagnosis), diagnosis.settings
     found += [_confusable(cause, settings) for cause in diagnosis.causes if cause.degenerate]
     found += [
         _unusual(cause, parameter, stated_prior(diagnosis, cause, parameter))

@@ -122,11 +122,7 @@ class Search:
         return best
 
     def refitted(self, explanation: Explanation, scatter: Scatter) -> Fit:
-        """Fit to all readings, with the captures that moved found anew.
-
-        Raises:
-            ValueError: the explanation cannot predict every reading.
-        """
+        """Fit to all readings, with the captures that moved found anew."""
         return self._with_moved(_fitted(self.full, explanation, scatter))
 
     def _with_moved(self, found: Fit) -> Fit:
@@ -187,7 +183,11 @@ class Search:
             return []
         close = [each for each in coarse if each.behind < settings.close_evidence][: settings.max_contenders]
         refits = ((each, fit(self.full, each.fit.explanation, each.fit.scatter)) for each in close)
-        final = _by_evidence(replace(each, fit=found, fitted_to_all=True) for each, found in refits if found)
+        final = _by_evidence(
+            replace(each, fit=found, fitted_to_all=True)
+            for each, found in refits
+            if found is not None and is_physical(found, settings)
+        )
         names = {each.hypothesis.cause.name for each in final}
         rest = [each for each in _best_of_each(coarse) if each.hypothesis.cause.name not in names]
         return [*_best_of_each(final), *rest] if final else []
@@ -264,9 +264,12 @@ class Search:
 
 
 def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:
+    """The fit from an explanation's values, or from its null values where these do not predict every reading."""
     found = fit(readings, explanation, scatter, iterations)
     if found is None:
-        raise ValueError("the explanation cannot predict every reading")
+        null = replace(explanation, values=tuple(each.cause.null() for each in explanation.hypotheses))
+        found = fit(readings, null, scatter, iterations)
+    assert found is not None, "the nominal bench predicts all observations"
     return found
 
 

@@ -243,7 +243,8 @@ def limits_table(diagnosis: Diagnosis) -> ReportTable:
         [each.cause, each.parameter, each.limit, each.unit] for each in diagnosis.detection_limits
     ]
     columns = ("cause", "parameter", "detection limit", "unit")
-    return ReportTable("Detection limits", columns, rows, ("Five standard errors, each cause acting alone.",))
+    note = f"{diagnosis.settings.detection_limit_se:g} standard errors, each cause acting alone."
+    return ReportTable("Detection limits", columns, rows, (note,))
 
 
 def _percent(improvement: HeldOutImprovement) -> str:

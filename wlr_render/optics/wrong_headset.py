@@ -28,7 +28,7 @@ def wrong_headset(
         rng: source of the displacements.
         turn_deg, shift_mm: standard deviations per axis of the displacements.
         shape: relative error of the first semi-axis of each ellipsoid; where there is none, of the curvature of each
-            sphere, or of the curvature along x of each polynomial.
+            sphere, or of the vertex curvature of each polynomial along x, or along y if it is flat along x.
 
     Raises:
         BadInputError: there are no surfaces, or a surface of another type has an error of its shape.
@@ -54,12 +54,23 @@ def misshapen(shape: Shape, relative: float) -> Shape:
     if isinstance(shape, Conic):
         return replace(shape, curvature=shape.curvature * (1.0 + relative))
     if isinstance(shape, XYPolynomial):
-        coefficients = shape.coefficients.copy()
-        coefficients[2, 0] *= 1.0 + relative
-        return replace(shape, coefficients=coefficients)
+        return replace(shape, coefficients=_bent(shape, relative))
     raise BadInputError(
         f"no error of the shape is known for surfaces of the type {type(shape).__name__}; leave it out."
     )
+
+
+def _bent(shape: XYPolynomial, relative: float) -> FloatArray:
+    """Coefficients of a polynomial whose curvature along x, conic base included, has a relative error; see above."""
+    stated = shape.coefficients
+    coefficients = np.zeros(np.maximum(stated.shape, 3))
+    coefficients[: stated.shape[0], : stated.shape[1]] = stated
+    for square in ((2, 0), (0, 2)):
+        curvature = shape.curvature + 2.0 * coefficients[square]
+        if curvature != 0.0:
+            coefficients[square] += 0.5 * relative * curvature
+            break
+    return coefficients
 
 
 def _displacement(near: FloatArray, rng: np.random.Generator, turn_deg: float, shift_mm: float) -> FloatArray:

@@ -4,16 +4,22 @@ import importlib
 import importlib.util
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import fields, is_dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from wlr_render.diagnosis.cause import PARTS, Cause, Role, unknown_cause, with_priors
+from wlr_render.diagnosis.cause import PARTS, Cause, Perturb, Role, unknown_cause, with_priors
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.input_files import read_text, reason_of, shown
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.bench import Bench
 
 ENTRY_POINTS = "wlr_render.causes"
@@ -108,7 +114,23 @@ def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
         fault = _fault(cause, bench)
         if fault:
             raise BadInputError(f"{where}: cause '{cause.name}' {fault}.")
-    return causes
+    return [replace(cause, variants={name: _refusing(cause, name) for name in cause.variants}) for cause in causes]
+
+
+def _refusing(cause: Cause, variant: str) -> Perturb:
+    """A variant that refuses the values for which its function fails: a fit then takes a shorter step."""
+
+    def perturb(bench: Bench, values: FloatArray) -> Bench:
+        try:
+            return cause.perturb(bench, values, variant)
+        except Exception as error:
+            raise BadInputError(f"cause '{cause.name}' {_failure(variant, error)}.") from error
+
+    return perturb
+
+
+def _failure(variant: str, error: Exception) -> str:
+    return f"fails in its variant '{variant}' ({type(error).__name__}: {reason_of(error)})"
 
 
 def _fault(cause: Cause, bench: Bench) -> str:
@@ -122,12 +144,70 @@ def _fault(cause: Cause, bench: Bench) -> str:
     for parameter in cause.parameters:
         if not 0.0 < parameter.prior_sigma < np.inf:
             return f"has a prior_sigma of {parameter.prior_sigma} for '{parameter.name}'; it must be finite and above 0"
+    given = deepcopy(bench)  # what a function changes in place shows against it
     sizes = np.array([0.1 * p.prior_sigma if p.role is Role.SIZE else 0.0 for p in cause.parameters])
     for variant in cause.variants:
         try:
-            perturbed = [cause.perturb(bench, cause.null() + share, variant) for share in (0.0 * sizes, sizes)]
+            returned: list[Any] = [cause.perturb(bench, cause.null() + by, variant) for by in (sizes, 0.0 * sizes)]
         except Exception as error:
-            return f"fails in its variant '{variant}' ({type(error).__name__}: {reason_of(error)})"
-        if not all(isinstance(each, Bench) for each in perturbed):
-            return f"returns {type(perturbed[-1]).__name__} in its variant '{variant}'; it must return a Bench"
+            return _failure(variant, error)
+        for each in returned:
+            if not isinstance(each, Bench):
+                return f"returns {type(each).__name__} in its variant '{variant}'; it must return a Bench"
+        where = _difference(given, returned[1])
+        if where:
+            return (
+                f"changes {where} in its variant '{variant}' at its null values {cause.null().tolist()}; there it must "
+                "return the same bench, and it must never change the given one in place"
+            )
     return ""
+
+
+def _difference(given: Bench, returned: Bench) -> str:
+    """The first attribute in which two benches differ, as `camera.focal_px`; empty where they are the same.
+
+    Headsets are compared by their rays, so that surfaces of no effect may be added.
+    """
+    if given.eye != returned.eye:
+        return "eye"
+    if not _same_numbers(_rays(given.optics, given.wavelengths_um), _rays(returned.optics, given.wavelengths_um)):
+        return "device"
+    for field in fields(Bench):
+        old, new = getattr(given, field.name), getattr(returned, field.name)
+        if field.name in ("device", "eye", "priors"):
+            continue
+        names = [each.name for each in fields(old)] if is_dataclass(old) else []
+        for name in names:
+            if not _same_numbers(getattr(old, name), getattr(new, name)):
+                return f"{field.name}.{name}"
+        if not names and not _same_numbers(old, new):
+            return field.name
+    return ""
+
+
+def _rays(optics: EyeOptics, wavelengths_um: Sequence[float]) -> FloatArray:
+    """Panel pixels and world rays (n, 6) over the field, from the middle and the corners of the eye box."""
+    tangents = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 5)] * 2), axis=-1).reshape(-1, 2)
+    box = optics.eye_box
+    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 1, 3)
+    viewpoint = np.concatenate([box.at(np.zeros((1, 1, 3))), box.at(corners)])
+    direction = np.broadcast_to(dir_of_tangents(tangents), (len(viewpoint), len(tangents), 3))
+    viewpoint = np.broadcast_to(viewpoint, direction.shape)
+    found = [
+        np.concatenate(
+            [
+                TracedDisplay(optics, wavelength).plane_pixel(direction, viewpoint)[0],
+                TracedSeeThrough(optics, wavelength).real_ray_of_view_dir(direction, viewpoint).value,
+            ],
+            axis=-1,
+        )
+        for wavelength in wavelengths_um
+    ]
+    return np.stack(found)
+
+
+def _same_numbers(old: Any, new: Any) -> bool:
+    try:
+        return bool(np.allclose(old, new, rtol=1e-9, atol=1e-12, equal_nan=True))
+    except (TypeError, ValueError):  # no numbers, or arrays of shapes that do not fit together
+        return False

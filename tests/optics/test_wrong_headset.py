@@ -1,0 +1,37 @@
+"""Surfaces with an error of their shape."""
+
+import numpy as np
+import pytest
+
+from wlr_render.optics.sag_surfaces import XYPolynomial
+from wlr_render.optics.wrong_headset import misshapen
+
+_SMALL = 1e-4  # metres from the vertex: higher powers do not matter
+
+
+def curvatures(shape):
+    """Second derivatives (2,) of the sag along x and y at the vertex, 1/m."""
+    x = np.array([0.0, _SMALL, -_SMALL])
+    along_x, along_y = shape.sag_and_slopes(x, 0.0 * x)[0], shape.sag_and_slopes(0.0 * x, x)[0]
+    return np.array([(each[1] + each[2] - 2.0 * each[0]) / _SMALL**2 for each in (along_x, along_y)])
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "curvature", "factors"),
+    [
+        ([[0.0], [0.0], [3.0]], 0.0, (1.002, 1.0)),
+        ([[0.0, 0.0, 2.0]], 0.0, (1.0, 1.002)),  # flat along x
+        ([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]], 5.0, (1.002, 1.0)),  # curved along x by its base
+        ([[0.0, 1.0]], 5.0, (1.002, 1.0)),
+        ([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]], 5.0, (1.002, 1.0)),
+    ],
+)
+def test_a_misshapen_polynomial_has_another_curvature_at_its_vertex(coefficients, curvature, factors):
+    shape = XYPolynomial(np.array(coefficients), curvature)
+    np.testing.assert_allclose(curvatures(misshapen(shape, 0.002)), curvatures(shape) * factors, rtol=1e-6, atol=1e-7)
+    assert misshapen(shape, 0.0) is shape
+
+
+def test_a_polynomial_without_curvature_stays_as_it_is():
+    plane = XYPolynomial(np.array([[0.0, 0.1]]))
+    assert curvatures(misshapen(plane, 0.002)) == pytest.approx([0.0, 0.0])
