@@ -66,7 +66,7 @@ VERBS = (
         "calibrate photos",
         CALIBRATE,
         "calibrate.photos:calibrate_photos",
-        "Calibrate cameras, stage and one eye from the photographs of a session.",
+        "Calibrate cameras, stage and one or both eyes from the photographs of a session.",
     ),
     Verb(
         "calibrate captures",

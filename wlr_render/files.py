@@ -81,7 +81,7 @@ def named_or_path(folder: str, spec: str | Path) -> Path:
     if os.path.isdir(path):  # unlike Path.is_dir, without an exception for a name that no file can have
         model = path / "model.json"
         raise BadInputError(f"{path}: is a folder; name {model if model.is_file() else 'a file in it'}.")
-    if path.suffix == ".toml" or len(path.parts) > 1:
+    if path.suffix == ".toml" or len(path.parts) > 1 or os.path.isfile(path):
         if not os.path.exists(path):
             raise BadInputError(f"{path}: there is no such file; correct its name.")
         return path

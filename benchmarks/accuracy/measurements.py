@@ -116,8 +116,8 @@ def stuck(study: Study, draws: int) -> Findings:
         )
         predicted = pooled(outcomes, Measure.PREDICTED) / pooled(outcomes, Measure.FORWARD)
         rows.append([str(eye), draws, int(beyond.sum()), *spread, max(rms), predicted])
-    columns = ["eye", "draws", "stuck", "least shift found / true", "largest", "least turn found / true", "largest "]
-    columns += ["largest rms (arcmin)", "predicted / true"]
+    columns = ["eye", "draws", "stuck", "least shift found / true", "largest shift", "least turn found / true"]
+    columns += ["largest turn", "largest rms (arcmin)", "predicted / true"]
     title = f"Wrong maxima: {shift:g} um and {turn:g} urad, {POSITIONS} camera positions"
     note = f"Stuck: found shift or turn off by more than a factor of {wanted.STUCK_FACTOR:g}. Wanted: none."
     return Findings((ReportTable(title, columns, rows, (note,)),))

@@ -102,8 +102,8 @@ def tables(outcomes: Sequence[BudgetOutcome]) -> list[ReportTable]:
         "correlated axes, one bias a session, evenly distributed, motion with Laplace's distribution.",
         "Depths of 0.3 to 5 m, evenly in dioptres; pixels over the whole panel, viewpoints over the whole eye box.",
     )
-    heads = ["condition", "", "sessions", "within 68 % (%)", "interval", "within 95 % (%)", "interval ", "rms (arcmin)"]
-    heads += ["predicted / true", "interval  "]
+    heads = ["condition", "", "sessions", "within 68 % (%)", "interval, 68 %", "within 95 % (%)", "interval, 95 %"]
+    heads += ["rms (arcmin)", "predicted / true", "interval, predicted / true"]
     found = [
         ReportTable(f"By region of the panel, {len(judged)} sessions", heads, [row for row in by_region if row], notes),
         ReportTable("By headset", heads, [row for row in by_device if row]),

@@ -81,7 +81,7 @@ def design_table(outcomes: Sequence[DesignOutcome]) -> ReportTable:
             row += [ratio, f"{low:.2f} to {high:.2f}"]
         rows.append(row)
     columns = ["headset", "sessions", *DESIGNS]
-    columns += [f"{_CHOSEN} / {_FEW}", "95 % interval", f"{_CHOSEN} / {_MANY}", "95 % interval "]
+    columns += [f"{_CHOSEN} / {_FEW}", f"95 % interval, {_FEW}", f"{_CHOSEN} / {_MANY}", f"95 % interval, {_MANY}"]
     notes = (
         "Registration error that 95 % of the eye box stay below, mean over sessions, arcmin; geometric mean of the "
         "ratios within sessions. The places are chosen from a pilot session; another session with the default errors "

@@ -75,7 +75,7 @@ def _sigmas(outcomes: Sequence[BenchOutcome]) -> ReportTable:
         "Poses of targets are those of the features of the board; the shape is what is left of their errors. "
         "Directions are those of pixels over the whole picture.",
     )
-    columns = ["unknown", "error / sigma, rms", "95 % interval", "by joint covariance", "95 % interval "]
+    columns = ["unknown", "error / sigma, rms", "95 % interval", "by joint covariance", "95 % interval, joint"]
     return ReportTable(f"Errors over stated sigmas, {len(clean)} sessions", columns, rows, notes)
 
 

@@ -345,3 +345,11 @@ def test_the_page_has_its_plots_and_the_json_their_points(tmp_path):
     assert record["camera-positions"]["camera_positions_needed"][0]["positions"] == 10
     assert record["options"]["degrees"] == [3]
     assert record["sentence"].startswith("birdbath28 (right): 10 camera positions suffice for 0.2': 0.1")
+
+
+def test_naming_the_default_experiments_asks_for_them():
+    four = ("camera-positions", "noise", "position-errors", "see-through")
+    assert EvaluateOptions(methods=("all",)).experiment == ("methods",)
+    with pytest.raises(BadInputError, match="--methods is used with --experiment methods only; leave it out"):
+        EvaluateOptions(experiment=four, methods=("all",))
+    assert EvaluateOptions(experiment=(*four, "methods"), methods=("all",)).experiment == (*four, "methods")

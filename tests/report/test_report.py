@@ -206,3 +206,10 @@ def test_the_browser_reports_a_broken_page(tmp_path):
     path = tmp_path / "broken.html"
     path.write_text("<!doctype html><body><script>nothingOfThatName()</script></body>")
     assert any("nothingOfThatName" in line for line in open_page(path, tmp_path).console)
+
+
+def test_columns_of_one_name_are_all_in_the_json_file(tmp_path):
+    table = ReportTable("twice", ("a", "interval", "interval (2)", "interval"), [[1, "2 to 3", 4, "5 to 6"]])
+    saved = save_report(Report("Twice", blocks=[table]), tmp_path)
+    (rows,) = json.loads(saved.files[2].read_text())["tables"]
+    assert rows["rows"] == [{"a": 1, "interval": "2 to 3", "interval (2)": 4, "interval (3)": "5 to 6"}]

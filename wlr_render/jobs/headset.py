@@ -22,7 +22,7 @@ tens of nanometres wide, of which one map serves the middle.
 
 def is_model(spec: str | Path) -> bool:
     """Whether a headset is named by its model file rather than as a device."""
-    return Path(spec).suffix == ".json"
+    return Path(spec).suffix.lower() == ".json"
 
 
 def headset_path(spec: str | Path) -> Path:

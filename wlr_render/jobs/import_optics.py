@@ -74,7 +74,7 @@ class ImportOpticsOptions(Options):
     semi_diameters: Annotated[
         bool, described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True)
     ] = False
-    out: Annotated[Path, described("Output folder.")] = Path("out/import")
+    out: Annotated[Path, described("Output folder.")] = Path("out/import-optics")
 
 
 @job

@@ -6,6 +6,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.files import named_or_path
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import FRAMES, rigid, rotation_about
@@ -285,9 +286,15 @@ def device_path(spec: str | FilePath) -> FilePath:
     """Path of a device file, given a shipped device's name or a path.
 
     Raises:
-        BadInputError: there is no such device.
+        BadInputError: there is no such device, or the file holds JSON, as fitted models do.
     """
-    return named_or_path("devices", spec)
+    path = named_or_path("devices", spec)
+    if path.suffix.lower() == ".json":
+        raise BadInputError(
+            f"{path}: is a model file, or another JSON file, and a device is needed: name a shipped device or a device "
+            "file (.toml). Fitted models are taken by render, export, compare, budget and verify."
+        )
+    return path
 
 
 def device_of(file: Table) -> Device:

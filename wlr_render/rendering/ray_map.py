@@ -319,16 +319,24 @@ def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapP
     across = chebyshev.interpolation_matrix(count, 0, panel.width_px, pixel[:, 0])
     down = chebyshev.interpolation_matrix(count, 0, panel.height_px, pixel[:, 1])
     interpolated = np.einsum("nr,rck,nc->nk", down, nodes, across)
-    exact, right, lower = (
-        solve_pixels(mappings, axes, pixel + step, viewpoint).slope_offset for step in ([0, 0], [-1, 0], [0, -1])
+    apart = _neighbour_px(panel)
+    exact, left, upper = (
+        solve_pixels(mappings, axes, pixel - step, viewpoint).slope_offset
+        for step in ([0.0, 0.0], [apart[0], 0.0], [0.0, apart[1]])
     )
     pixel_size = np.minimum(
-        np.linalg.norm((right - exact)[:, :2], axis=1), np.linalg.norm((lower - exact)[:, :2], axis=1)
+        np.linalg.norm((left - exact)[:, :2], axis=1) / apart[0],
+        np.linalg.norm((upper - exact)[:, :2], axis=1) / apart[1],
     )
     error = interpolated - exact
     return np.asarray(
         (np.linalg.norm(error[:, :2], axis=1) + np.linalg.norm(error[:, 2:], axis=1) / NEAREST_M) / pixel_size
     )
+
+
+def _neighbour_px(panel: Panel) -> FloatArray:
+    """Distances (2,) in u and v to the place by which the size of a pixel is judged: less on a panel of one pixel."""
+    return np.minimum(1.0, 0.5 * panel.size_px)
 
 
 def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005) -> RayMapPlan:
@@ -340,8 +348,9 @@ def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005) -> RayMapPla
     """
     panel, box = mappings.display.panel, mappings.eye_box
     rng = np.random.default_rng(20250102)
-    corners = np.array([[u, v] for u in (1.0, panel.width_px - 0.5) for v in (1.0, panel.height_px - 0.5)])
-    pixel = np.concatenate([rng.uniform(1.0, panel.size_px - 0.5, (150, 2)), corners])
+    low, high = _neighbour_px(panel), panel.size_px - 0.5
+    corners = np.array([[u, v] for u in (low[0], high[0]) for v in (low[1], high[1])])
+    pixel = np.concatenate([rng.uniform(low, high, (150, 2)), corners])
     viewpoints = [box.centre, box.at(np.array([1.0, 1.0, 1.0])), box.at(np.array([-1.0, -1.0, -1.0]))]
     axes = middle_axes(mappings)
     for count in NODE_COUNTS:

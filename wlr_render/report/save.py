@@ -102,8 +102,21 @@ def _file_sha256(path: Path) -> str:
 
 def table_record(table: ReportTable) -> dict[str, object]:
     """Title, rows as objects with full-precision numbers, and notes of a table."""
-    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    keys = _unique(table.columns)
+    rows = [dict(zip(keys, row, strict=True)) for row in table.rows]
     return {"title": table.title, "rows": rows, "notes": table.notes}
+
+
+def _unique(columns: Sequence[str]) -> list[str]:
+    """Names of columns as keys of an object: a name that is there already gets a number, as in "interval (2)"."""
+    keys: list[str] = []
+    for column in columns:
+        key, number = column, 1
+        while key in keys:
+            number += 1
+            key = f"{column} ({number})"
+        keys.append(key)
+    return keys
 
 
 def markdown(report: Report, folder: Path) -> str:

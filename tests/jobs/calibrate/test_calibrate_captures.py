@@ -113,6 +113,27 @@ def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path):
     assert abs(np.corrcoef(upward)[0, 1]) < 0.1
 
 
+def test_results_of_an_earlier_calibration_do_not_stand_beside_a_new_model(tmp_path):
+    """Captures, station and coverage of photographs belong to the model that they were written with."""
+    earlier = ["station-right.json", "coverage.png", "coverage-right.png", "decoding.png"]
+    other = ["station-left.json", "captures-left.npz", "notes.txt"]
+
+    def run(calibrate, options):
+        for name in (*earlier, *other):
+            (tmp_path / name).write_text("of an earlier calibration")
+        calibrate(options)
+        return {name for name in (*earlier, *other, "captures-right.npz") if (tmp_path / name).exists()}
+
+    assert run(calibrate_simulate, replace(TWO_EYES, out=tmp_path)) == {*other, "captures-right.npz"}
+    own = CalibrateCapturesOptions(tmp_path / "captures-right.npz", fit=TWO_EYES.fit, out=tmp_path)
+    # The model is of these very captures, which the station belongs to.
+    assert run(calibrate_captures, own) == {*earlier, *other, "captures-right.npz"}
+    moved = (tmp_path / "captures-right.npz").rename(tmp_path / "moved.npz")
+    (tmp_path / "captures-right.npz").write_text("of an earlier calibration")
+    assert run(calibrate_captures, replace(own, captures=moved)) == set(other)
+    assert moved.exists()
+
+
 def test_a_second_eye_is_added_to_the_first_and_the_report_says_so(tmp_path):
     options = replace(TWO_EYES, out=tmp_path)
     assert not any("earlier run" in warning for warning in calibrate_simulate(options).warnings)

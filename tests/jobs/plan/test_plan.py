@@ -208,6 +208,13 @@ def test_the_report_states_places_photographs_and_errors(search, tmp_path, monke
         f"{count} camera places, {count * 46 + 2 * (count + 1) + 30 + 4 + 36} photographs, "
     )
     assert f"this reaches the wanted {ACCURACY:g}'" in report.verdict
+    # The first line and the table of designs predict from different sessions; both say so.
+    stated = search.recommended.p95
+    assert (
+        f"{stated:.2g}' at 95 % of the eye box, as predicted from a simulated session of this design" in report.verdict
+    )
+    (designs,) = [each for each in report.tables if each.title == "Designs"]
+    assert f"itself then predicts {stated:.3g}' at 95 %, the figure stated above" in designs.notes[0]
     with (tmp_path / PLACES_FILE).open(newline="", encoding="utf-8") as file:
         rows = [[float(each) for each in row.values()] for row in csv.DictReader(file)]
     expected = 1e3 * (search.predictor.bench.places(search.recommended.design.unit) - load_box().centre)

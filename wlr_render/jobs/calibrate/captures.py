@@ -8,7 +8,14 @@ from wlr_render.captures.capture_file import load_captures
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.input_files import naming
-from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, require_readable_models, save_models
+from wlr_render.jobs.calibrate.fit import (
+    DEFAULT_FIT,
+    FitOptions,
+    OutputFolder,
+    remove_results,
+    require_readable_models,
+    save_models,
+)
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
@@ -37,6 +44,8 @@ class CalibrateCapturesOptions(Options):
 def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Fit the models of one eye; writes model.json and the report into `options.out`.
 
+    What an earlier calibration of other captures wrote there of this eye, its station and captures, is removed.
+
     Raises:
         BadInputError: captures, bench or prescription cannot be read, or the captures lack see-through captures or do
             not determine the models.
@@ -53,8 +62,9 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
         captures = load_captures(options.captures)
     with naming(options.captures):
         comparison = options.fit.fit(captures)
-    fit = comparison.chosen
-    folder = output_folder(options.out)
+    fit, folder = comparison.chosen, output_folder(options.out)
+    if options.captures.resolve() != (folder / f"captures-{fit.mappings.eye}.npz").resolve():
+        remove_results(folder, [fit.mappings.eye])
     model, notes = save_models(folder, [fit])
     report = Report(
         f"Calibration of {fit.device}, {fit.mappings.eye} eye",

@@ -7,13 +7,18 @@ from typing import Annotated, Literal
 
 from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, EyeFit, KindComparison, fit_eye, fit_kinds
 from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.photo_session import CHANNELS
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.options import Degree, Options, described, flag_of
-from wlr_render.models.model_file import add_eye_models, load_eye_models
+from wlr_render.models.model_file import add_eye_models, load_eye_models, remove_eye_models
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
 
 MODEL_FILE = "model.json"
+MODELS_OF_PRIMARIES = {name: f"model-{name}.json" for name in CHANNELS}
+"""Model files of single primaries of the display, by their names."""
+RESULTS = (("captures", ".npz"), ("station", ".json"))
+"""Kinds and suffixes of the files KIND-EYE of a calibration from photographs."""
 
 
 @dataclass(frozen=True)
@@ -124,3 +129,18 @@ def save_models(folder: Path, fits: Sequence[EyeFit], name: str = MODEL_FILE) ->
     notes = [f"{path} also holds the {eye} eye, from an earlier run." for eye in kept]
     notes += [f"{path} held models of {device}; they were replaced." for device in before - {fits[0].device}]
     return path, tuple(notes)
+
+
+def remove_results(folder: Path, eyes: Sequence[str]) -> None:
+    """Remove what an earlier calibration wrote beside the models of some eyes: it does not belong to new models.
+
+    Raises:
+        BadInputError: a model file of a primary is damaged.
+    """
+    for name in MODELS_OF_PRIMARIES.values():
+        require_readable_models(folder, name)
+    for name in MODELS_OF_PRIMARIES.values():
+        remove_eye_models(folder / name, eyes)
+    names = [f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in RESULTS]
+    for name in (*names, "coverage.png", "decoding.png", *(f"coverage-{eye}.png" for eye in eyes)):
+        (folder / name).unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Calibrate cameras, stage and one eye from the photographs of a session."""
+"""Calibrate cameras, stage and one or both eyes from the photographs of a session."""
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session
-from wlr_render.captures.photo_session import CHANNELS
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.files import output_folder
@@ -14,8 +13,11 @@ from wlr_render.input_files import naming
 from wlr_render.jobs.calibrate.fit import (
     DEFAULT_FIT,
     MODEL_FILE,
+    MODELS_OF_PRIMARIES,
+    RESULTS,
     FitOptions,
     OutputFolder,
+    remove_results,
     require_readable_models,
     save_models,
 )
@@ -28,9 +30,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 
-_MODELS_OF_PRIMARIES = {name: f"model-{name}.json" for name in CHANNELS}
-_RESULTS = (("captures", ".npz"), ("station", ".json"))
-_REPORT = ("report.html", "report.md", "report.json", "coverage.png", "decoding.png")
+_REPORT = ("report.html", "report.md", "report.json")
 READ = "read"
 """Folder, in the output folder, of what was read from photographs, so that a later run reads only what is new."""
 
@@ -73,13 +73,10 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
 
 def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
     """Results of an earlier run must not stand beside those of one that is refused."""
-    model_files = (MODEL_FILE, *_MODELS_OF_PRIMARIES.values())
-    for name in model_files:
-        require_readable_models(folder, name)
-    for name in model_files:
-        remove_eye_models(folder / name, eyes)
-    names = [f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in _RESULTS]
-    for name in (*names, *_REPORT, *(f"coverage-{eye}.png" for eye in eyes)):
+    require_readable_models(folder)
+    remove_results(folder, eyes)
+    remove_eye_models(folder / MODEL_FILE, eyes)
+    for name in _REPORT:
         (folder / name).unlink(missing_ok=True)
 
 
@@ -93,7 +90,7 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
     session, folder = found.session, output_folder(options.out)
     model, notes = save_models(folder, [each.fit for each in found.eyes.values()])
     models = [model]
-    for primary, name in _MODELS_OF_PRIMARIES.items():
+    for primary, name in MODELS_OF_PRIMARIES.items():
         if fits := [each.primaries[primary] for each in found.eyes.values() if primary in each.primaries]:
             models.append(save_models(folder, fits, name)[0])
     warnings = [
@@ -102,13 +99,13 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
         for warning in fit_warnings(each.fit, set_names(found, each), sigma_is_given=False)
     ]
     report = Report(
-        f"Calibration of {session.device}, {' and '.join(session.eyes)} eye",
+        f"Calibration of {session.device}, {' and '.join(session.eyes)} eye{'s' * (len(session.eyes) > 1)}",
         verdict=headline(found),
         advice=advice(found),
         warnings=[*warnings, *found.reading.notes, *notes],
         blocks=session_blocks(found, folder),
         inputs=[options.session, *options.fit.inputs],
-        files=[*models, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in _RESULTS)],
+        files=[*models, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in RESULTS)],
         faults=found.faults,
         record={"options": options, "device": session.device, **_record(found)},
     )

@@ -15,7 +15,14 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.files import output_folder
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.jobs import limits
-from wlr_render.jobs.calibrate.fit import DEFAULT_FIT, FitOptions, OutputFolder, require_readable_models, save_models
+from wlr_render.jobs.calibrate.fit import (
+    DEFAULT_FIT,
+    FitOptions,
+    OutputFolder,
+    remove_results,
+    require_readable_models,
+    save_models,
+)
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Seed, described, eyes_of, seed_of
@@ -92,6 +99,7 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
         blocks += [Section(f"The {eye} eye"), *fit_blocks(comparison, captures[eye])]
         blocks += [_truth_table(where, *each) for where, each in compared.items()]
     folder = output_folder(options.out)
+    remove_results(folder, list(captures))
     model, notes = save_models(folder, fits)
     files = [model, *(save_captures(folder / f"captures-{eye}.npz", each) for eye, each in captures.items())]
     report = Report(

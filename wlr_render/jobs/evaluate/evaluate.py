@@ -132,7 +132,8 @@ class EvaluateOptions(StudyOptions):
     ] = None
 
     def __post_init__(self) -> None:
-        if self.methods is not None and self.experiment == _OWN_MODELS:
+        # The default itself: who names the same experiments asks for them.
+        if self.methods is not None and self.experiment is _OWN_MODELS:
             object.__setattr__(self, "experiment", ("methods",))
         super().__post_init__()
 

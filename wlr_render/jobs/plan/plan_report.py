@@ -26,8 +26,9 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
     found = errors.registration
     what = (
         f"{len(design)} camera places, {total} photographs, {_duration(total * seconds)} at {seconds:g} s each: "
-        f"predicted registration error {found.median:.2g}' in the median, {found.p95:.2g}' at 95 % of the eye box "
-        f"(simulated: {simulated.registration.median:.2g}', {simulated.registration.p95:.2g}')"
+        f"registration error {found.median:.2g}' in the median, {found.p95:.2g}' at 95 % of the eye box, as predicted "
+        f"from a simulated session of this design (in that session: {simulated.registration.median:.2g}', "
+        f"{simulated.registration.p95:.2g}')"
     )
     verdict = f"{what}; this reaches the wanted {accuracy_arcmin:g}'."
     if not search.reaches:
@@ -167,6 +168,8 @@ def _designs_table(search: DesignSearch) -> ReportTable:
             rows.append([each.design.name, len(each.design), total, found.median, found.p95, mark])
     columns = ["design", "places", "photographs", "registration, median (arcmin)", "registration, 95 % (arcmin)", ""]
     notes = (
+        "All predicted from one simulated session, the pilot, so that designs can be compared. The session of the "
+        f"recommended design itself then predicts {search.recommended.p95:.3g}' at 95 %, the figure stated above.",
         "Spread: no two places share a column or a row. Chosen: the places with the least predicted variance over the "
         "eye box. A grid has few levels of x and y for its number of places.",
     )

@@ -33,7 +33,7 @@ class VerifyPairsOptions(Options):
         "out/calibrate"
     )
     eye: Annotated[Eye, described("Eye that the camera was calibrated for.")] = "right"
-    out: Annotated[Path, described("Output folder.")] = Path("out/verify")
+    out: Annotated[Path, described("Output folder.")] = Path("out/verify-pairs")
 
 
 @job

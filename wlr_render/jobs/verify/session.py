@@ -113,7 +113,7 @@ class VerifySessionOptions(SpreadOptions):
     backend: Backend = "auto"
     workers: Workers = None
     scheduler: Scheduler = None
-    out: Annotated[Path, described("Output folder.")] = Path("out/verify")
+    out: Annotated[Path, described("Output folder.")] = Path("out/verify-session")
 
     def __post_init__(self) -> None:
         super().__post_init__()
