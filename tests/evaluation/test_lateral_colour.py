@@ -8,7 +8,7 @@ import pytest
 from wlr_render.evaluation.lateral_colour import DEPTH_M, lateral_colour, lateral_colour_table
 from wlr_render.geometry import directions
 from wlr_render.optics.device_file import load_device
-from wlr_render.optics.media import FORMULAS, Medium
+from wlr_render.optics.glass_files import shipped_glasses
 from wlr_render.optics.traced_mappings import traced_eye
 
 PIXEL = np.array([[70.0, 50.0], [20.0, 80.0], [130.0, 10.0]])
@@ -47,7 +47,7 @@ def test_a_front_mirror_has_no_colour_and_the_combiner_that_of_its_plastic(name)
     """To first order in the indices' difference, 1 % of n - 1, a combiner's colour is in proportion to it."""
     red, green, blue = (traced_eye(load_device(name), "right", line) for line in (0.62, 0.53, 0.46))
     pixel = green.display.panel.grid(5, 4).reshape(-1, 2)
-    index = Medium("pmma", FORMULAS["pmma_sultanova_2009"]).index
+    index = shipped_glasses()["pmma_sultanova_2009"].index
     to_red, to_blue = (lateral_colour(green, other, green.eye_box.centre, pixel) for other in (red, blue))
     assert max(to_red.display.max(), to_blue.display.max()) < 1e-6
     ratio = (index(0.46) - index(0.53)) / (index(0.53) - index(0.62))

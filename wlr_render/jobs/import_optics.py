@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
@@ -69,7 +70,11 @@ class ImportOpticsOptions(Options):
     ] = None
     glasses: Annotated[
         tuple[Path, ...],
-        described("Glass catalogues of Zemax (.agf), searched in this order (default: none).", flag=True, many=True),
+        described(
+            "Glass catalogues of Zemax (.agf), searched in this order before the common glasses of the program.",
+            flag=True,
+            many=True,
+        ),
     ] = ()
     semi_diameters: Annotated[
         bool, described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True)
@@ -88,7 +93,7 @@ def import_optics(options: ImportOpticsOptions, *, progress: ProgressArgument = 
     progress.say("reading the lens file")
     program, lens = read_lens_file(options.file, GlassCatalogue(options.glasses))
     headset = headset_of_lens(options.file, lens, _choices(options, program, lens))
-    _require_readable(options.file, headset.device)
+    _require_readable(options, headset.device)
     folder = output_folder(options.out)
     written = save_device(headset.device, folder / f"{headset.device.name}.toml")
     report = Report(
@@ -132,9 +137,14 @@ def _choices(options: ImportOpticsOptions, program: str, lens: LensFile) -> Head
     )
 
 
-def _require_readable(path: Path, device: Device) -> None:
+def _require_readable(options: ImportOpticsOptions, device: Device) -> None:
     """Refuse a device that `load_device` would refuse, before anything is written."""
-    device_of(Table(device_content(device), f"{path}, as a device"))
+    try:
+        device_of(Table(device_content(device), f"{options.file}, as a device"))
+    except BadInputError as error:
+        if options.semi_diameters:
+            raise
+        raise BadInputError(f"{error} Or keep to the part that is drawn in the file: --semi-diameters.") from error
 
 
 def _not_the_lens(headset: ImportedHeadset) -> str:
@@ -158,8 +168,11 @@ def _warnings(headset: ImportedHeadset) -> list[str]:
         warnings.append(
             f"Rays run otherwise than in the file, because of surface {listed}: the table of ignored keys says why."
         )
-    if any(note.surface is None and note.bends_rays for note in headset.ignored):
-        warnings.append("The file has several configurations; the one that was saved as current is taken.")
+    warnings += [
+        f"{note.key} {note.value}: {note.reason}."
+        for note in headset.ignored
+        if note.surface is None and note.bends_rays
+    ]
     glasses: dict[tuple[str, str], list[str]] = {}
     for note in headset.ignored:
         if note.part == "glass":

@@ -1,5 +1,6 @@
 """Read device prescriptions (format: devices/README.md). Converts millimetres and degrees to metres and radians."""
 
+import difflib
 import re
 from collections.abc import Callable
 from pathlib import Path as FilePath
@@ -24,7 +25,8 @@ from wlr_render.optics.device import (
     Step,
     mirrored,
 )
-from wlr_render.optics.media import AIR, FORMULAS, Medium
+from wlr_render.optics.glass_files import shipped_glasses
+from wlr_render.optics.media import AIR, INDICES, Medium
 from wlr_render.optics.raised import FormError, Raised, RaisedSag, raised
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
@@ -44,8 +46,6 @@ MM = 1e-3
 
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0])
 
-_GREEN_UM = 0.55
-_VISIBLE_UM = 0.45, 0.65
 _ABBE_NUMBERS = 5.0, 200.0
 _FAR_MM = 2000.0  # of anything in a headset from its origin
 _OPEN_MM = 10.0  # half the width of a surface without an aperture, at least
@@ -54,7 +54,6 @@ _FLAT_MM = 1e12  # radii of surfaces that are all but flat are written so
 _EYE_BOX_LEAST_MM = 0.1
 _PANEL_LEAST_MM = 0.5
 _STEEPEST_DEG = 89.0  # of a field of view, which is described by tangents
-_INDICES = 1.0, 5.0
 _HIGHEST_POWER = 20  # of x and y together
 _MOST = 100  # surfaces, steps of a path, media, terms
 _DEEPEST = 6  # surfaces stated by an earlier one: the time for a ray grows exponentially with it
@@ -330,45 +329,40 @@ def _media(file: Table) -> dict[str, Medium]:
 
 def _medium(table: Table, name: str) -> Medium:
     given = [key for key in _MEDIA if table.has(key)]
-    if len(given) != 1:
+    readers = {_MEDIA[key] for key in given}
+    if len(readers) != 1:
         raise table.fail(f"give the index by one of {', '.join(_MEDIA)}; {' and '.join(given) or 'none'} is there.")
-    medium = _MEDIA[given[0]](table, name).shifted(table.number("index_shift", default=0.0))
-    _index(table, "the index with 'index_shift'", medium.index(_GREEN_UM))
-    for wavelength_um in _VISIBLE_UM:
-        _index(table, f"the index at {wavelength_um:g} um", medium.index(wavelength_um))
+    medium = readers.pop()(table, name).shifted(table.number("index_shift", default=0.0))
+    if fault := medium.fault():
+        raise table.fail(fault)
     return medium
 
 
-def _named_formula(table: Table, name: str) -> Medium:
+def _named_glass(table: Table, name: str) -> Medium:
     formula = table.text("formula")
-    if formula not in FORMULAS:
+    glasses = shipped_glasses()
+    if formula not in glasses:
+        like = difflib.get_close_matches(formula.upper(), glasses, 3, 0.0)
         raise table.fail(
-            f"'formula' is {shown(formula)}; choose one of {', '.join(sorted(FORMULAS))}, or give any glass by "
-            "'sellmeier', or by 'nd' and 'vd'."
+            f"'formula' is {shown(formula)}; choose one of the glasses that devices/README.md lists, such as "
+            f"{', '.join(like)}, or give any glass by 'sellmeier', or by 'nd' and 'vd'."
         )
-    return Medium(name, FORMULAS[formula])
+    return glasses[formula].renamed(name)
 
 
-def _sellmeier(table: Table, name: str) -> Medium:
-    pairs = table.vectors("sellmeier", 2)
-    if len(pairs) > _MOST:
-        raise table.fail(f"'sellmeier' has {len(pairs)} terms; {_MOST} is the most that is read.")
-    if np.any(pairs[:, 1] < 0):
-        raise table.fail("'sellmeier' has a negative pole; write [strength, pole in square micrometres] of each term.")
-    return Medium(name, tuple((strength, pole) for strength, pole in pairs.tolist()))
-
-
-def _schott(table: Table, name: str) -> Medium:
-    """n^2 by pairs of a factor and a power of the wavelength."""
-    pairs = table.vectors("schott", 2)
-    if len(pairs) > _MOST or np.any(np.abs(pairs[:, 1]) > _HIGHEST_POWER):
+def _squared(table: Table, name: str) -> Medium:
+    """n^2 by terms of Sellmeier, by powers of the wavelength, or by the sum of both."""
+    pairs = {key: table.vectors(key, 2) if table.has(key) else np.empty((0, 2)) for key in ("sellmeier", "schott")}
+    for key, given in pairs.items():
+        if len(given) > _MOST:
+            raise table.fail(f"'{key}' has {len(given)} terms; {_MOST} is the most that is read.")
+    if np.any(np.abs(pairs["schott"][:, 1]) > _HIGHEST_POWER):
         raise table.fail(
             f"'schott' must be pairs [factor, power of the wavelength], at most {_MOST}, powers within "
             f"{_HIGHEST_POWER}."
         )
-    constant = sum(factor for factor, power in pairs.tolist() if power == 0.0)
-    rest = tuple((factor, power) for factor, power in pairs.tolist() if power != 0.0)
-    return Medium(name, powers=((constant - 1.0, 0.0), *rest))
+    terms, powers = ([(float(first), float(second)) for first, second in given] for given in pairs.values())
+    return Medium.squared(name, terms, powers if table.has("schott") else [(1.0, 0.0)])
 
 
 def _cauchy(table: Table, name: str) -> Medium:
@@ -386,16 +380,16 @@ def _abbe(table: Table, name: str) -> Medium:
 
 _MEDIA: dict[str, Callable[[Table, str], Medium]] = {
     "index": lambda table, name: Medium.constant(name, _index(table, "'index'", positive(table, "index"))),
-    "formula": _named_formula,
-    "sellmeier": _sellmeier,
-    "schott": _schott,
+    "formula": _named_glass,
+    "sellmeier": _squared,
+    "schott": _squared,
     "cauchy": _cauchy,
     "nd": _abbe,
 }
 
 
 def _index(table: Table, what: str, index: float) -> float:
-    low, high = _INDICES
+    low, high = INDICES
     if not low <= index <= high:
         raise table.fail(f"{what} is {index:g}; a refractive index lies between {low:g} and {high:g}.")
     return index

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.errors import BadInputError
 from wlr_render.mappings import FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
@@ -20,7 +19,8 @@ from wlr_render.optics.device import (
     mirrored,
 )
 from wlr_render.optics.device_file import MM, base_chain
-from wlr_render.optics.media import AIR, FORMULAS, Medium
+from wlr_render.optics.glass_files import shipped_glasses
+from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import Raised, RaisedSag
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
@@ -43,9 +43,6 @@ def save_device(device: Device, path: str | FilePath) -> FilePath:
 
     Media of one name that differ between the eyes get the side added to the name. A displaced surface whose base stands
     elsewhere, or is in no path, gets a base of its own.
-
-    Raises:
-        BadInputError: a medium has a dispersion that the format cannot state.
     """
     return write_toml(path, device_content(device))
 
@@ -73,22 +70,19 @@ def _medium_names(device: Device) -> dict[Medium, str]:
 
 def _medium(name: str, medium: Medium) -> Content:
     shift = {"index_shift": medium.index_shift} if medium.index_shift else {}
-    for formula, terms in FORMULAS.items():
-        if medium.terms == terms and not medium.powers:
-            return {"name": name, "formula": formula} | shift
-    if medium.powers:
-        if any(pole for _, pole in medium.terms):
-            raise BadInputError(
-                f"Medium '{name}' cannot be written to a device file: it has terms of Sellmeier and of Schott "
-                "together; fit it by one of the two formulas."
-            )
-        # A term of Sellmeier with a pole of 0 is a constant of n^2, as is a factor of the power 0.
-        constant = 1.0 + sum(strength for strength, _ in medium.terms)
-        constant += sum(factor for factor, power in medium.powers if power == 0.0)
-        pairs = [[constant, 0.0], *([factor, power] for factor, power in medium.powers if power != 0.0)]
-        return {"name": name, "schott": pairs} | shift
-    if any(pole for _, pole in medium.terms):
-        return {"name": name, "sellmeier": [list(term) for term in medium.terms]} | shift
+    for glass in shipped_glasses().values():
+        if (medium.terms, medium.powers) == (glass.terms, glass.powers):
+            return {"name": name, "formula": glass.name} | shift
+    poles = [list(term) for term in medium.terms if term[1]]
+    # A term of Sellmeier with a pole of 0 is a constant of n^2, as is a factor of the power 0.
+    constant = sum(strength for strength, pole in medium.terms if not pole)
+    constant += sum(factor for factor, power in medium.powers if not power)
+    powers = [[factor, power] for factor, power in medium.powers if power]
+    if powers:
+        sellmeier = {"sellmeier": poles} if poles else {}
+        return {"name": name} | sellmeier | {"schott": [[1.0 + constant, 0.0], *powers]} | shift
+    if poles:
+        return {"name": name, "sellmeier": [*poles, *([[constant, 0.0]] if constant else [])]} | shift
     return {"name": name, "index": replace(medium, index_shift=0.0).index(1.0)} | shift
 
 

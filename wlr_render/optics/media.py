@@ -1,11 +1,18 @@
 """Refractive index of the media between surfaces, by wavelength in micrometres."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 FRAUNHOFER_F_D_C_UM = (0.48613270, 0.58756180, 0.65627250)
 """Blue and red of hydrogen, yellow of helium between them: the lines that an Abbe number is stated for."""
+GREEN_UM = 0.55
+"""Wavelength of the green light by which optics are traced where no colour is named."""
+INDICES = 1.0, 5.0
+"""Smallest and largest refractive index of a transparent medium."""
+_DISPLAYED_UM = 0.45, GREEN_UM, 0.65  # wavelengths at which a medium must have a plausible index
+_VISIBLE_UM = 0.38, 0.78
 
 
 @dataclass(frozen=True)
@@ -14,7 +21,8 @@ class Medium:
 
     Attributes:
         name: what the device file calls it.
-        terms: of Sellmeier, pairs (strength, pole in square micrometres); a pole of 0 is a constant index.
+        terms: of Sellmeier, pairs (strength, pole in square micrometres); a pole of 0 is a constant index, and a
+            negative one lies at no real wavelength.
         index_shift: added to n at every wavelength: by how much a sample differs from the published formula.
         powers: of Schott and Cauchy, pairs (factor in micrometres^-power, power).
     """
@@ -30,6 +38,19 @@ class Medium:
         return cls(name, ((index * index - 1.0, 0.0),))
 
     @classmethod
+    def squared(
+        cls, name: str, terms: Iterable[tuple[float, float]] = (), powers: Iterable[tuple[float, float]] = ()
+    ) -> "Medium":
+        """A medium of n^2 = sum of strength L^2 / (L^2 - pole) + sum of factor L^power; all constants in one."""
+        terms, powers = list(terms), list(powers)
+        constant = sum(factor for factor, power in powers if power == 0.0) - 1.0
+        constant += sum(strength for strength, pole in terms if pole == 0.0)
+        kept = tuple((strength, pole) for strength, pole in terms if strength and pole)
+        if rest := tuple((factor, power) for factor, power in powers if factor and power):
+            return cls(name, kept, powers=((constant, 0.0), *rest))
+        return cls(name, (*kept, (constant, 0.0)) if constant else kept)
+
+    @classmethod
     def cauchy(cls, name: str, factors: tuple[tuple[float, float], ...]) -> "Medium":
         """A medium of n = sum of factor L^power, from pairs (factor, power)."""
         squared: dict[float, float] = {0.0: -1.0}
@@ -39,16 +60,16 @@ class Medium:
         return cls(name, powers=tuple((factor, power) for power, factor in sorted(squared.items(), reverse=True)))
 
     @classmethod
-    def abbe(cls, name: str, index: float, number: float) -> "Medium":
+    def abbe(cls, name: str, index: float, number: float, deviation: float = 0.0) -> "Medium":
         """A medium by its index n_d and its Abbe number V_d = (n_d - 1) / (n_F - n_C).
 
-        Both are met exactly, by three terms of Cauchy; the third is that of a normal glass, whose partial dispersion
-        (n_g - n_F) / (n_F - n_C) lies on Schott's normal line 0.6438 - 0.001682 V_d.
+        Both are met exactly, by three terms of Cauchy. The third follows from the partial dispersion
+        P_gF = (n_g - n_F) / (n_F - n_C), which is `deviation` above Schott's normal line 0.6438 - 0.001682 V_d.
         """
         g_line, (f_line, d_line, c_line) = 0.4358343, FRAUNHOFER_F_D_C_UM
         at_g, at_f, at_d, at_c = (np.array([1.0, line**-2, line**-4]) for line in (g_line, f_line, d_line, c_line))
         dispersion = (index - 1.0) / number
-        partial = (0.6438 - 0.001682 * number) * dispersion
+        partial = (0.6438 - 0.001682 * number + deviation) * dispersion
         factors = np.linalg.solve(np.stack([at_d, at_f - at_c, at_g - at_f]), [index, dispersion, partial])
         return cls.cauchy(name, tuple(zip(factors.tolist(), (0.0, -2.0, -4.0), strict=True)))
 
@@ -70,20 +91,23 @@ class Medium:
         # The index of no medium is below 1: beyond a pole, NaN instead of a complex number.
         return float(n_squared**0.5) + self.index_shift if n_squared >= 0.0 else np.nan
 
+    def fault(self) -> str | None:
+        """Sentence on an index that no transparent medium has in visible light; None if all is plausible."""
+        low, high = INDICES
+        for wavelength_um in _DISPLAYED_UM:
+            if not low <= (index := self.index(wavelength_um)) <= high:
+                return (
+                    f"the index at {wavelength_um:g} um is {index:g}; a refractive index lies between {low:g} and "
+                    f"{high:g}."
+                )
+        for strength, pole in self.terms:
+            if strength and _VISIBLE_UM[0] ** 2 < pole < _VISIBLE_UM[1] ** 2:
+                return (
+                    f"the index is infinite at {pole**0.5:.4g} um, in visible light: the pole {pole:g} square "
+                    "micrometres is wrong; correct it."
+                )
+        return None
+
 
 AIR = Medium("air")
 """Where every path starts and ends; its index is taken as 1."""
-
-FORMULAS = {
-    # N. Sultanova, S. Kasarova, I. Nikolov, "Dispersion properties of optical polymers",
-    # Acta Physica Polonica A 116 (2009) 585.
-    "pmma_sultanova_2009": ((1.1819, 0.011313),),
-    "polycarbonate_sultanova_2009": ((1.4182, 0.021304),),
-    "polystyrene_sultanova_2009": ((1.4435, 0.020216),),
-    # Schott, data sheets of optical glass.
-    "n_bk7_schott": ((1.03961212, 0.00600069867), (0.231792344, 0.0200179144), (1.01046945, 103.560653)),
-    # I. H. Malitson, "Interspecimen comparison of the refractive index of fused silica",
-    # J. Opt. Soc. Am. 55 (1965) 1205.
-    "silica_malitson_1965": ((0.6961663, 0.0684043**2), (0.4079426, 0.1162414**2), (0.8974794, 9.896161**2)),
-}
-"""Sellmeier terms of published formulas, by the name that device files use."""

@@ -48,15 +48,16 @@ ZEMAX: dict[str, tuple[str, str, str]] = {
 }
 # By name: old and new text of the catalogue, and a word of the sentence.
 CATALOGUES: dict[str, tuple[str, str, str]] = {
-    "a coefficient of nan": ("1.039612120E+00", "nan", "index of nan"),
-    "a coefficient of 1e308": ("1.039612120E+00", "1e308", "has an index of"),
-    "a pole in green light": ("6.000698670E-03", "0.30250000000000005", "index of nan"),
+    "a weak pole in visible light": ("2.317923440E-01 2.001791440E-02", "1e-6 0.36", "infinite at 0.6 um"),
+    "a coefficient of nan": ("1.039612120E+00", "nan", "is nan"),
+    "a coefficient of 1e308": ("1.039612120E+00", "1e308", "index at"),
+    "a pole in green light": ("6.000698670E-03", "0.30250000000000005", "index"),
     "a pole in blue light": ("6.000698670E-03", "0.2116", "index"),
     "coefficients cut short": (" 1.035606530E+02 0 0 0 0", "", "5 coefficients"),
     "a coefficient too many": ("1.035606530E+02 0 0", "1.035606530E+02 0.5 0", "10 coefficients"),
-    "a formula of text": ("CORPUS 2 ", "CORPUS two ", "no numbers"),
+    "a formula of text": ("CORPUS 2 ", "CORPUS two ", "not numbers"),
     "an unknown formula": ("CORPUS 2 ", "CORPUS 99 ", "formula 99"),
-    "a formula of 400 digits": ("CORPUS 2 ", f"CORPUS {'9' * 400} ", "no numbers"),
+    "a formula of 400 digits": ("CORPUS 2 ", f"CORPUS {'9' * 400} ", "not numbers"),
     "no glass": (GLASSES, "CC Glasses\n", "no line 'NM'"),
     "another glass": ("NM CORPUS", "NM BORPUS", "CORPUS"),
 }

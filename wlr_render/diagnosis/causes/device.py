@@ -23,7 +23,8 @@ from wlr_render.optics.device import (
     PlacedSurface,
     Step,
 )
-from wlr_render.optics.media import AIR, FORMULAS, Medium
+from wlr_render.optics.glass_files import shipped_glasses
+from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Conic, Offset
 from wlr_render.simulation.bench import Bench
 
@@ -112,7 +113,7 @@ def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg
     """
     if thickness == 0.0:
         return bench
-    pmma = Medium("added_plate", FORMULAS["pmma_sultanova_2009"])
+    pmma = shipped_glasses()["pmma_sultanova_2009"].renamed("added_plate")
     index = pmma.index(bench.target_wavelength_um)
     medium = pmma if thickness > 0.0 else Medium.constant("added_plate", 1.0 / (2.0 - 1.0 / index))
     near = _tilt(tilt_deg)

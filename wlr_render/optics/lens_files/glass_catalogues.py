@@ -1,4 +1,4 @@
-"""Glasses by name: Zemax catalogue files (.agf), and the refractiveindex.info database that Optiland brings."""
+"""Glasses by name: Zemax catalogue files (.agf), that of this package, and the database that Optiland brings."""
 
 import functools
 import re
@@ -10,18 +10,55 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError, install_command, installed_by
-from wlr_render.input_files import LIMITS, read_bytes, read_text, reason_of, shown
-from wlr_render.optics.lens_files.lens_text import decode_lens_text
-from wlr_render.optics.media import Medium
+from wlr_render.input_files import read_text, shown
+from wlr_render.optics.glass_files import (
+    GlassEntry,
+    fraction,
+    herzberger,
+    read_glass_file,
+    shipped_entries,
+)
+from wlr_render.optics.lens_files.sequence import Notes, ignore
+from wlr_render.optics.media import AIR, Medium
 
-_KIND = "a glass catalogue"
-_GREEN_UM = 0.55
-_INDICES = 1.0, 5.0
-_SCHOTT = 1
-_COEFFICIENTS = {_SCHOTT: 6, 2: 6, 6: 8, 11: 10}
-"""Coefficients of Zemax' formulas by number: Schott's, and sums of 3, 4 and 5 terms K L^2 / (L^2 - pole)."""
-SCHOTT_POWERS = (0.0, 2.0, -2.0, -4.0, -6.0, -8.0)
-"""Powers of the wavelength in Schott's formula: formula 1 of Zemax, and that of several makers of glass."""
+_ALSO = {
+    "BK7": "N-BK7",
+    "PC": "POLYCARB",
+    "POLYCARBONATE": "POLYCARB",
+    "PS": "POLYSTYR",
+    "POLYSTYRENE": "POLYSTYR",
+    "TOPAS": "COC",
+    "ZEONEXE48R": "E48R",
+    "FSILICA": "SILICA",
+    "FUSEDSILICA": "SILICA",
+    "SIO2": "SILICA",
+    "C7980": "SILICA",
+    "AL2O3": "SAPPHIRE",
+}
+"""Other names, in letters and digits, of glasses of this package."""
+_OTHER_MAKERS = {"F2": ("cdgm", "hikari"), "BAF2": ("cdgm",)}
+"""Makers who give the name of a glass of this package to a glass of their own."""
+_VISIBLE_UM = 0.45, 0.65
+
+
+@dataclass(frozen=True)
+class Glass:
+    """A glass as it was found.
+
+    Attributes:
+        medium: the glass.
+        note: where it was found, if it is not in a catalogue that the user named; may be empty.
+        is_other: whether its index may differ from that of the glass that was asked for.
+    """
+
+    medium: Medium
+    note: str = ""
+    is_other: bool = False
+
+    def tell(self, notes: Notes, surface: int, key: str, name: str) -> None:
+        """Note where the glass of a surface was found."""
+        if self.note:
+            ignore(notes, surface, key, name, self.note, self.is_other, "glass" if self.is_other else "other")
 
 
 @dataclass(frozen=True)
@@ -34,71 +71,97 @@ class GlassCatalogue:
     """
 
     files: tuple[Path, ...] = ()
-    found: dict[tuple[str, tuple[str, ...]], Medium | None] = field(default_factory=dict)
+    found: dict[tuple[str, tuple[str, ...]], Glass | None] = field(default_factory=dict)
 
-    def find(self, name: str, manufacturers: Sequence[str] = ()) -> Medium | None:
-        """A glass by its name, of one of the manufacturers if any are given; None if it is in no catalogue.
+    def find(self, name: str, manufacturers: Sequence[str] = ()) -> Glass | None:
+        """Find a glass by its name, of one of the manufacturers if any are given; None if it is in no catalogue.
 
         Raises:
-            BadInputError: a catalogue cannot be read, or states the glass by a formula that is not known here.
+            BadInputError: a catalogue cannot be read, or the glass in it is faulty.
         """
         key = (name.upper(), tuple(each.lower() for each in manufacturers))
         if key not in self.found:
-            entry = self._entries.get(key[0])
-            self.found[key] = _of_entry(name, *entry) if entry else _glass_of_optiland(name, key[1])
+            self.found[key] = self._find(name, key[1])
         return self.found[key]
 
-    def require(self, name: str, where: str, manufacturers: Sequence[str] = ()) -> Medium:
+    def require(self, name: str, where: str, manufacturers: Sequence[str] = ()) -> Glass:
         """As `find`, and refuses a glass that no catalogue has; `where` begins the sentence."""
-        medium = self.find(name, manufacturers)
-        if medium is None:
+        glass = self.find(name, manufacturers)
+        if glass is None:
             raise BadInputError(f"{where}: no catalogue has the glass {shown(name)}. {unknown_glass_remedy()}")
-        return medium
+        return glass
+
+    def _find(self, name: str, manufacturers: tuple[str, ...]) -> Glass | None:
+        if name.upper() in ("AIR", "VACUUM"):
+            return Glass(AIR)
+        if entry := _by_name(self._entries, name):
+            return Glass(entry.medium(), *_note_on(entry, name, ""))
+        shipped = _by_name(shipped_entries(), _ALSO.get(_letters(name), name))
+        others = _OTHER_MAKERS.get(shipped.name, ()) if shipped else ()
+        if shipped and not any(other in maker for other in others for maker in manufacturers):
+            return Glass(
+                shipped.medium(), *_note_on(shipped, name, f"from this program's catalogue ({shipped.source})")
+            )
+        medium = _glass_of_optiland(name, manufacturers)
+        if medium is None:
+            return None
+        if medium.name.upper() == name.upper():
+            return Glass(medium)
+        text = f"no catalogue has a glass of exactly this name: {medium.name} stands in its place; check its index"
+        return Glass(medium, text, True)
 
     @functools.cached_property
-    def _entries(self) -> dict[str, tuple[str, str, list[str]]]:
-        """Place, formula and coefficients of the glasses in the files, by name; of two with one name the first."""
-        entries: dict[str, tuple[str, str, list[str]]] = {}
+    def _entries(self) -> dict[str, GlassEntry]:
+        """Glasses in the files by name in capitals; of two with one name the first."""
+        entries: dict[str, GlassEntry] = {}
         for path in self.files:
-            text = decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), _KIND)
-            name, formula = "", ""
-            for number, line in enumerate(text.splitlines(), 1):
-                key, *words = line.split() or [""]
-                if key == "NM" and len(words) > 1:
-                    name, formula = words[0].upper(), words[1]
-                elif key == "CD" and name:
-                    entries.setdefault(name, (f"{path}: line {number}", formula, words))
-            if not name:
-                raise BadInputError(f"{path}: has no line 'NM' of a glass, so this is not {_KIND}; name another file.")
+            entries = read_glass_file(path) | entries
         return entries
 
 
-def sellmeier(name: str, strengths: Sequence[float], poles: Sequence[float], constant: float = 0.0) -> Medium:
-    """A medium of n^2 = 1 + constant + sum of strength L^2 / (L^2 - pole)."""
-    terms = [(float(s), float(p)) for s, p in zip(strengths, poles, strict=True) if s]
-    return Medium(name, tuple(terms + ([(float(constant), 0.0)] if constant else [])))
+def _letters(name: str) -> str:
+    """Letters and digits of a name in capitals: all that tells glasses apart."""
+    return re.sub(r"[\W_]", "", name).upper()
 
 
-def schott(name: str, factors: Sequence[float], powers: Sequence[float]) -> Medium:
-    """A medium of n^2 = sum of factor L^power."""
-    pairs = [(float(f), float(p)) for f, p in zip(factors, powers, strict=True) if f]
-    constant = sum(factor for factor, power in pairs if power == 0.0)
-    return Medium(name, powers=((constant - 1.0, 0.0), *(pair for pair in pairs if pair[1] != 0.0)))
+def _by_name(entries: dict[str, GlassEntry], name: str) -> GlassEntry | None:
+    """The glass of a name, or of the same letters and digits with other spaces and dashes."""
+    if name.upper() in entries:
+        return entries[name.upper()]
+    return next((entry for each, entry in entries.items() if _letters(each) == _letters(name)), None)
+
+
+def _note_on(entry: GlassEntry, name: str, note: str) -> tuple[str, bool]:
+    """Text on a glass that was found, and whether its index may be another one than that of the glass asked for."""
+    parts = [note] if note else []
+    if entry.name.upper() != name.upper():
+        parts.insert(0, f"taken as {entry.name}")
+    try:
+        low, high = (float(word) for word in entry.range_um[:2])
+    except ValueError:
+        low, high = _VISIBLE_UM
+    is_outside = low > _VISIBLE_UM[0] or high < _VISIBLE_UM[1]
+    if is_outside:
+        parts.append(f"its formula is stated from {low:g} to {high:g} um only, and is used beyond them")
+    return ", ".join(parts), is_outside
+
+
+def model_glass(index: float, abbe: float, where: str, name: str = "", deviation: float = 0.0) -> Medium:
+    """A glass by n_d and V_d, without dispersion if V_d is not positive, and its deviation from the normal line.
+
+    Raises:
+        BadInputError: no glass has such numbers; `where` begins the sentence.
+    """
+    name = name or f"nd{index:g}_vd{abbe:g}"
+    medium = Medium.abbe(name, index, abbe, deviation) if abbe > 0 else Medium.constant(name, index)
+    return require_glass(medium, where)
 
 
 def require_glass(medium: Medium, where: str) -> Medium:
-    """The medium, if its index in green light is one of a glass."""
-    low, high = _INDICES
-    index = medium.index(_GREEN_UM)
-    if not low <= index <= high:
-        raise BadInputError(f"{where} has an index of {index:g} in green light; a glass has one from 1 to 5.")
+    """Return the medium; refuse one whose index in visible light is not that of a glass."""
+    if fault := medium.fault():
+        raise BadInputError(f"{where}: {fault}")
     return medium
-
-
-def model_glass(index: float, abbe: float, where: str, name: str = "") -> Medium:
-    """A glass by n_d and V_d, without dispersion if V_d is not positive."""
-    name = name or f"nd{index:g}_vd{abbe:g}"
-    return require_glass(Medium.abbe(name, index, abbe) if abbe > 0 else Medium.constant(name, index), where)
 
 
 def unknown_glass_remedy() -> str:
@@ -107,30 +170,6 @@ def unknown_glass_remedy() -> str:
         "Name Zemax's catalogue file with --glasses FILE.agf, or install the database of refractiveindex.info "
         f"(1.3 GB): {install_command('glasses')}"
     )
-
-
-def _of_entry(name: str, place: str, formula: str, words: list[str]) -> Medium:
-    """A glass of a Zemax catalogue: `NM name formula ...`, and its ten coefficients in the line `CD` that follows."""
-    where = f"{place}: glass {shown(name)}"
-    try:
-        values = [float(word) for word in words]
-        kind = int(float(formula))
-    except (ValueError, OverflowError) as error:
-        raise BadInputError(f"{where} has coefficients that are no numbers ({reason_of(error)}).") from error
-    if kind not in _COEFFICIENTS:
-        raise BadInputError(
-            f"{where} is stated by formula {kind}; formulas 1 (Schott), 2, 6 and 11 (Sellmeier) are read: give the "
-            "glass in another catalogue file, or fit one of these."
-        )
-    count = _COEFFICIENTS[kind]
-    if len(values) < count or any(values[count:]):
-        raise BadInputError(
-            f"{where} has {len(values)} coefficients; formula {kind} has {count}, and zeros up to ten: correct the "
-            "number of the formula or the coefficients."
-        )
-    values = values[:count]
-    medium = schott(name, values, SCHOTT_POWERS) if kind == _SCHOTT else sellmeier(name, values[::2], values[1::2])
-    return require_glass(medium, where)
 
 
 def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | None:
@@ -152,13 +191,6 @@ def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | No
     return None
 
 
-def substitution_note(name: str, medium: Medium) -> str | None:
-    """Note on a glass that was found by a similar name only; None if it has the name that was asked for."""
-    if medium.name.upper() == name.upper():
-        return None
-    return f"no catalogue has a glass of exactly this name: {medium.name} stands in its place; check its index"
-
-
 def _of_database_file(path: str, name: str) -> Medium:
     """A medium of a refractiveindex.info file: its first formula."""
     text = read_text(path, "a file of refractiveindex.info")
@@ -166,16 +198,34 @@ def _of_database_file(path: str, name: str) -> Medium:
     if match is None:
         raise BadInputError(f"{path}: states no formula, only a table; give the glass in a catalogue file (.agf).")
     kind, values = int(match[1]), [float(each) for each in match[2].split()]
-    constant, first, second = values[0], values[1::2], values[2::2]
+    constant, pairs = values[0], list(zip(values[1::2], values[2::2], strict=False))
     match kind:
         case 1:
-            return sellmeier(name, first, np.square(second).tolist(), constant)
+            return Medium.squared(name, [(b, np.square(c).item()) for b, c in pairs], [(1.0 + constant, 0.0)])
         case 2:
-            return sellmeier(name, first, second, constant)
+            return Medium.squared(name, pairs, [(1.0 + constant, 0.0)])
         case 3:
-            return schott(name, [constant, *first], [0.0, *second])
+            return Medium.squared(name, (), [(constant, 0.0), *pairs])
+        case 4 if {values[2], *values[6:7]} <= {0.0, 2.0}:
+            return _of_fractions(name, values)
         case 5:
-            return Medium.cauchy(name, ((constant, 0.0), *zip(first, second, strict=True)))
-    raise BadInputError(
-        f"{path}: states formula {kind}; formulas 1, 2, 3 and 5 are read: give a catalogue file (.agf)."
-    )
+            return Medium.cauchy(name, ((constant, 0.0), *pairs))
+        case 7:
+            return herzberger(name, [*values, *[0.0] * (6 - len(values))])
+    raise BadInputError(f"{path}: states formula {kind}; formulas 1 to 5 and 7 are read: give a catalogue file (.agf).")
+
+
+def _of_fractions(name: str, values: list[float]) -> Medium:
+    """Formula 4: n^2 = c1 + c2 L^c3 / (L^2 - c4^c5) + c6 L^c7 / (L^2 - c8^c9) + c10 L^c11 and so on."""
+    values = [*values, *[0.0] * (9 - len(values))]
+    terms: list[tuple[float, float]] = []
+    powers = [(values[0], 0.0), *zip(values[9::2], values[10::2], strict=False)]
+    for strength, power, base, exponent in (values[1:5], values[5:9]):
+        pole = base**exponent
+        if power:
+            terms.append((strength, pole))
+        else:
+            more = fraction(strength, pole)
+            terms += more[0]
+            powers += more[1]
+    return Medium.squared(name, terms, powers)

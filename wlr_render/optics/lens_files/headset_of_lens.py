@@ -14,11 +14,10 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture, Device, EyeOptics, Interaction, PlacedPanel, PlacedSurface, Step
 from wlr_render.optics.device import Path as RayPath
 from wlr_render.optics.lens_files.sequence import Ignored, LensFile, LensSurface, box_aperture
-from wlr_render.optics.media import AIR
+from wlr_render.optics.media import AIR, GREEN_UM
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.tracer import trace
 
-_GREEN_UM = 0.55
 _PROBE = 0.01  # tangent, by which the image on the panel is found upright or not
 _MOST_SURFACES = 100  # that a device file may have
 _SAME_UM = 0.1  # a difference between two forms of a panel that is not worth a word
@@ -97,7 +96,9 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
     bending = [place for place in range(len(lens.surfaces)) if lens.bends_rays(place) and place != panel_place]
     bending = [place for place in bending if (place < panel_place) == from_eye]
     if not bending:
-        raise BadInputError(f"{path}: no mirror or glass lies between the eye and the panel; check --starts-at.")
+        raise BadInputError(
+            f"{path}: no mirror or glass lies between the eye and the panel; check --starts-at{_unread_types(lens)}."
+        )
     if len(bending) > _MOST_SURFACES:
         raise BadInputError(f"{path}: {len(bending)} surfaces bend rays; a device file has at most {_MOST_SURFACES}.")
     at_eye = lens.medium_before(bending[0]) if from_eye else lens.surfaces[bending[-1]].medium
@@ -134,6 +135,12 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
         pupil_text,
         is_reached,
     )
+
+
+def _unread_types(lens: LensFile) -> str:
+    """Clause on surfaces that bend rays and are of a type that is not read; may be empty."""
+    unread = [f"surface {note.surface} ({note.value})" for note in lens.ignored if note.part == "shape"]
+    return f" and the types that are not read: {', '.join(unread[:5])}" if unread else ""
 
 
 def _panel_place(path: Path, lens: LensFile, choices: HeadsetChoices, places: dict[int, int]) -> int:
@@ -214,7 +221,7 @@ def _panel(
     """The panel in its surface's plane, turned by steps of 90 degrees to be seen upright, and whether rays reach it."""
     flat = PlacedPanel(device_from_surface, np.ones(2), Panel(1, 1))
     tangents = _PROBE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    traced = trace(display, viewpoint, dir_of_tangents(tangents), _GREEN_UM)
+    traced = trace(display, viewpoint, dir_of_tangents(tangents), GREEN_UM)
     right, left, up, down = flat.pixel_of_ray(traced.origin, traced.direction)
     jacobian = np.stack([right - left, up - down], axis=-1)
     is_reached = bool(np.isfinite(jacobian).all())

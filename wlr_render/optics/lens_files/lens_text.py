@@ -1,6 +1,7 @@
 """Text of lens design programs: UTF-16 or UTF-8, with or without byte order mark, or Latin-1."""
 
 import codecs
+import re
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
@@ -18,9 +19,16 @@ def decode_lens_text(path: Path, content: bytes, kind: str) -> str:
             return content.decode("utf-16")
         if content[1:200:2].count(0) > content[0:200:2].count(0):
             return content.decode("utf-16-le")
+        if content[0:1] == b"\0" != content[1:2]:
+            return content.decode("utf-16-be")
         if 0 in content:
             raise BadInputError(f"{path}: has bytes of zero, so this is not {kind}; name another file.")
         try:
             return content.decode("utf-8-sig")
         except UnicodeDecodeError:
             return content.decode("latin-1")
+
+
+def lines_of(text: str) -> list[str]:
+    """Lines of a text. Unlike `str.splitlines`, a comment's other separators, such as Latin-1's 0x85, end no line."""
+    return re.split("\r\n|\r|\n", text)

@@ -13,7 +13,6 @@ from wlr_render.optics.lens_files.glass_catalogues import (
     GlassCatalogue,
     model_glass,
     require_glass,
-    substitution_note,
 )
 from wlr_render.optics.lens_files.sequence import (
     LensFile,
@@ -110,10 +109,9 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
     if kind == "Material":
         name = material.text("name")
         reference = material.unchecked("reference")
-        medium = catalogue.require(name, material.where, (reference,) if isinstance(reference, str) else ())
-        if note := substitution_note(name, medium):
-            ignore(notes, number, "material_post", name, note, True, "glass")
-        return medium
+        glass = catalogue.require(name, material.where, (reference,) if isinstance(reference, str) else ())
+        glass.tell(notes, number, "material_post", name)
+        return glass.medium
     raise material.fail(f"material {shown(kind)} is not read; write it as IdealMaterial, AbbeMaterial or Material.")
 
 

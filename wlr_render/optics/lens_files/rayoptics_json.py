@@ -9,14 +9,11 @@ from wlr_render.geometry.transforms import inverse, rigid, rotation_about
 from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
+from wlr_render.optics.glass_files import NIKON_POWERS, SCHOTT_POWERS
 from wlr_render.optics.lens_files.glass_catalogues import (
-    SCHOTT_POWERS,
     GlassCatalogue,
     model_glass,
     require_glass,
-    schott,
-    sellmeier,
-    substitution_note,
 )
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
@@ -42,7 +39,7 @@ _POWERS_OF_MAKERS = {
     "HoyaGlass": SCHOTT_POWERS,
     "SumitaGlass": SCHOTT_POWERS,
     "CDGMGlass": SCHOTT_POWERS,
-    "HikariGlass": (0.0, 2.0, 4.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0),
+    "HikariGlass": NIKON_POWERS,
 }
 """Powers of the wavelength in the dispersion formulas of makers of glass."""
 
@@ -87,10 +84,9 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         mode = surface.text("interact_mode")
         if mode not in ("transmit", "reflect", "dummy", "phantom"):
             ignore(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
-        if _class_of(entry) != "Surface" or surface.unchecked("phase_element"):
-            ignore(
-                notes, number, "surface", _class_of(entry), "bends rays by more than its shape: not read", True, "shape"
-            )
+        kind = _class_of(surface.table("phase_element") if surface.unchecked("phase_element") else entry)
+        if kind != "Surface":
+            ignore(notes, number, "surface", kind, "bends rays by more than its shape: not read", True, "shape")
         if mode != "reflect":
             medium = _medium(gaps[number], number, catalogue, notes) if number < len(gaps) else medium
         thickness = number_of(gaps[number].table("attributes"), "thi") if number < len(gaps) else 0.0
@@ -187,13 +183,14 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
     if attributes.has("coefs"):
         coefficients = _array(attributes, "coefs")
         if kind in _SELLMEIER_MAKERS and len(coefficients) == 6:
-            return require_glass(sellmeier(name, coefficients[:3], coefficients[3:]), where)
+            terms = zip(coefficients[:3], coefficients[3:], strict=True)
+            return require_glass(Medium.squared(name, terms, [(1.0, 0.0)]), where)
         if kind in _POWERS_OF_MAKERS and len(coefficients) == len(_POWERS_OF_MAKERS[kind]):
-            return require_glass(schott(name, coefficients, _POWERS_OF_MAKERS[kind]), where)
-    found = catalogue.require(name, where)
-    if note := substitution_note(name, found):
-        ignore(notes, number, "medium", name, note, True, "glass")
-    return found
+            powers = zip(coefficients, _POWERS_OF_MAKERS[kind], strict=True)
+            return require_glass(Medium.squared(name, (), powers), where)
+    glass = catalogue.require(name, where)
+    glass.tell(notes, number, "medium", name)
+    return glass.medium
 
 
 def _aperture(surface: Table, number: int, unit: float, notes: Notes) -> ClearAperture:

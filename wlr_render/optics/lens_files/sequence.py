@@ -20,7 +20,10 @@ from wlr_render.optics.sag_surfaces import Asphere
 from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.toml_files import Table
 
-UNITS_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "inches": 0.0254, "m": 1.0, "meter": 1.0, "meters": 1.0}
+UNITS_M = {
+    **{"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "inch": 0.0254, "inches": 0.0254},
+    **{"m": 1.0, "me": 1.0, "meter": 1.0, "meters": 1.0},
+}
 """Metres of the units of length that lens files name."""
 
 _MOST_SURFACES = 1000

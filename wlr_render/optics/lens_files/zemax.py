@@ -15,10 +15,9 @@ from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.lens_files.glass_catalogues import (
     GlassCatalogue,
     model_glass,
-    substitution_note,
     unknown_glass_remedy,
 )
-from wlr_render.optics.lens_files.lens_text import decode_lens_text
+from wlr_render.optics.lens_files.lens_text import decode_lens_text, lines_of
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
     LensFile,
@@ -51,6 +50,7 @@ _TAKEN = {
     "CLAP",
     "FLAP",
     "SQAP",
+    "ELAP",
     "OBDC",
 }
 _HARMLESS = {
@@ -58,8 +58,17 @@ _HARMLESS = {
     *("OPDX", "SCOL", "SDMA", "PZUP", "TCED", "CSOP", "GCOL", "RSCE", "VCON", "MEAS"),
 }
 """Keys of a surface that say how it is drawn, coated, solved for or optimised."""
-_DEFAULT_GLASS = 1.5, 40.0
-"""Index and Abbe number that Zemax writes beside the name of a catalogue glass when it says nothing of it."""
+_NOT_STATED = (1.5, 40.0), (0.0, 0.0)
+"""Index and Abbe number that stand beside the name of a catalogue glass where the file does not state them."""
+_CONIC_WITHOUT_TERMS = {
+    *("BINARY_1", "BINARY_2", "DGRATING", "FZERNPHA", "FZERNSAG", "IRREGULA", "QED_TYPE", "SZERNPHA", "SZERNSAG"),
+    *("XODDASPH",),
+}
+"""Types that are not read and are their conic if all their parameters are 0. Others, such as FRESNELS and PARAXIAL,
+bend rays in another way even then."""
+_MODEL_GLASS = "1"
+_ROOM = 20.0, 1.0
+"""Temperature in degrees Celsius and pressure in atmospheres that the indices of catalogues are stated for."""
 _MOST_POWER = 20
 _NORMS = 1e-9, 1e9
 _MOST_NUMBERED = 500  # parameters of a surface
@@ -172,7 +181,7 @@ def _split(path: Path, text: str) -> tuple[dict[str, tuple[list[str], int]], lis
     header: dict[str, tuple[list[str], int]] = {}
     surfaces: list[_Lines] = []
     within = False
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(lines_of(text), 1):
         key, *words = line.split() or [""]
         if key == "SURF":
             found = words[0] if words else ""
@@ -204,8 +213,19 @@ def _read_header(reading: _Reading, header: dict[str, tuple[list[str], int]]) ->
     reading.manufacturers = tuple(header.get("GCAT", ([], 0))[0])
     words, line = header.get("MNUM", (["1"], 0))
     if words and words[0].isdecimal() and int(words[0]) > 1:
-        reading.ignore(None, "MNUM", words[0], "the configuration that was saved as current is taken, no other", True)
+        reading.ignore(
+            None, "MNUM", words[0], "the file has several configurations; the one saved as current is taken", True
+        )
+    _note_environment(reading, header)
     return " ".join(header.get("NAME", ([], 0))[0])[:200]
+
+
+def _note_environment(reading: _Reading, header: dict[str, tuple[list[str], int]]) -> None:
+    """Note a temperature and pressure at which the glasses have other indices than in their catalogues."""
+    words, line = header.get("ENVD", ([], 0))
+    if len(words) > 1 and tuple(reading.number(words, place, line, "ENVD") for place in (0, 1)) != _ROOM:
+        reason = "the glasses have their indices at 20 degrees Celsius and 1 atmosphere, not those of this environment"
+        reading.ignore(None, "ENVD", " ".join(words), reason, True)
 
 
 def _kind(surface: _Lines) -> str:
@@ -243,24 +263,36 @@ def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Me
     name = words[0]
     if name.upper() == "MIRROR":
         return True, before
-    model = words[1:2] == ["1"] or re.fullmatch("_+BLANK", name.upper()) is not None
-    stated = None
-    if len(words) > 4:
-        stated = reading.number(words, 3, line, "GLAS"), reading.number(words, 4, line, "GLAS")
-    medium = None if model else reading.catalogue.find(name, reading.manufacturers)
-    if medium is None and stated is not None and (model or stated != _DEFAULT_GLASS):
-        index, abbe = stated
-        where = f"{reading.path}: line {line}: glass {shown(name)}"
-        medium = model_glass(index, abbe, where, "" if model else name)
-        if not model:
-            reason = f"in no catalogue: taken by its index {index:g} and Abbe number {abbe:g}"
-            reading.ignore(surface, "GLAS", name, reason, part="glass")
+    model = words[1:2] == [_MODEL_GLASS] or re.fullmatch("_+BLANK", name.upper()) is not None
+    glass = None if model else reading.catalogue.find(name, reading.manufacturers)
+    if glass is not None:
+        glass.tell(reading.notes, surface.number, "GLAS", name)
+        return False, glass.medium
+    medium = _stated_glass(reading, surface, words, line, model)
     if medium is None:
         reading.unknown_glasses.setdefault(name, []).append(surface.number)
         return False, Medium(name)
-    if not model and (note := substitution_note(name, medium)):
-        reading.ignore(surface, "GLAS", name, note, True, "glass")
     return False, medium
+
+
+def _stated_glass(reading: _Reading, surface: _Lines, words: list[str], line: int, model: bool) -> Medium | None:
+    """The glass by the index and Abbe number beside its name, or by a name of six digits; None if there are none."""
+    name, where = words[0], f"{reading.path}: line {line}: glass {shown(words[0])}"
+    if len(words) > 4:
+        index, abbe = (reading.number(words, place, line, "GLAS") for place in (3, 4))
+        deviation = reading.number(words, 5, line, "GLAS") if len(words) > 5 else 0.0
+        if model:
+            return model_glass(index, abbe, where, deviation=deviation)
+        if (index, abbe) not in _NOT_STATED:
+            reason = f"in no catalogue: taken by its index {index:g} and Abbe number {abbe:g}"
+            reading.ignore(surface, "GLAS", name, reason, part="glass")
+            return model_glass(index, abbe, where, name, deviation)
+    if re.fullmatch(r"\d{6}", name) is None:
+        return None
+    index, abbe = 1.0 + int(name[:3]) / 1000.0, int(name[3:]) / 10.0
+    reason = f"a six-digit code: taken by its index {index:g} and Abbe number {abbe:g}"
+    reading.ignore(surface, "GLAS", name, reason, part="glass")
+    return model_glass(index, abbe, where)
 
 
 def _refuse_unknown_glasses(reading: _Reading) -> None:
@@ -276,11 +308,13 @@ def _aperture(reading: _Reading, surface: _Lines) -> ClearAperture:
     x, y = 0.0, 0.0
     if found := surface.last("OBDC"):
         x, y = (reading.number(found[0], place, found[1], "OBDC") for place in (0, 1))
-    for key in ("CLAP", "FLAP", "SQAP"):
+    for key in ("CLAP", "FLAP", "SQAP", "ELAP"):
         if found := surface.last(key):
             first, second = (reading.number(found[0], place, found[1], key) for place in (0, 1))
-            half = (first, second) if key == "SQAP" else (second, second)
-            if key != "SQAP":
+            half = (first, second) if key in ("SQAP", "ELAP") else (second, second)
+            if key == "ELAP":
+                reading.ignore(surface, key, f"{first:g} {second:g}", "an ellipse: the rectangle around it is clear")
+            elif key != "SQAP":
                 reading.ignore(surface, key, f"{second:g}", "a circle: the square around it is the clear aperture")
                 if first > 0:
                     reading.ignore(surface, key, f"{first:g}", "inner radius of a ring: rays pass its middle")
@@ -297,11 +331,9 @@ def _shape(reading: _Reading, surface: _Lines, kind: str) -> Shape:
     read = _SHAPES.get(kind)
     base = Conic(curvature / reading.unit, conic)
     if read is None:
-        values = reading.numbered(surface, "PARM") | reading.numbered(surface, "XDAT")
-        flat = not any(values.values())
-        reading.ignore(
-            surface, "TYPE", kind, "this shape is not read: its conic stands in its place", not flat, "shape"
-        )
+        parameters = [*reading.numbered(surface, "PARM").values(), *reading.numbered(surface, "XDAT").values()]
+        bends = kind not in _CONIC_WITHOUT_TERMS or any(parameters)
+        reading.ignore(surface, "TYPE", kind, "this type is not read: its conic stands in its place", bends, "shape")
         return base
     return read(reading, surface, base)
 

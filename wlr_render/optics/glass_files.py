@@ -1,0 +1,187 @@
+"""Glass catalogues of Zemax (.agf): all thirteen dispersion formulas, and the catalogue of this package."""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from wlr_render.errors import BadInputError
+from wlr_render.input_files import LIMITS, read_bytes, reason_of, shown
+from wlr_render.optics.lens_files.lens_text import decode_lens_text, lines_of
+from wlr_render.optics.media import Medium
+
+SHIPPED = Path(__file__).with_name("glasses.agf")
+"""Common glasses, plastics and crystals, with the source of each."""
+SCHOTT_POWERS = (0.0, 2.0, -2.0, -4.0, -6.0, -8.0)
+"""Powers of the wavelength in Schott's formula, which several makers of glass use."""
+NIKON_POWERS = (0.0, 2.0, 4.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0)
+"""Powers of the wavelength in the formula of Nikon and Hikari, which is Zemax's Extended 3."""
+
+_KIND = "a glass catalogue"
+_HERZBERGER_POLE = 0.028  # square micrometres, the same for every glass
+_MOST_POWER = 20.0  # of the wavelength in a device file
+
+
+@dataclass
+class GlassEntry:
+    """One glass of a catalogue, as its lines NM, GC, CD and LD state it.
+
+    Attributes:
+        name: of the glass.
+        formula: number of the dispersion formula.
+        place: file and line, for messages.
+        source: comment.
+        coefficients: of the formula.
+        range_um: shortest and longest wavelength of the formula.
+    """
+
+    name: str
+    formula: str
+    place: str
+    source: str = ""
+    coefficients: Sequence[str] = field(default_factory=list)
+    range_um: Sequence[str] = field(default_factory=list)
+
+    def medium(self) -> Medium:
+        """The glass.
+
+        Raises:
+            BadInputError: its formula or coefficients are faulty, or it has no index of a glass in visible light.
+        """
+        where = f"{self.place}: glass {shown(self.name)}"
+        try:
+            values = [float(word) for word in self.coefficients]
+            number = int(float(self.formula))
+        except (ValueError, OverflowError) as error:
+            raise BadInputError(f"{where} has coefficients that are not numbers ({reason_of(error)}).") from error
+        if number not in _FORMULAS:
+            raise BadInputError(f"{where} has the formula {number}; Zemax has formulas 1 to 13: correct the number.")
+        title, count, build = _FORMULAS[number]
+        if len(values) < count or any(values[count:]):
+            raise BadInputError(
+                f"{where} has {len(values)} coefficients; formula {number} ({title}) has {count}, and zeros up to ten: "
+                "correct the number of the formula or the coefficients."
+            )
+        medium = build(self.name, values[:count])
+        if fault := medium.fault():
+            raise BadInputError(f"{where}: {fault}")
+        return medium
+
+
+def read_glass_file(path: Path) -> dict[str, GlassEntry]:
+    """Read a catalogue: its glasses by name in capitals; of two with one name, the first.
+
+    Raises:
+        BadInputError: the file cannot be read, or is not a catalogue.
+    """
+    entries: dict[str, GlassEntry] = {}
+    entry = None
+    text = decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), _KIND)
+    for number, line in enumerate(lines_of(text), 1):
+        key, *words = line.split() or [""]
+        if key == "NM" and len(words) > 1:
+            entry = GlassEntry(words[0], words[1], f"{path}: line {number}")
+            entries.setdefault(words[0].upper(), entry)
+        elif entry is None:
+            continue
+        elif key == "CD":
+            entry.coefficients, entry.place = words, f"{path}: line {number}"
+        elif key == "GC":
+            entry.source = " ".join(words)
+        elif key == "LD":
+            entry.range_um = words
+    if not entries:
+        raise BadInputError(f"{path}: has no line 'NM' of a glass, so this is not {_KIND}; name another file.")
+    return entries
+
+
+@functools.cache
+def shipped_entries() -> dict[str, GlassEntry]:
+    """Glasses of this package by name in capitals."""
+    return read_glass_file(SHIPPED)
+
+
+@functools.cache
+def shipped_glasses() -> dict[str, Medium]:
+    """Glasses of this package by name."""
+    return {entry.name: entry.medium() for entry in shipped_entries().values()}
+
+
+def sellmeier(name: str, coefficients: Sequence[float]) -> Medium:
+    """A medium of n^2 = 1 + sum of K L^2 / (L^2 - pole), from K, pole, K, pole and so on."""
+    return Medium.squared(name, zip(coefficients[::2], coefficients[1::2], strict=True), [(1.0, 0.0)])
+
+
+def fraction(strength: float, pole: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
+    """Terms and powers, for `Medium.squared`, of strength / (L^2 - pole)."""
+    if not pole:
+        return [], [(strength, -2.0)]
+    return [(strength / pole, pole)], [(-strength / pole, 0.0)]
+
+
+def herzberger(name: str, coefficients: Sequence[float]) -> Medium:
+    """A medium of n = A + B M + C M^2 + D L^2 + E L^4 + F L^6 with M = 1 / (L^2 - 0.028).
+
+    M is expanded in powers of 0.028 / L^2 up to L^-20: from 0.4 micrometres on, n is met to 1e-7.
+    """
+    a, b, c, *rest = coefficients
+    factors = [(a, 0.0), *zip(rest, (2.0, 4.0, 6.0), strict=True)]
+    for k in range(10):
+        factors.append((b * _HERZBERGER_POLE**k, -2.0 * k - 2.0))
+        factors.append((c * (k + 1) * _HERZBERGER_POLE**k, -2.0 * k - 4.0))
+    medium = Medium.cauchy(name, tuple(factors))
+    return Medium(name, powers=tuple(pair for pair in medium.powers if pair[1] >= -_MOST_POWER))
+
+
+def _powers(*powers: float) -> Callable[[str, Sequence[float]], Medium]:
+    """Reader of n^2 = sum of coefficient L^power."""
+    return lambda name, values: Medium.squared(name, (), zip(values, powers, strict=True))
+
+
+def _sellmeier_2(name: str, values: Sequence[float]) -> Medium:
+    """n^2 = 1 + A + B L^2 / (L^2 - p^2) + C / (L^2 - q^2)."""
+    a, b, p, c, q = values
+    terms, powers = fraction(c, q * q)
+    return Medium.squared(name, [(b, p * p), *terms], [(1.0 + a, 0.0), *powers])
+
+
+def _handbook_1(name: str, values: Sequence[float]) -> Medium:
+    """n^2 = A + B / (L^2 - C) - D L^2."""
+    a, b, c, d = values
+    terms, powers = fraction(b, c)
+    return Medium.squared(name, terms, [(a, 0.0), (-d, 2.0), *powers])
+
+
+def _handbook_2(name: str, values: Sequence[float]) -> Medium:
+    """n^2 = A + B L^2 / (L^2 - C) - D L^2."""
+    a, b, c, d = values
+    return Medium.squared(name, [(b, c)], [(a, 0.0), (-d, 2.0)])
+
+
+def _sellmeier_4(name: str, values: Sequence[float]) -> Medium:
+    """n^2 = A + B L^2 / (L^2 - C) + D L^2 / (L^2 - E)."""
+    a, b, c, d, e = values
+    return Medium.squared(name, [(b, c), (d, e)], [(a, 0.0)])
+
+
+def _conrady(name: str, values: Sequence[float]) -> Medium:
+    """n = A + B / L + C / L^3.5."""
+    return Medium.cauchy(name, tuple(zip(values, (0.0, -1.0, -3.5), strict=True)))
+
+
+_FORMULAS: dict[int, tuple[str, int, Callable[[str, Sequence[float]], Medium]]] = {
+    1: ("Schott", 6, _powers(*SCHOTT_POWERS)),
+    2: ("Sellmeier 1", 6, sellmeier),
+    3: ("Herzberger", 6, herzberger),
+    4: ("Sellmeier 2", 5, _sellmeier_2),
+    5: ("Conrady", 3, _conrady),
+    6: ("Sellmeier 3", 8, sellmeier),
+    7: ("Handbook of Optics 1", 4, _handbook_1),
+    8: ("Handbook of Optics 2", 4, _handbook_2),
+    9: ("Sellmeier 4", 5, _sellmeier_4),
+    10: ("Extended", 8, _powers(*SCHOTT_POWERS, -10.0, -12.0)),
+    11: ("Sellmeier 5", 10, sellmeier),
+    12: ("Extended 2", 8, _powers(*SCHOTT_POWERS, 4.0, 6.0)),
+    13: ("Extended 3", 9, _powers(*NIKON_POWERS)),
+}
+"""Zemax's dispersion formulas by number: name, count of coefficients, reader. L is in micrometres."""
