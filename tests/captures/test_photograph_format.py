@@ -74,6 +74,17 @@ def test_gamma_and_a_table_give_light(tmp_path):
         np.testing.assert_allclose(read / 65535, light, atol=2e-5)
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["0;0,0\r\n100;0,3\r\n255;1,0\r\n", "# value light\n0 0\n100 0,3\n255\t1\n", "0, 0\n100, 0.3\n255, 1\n"],
+)
+@pytest.mark.parametrize("name", ["curve.csv", "curve.txt"])
+def test_a_linearisation_may_have_any_separator(tmp_path, text, name):
+    (tmp_path / name).write_bytes(text.encode())
+    table = Table({"bits": 8, "linearisation": name}, "session.toml [eyeball_camera]")
+    assert PhotographFormat.from_table(table, tmp_path).linearisation == ((0.0, 0.0), (100.0, 0.3), (255.0, 1.0))
+
+
 def test_a_black_level_is_taken_off_before_gamma():
     kind = PhotographFormat(gamma=2.0, black_level=55)
     stored = np.array([[0, 55, 155, 254]], np.uint8)

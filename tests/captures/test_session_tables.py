@@ -56,6 +56,22 @@ def test_what_is_written_is_read(tmp_path, schema, suffix):
     assert_columns(read_table(path, schema), columns)
 
 
+@pytest.mark.parametrize(("separator", "comma"), [(";", True), (";", False), ("\t", True), ("\t", False), (",", False)])
+@pytest.mark.parametrize("quotes", ["", '"'])
+def test_tables_of_spreadsheets_are_read(tmp_path, separator, comma, quotes):
+    """Semicolons and decimal commas, tabs, quotes, a byte order mark and CR LF."""
+    columns = random_columns(SEE_THROUGH, np.random.default_rng(5))
+    path = write_table(tmp_path / "seethrough.csv", SEE_THROUGH, columns)
+    lines = [[quotes + cell + quotes for cell in line.split(",")] for line in path.read_text().splitlines()]
+    rows = [separator.join(cells) for cells in lines]
+    rows[1:] = [row.replace(".", ",") if comma else row for row in rows[1:]]
+    path.write_bytes(("\ufeff" + "\r\n".join(rows) + "\r\n").encode())
+    assert_columns(read_table(path, SEE_THROUGH), columns)
+    path.write_text("\n".join([*rows[:3], rows[3][:-2] + "x" + quotes]), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"seethrough.csv line 4: '\w+' is '.*x', not a number"):
+        read_table(path, SEE_THROUGH)
+
+
 def test_columns_may_come_in_any_order_and_optional_groups_be_absent(tmp_path):
     columns = random_columns(SEE_THROUGH, np.random.default_rng(4))
     required = [column.name for column in SEE_THROUGH.columns if not column.group]

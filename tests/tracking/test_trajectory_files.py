@@ -57,6 +57,89 @@ def test_a_quaternion_rounded_in_print_is_normalised(tmp_path):
     np.testing.assert_allclose(np.linalg.norm(head.world_from_device_xyzw, axis=1), 1, atol=1e-15)
 
 
+POSES = [[0, 0.01, 2, 3, 0, 0.6, 0, 0.8], [0.5, 0.02, 2, 3, 0, 0, 0, 1]]
+"""Time, position and quaternion xyzw."""
+NAMES = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+def table(header, separator=",", order=range(8), scale=(1, 1), lead="", comma=False, ends="\n"):
+    """POSES as a table with a header; `order` of the columns, `scale` of times and lengths."""
+    rows = (np.array(POSES) * [scale[0], *[scale[1]] * 3, 1, 1, 1, 1]).tolist()
+    lines = [separator.join(f"{row[column]:.12g}" for column in order) for row in rows]
+    return lead + header + ends + ends.join(line.replace(".", ",") if comma else line for line in lines) + ends
+
+
+WXYZ = (0, 1, 2, 3, 7, 4, 5, 6)
+EUROC = "timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
+NS = (10**9, 1)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        table("#timestamp [ns],tx [m],ty [m],tz [m],qx,qy,qz,qw", scale=NS),
+        table("timestamp_ns,x,y,z,qx,qy,qz,qw", scale=NS),
+        table("#" + EUROC, order=WXYZ, scale=NS),
+        table(EUROC, order=WXYZ, scale=NS),
+        table(EUROC.replace(",", ", "), order=WXYZ, scale=NS),
+        table("time,x,y,z,qx,qy,qz,qw"),
+        table('"Time (s)","Pos.X (mm)","Pos.Y (mm)","Pos.Z (mm)","Rot.X","Rot.Y","Rot.Z","Rot.W"', scale=(1, 1000)),
+        table("qw,qx,qy,qz,z_cm,y_cm,x_cm,t_us", order=(7, 4, 5, 6, 3, 2, 1, 0), scale=(1e6, 100)),
+        table("t [ms] tx ty tz qw qx qy qz", " ", WXYZ, (1e3, 1)),
+        table("# timestamp tx ty tz qw qx qy qz", " ", WXYZ, lead="# ground truth\n"),
+        table("# time_s, x_m, y_m, z_m, qw, qx, qy, qz", "\t", WXYZ),
+        table("time_s;x_m;y_m;z_m;qx;qy;qz;qw", ";", comma=True, lead="\ufeff", ends="\r\n"),
+        table("time_s\tx_m\ty_m\tz_m\tqx\tqy\tqz\tqw", "\t", comma=True),
+        table("time_s x_m y_m z_m qx qy qz qw", " ", comma=True),
+        table("%time,pose.position.x,pose.position.y,pose.position.z,pose.orientation.x,pose.orientation.y,"
+              "pose.orientation.z,pose.orientation.w", lead="\n\n"),
+        'time_s,x,y,z,qx,qy,qz,qw\n0,"0,01",2,3,0,"0,6",0,"0,8"\n"0,5","0,02",2,3,0,0,0,1\n',
+        "time_s,frame,x,y,z,qx,qy,qz,qw\n0,7,1e-2,+2,3.,0,.6,0,8E-1,\n.5,8,0.02,2,3,-0,0,0,-1,\n",
+    ],
+)  # fmt: skip
+def test_a_header_decides_what_the_columns_are(tmp_path, text):
+    path = tmp_path / "track.txt"
+    path.write_bytes(text.encode())
+    head = read_head_trajectory(path)
+    np.testing.assert_allclose(head.time_s, [0, 0.5], rtol=1e-12)
+    np.testing.assert_allclose(head.position_in_world, np.array(POSES)[:, 1:4], rtol=1e-12)
+    again = head.world_from_device_xyzw * [[1], [np.sign(head.world_from_device_xyzw[1, 3])]]
+    np.testing.assert_allclose(again, np.array(POSES)[:, 4:], atol=1e-12)
+
+
+def test_nanoseconds_since_1970_are_not_rounded_before_they_are_divided(tmp_path):
+    stamps = [1403715273262142976, 1403715273267142976, 1403715273272142976]
+    for header in ("#timestamp_ns,x,y,z,qx,qy,qz,qw", "timestamp,x,y,z,qx,qy,qz,qw"):
+        rows = "".join(f"{stamp},0,0,0,0,0,0,1\n" for stamp in stamps)
+        head = read_head_trajectory(written(tmp_path, f"{header}\n{rows}"))
+        assert head.time_s.tolist() == [stamp / 10**9 for stamp in stamps]
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("time_s,x,y,z,qx,qy,qz\n0,0,0,0,0,0,0\n", "the columns time_s, x, y, z, qx, qy, qz lack qw; name them as"),
+        ("#time_s,x,y,z,qx,qy,qz,angle\n0,0,0,0,0,0,0,1\n", "lack qw"),
+        ("time_s,x,y,z,qx,qy,qz,qw,q_w\n0,0,0,0,0,0,0,1,1\n", "the columns 'qw' and 'q_w' are both qw; keep one"),
+        ("time_h,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "column 'time_h' is in h, which is not read; convert it"),
+        ("time_s,x_in,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n", "column 'x_in' is in in, which is not read"),
+        ("time_s,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "line 2: 7 columns where 8 are expected (as its header names)"),
+        ("time_s,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n0,0,0,0,0,0,0,1\n", "line 3: time 0 does not come after"),
+        ("qx,qy,qz,qw,x,y,z,t_s\n0,0,0,1,0,0,0,5\n0,0,0,1,0,0,0,4\n", "line 3: time 4 does not come after"),
+        ("time_s,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1.1\n", "line 2: the quaternion has length 1.1, not 1"),
+        ("time_s,x,y,z,qx,qy,qz,qw\n0,0,,0,0,0,0,1\n", "line 2: column 3 is '', not a number"),
+        ("timestamp_ns,x,y,z,qx,qy,qz,qw\n0.5,0,0,0,0,0,0,1\n", "line 2: time '0.5' is not in integer nanoseconds, as"),
+        ("timestamp,x,y,z,qx,qy,qz,qw\n1403715273262,0,0,0,0,0,0,1\n1403715273267,0,0,0,0,0,0,1\n", "a time is 1.4"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: 12 columns, as KITTI's poses, which have no times; write TUM"),
+        ("time_s,x,y,z,qx,qy,qz,qw\n", "no rows"),
+    ],
+)
+def test_a_header_that_is_not_understood_is_refused(tmp_path, text, complaint):
+    with pytest.raises(BadInputError, match=r"track\.txt") as caught:
+        read_head_trajectory(written(tmp_path, text))
+    assert complaint in str(caught.value)
+
+
 GOOD = "0 0 0 0 0 0 0 1\n"
 
 
@@ -124,6 +207,50 @@ def test_a_gaze_file_states_its_eye_model(tmp_path):
     np.testing.assert_allclose(default.viewpoint_at("left", 0.5), [-0.03, 0, -0.0305], atol=1e-17)
     stated = read_eye_trajectory(written(tmp_path, GAZE_HEADER + "# pupil_distance_m: 0.012\n" + rows))
     np.testing.assert_allclose(stated.viewpoint_at("left", 0.5), [-0.03, 0, -0.032], atol=1e-17)
+
+
+PUPILS = "time_s,left_x_mm,left_y_mm,left_z_mm,right_x_mm,right_y_mm,right_z_mm"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PUPILS + "\n0,-32,1,-30,32,1,-30\n0.5,-33,1,-30,32,1,-30\n",
+        "# " + PUPILS + "\n0,-32,1,-30,32,1,-30\n0.5,-33,1,-30,32,1,-30\n",
+        PUPILS.replace(",", ";") + "\n0,0;-32,0;1;-30;32;1;-30\n0,5;-33;1;-30;32;1;-30\n",
+        PUPILS + "\n0,-32,1,-30,32,1,-30\n0.25,nan,nan,nan,,,\n0.5,-33,1,-30,32,1,-30\n",
+        PUPILS.replace("time_s", "frame,timestamp_ns") + "\n7,0,-32,1,-30,32,1,-30\n8,500000000,-33,1,-30,32,1,-30\n",
+        "t_ms,eye,x_m,y_m,z_m\n0,left,-.032,.001,-.03\n0,right,.032,.001,-.03\n500,Left,-.033,.001,-.03\n"
+        "500,right,.032,.001,-.03\n",
+        "Time (s),Left Pupil X (cm),Left Pupil Y (cm),Left Pupil Z (cm),right_pupil_x [m],right_pupil_y [m],"
+        "right_pupil_z [m]\n0,-3.2,.1,-3,.032,.001,-.03\n.5,-3.3,.1,-3,.032,.001,-.03\n",
+    ],
+)
+def test_a_pupil_table_with_named_columns_is_read(tmp_path, text):
+    eyes = read_eye_trajectory(written(tmp_path, text))
+    np.testing.assert_allclose(eyes.viewpoint_at("left", [0, 0.5]), [[-0.032, 0.001, -0.03], [-0.033, 0.001, -0.03]])
+    np.testing.assert_allclose(eyes.viewpoint_at("right", 0.5), [0.032, 0.001, -0.03])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (PUPILS[:-5] + "\n0,-32,1,-30,32,1,-30\n", "lack right_z; name them as docs/files.md does"),
+        (PUPILS.replace("left_x_mm", "left_x") + "\n0,0,0,0,0,0,0\n", "'left_x' has no unit; name it left_x_m, or"),
+        (PUPILS.replace("time_s", "time") + "\n0,0,0,0,0,0,0\n", "'time' has no unit; name it time_s, or"),
+        ("time_s,x_mm,y_mm,z_mm\n0,0,0,0\n", "lack eye"),
+        ("time_s,eye,x_mm,y_mm,z_mm\n0,middle,0,0,0\n", "line 2: unknown eye 'middle'"),
+        (PUPILS + "\n0,1,,3,4,5,6\n", "line 2: column 3 is '', not a number"),
+        (PUPILS.replace("mm", "m") + "\n0,-32,0,0,0,0,0\n1,-32,0,0,0,0,0\n", "a position has a length of 32 m"),
+        (PUPILS + "\n0,,,,,,\n", "has no position of an eye"),
+        (PUPILS + "\n1,0,0,0,0,0,0\n0,0,0,0,0,0,0\n", "line 3: time 0 does not come after"),
+        ("0,1,2,3\n", "or name its columns in the first line, such as time_s,left_x_mm,left_y_mm,left_z_mm"),
+    ],
+)  # fmt: skip
+def test_a_faulty_pupil_table_is_refused(tmp_path, text, complaint):
+    with pytest.raises(BadInputError, match=r"track\.txt") as caught:
+        read_eye_trajectory(written(tmp_path, text))
+    assert complaint in str(caught.value)
 
 
 @pytest.mark.parametrize(

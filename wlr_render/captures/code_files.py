@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.photo_session import CODE_ORDERS
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
+from wlr_render.delimited_text import separator_of
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import inside_folder, parsing, read_text, shown
 from wlr_render.toml_files import read_toml
@@ -151,7 +152,8 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
     roles, times = {}, {}
     text = read_text(path, "CSV")
     with parsing(path, "CSV"):
-        rows = list(csv.DictReader(text.split("\n"), skipinitialspace=True))
+        lines = text.split("\n")
+        rows = list(csv.DictReader(lines, skipinitialspace=True, delimiter=separator_of(lines[0]) or ","))
     if not rows:
         raise BadInputError(f"{path}: has no rows; give each photograph a line under the header file, role, axis.")
     for number, row in enumerate(rows, start=2):
@@ -162,7 +164,7 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
         roles[row["file"]] = f"{row.get('axis') or ''} {row['role']}".strip()
         if row.get("exposure_s"):
             with parsing(f"{path}: line {number}: exposure_s", "a number of seconds", "correct it"):
-                times[row["file"]] = float(row["exposure_s"])
+                times[row["file"]] = float(row["exposure_s"].replace(",", "."))
             if not 0 < times[row["file"]] <= _LONGEST_S:
                 raise BadInputError(
                     f"{path}: line {number}: exposure_s is {shown(row['exposure_s'])}; give seconds above 0."

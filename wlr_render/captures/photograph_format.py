@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.delimited_text import with_commas
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import parsing, read_text
 from wlr_render.toml_files import Table
@@ -257,9 +258,9 @@ def _read_linearisation(path: Path) -> tuple[tuple[float, float], ...]:
         BadInputError: there is no such file, it does not hold numbers, or they do not increase.
     """
     kind = "a camera's linearisation"
-    rows = read_text(path, kind).split("\n")
+    rows = [row for line in read_text(path, kind).split("\n") if (row := line.partition("#")[0].strip())]
     with parsing(path, kind, "write numbers only"):
-        numbers = np.loadtxt(rows, delimiter="," if path.suffix.lower() == ".csv" else None, ndmin=2)
+        numbers = np.loadtxt(with_commas(rows), delimiter=",", ndmin=2)
     if numbers.shape[1] == 1:
         numbers = np.column_stack([np.arange(len(numbers)), numbers])
     if numbers.shape[1] != 2 or len(numbers) < 2 or not np.all(np.isfinite(numbers)):

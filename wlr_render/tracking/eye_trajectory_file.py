@@ -10,8 +10,13 @@
 unit direction; then the header also states `# rotation_centre_right_m: x y z` for each eye in the file, and may state
 `# pupil_distance_m: d`. Rows of the two eyes may interleave; each eye's times ascend. `.jsonl` is an OpenXR recording
 (`openxr_recording.py`).
+
+A table whose first line names its columns with their units needs no such header: `time_s,left_x_mm,left_y_mm,...` with
+the entrance pupils of one or both eyes in the device frame, or `time_s,eye,x_mm,y_mm,z_mm` with the eye in each row.
 """
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +28,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, RotatingEye
 from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_eyes
 from wlr_render.tracking.text_rows import (
+    TIME,
+    Column,
     Row,
     TextTable,
     read_text_table,
@@ -36,6 +43,17 @@ EYE_FORMAT = "wlr-eye-trajectory 1"
 EYE_FRAME = "openxr-device"
 _FAR_M = 0.5  # of an eye from the origin of the device
 _PUPIL_DISTANCE_M = 0.0, 0.03
+_PUPIL = r"(?:_?eye)?(?:_?(?:entrance_)?(?:pupil|viewpoint))?(?:_?(?:position|pos|centre|center))?"
+_ROLES = {
+    TIME: "time",
+    rf"(left|right){_PUPIL}[_. ]?([xyz])": r"\1_\2",
+    r"(?:pupil|viewpoint|eye)(?:_?(?:position|pos))?_(left|right)[_. ]?([xyz])": r"\1_\2",
+    r"eye": "eye",
+    r"(?:(?:entrance_)?(?:pupil|viewpoint)_?)?([xyz])": r"\1",
+}
+"""Names of columns without units, in small letters."""
+_WANTED = f"""start it with the lines '# format: {EYE_FORMAT}', '# kind: viewpoint', '# frame: {EYE_FRAME}' and \
+'# units: s m', or name its columns in the first line, such as time_s,left_x_mm,left_y_mm,left_z_mm"""
 
 
 def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
@@ -49,19 +67,84 @@ def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
     if Path(path).suffix == SUFFIX:
         return read_openxr_eyes(path)
     table = read_text_table(path)
+    if not _has_format(table) and (columns := table.columns(_ROLES, _needed(table))) is not None:
+        return _of_named_columns(table, columns)
     header = _Header(table)
     gaze = header.text("kind", ("viewpoint", "gaze")) == "gaze"
     tracks: dict[str, EyeTrack] = {}
     for eye, rows in _rows_by_eye(table).items():
         content = np.array([[row.number(0), *(_gaze(row) if gaze else row.numbers(2, 3))] for row in rows])
-        time_s, vector = content[:, 0], content[:, 1:]
-        require_ascending_rows(rows, time_s)
         name = f"{path} ({eye} eye)"
-        require_plausible_motion(name, time_s, 0.0 * vector if gaze else vector, _FAR_M)
-        tracks[eye] = (
-            GazeTrack(time_s, vector, header.eye_model(eye), name) if gaze else ViewpointTrack(time_s, vector, name)
-        )
+        if gaze:
+            require_ascending_rows(rows, content[:, 0])
+            require_plausible_motion(name, content[:, 0], np.zeros((len(rows), 3)), _FAR_M)
+            tracks[eye] = GazeTrack(content[:, 0], content[:, 1:], header.eye_model(eye), name)
+        else:
+            tracks[eye] = _viewpoints(name, rows, content)
     return EyeTrajectory(tracks, str(path))
+
+
+def _viewpoints(name: str, rows: Sequence[Row], content: FloatArray, column: int = 0) -> ViewpointTrack:
+    """The track of rows (n, 4) of time and position; `column` has the time in the file."""
+    require_ascending_rows(rows, content[:, 0], column)
+    require_plausible_motion(name, content[:, 0], content[:, 1:], _FAR_M)
+    return ViewpointTrack(content[:, 0], content[:, 1:], name)
+
+
+def _has_format(table: TextTable) -> bool:
+    return any(comment.partition(":")[0].strip() == "format" for comment in table.comments)
+
+
+def _needed(table: TextTable) -> tuple[str, ...]:
+    """Roles that the table's columns need: those of the eyes that it names, or of one eye in each row."""
+    names = " ".join(" ".join(cells) for cells in (table.header or (), *table.headers)).lower()
+    eyes = [eye for eye in EYES if re.search(rf"\b{eye}", names.replace("_", " "))]
+    if not eyes:
+        return ("time", "eye", "x", "y", "z")
+    return ("time", *(f"{eye}_{axis}" for eye in eyes for axis in "xyz"))
+
+
+def _of_named_columns(table: TextTable, columns: dict[str, Column]) -> EyeTrajectory:
+    """Entrance pupils of a table whose columns are named; an eye without numbers in a row is left out there."""
+    count = len(table.rows[0].fields if table.header is None else table.header)
+    for role, column in columns.items():
+        if column.unit == "" and role != "eye":
+            unit = "s" if role == "time" else "m"
+            raise BadInputError(
+                f"{table.path}: column '{column.name}' has no unit; name it {column.name}_{unit}, or with its own unit."
+            )
+    content: dict[str, list[tuple[Row, list[float]]]] = {}
+    for row in table.rows:
+        row.require_columns((count,), "as its header names")
+        for eye, places in _eyes_of(row, columns).items():
+            if any(row.fields[place.index].lower() not in ("", "nan") for place in places):
+                numbers = [columns["time"].seconds(row), *(place.metres(row) for place in places)]
+                content.setdefault(eye, []).append((row, numbers))
+    if not content:
+        raise BadInputError(f"{table.path}: has no position of an eye; is the recording empty?")
+    return EyeTrajectory(
+        {
+            eye: _viewpoints(
+                f"{table.path} ({eye} eye)",
+                [row for row, _ in pairs],
+                np.array([numbers for _, numbers in pairs]),
+                columns["time"].index,
+            )
+            for eye, pairs in content.items()
+        },
+        str(table.path),
+    )
+
+
+def _eyes_of(row: Row, columns: dict[str, Column]) -> dict[str, list[Column]]:
+    """The columns of the position of each eye that a row may have."""
+    if "eye" not in columns:
+        eyes = [eye for eye in EYES if f"{eye}_x" in columns]
+        return {eye: [columns[f"{eye}_{axis}"] for axis in "xyz"] for eye in eyes}
+    eye = row.fields[columns["eye"].index].lower()
+    if eye not in EYES:
+        raise row.fail(f"unknown eye {shown(eye)}; it must be one of {', '.join(EYES)}.")
+    return {eye: [columns[axis] for axis in "xyz"]}
 
 
 def _rows_by_eye(table: TextTable) -> dict[str, list[Row]]:
@@ -76,7 +159,7 @@ def _rows_by_eye(table: TextTable) -> dict[str, list[Row]]:
 
 
 def _gaze(row: Row) -> list[float]:
-    gaze_dir = row.unit_vector(2, 3, "gaze")
+    gaze_dir = row.unit_vector(range(2, 5), "gaze")
     if gaze_dir[2] >= 0:
         raise row.fail("the gaze looks backwards; the device frame looks along -z, so its z must be negative.")
     return gaze_dir
@@ -98,7 +181,9 @@ class _Header:
         value = self._values.get(key)
         if value not in choices:
             found = "is missing" if value is None else f"is {shown(value)}"
-            raise BadInputError(f"{self._path}: header '# {key}:' {found}; it must be {' or '.join(choices)}.")
+            remedy = f"it must be {' or '.join(choices)}"
+            remedy += f": {_WANTED}" if key == "format" and value is None else ""
+            raise BadInputError(f"{self._path}: header '# {key}:' {found}; {remedy}.")
         return value
 
     def numbers(self, key: str, count: int) -> list[float]:

@@ -2,9 +2,10 @@
 
 Errors name the file and the line. `.jsonl` is an OpenXR recording (`openxr_recording.py`).
 
-TUM has rows `time tx ty tz qx qy qz qw`, separated by blanks, in seconds. EuRoC ground truth has commas, integer
-nanoseconds, position, quaternion wxyz, and possibly nine columns of velocity and biases, which are ignored. A comma in
-the first row identifies EuRoC.
+A header that names the columns, with or without `#`, decides what they are: a time, a position and a quaternion, in
+any order, with units as in `timestamp_ns` or `x [mm]`; other columns are ignored. Without one, rows separated by blanks
+are TUM, `time tx ty tz qx qy qz qw` in seconds, and others EuRoC ground truth: integer nanoseconds, position,
+quaternion wxyz, and possibly nine columns of velocity and biases, which are ignored.
 
 Poses must be those of the device frame (OpenXR: x right, y up, looking along -z) in the world of the scene. Convert
 the pose of an OpenCV camera at the same place by a half turn about x:
@@ -19,6 +20,8 @@ from wlr_render import files
 from wlr_render.input_files import shown
 from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_head
 from wlr_render.tracking.text_rows import (
+    TIME,
+    Column,
     Row,
     read_text_table,
     require_ascending_rows,
@@ -28,6 +31,17 @@ from wlr_render.tracking.text_rows import (
 from wlr_render.tracking.trajectory import HeadTrajectory
 
 _FAR_M = 1000.0  # from the origin of the world
+_KITTI = 12
+"""Columns of KITTI's poses, which have no times."""
+_QUATERNION = "quaternion|quat|q|rotation|rot|orientation"
+_POSITION = "position|pos|p|translation|trans|t|location|loc"
+_ROLES = {
+    TIME: "time",
+    rf"(?:.*[._ /])?(?:{_QUATERNION})(?:_[a-z]+)?[._ ]?([wxyz])": r"q\1",
+    rf"(?:.*[._ /])?(?:{_POSITION})(?:_[a-z]+_[a-z]+)?[._ ]?([xyz])|([xyz])": r"\1\2",
+}
+"""Names of columns without units, in small letters."""
+_NEEDED = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def read_head_trajectory(path: str | Path) -> HeadTrajectory:
@@ -40,17 +54,31 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
     if Path(path).suffix == SUFFIX:
         return read_openxr_head(path)
     table = read_text_table(path)
-    read_row = _euroc_row if table.comma_separated else _tum_row
-    content = np.array([read_row(row) for row in table.rows])
-    require_ascending_rows(table.rows, content[:, 0])
+    columns = table.columns(_ROLES, _NEEDED)
+    if columns is not None:
+        count = len(table.header or table.headers[0])
+        content = np.array([_named_row(row, columns, count) for row in table.rows])
+    else:
+        content = np.array([(_euroc_row if table.separated else _tum_row)(row) for row in table.rows])
+    require_ascending_rows(table.rows, content[:, 0], 0 if columns is None else columns["time"].index)
     require_plausible_motion(str(path), content[:, 0], content[:, 1:4], _FAR_M)
     return HeadTrajectory(content[:, 0], content[:, 1:4], content[:, 4:8], str(path))
 
 
+def _named_row(row: Row, columns: dict[str, Column], count: int) -> list[float]:
+    """Time, position and quaternion xyzw of a row whose columns are named."""
+    row.require_columns((count,), "as its header names")
+    position = [columns[axis].metres(row) for axis in "xyz"]
+    quaternion = [columns[f"q{axis}"].index for axis in "xyzw"]
+    return [columns["time"].seconds(row), *position, *row.unit_vector(quaternion, "quaternion")]
+
+
 def _tum_row(row: Row) -> list[float]:
     """Time, position and quaternion xyzw of a TUM row."""
+    if len(row.fields) == _KITTI:
+        raise row.fail("12 columns, as KITTI's poses, which have no times; write TUM: time tx ty tz qx qy qz qw.")
     row.require_columns((8,), "TUM: time tx ty tz qx qy qz qw")
-    return row.numbers(0, 4) + row.unit_vector(4, 4, "quaternion")
+    return row.numbers(0, 4) + row.unit_vector(range(4, 8), "quaternion")
 
 
 def _euroc_row(row: Row) -> list[float]:
@@ -61,9 +89,10 @@ def _euroc_row(row: Row) -> list[float]:
         time_s = int(row.fields[0]) / 1e9
     except ValueError:
         raise row.fail(
-            f"time {shown(row.fields[0])} is not in integer nanoseconds, as EuRoC has it; convert it."
+            f"time {shown(row.fields[0])} is not in integer nanoseconds, as EuRoC has it; convert it, or name the "
+            "columns in a first line, such as time_s,x_m,y_m,z_m,qx,qy,qz,qw."
         ) from None
-    w, x, y, z = row.unit_vector(4, 4, "quaternion")
+    w, x, y, z = row.unit_vector(range(4, 8), "quaternion")
     return [time_s, *row.numbers(1, 3), x, y, z, w]
 
 

@@ -1,12 +1,14 @@
 """Tables of numbers in text files, with line numbers for error messages."""
 
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from wlr_render.delimited_text import cells_of, separator_of
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
@@ -24,7 +26,7 @@ class Row:
     Attributes:
         path: the file.
         line: counted from 1.
-        fields: the line split at commas or blanks.
+        fields: its cells.
     """
 
     path: Path
@@ -58,13 +60,40 @@ class Row:
         """`count` finite numbers from column `start` on."""
         return [self.number(column) for column in range(start, start + count)]
 
-    def unit_vector(self, start: int, count: int, what: str) -> list[float]:
-        """`count` numbers of unit length up to rounding, normalised."""
-        values = self.numbers(start, count)
+    def unit_vector(self, columns: Iterable[int], what: str) -> list[float]:
+        """Numbers of unit length up to rounding, normalised."""
+        values = [self.number(column) for column in columns]
         length = math.hypot(*values)
         if abs(length - 1.0) > UNIT_TOLERANCE:
             raise self.fail(f"the {what} has length {length:.6g}, not 1; is the column order right?")
         return [value / length for value in values]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column that a header names: its index, its name as it stands, and its unit, "" without one."""
+
+    index: int
+    name: str
+    unit: str
+
+    def seconds(self, row: Row) -> float:
+        """Time of a row in seconds; nanoseconds must be whole, and are read exactly."""
+        text, number = row.fields[self.index], row.number(self.index)
+        digits = _TIME_UNITS.get(self.unit, 0)
+        if self.unit == "" and abs(number) >= _NANOSECONDS:
+            digits = 9
+        if re.fullmatch(r"[+-]?\d+", text):
+            return int(text) / 10**digits
+        if digits == 9:
+            raise row.fail(
+                f"time {shown(text)} is not in integer nanoseconds, as column '{self.name}' says; correct it."
+            )
+        return number / 10**digits
+
+    def metres(self, row: Row) -> float:
+        """Length of a row in metres."""
+        return row.number(self.index) / 10 ** _LENGTH_UNITS[self.unit or "m"]
 
 
 @dataclass(frozen=True)
@@ -74,18 +103,98 @@ class TextTable:
     Attributes:
         path: the file.
         comments: texts of the comment lines without the #, stripped, in file order.
-        rows: the other lines that are not empty.
-        comma_separated: whether the first row has a comma.
+        rows: the other lines that are not empty, without a header.
+        header: cells of a first line that names the columns; None without one.
+        headers: cells of comments before the rows that have as many words as the rows have columns, last one first.
+        separated: whether the first row is separated by something else than blanks.
     """
 
     path: Path
     comments: tuple[str, ...]
     rows: tuple[Row, ...]
-    comma_separated: bool
+    header: tuple[str, ...] | None
+    headers: tuple[tuple[str, ...], ...]
+    separated: bool
+
+    def columns(self, roles: Mapping[str, str], needed: Sequence[str]) -> dict[str, Column] | None:
+        """The columns that a header names, by role; None where no header names any, or a comment less than half.
+
+        Args:
+            roles: pattern of a role's name without its unit -> role; it may refer to groups of the pattern.
+            needed: roles without which a header is of no use.
+
+        Raises:
+            BadInputError: the header lacks a role, names one twice, or states a unit that is not read.
+        """
+        for cells in self.headers if self.header is None else (self.header,):
+            found: dict[str, Column] = {}
+            twice = ""
+            for index, name in enumerate(cells):
+                base, unit = _base_and_unit(name)
+                role = _role_of(base, roles)
+                if role in found:
+                    twice = f"the columns '{found[role].name}' and '{name}' are both {role}; keep one"
+                elif role:
+                    found[role] = Column(index, name, unit)
+            missing = [role for role in needed if role not in found]
+            if self.header is None and 2 * len(missing) > len(needed):
+                continue
+            listed = shown(", ".join(cells), quoted=False)
+            if missing:
+                raise BadInputError(
+                    f"{self.path}: the columns {listed} lack {', '.join(missing)}; name them as docs/files.md does, "
+                    f"such as {','.join(needed)}, with units as in time_s or x_mm."
+                )
+            if twice:
+                raise BadInputError(f"{self.path}: {twice}.")
+            for role, column in found.items():
+                units = _TIME_UNITS if role == "time" else {"": 0} if role.startswith("q") else _LENGTH_UNITS
+                if column.unit not in (*units, ""):
+                    raise BadInputError(
+                        f"{self.path}: column '{column.name}' is in {column.unit}, which is not read; convert it."
+                    )
+            return found
+        return None
+
+
+_CLOCKS = "header|host|device|frame|sensor|system|unix|utc"
+TIME = rf"(?:.*[./]|(?:{_CLOCKS})[_ ])?(?:time|timestamp|time[_ ]stamp|ts|t|stamp)"
+"""Pattern of the name of a time, without its unit."""
+_TIME_UNITS = dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 0)
+_TIME_UNITS |= dict.fromkeys(("ms", "msec", "millisecond", "milliseconds", "millis"), 3)
+_TIME_UNITS |= dict.fromkeys(("us", "\u00b5s", "\u03bcs", "usec", "microsecond", "microseconds", "micros"), 6)
+_TIME_UNITS |= dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecond", "nanoseconds", "nanos"), 9)
+"""Units of time, and how many decimal places they are smaller than a second."""
+_LENGTH_UNITS = {"m": 0, "metre": 0, "metres": 0, "meter": 0, "meters": 0, "cm": 2, "mm": 3, "um": 6, "\u00b5m": 6}
+_OTHER_UNITS = ("deg", "rad", "px", "in", "inch", "ft", "km", "min", "h")
+_NANOSECONDS = 1e17
+"""Times without a unit from this on are nanoseconds since 1970, as those of EuRoC."""
+_UNIT = re.compile(
+    r"^(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])]|[_ ](" + "|".join((*_TIME_UNITS, *_LENGTH_UNITS, *_OTHER_UNITS)) + "))$"
+)
+
+
+def _base_and_unit(name: str) -> tuple[str, str]:
+    """A column's name without its unit, and the unit: of `time [s]`, `time(s)` or `time_s`."""
+    plain = re.sub(r"\s+(?![\[(])", "_", name.strip().strip("#% \"'").lower())
+    if plain in _TIME_UNITS and len(plain) > 2:
+        return "time", plain
+    match = _UNIT.match(plain)
+    if match is None:
+        return plain, ""
+    unit = match[2] if match[2] is not None else match[3]
+    return match[1], "" if unit in ("-", "1") else unit
+
+
+def _role_of(base: str, roles: Mapping[str, str]) -> str:
+    for pattern, role in roles.items():
+        if match := re.fullmatch(pattern, base):
+            return match.expand(role)
+    return ""
 
 
 def read_text_table(path: str | Path) -> TextTable:
-    """Read a file of rows, separated by commas if the first row has one, else by blanks.
+    """Read a file of rows, separated by semicolons, tabs, commas or blanks, as its first row of numbers.
 
     Raises:
         BadInputError: the file cannot be read or has no rows.
@@ -97,27 +206,51 @@ def read_text_table(path: str | Path) -> TextTable:
     stripped = [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
     comments = tuple(text.lstrip("#").strip() for _, text in stripped if text.startswith("#"))
     content = [(number, text) for number, text in stripped if not text.startswith("#")]
-    if not content:
+    named = bool(content) and not _is_number(cells_of(content[0][1], separator_of(content[0][1]))[0])
+    if len(content) <= named:
         raise BadInputError(f"{path}: has no rows; is the recording empty?")
-    comma_separated = "," in content[0][1]
-    rows = tuple(Row(path, number, _split(text, comma_separated)) for number, text in content)
-    return TextTable(path, comments, rows, comma_separated)
+    separator = separator_of(content[named][1])
+    count = len(_split(content[named][1], separator))
+    header = _named_cells(content[0][1], separator, count) if named else None
+    count = count if header is None else len(header)
+    rows = tuple(Row(path, number, _split(text, separator, count)) for number, text in content[named:])
+    before = [text.lstrip("#").strip() for number, text in stripped if text.startswith("#") and number < rows[0].line]
+    headers = [
+        cells
+        for text in reversed(before)
+        if len(cells := _named_cells(text, separator, len(rows[0].fields))) == len(rows[0].fields)
+    ]
+    return TextTable(path, comments, rows, header, tuple(headers), separator is not None)
 
 
-def _split(text: str, comma_separated: bool) -> tuple[str, ...]:
-    if not comma_separated:
-        return tuple(text.split())
-    fields = tuple(field.strip() for field in text.split(","))
-    return fields[:-1] if fields[-1] == "" else fields
+def _named_cells(text: str, separator: str | None, count: int) -> tuple[str, ...]:
+    """Names of a header, split as the rows are or, where that gives another number of them, in some other way."""
+    joined = re.sub(r"\s+(?=[\[(])", "", text)  # of a name and its unit, where blanks separate names
+    ways = [_split(text, separator)] + [_split(joined, other) for other in (",", ";", "\t", None)]
+    return next((cells for cells in ways if len(cells) == count), ways[0])
 
 
-def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray) -> None:
-    """Check that the times (n,) ascend strictly; the first field of each row is its time."""
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _split(text: str, separator: str | None, count: int = 0) -> tuple[str, ...]:
+    """Cells of a row, without an empty one at the end that is beyond the `count` columns."""
+    fields = cells_of(text, separator)
+    return fields[:-1] if len(fields) > max(count, 1) and fields[-1] == "" else fields
+
+
+def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray, column: int = 0) -> None:
+    """Check that the times (n,) ascend strictly; `column` has the time of each row."""
     late = np.flatnonzero(np.diff(time_s) <= 0)
     if late.size:
         row = rows[int(late[0]) + 1]
         raise row.fail(
-            f"time {shown(row.fields[0], quoted=False)} does not come after the row before it; sort the rows, "
+            f"time {shown(row.fields[column], quoted=False)} does not come after the row before it; sort the rows, "
             "drop duplicates."
         )
 

@@ -1,0 +1,45 @@
+"""Rows of text tables: separators, quotes and decimal commas as spreadsheets and loggers write them."""
+
+import csv
+import re
+from collections.abc import Sequence
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+
+
+def separator_of(row: str) -> str | None:
+    """The separator of a row or header: a semicolon, a tab or a comma; None for blanks, or for a single cell.
+
+    A comma is no separator where blanks separate numbers with decimal commas.
+    """
+    bare = re.sub(r'"[^"]*"', "0", row)
+    words = bare.split()
+    if ";" in bare:
+        return ";"
+    if "\t" in bare and not all(len(cell.split()) > 1 for cell in bare.split("\t")[1:]):
+        return "\t"
+    with_comma = [word for word in words if "," in word]
+    if not with_comma or (len(words) > 1 and all(map(_DECIMAL_COMMA.fullmatch, with_comma))):
+        return None
+    return ","
+
+
+def cells_of(row: str, separator: str | None) -> tuple[str, ...]:
+    """Cells of a row, stripped and without quotes; decimal commas become points."""
+    if separator is None:
+        cells = row.split()
+    elif '"' in row:
+        cells = next(csv.reader([row.strip()], delimiter=separator, skipinitialspace=True))
+    else:
+        cells = row.split(separator)
+    if "," in row and (separator != "," or '"' in row):
+        cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
+    return tuple(cell.strip().strip('"') for cell in cells)
+
+
+def with_commas(lines: Sequence[str]) -> list[str]:
+    """Lines of a table, header first, with commas between cells, decimal points and no quotes."""
+    separator = separator_of(lines[0]) if lines else ","
+    if separator == "," and not any('"' in line for line in lines):
+        return [*lines]
+    return [",".join(cell.replace(",", ".") for cell in cells_of(line, separator)) for line in lines]
