@@ -1,11 +1,12 @@
 import dataclasses
 import json
 import resource
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from wlr_render.captures.capture_file import load_captures, load_observations, save_captures
+from wlr_render.captures.capture_file import load_captures, load_observations, place_warnings, save_captures
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
     Conditions,
@@ -55,6 +56,42 @@ RECORDED = Conditions.recorded(
 
 MOTION = CaptureMotionPrior(np.arange(9), RNG.uniform(0, 1e-5, (9, 6)), 0.2)
 WITH_MOTION = EyeCaptures(dataclasses.replace(DISPLAY, motion=MOTION), dataclasses.replace(SEE_THROUGH, motion=MOTION))
+
+
+def documented_header():
+    """The header that docs/files.md has to copy."""
+    text = (Path(__file__).parents[2] / "docs" / "files.md").read_text()
+    return json.loads(text.partition("```json\n")[2].partition("```")[0])
+
+
+def test_the_documented_header_is_read(tmp_path):
+    header = documented_header()
+    centre = np.array(header["eye_box"]["centre_m"])
+    arrays = {
+        "kind": np.array([0, 0, 1, 1]),
+        "capture": np.array([0, 1, 0, 1]),
+        "target_pose": np.array([-1, -1, 0, 0]),
+        "feature": np.array([[1.0, 2.0, np.nan], [3.0, 4.0, np.nan], [0, 0, -1], [0.1, 0, -1]]),
+        "target_point": np.full((4, 3), np.nan),
+        "viewpoint": centre + np.array([[0.004, 0, 0], [-0.004, 0, 0]] * 2),
+        "view_dir": np.tile([0.0, 0, -1], (4, 1)),
+        "sigma_arcmin": np.full(4, 0.5),
+    }
+    np.savez(tmp_path / "own.npz", header=np.array(json.dumps(header)), **arrays)
+    table = load_observations(tmp_path / "own.npz")
+    assert (table.device, table.eye, table.panel) == ("my headset", "right", Panel(1440, 1600))
+    np.testing.assert_array_equal(table.see_through_eye_box.size, header["see_through_eye_box"]["size_m"])
+
+
+@pytest.mark.parametrize(("scale", "named"), [(1.0, 0), (0.1, 2), (0.0, 2)])
+def test_places_that_span_little_of_the_eye_box_are_named(scale, named):
+    apart = EYE_BOX.centre + scale * 0.5 * EYE_BOX.size * np.linspace(-1, 1, 20)[:, None]
+    sides = [dataclasses.replace(each, viewpoint=apart, eye_box=EYE_BOX) for each in (DISPLAY, SEE_THROUGH)]
+    warnings = place_warnings(EyeCaptures(*sides))
+    assert len(warnings) == named
+    assert all("span" in warning and "eye box of 10 mm" in warning for warning in warnings)
+    alone = dataclasses.replace(sides[0], capture=np.zeros(20, int))
+    assert place_warnings(EyeCaptures(alone, None)) == []
 
 
 def assert_same(first, second):

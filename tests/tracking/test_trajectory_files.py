@@ -107,6 +107,15 @@ def test_a_header_decides_what_the_columns_are(tmp_path, text):
     np.testing.assert_allclose(again, np.array(POSES)[:, 4:], atol=1e-12)
 
 
+def test_columns_that_are_not_read_are_named(tmp_path):
+    row = "0,1,2,3,0,0,0,1,9,9\n"
+    header = "time_s,x,y,z,qx,qy,qz,qw,confidence,v_RS_R_x [m s^-1]\n"
+    assert read_head_trajectory(written(tmp_path, header + row + "1" + row[1:])).unread == ("confidence",)
+    text = "time_s,eye,x_m,y_m,z_m,pupil_diameter_mm\n0,left,0,0,0,4\n1,left,0,0,0,4\n"
+    assert read_eye_trajectory(written(tmp_path, text)).unread == ("pupil_diameter_mm",)
+    assert read_head_trajectory(written(tmp_path, GOOD + "1" + GOOD[1:])).unread == ()
+
+
 def test_nanoseconds_since_1970_are_not_rounded_before_they_are_divided(tmp_path):
     stamps = [1403715273262142976, 1403715273267142976, 1403715273272142976]
     for header in ("#timestamp_ns,x,y,z,qx,qy,qz,qw", "timestamp,x,y,z,qx,qy,qz,qw"):
@@ -230,6 +239,15 @@ def test_a_pupil_table_with_named_columns_is_read(tmp_path, text):
     eyes = read_eye_trajectory(written(tmp_path, text))
     np.testing.assert_allclose(eyes.viewpoint_at("left", [0, 0.5]), [[-0.032, 0.001, -0.03], [-0.033, 0.001, -0.03]])
     np.testing.assert_allclose(eyes.viewpoint_at("right", 0.5), [0.032, 0.001, -0.03])
+
+
+def test_an_eye_without_numbers_was_not_tracked(tmp_path):
+    row = ",-32,1,-30,32,1,-30\n"
+    text = f"{PUPILS}\n0{row}0.1,,,,32,1,-30\n0.2{row}0.3{row}"
+    eyes = read_eye_trajectory(written(tmp_path, text))
+    assert eyes.tracks["left"].invalid_s.tolist() == [0.1]
+    assert eyes.tracks["left"].time_s.tolist() == [0, 0.2, 0.3]
+    assert eyes.tracks["right"].time_s.tolist() == [0, 0.1, 0.2, 0.3]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,8 @@ The archive holds `header`, a JSON text with
     format "wlr-captures", version 2, frame "openxr", units {"length": "m", "sigma": "arcmin", "pixel": "px"},
     device, eye, panel {width_px, height_px} or null, eye_box {centre_m, size_m}, see_through_eye_box or null
 
-and one array for each column of the table and of its conditions. Conditions that no row has recorded are omitted.
+(docs/files.md has one to copy) and one array for each column of the table and of its conditions. Conditions that no
+row has recorded are omitted.
 Priors of the camera's motion are optional: `display_motion_capture`, `display_motion_size`, `display_motion_log_sigma`,
 and the same of `see_through_motion`, see `CaptureMotionPrior`. So are errors that all captures share: `common_sources`
 in the header, and the arrays `display_common_capture`, `..._motion`, `..._target_pose`, `..._target`, `..._focus`,
@@ -65,6 +66,7 @@ _PANEL_MARGIN = (2.0, 0.02)  # pixels, and part of the panel's side, that noise 
 _MOST_OUTSIDE = 0.05  # share of panel pixels beyond that margin: more are of another panel
 _ONE_PLACE_M = 5e-3  # how far the stage may miss a place that it returns to
 _BOX_OF_PLACES = 1e-2  # least size of an eye box, in that of the camera places
+_SMALL_PART = 0.2  # of the eye box that places span: less looks like a wrong unit
 _MOST_COLUMNS = 16
 _PLAUSIBLE = {
     "visit": (-1, LIMITS.index),
@@ -135,6 +137,21 @@ def load_observations(path: str | Path) -> ObservationTable:
         table = _table(header, arrays, path)
     _check_plausible(path, table)
     return table
+
+
+def place_warnings(captures: EyeCaptures) -> list[str]:
+    """A sentence where the camera places span little of the eye box, as with a unit that is off by ten."""
+    warnings = []
+    for name, side in (("display", captures.display), ("see-through", captures.see_through)):
+        if side is None or len(np.unique(side.capture)) < 2:
+            continue
+        span, box = (1e3 * each.max() for each in (np.ptp(side.viewpoint, axis=0), side.eye_box.size))
+        if span < _SMALL_PART * box:
+            warnings.append(
+                f"The camera places of the {name} captures span {span:.2g} mm of an eye box of {box:.2g} mm: are the "
+                "viewpoints or the eye box in another unit than metres? The models extrapolate beyond the places."
+            )
+    return warnings
 
 
 def _table(header: Table, arrays: dict[str, NDArray[Any]], path: str | Path) -> ObservationTable:

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from wlr_render.errors import BadInputError
+from wlr_render.input_files import shown
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import require_in_eye_box
 from wlr_render.jobs.options import Eyes, eyes_of
@@ -151,6 +152,15 @@ def gap_warnings(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeT
         f"{file}: neighbouring samples are up to {gap:.3g} s apart; are the times in seconds?"
         for file, gap in gaps.items()
         if gap > LONGEST_GAP_S
+    ]
+
+
+def column_warnings(*trajectories: HeadTrajectory | EyeTrajectory | None) -> list[str]:
+    """A sentence for each file with columns that are not read."""
+    return [
+        f"{each.name}: not read: {', '.join(map(shown, each.unread))}; docs/files.md has the columns that are."
+        for each in trajectories
+        if each is not None and each.unread
     ]
 
 

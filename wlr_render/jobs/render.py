@@ -35,7 +35,14 @@ from wlr_render.jobs.frame_labels import (
     write_instances,
     write_misalignment,
 )
-from wlr_render.jobs.frame_plan import PlannedFrame, gap_warnings, held_warnings, planned_frames, read_trajectories
+from wlr_render.jobs.frame_plan import (
+    PlannedFrame,
+    column_warnings,
+    gap_warnings,
+    held_warnings,
+    planned_frames,
+    read_trajectories,
+)
 from wlr_render.jobs.headset import headset_path
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
@@ -99,6 +106,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
         *opened.scene.warnings,
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
         *gap_warnings(options, head, eyes),
+        *column_warnings(head, eyes),
         *held_warnings(options, plan),
         *_redrawn_warnings(folder, changed),
         *blank_warnings([path.name for path in pictures if finished.remark(path) == _BLANK], opened.scene.name),

@@ -15,6 +15,7 @@ A table whose first line names its columns with their units needs no such header
 the entrance pupils of one or both eyes in the device frame, or `time_s,eye,x_mm,y_mm,z_mm` with the eye in each row.
 """
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -85,10 +86,12 @@ def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
 
 
 def _viewpoints(name: str, rows: Sequence[Row], content: FloatArray, column: int = 0) -> ViewpointTrack:
-    """The track of rows (n, 4) of time and position; `column` has the time in the file."""
+    """The track of rows (n, 4) of time and position, NaN where it was lost; `column` has the time in the file."""
     require_ascending_rows(rows, content[:, 0], column)
-    require_plausible_motion(name, content[:, 0], content[:, 1:], _FAR_M)
-    return ViewpointTrack(content[:, 0], content[:, 1:], name)
+    lost = np.isnan(content[:, 1])
+    time_s, viewpoint = content[~lost, 0], content[~lost, 1:]
+    require_plausible_motion(name, time_s, viewpoint, _FAR_M)
+    return ViewpointTrack(time_s, viewpoint, name, content[lost, 0])
 
 
 def _has_format(table: TextTable) -> bool:
@@ -105,7 +108,7 @@ def _needed(table: TextTable) -> tuple[str, ...]:
 
 
 def _of_named_columns(table: TextTable, columns: dict[str, Column]) -> EyeTrajectory:
-    """Entrance pupils of a table whose columns are named; an eye without numbers in a row is left out there."""
+    """Entrance pupils of a table whose columns are named; an eye without numbers in a row was lost there."""
     count = len(table.rows[0].fields if table.header is None else table.header)
     for role, column in columns.items():
         if column.unit == "" and role != "eye":
@@ -117,9 +120,10 @@ def _of_named_columns(table: TextTable, columns: dict[str, Column]) -> EyeTrajec
     for row in table.rows:
         row.require_columns((count,), "as its header names")
         for eye, places in _eyes_of(row, columns).items():
-            if any(row.fields[place.index].lower() not in ("", "nan") for place in places):
-                numbers = [columns["time"].seconds(row), *(place.metres(row) for place in places)]
-                content.setdefault(eye, []).append((row, numbers))
+            is_lost = all(row.fields[place.index].lower() in ("", "nan") for place in places)
+            place_m = [math.nan] * 3 if is_lost else [place.metres(row) for place in places]
+            content.setdefault(eye, []).append((row, [columns["time"].seconds(row), *place_m]))
+    content = {eye: pairs for eye, pairs in content.items() if not all(math.isnan(each[1]) for _, each in pairs)}
     if not content:
         raise BadInputError(f"{table.path}: has no position of an eye; is the recording empty?")
     return EyeTrajectory(
@@ -133,6 +137,7 @@ def _of_named_columns(table: TextTable, columns: dict[str, Column]) -> EyeTrajec
             for eye, pairs in content.items()
         },
         str(table.path),
+        unread=table.unread(columns),
     )
 
 

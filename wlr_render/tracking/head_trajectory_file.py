@@ -62,7 +62,8 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
         content = np.array([(_euroc_row if table.separated else _tum_row)(row) for row in table.rows])
     require_ascending_rows(table.rows, content[:, 0], 0 if columns is None else columns["time"].index)
     require_plausible_motion(str(path), content[:, 0], content[:, 1:4], _FAR_M)
-    return HeadTrajectory(content[:, 0], content[:, 1:4], content[:, 4:8], str(path))
+    unread = () if columns is None else table.unread(columns)
+    return HeadTrajectory(content[:, 0], content[:, 1:4], content[:, 4:8], str(path), unread=unread)
 
 
 def _named_row(row: Row, columns: dict[str, Column], count: int) -> list[float]:

@@ -84,16 +84,16 @@ class Column:
         if self.unit == "" and abs(number) >= _NANOSECONDS:
             digits = 9
         if re.fullmatch(r"[+-]?\d+", text):
-            return int(text) / 10**digits
+            return float(int(text) / 10**digits)
         if digits == 9:
             raise row.fail(
                 f"time {shown(text)} is not in integer nanoseconds, as column '{self.name}' says; correct it."
             )
-        return number / 10**digits
+        return float(number / 10**digits)
 
     def metres(self, row: Row) -> float:
         """Length of a row in metres."""
-        return row.number(self.index) / 10 ** _LENGTH_UNITS[self.unit or "m"]
+        return float(row.number(self.index) / 10 ** _LENGTH_UNITS[self.unit or "m"])
 
 
 @dataclass(frozen=True)
@@ -115,6 +115,14 @@ class TextTable:
     header: tuple[str, ...] | None
     headers: tuple[tuple[str, ...], ...]
     separated: bool
+
+    def unread(self, columns: Mapping[str, Column]) -> tuple[str, ...]:
+        """Names that the header has beside these columns, except those of EuRoC's velocity and biases."""
+        cells = self.header or next(iter(self.headers), ())
+        read = {column.index for column in columns.values()}
+        return tuple(
+            name for at, name in enumerate(cells) if at not in read and name and not re.match("(v|b_w|b_a)_RS_", name)
+        )
 
     def columns(self, roles: Mapping[str, str], needed: Sequence[str]) -> dict[str, Column] | None:
         """The columns that a header names, by role; None where no header names any, or a comment less than half.

@@ -46,6 +46,7 @@ class HeadTrajectory(_Sampled):
         world_from_device_xyzw: (n, 4) unit quaternions.
         name: for messages, e.g. the file.
         invalid_s: (m,) times at which the recording has no valid sample.
+        unread: columns of the file that are not read.
     """
 
     time_s: FloatArray
@@ -53,6 +54,7 @@ class HeadTrajectory(_Sampled):
     world_from_device_xyzw: FloatArray
     name: str = "head trajectory"
     invalid_s: FloatArray = field(default_factory=_none)
+    unread: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_ascending(self.time_s, self.name)
@@ -159,10 +161,12 @@ class EyeTrajectory:
     Attributes:
         tracks: by eye, "left" or "right".
         name: for messages, e.g. the file.
+        unread: columns of the file that are not read.
     """
 
     tracks: Mapping[str, EyeTrack]
     name: str = "eye trajectory"
+    unread: tuple[str, ...] = ()
 
     def viewpoint_at(self, eye: str, time_s: ArrayLike) -> FloatArray:
         """Entrance pupils (..., 3) of one eye at times (...), device frame, metres.

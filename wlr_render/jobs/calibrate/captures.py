@@ -4,7 +4,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from wlr_render.captures.capture_file import load_captures
+from wlr_render.captures.capture_file import load_captures, place_warnings
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.input_files import naming
@@ -70,7 +70,7 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
         f"Calibration of {fit.device}, {fit.mappings.eye} eye",
         verdict=fit_sentences(comparison),
         advice=fit_advice(fit),
-        warnings=[*fit_warnings(fit), *notes],
+        warnings=[*place_warnings(captures), *fit_warnings(fit), *notes],
         blocks=fit_blocks(comparison, captures),
         inputs=[path for path in (options.captures, options.bench) if path is not None] + options.fit.inputs,
         files=[model],
