@@ -56,6 +56,7 @@ const float MAX_STEPS = 64.0;
 const int MAX_REFINEMENTS = 6;
 const float CONVERGED_PX = 0.01;
 const float SURFACE_STEP = 0.02;  // texels whose inverse depths differ by a larger share belong to different surfaces
+const float SPACING_PX = 1.25;  // a display pixel that covers more of the picture along any direction gets all samples
 
 float inverse_depth_of_texel(vec2 texel)
 {
@@ -131,6 +132,14 @@ vec3 source_of_ray()
     return vec3(pixel, inside ? 1.0 : 0.0);
 }
 
+// The largest factor by which a step on the display is stretched in the picture: the larger singular value.
+float largest_stretch(vec2 across, vec2 down)
+{
+    float both = 0.5 * (dot(across, across) + dot(down, down));
+    float area = across.x * down.y - across.y * down.x;
+    return sqrt(both + sqrt(max(both * both - area * area, 0.0)));
+}
+
 void main()
 {
     vec2 at_infinity = forwards.xy / forwards.z;
@@ -140,12 +149,13 @@ void main()
     colour = background;
     if (source.z == 0.0)
         return;
+    int n = largest_stretch(across, down) > SPACING_PX ? samples_per_axis : 1;
     vec4 sum = vec4(0.0);
-    for (int i = 0; i < samples_per_axis * samples_per_axis; ++i) {
-        vec2 place = (vec2(i % samples_per_axis, i / samples_per_axis) + 0.5) / float(samples_per_axis) - 0.5;
+    for (int i = 0; i < n * n; ++i) {
+        vec2 place = (vec2(i % n, i / n) + 0.5) / float(n) - 0.5;
         vec2 pixel = source.xy + place.x * across + place.y * down;
         sum += textureLod(picture, pixel * texture_from_pixel.xy + texture_from_pixel.zw, 0.0);
     }
-    colour = sum / float(samples_per_axis * samples_per_axis);
+    colour = sum / float(n * n);
 }
 #endif

@@ -47,6 +47,7 @@ const MAX_STEPS = 64.0;
 const MAX_REFINEMENTS = 6;
 const CONVERGED_PX = 0.01;
 const SURFACE_STEP = 0.02;  // texels whose inverse depths differ by a larger share belong to different surfaces
+const SPACING_PX = 1.25;  // a display pixel that covers more of the picture along any direction gets all samples
 
 fn inverse_depth_of_texel(texel: vec2i) -> f32 {
     let last = vec2i(textureDimensions(depth)) - 1;
@@ -125,6 +126,13 @@ fn source_of(corner: Corner) -> vec3f {
     return vec3f(pixel, select(0.0, 1.0, inside));
 }
 
+// The largest factor by which a step on the display is stretched in the picture: the larger singular value.
+fn largest_stretch(across: vec2f, down: vec2f) -> f32 {
+    let both = 0.5 * (dot(across, across) + dot(down, down));
+    let area = across.x * down.y - across.y * down.x;
+    return sqrt(both + sqrt(max(both * both - area * area, 0.0)));
+}
+
 @fragment
 fn fragment(corner: Corner) -> @location(0) vec4f {
     let at_infinity = corner.forwards.xy / corner.forwards.z;
@@ -135,7 +143,7 @@ fn fragment(corner: Corner) -> @location(0) vec4f {
         return warp.background;
     }
     let per_px = 1.0 / vec2f(textureDimensions(picture));
-    let n = warp.samples_per_axis;
+    let n = select(1u, warp.samples_per_axis, largest_stretch(across, down) > SPACING_PX);
     var sum = vec4f(0.0);
     for (var i = 0u; i < n * n; i++) {
         let place = (vec2f(f32(i % n), f32(i / n)) + 0.5) / f32(n) - 0.5;

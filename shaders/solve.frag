@@ -15,8 +15,8 @@ uniform mat3 camera_from_device;
 layout(location = 0) out vec4 slope_offset;  // a, b, c, d
 layout(location = 1) out uint status;
 
-const float NOWHERE = uintBitsToFloat(0x7fc00000u);
-const float INFINITE = uintBitsToFloat(0x7f800000u);
+#define NOWHERE uintBitsToFloat(0x7fc00000u)
+#define INFINITE uintBitsToFloat(0x7f800000u)
 
 struct Root {
     vec2 point;

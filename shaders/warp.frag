@@ -43,7 +43,7 @@ layout(location = 1) out uint worst_status;
 layout(location = 2) out vec2 source;
 #endif
 
-const float NOWHERE = uintBitsToFloat(0x7fc00000u);
+#define NOWHERE uintBitsToFloat(0x7fc00000u)
 vec2 size_px = vec2(textureSize(picture, 0));
 vec2 per_texel = 1.0 / size_px;
 
@@ -108,9 +108,9 @@ vec3 code_of(vec3 light)
 void main()
 {
     vec3 light = vec3(0.0);
-    float alpha;
+    float alpha = 0.0;
     int worst = SEEN;
-    vec2 seen_at;
+    vec2 seen_at = vec2(0.0);
     for (int channel = 0; channel < CHANNELS; ++channel) {
         bool lost = known[channel] == 0.0;
         vec2 at_infinity = lost ? vec2(0.0) : path[channel].xy + missed_by_triangles(channel);
