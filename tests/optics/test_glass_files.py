@@ -154,6 +154,15 @@ def test_a_catalogue_of_the_user_comes_before_the_shipped_one(tmp_path):
     assert (found.medium.index(0.5), found.note) == (1.6, "")
 
 
+def test_of_two_catalogues_with_one_name_that_of_the_lens_file_counts(tmp_path):
+    first, second = tmp_path / "CDGM.agf", tmp_path / "schott.AGF"
+    first.write_text("NM F2 1 0 1.5 60\nCD 2.56 0 0 0 0 0\n")
+    second.write_text("NM F2 1 0 1.5 60\nCD 2.25 0 0 0 0 0\n")
+    catalogue = GlassCatalogue((first, second))
+    found = [catalogue.find("F2", makers).medium.index(0.5) for makers in ((), ("SCHOTT", "CDGM"), ("CDGM", "SCHOTT"))]
+    assert found == [1.6, 1.5, 1.6]
+
+
 def test_a_glass_file_names_the_first_of_two_glasses(tmp_path):
     path = tmp_path / "two.agf"
     path.write_text("NM A 1 0 1.5 40\nCD 2.25 0 0 0 0 0\nNM A 1 0 1.5 40\nCD 4 0 0 0 0 0\n")

@@ -276,6 +276,12 @@ def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path):
     assert differences[1] - differences[0] == pytest.approx(0.01 * 0.5168 / 64.17)
 
 
+def test_lines_of_a_surface_need_no_indent(tmp_path):
+    lens = lens_of(tmp_path, "\n".join(line.strip() for line in ZMX.splitlines()))
+    assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)
+    assert lens.surfaces[4].file_from_surface[2, 3] == pytest.approx(0.054)
+
+
 def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path):
     lens = lens_of(tmp_path, ZMX.replace("front face", "front \x85 face \x0c end"), "latin-1")
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)

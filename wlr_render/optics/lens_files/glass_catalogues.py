@@ -94,8 +94,9 @@ class GlassCatalogue:
     def _find(self, name: str, manufacturers: tuple[str, ...]) -> Glass | None:
         if name.upper() in ("AIR", "VACUUM"):
             return Glass(AIR)
-        if entry := _by_name(self._entries, name):
-            return Glass(entry.medium(), *_note_on(entry, name, ""))
+        for entries in self._in_order(manufacturers):
+            if entry := _by_name(entries, name):
+                return Glass(entry.medium(), *_note_on(entry, name, ""))
         shipped = _by_name(shipped_entries(), _ALSO.get(_letters(name), name))
         others = _OTHER_MAKERS.get(shipped.name, ()) if shipped else ()
         if shipped and not any(other in maker for other in others for maker in manufacturers):
@@ -110,13 +111,16 @@ class GlassCatalogue:
         text = f"no catalogue has a glass of exactly this name: {medium.name} stands in its place; check its index"
         return Glass(medium, text, True)
 
+    def _in_order(self, manufacturers: tuple[str, ...]) -> list[dict[str, GlassEntry]]:
+        """Glasses of the files: first of those named as a manufacturer, in the order of the manufacturers."""
+        places = {maker: place for place, maker in enumerate(manufacturers)}
+        ordered = sorted(self.files, key=lambda path: places.get(path.stem.lower(), len(places)))
+        return [self._entries[path] for path in ordered]
+
     @functools.cached_property
-    def _entries(self) -> dict[str, GlassEntry]:
-        """Glasses in the files by name in capitals; of two with one name the first."""
-        entries: dict[str, GlassEntry] = {}
-        for path in self.files:
-            entries = read_glass_file(path) | entries
-        return entries
+    def _entries(self) -> dict[Path, dict[str, GlassEntry]]:
+        """Glasses of each file."""
+        return {path: read_glass_file(path) for path in self.files}
 
 
 def _letters(name: str) -> str:

@@ -189,7 +189,7 @@ def _split(path: Path, text: str) -> tuple[dict[str, tuple[list[str], int]], lis
                 raise BadInputError(f"{path}: line {number}: surface {shown(found)} follows {len(surfaces) - 1}.")
             surfaces.append(_Lines(len(surfaces)))
             within = True
-        elif within and key and line[:1].isspace():
+        elif surfaces and key and (key in _TAKEN or (within and line[:1].isspace())):
             surfaces[-1].lines.append((key, words, number))
         elif key:
             within = False
