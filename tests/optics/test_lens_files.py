@@ -283,8 +283,10 @@ def test_lines_of_a_surface_need_no_indent(tmp_path):
 
 
 def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path):
-    lens = lens_of(tmp_path, ZMX.replace("front face", "front \x85 face \x0c end"), "latin-1")
+    lens = lens_of(tmp_path, ZMX.replace("front face", "front\x85GLAS MIRROR\x0cCURV 9"), "latin-1")
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)
+    assert lens.surfaces[2].shape.curvature == pytest.approx(25.0)
+    assert not lens.surfaces[2].reflects
 
 
 @pytest.mark.parametrize("name", ["LAK", "BK", "LAN"])

@@ -32,7 +32,7 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.traced_mappings import DEFAULT_WAVELENGTH_UM
+from wlr_render.optics.media import GREEN_UM
 from wlr_render.progress import SILENT
 from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.raster_camera import RasterPosition, intermediate_camera
@@ -189,7 +189,7 @@ def _wavelengths(options: ExportOptions, channels: dict[str, EyeChannels]) -> di
         return {}
     if options.has_colours:
         return {colour: 1e3 * um for colour, um in zip(COLOURS, PRIMARIES_UM, strict=True)}
-    return {ALL_COLOURS: 1e3 * DEFAULT_WAVELENGTH_UM}
+    return {ALL_COLOURS: 1e3 * GREEN_UM}
 
 
 def _view_from_centre(options: ExportOptions, channels: EyeChannels, origin: Origin) -> ExportedView:

@@ -10,10 +10,10 @@ import numpy as np
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics, Path
+from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.tracer import trace
 
 _FORWARD = np.array([0.0, 0.0, -1.0])
-_WAVELENGTH_UM = 0.55  # of the ray that finds the combiner's middle; its first surface is met before any refraction
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def combiner_middle(optics: EyeOptics) -> FloatArray:
     """Where the line of sight from the middle of the eye box meets the first surface, else its origin; (3,)."""
     if not optics.display.steps:
         return optics.eye_box.centre
-    seen = trace(Path(optics.display.steps[:1]), optics.eye_box.centre, _FORWARD, _WAVELENGTH_UM)
+    seen = trace(Path(optics.display.steps[:1]), optics.eye_box.centre, _FORWARD, GREEN_UM)
     origin = optics.display.steps[0].surface.device_from_surface[:3, 3]
     return np.where(np.isfinite(seen.origin), seen.origin, origin)
 

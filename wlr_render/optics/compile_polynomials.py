@@ -21,6 +21,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import BOX_SLACK, Box, Polynomial, basis, limited_orders
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, assembled
 from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
 
@@ -68,7 +69,7 @@ class CompiledMap:
 
 
 def compile_display(
-    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = 0.55
+    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = GREEN_UM
 ) -> CompiledMap:
     """Compile the display with assembly errors `values` (12,): (u px, v px, x m, y m) -> (tx, ty) over `box`.
 
@@ -86,7 +87,7 @@ def compile_display(
 
 
 def compile_see_through(
-    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = 0.55
+    optics: EyeOptics, values: FloatArray, plane: BasePlane, box: Box, wavelength_um: float = GREEN_UM
 ) -> CompiledMap:
     """Compile the see-through deviation: (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m) over `box`; see `compile_display`.
 

@@ -12,7 +12,7 @@ from wlr_render.files import write_figure
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics, Interaction, Path, PlacedSurface, Step
-from wlr_render.optics.media import AIR
+from wlr_render.optics.media import AIR, GREEN_UM
 from wlr_render.optics.ray_losses import judged_directions
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-_WAVELENGTH_UM = 0.55
 _RAYS = 5  # of each kind and view
 _BEYOND = 1.3  # see-through rays are drawn to so many times the distance of what lies farthest
 _CUT_TO = 1.2  # of that distance, to which surfaces are drawn
@@ -144,7 +143,7 @@ def cut_surface(surface: PlacedSurface, centre: FloatArray, view: DrawingView) -
     They are found by a fan of straight rays, whatever the shape.
     """
     alone = Path((Step(surface, Interaction.REFLECT, AIR),))
-    met = trace(alone, centre, view.directions(_FAN), _WAVELENGTH_UM)
+    met = trace(alone, centre, view.directions(_FAN), GREEN_UM)
     return np.where((met.status == Status.OK)[:, None], met.origin, np.nan)
 
 
@@ -159,7 +158,7 @@ def _size(optics: EyeOptics) -> float:
     size = float(np.linalg.norm(corners - centre, axis=-1).max())
     directions = judged_directions(optics)
     for path in (optics.display, optics.see_through):
-        points = trace(path, centre, directions, _WAVELENGTH_UM).points
+        points = trace(path, centre, directions, GREEN_UM).points
         for number, step in enumerate(path.steps):
             away = np.linalg.norm(points[:, number] - centre, axis=-1)
             met = float(np.median(away[np.isfinite(away)])) if np.isfinite(away).any() else np.inf
@@ -175,18 +174,18 @@ def _draw_rays(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
     """
     centre, size = optics.eye_box.centre, _size(optics)
     ahead = _FAN[np.abs(_FAN) < 0.5 * np.pi]
-    mapping = TracedDisplay(optics, _WAVELENGTH_UM)
+    mapping = TracedDisplay(optics, GREEN_UM)
     seen = mapping.pixel_of_view_dir(view.directions(ahead), centre).ok
     ends = (ahead[seen].min(), ahead[seen].max()) if seen.any() else (-_LOST_ANGLE, _LOST_ANGLE)
     view_dir = view.directions(np.linspace(*ends, _RAYS))
-    world = trace(optics.see_through, centre, view_dir, _WAVELENGTH_UM)
+    world = trace(optics.see_through, centre, view_dir, GREEN_UM)
     gone = np.linalg.norm(world.origin - centre, axis=-1)
     shown = (world.status == Status.OK) & (gone < _BEYOND * size)
     world_end = world.origin + (_BEYOND * size - gone)[:, None] * world.direction
     _draw_lines(axes, view, [centre, world.points[shown], world_end[shown]], "tab:orange", "see-through rays")
     panel_end = optics.panel.point_of_pixel(mapping.pixel_of_view_dir(view_dir, centre).value)
     arrives = np.isfinite(panel_end).all(axis=-1)
-    display = trace(optics.display, centre, view_dir, _WAVELENGTH_UM)
+    display = trace(optics.display, centre, view_dir, GREEN_UM)
     _draw_lines(axes, view, [centre, display.points[arrives], panel_end[arrives]], "tab:blue", "display rays")
     _draw_lost(axes, optics, view, view_dir[~arrives], size)
 
@@ -197,7 +196,7 @@ def _draw_lost(axes: "Axes", optics: EyeOptics, view: DrawingView, view_dir: Flo
     for direction in view_dir:
         points, heading = [optics.eye_box.centre], direction
         for count in range(1, len(steps) + 1):
-            traced = trace(Path(steps[:count]), optics.eye_box.centre, direction, _WAVELENGTH_UM)
+            traced = trace(Path(steps[:count]), optics.eye_box.centre, direction, GREEN_UM)
             if traced.status != Status.OK or np.linalg.norm(traced.origin - points[0]) > _BEYOND * size:
                 break
             points.append(traced.origin)

@@ -19,7 +19,7 @@ NIKON_POWERS = (0.0, 2.0, 4.0, -2.0, -4.0, -6.0, -8.0, -10.0, -12.0)
 
 _KIND = "a glass catalogue"
 _HERZBERGER_POLE = 0.028  # square micrometres, the same for every glass
-_MOST_POWER = 20.0  # of the wavelength in a device file
+_MOST_POWER = 20.0  # largest power of the wavelength in a device file
 
 
 @dataclass

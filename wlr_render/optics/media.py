@@ -20,10 +20,10 @@ class Medium:
     """A transparent medium: n^2 = 1 + sum of strength L^2 / (L^2 - pole) + sum of factor L^power, and a shift of n.
 
     Attributes:
-        name: what the device file calls it.
+        name: in the device file.
         terms: of Sellmeier, pairs (strength, pole in square micrometres); a pole of 0 is a constant index, and a
             negative one lies at no real wavelength.
-        index_shift: added to n at every wavelength: by how much a sample differs from the published formula.
+        index_shift: added to n at every wavelength: the difference of a sample from the published formula.
         powers: of Schott and Cauchy, pairs (factor in micrometres^-power, power).
     """
 

@@ -9,6 +9,7 @@ import numpy as np
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics, Interaction, Path, PlacedSurface, Step
+from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, SumOfProfiles, Toroid
 from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.optics.tracer import Trace, trace
@@ -115,7 +116,9 @@ def _reasons(
 
 def _lies_behind(step: Step, arriving: Trace) -> BoolArray:
     """Which rays would meet a surface if they ran backwards, (n,)."""
-    back = trace(Path((replace(step, interaction=Interaction.REFLECT),)), arriving.origin, -arriving.direction, 0.55)
+    back = trace(
+        Path((replace(step, interaction=Interaction.REFLECT),)), arriving.origin, -arriving.direction, GREEN_UM
+    )
     return np.asarray(back.status != Status.MISS)
 
 

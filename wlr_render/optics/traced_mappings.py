@@ -20,6 +20,7 @@ from wlr_render.numerics import newton
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.optics.device import Device, EyeOptics
+from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.tracer import trace
 
 TRACED = " (traced)"
@@ -95,13 +96,11 @@ def _spread(count: int) -> FloatArray:
     return np.asarray(2.0 * np.mod(0.5 + np.arange(count)[:, None] * powers, 1.0) - 1.0)
 
 
-DEFAULT_WAVELENGTH_UM = 0.55
-"""Green light, in which a device is traced where no colours are asked for."""
 Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
 """(tangents (k, m, 2), index (m,) into the queries) -> by how much the rays miss their targets, (k, m, 2)."""
 
 
-def traced_eye(device: Device, eye: str = "right", wavelength_um: float = DEFAULT_WAVELENGTH_UM) -> EyeMappings:
+def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_UM) -> EyeMappings:
     """Mappings of one eye of a device at one vacuum wavelength in micrometres.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Glasses by name: Zemax catalogue files (.agf), that of this package, and the database that Optiland brings."""
+"""Look up glasses by name: in Zemax catalogues (.agf), the shipped catalogue, and the database of Optiland."""
 
 import functools
 import re
@@ -35,9 +35,9 @@ _ALSO = {
     "C7980": "SILICA",
     "AL2O3": "SAPPHIRE",
 }
-"""Other names, in letters and digits, of glasses of this package."""
+"""Other names of shipped glasses, in letters and digits."""
 _OTHER_MAKERS = {"F2": ("cdgm", "hikari"), "BAF2": ("cdgm",)}
-"""Makers who give the name of a glass of this package to a glass of their own."""
+"""Makers who have another glass of the same name, by the name of a shipped glass."""
 _VISIBLE_UM = 0.45, 0.65
 
 
@@ -48,7 +48,7 @@ class Glass:
     Attributes:
         medium: the glass.
         note: where it was found, if it is not in a catalogue that the user named; may be empty.
-        is_other: whether its index may differ from that of the glass that was asked for.
+        is_other: whether its index may differ from the index of the named glass.
     """
 
     medium: Medium
@@ -63,7 +63,7 @@ class Glass:
 
 @dataclass(frozen=True)
 class GlassCatalogue:
-    """Where glasses are looked up by name.
+    """Catalogues in which glasses are looked up by name.
 
     Attributes:
         files: catalogue files (.agf), searched first, in this order.
@@ -85,7 +85,7 @@ class GlassCatalogue:
         return self.found[key]
 
     def require(self, name: str, where: str, manufacturers: Sequence[str] = ()) -> Glass:
-        """As `find`, and refuses a glass that no catalogue has; `where` begins the sentence."""
+        """Find a glass as `find` does; refuse one that no catalogue has. `where` begins the sentence."""
         glass = self.find(name, manufacturers)
         if glass is None:
             raise BadInputError(f"{where}: no catalogue has the glass {shown(name)}. {unknown_glass_remedy()}")
@@ -124,7 +124,7 @@ class GlassCatalogue:
 
 
 def _letters(name: str) -> str:
-    """Letters and digits of a name in capitals: all that tells glasses apart."""
+    """Letters and digits of a name in capitals. Glasses do not differ in spaces and dashes alone."""
     return re.sub(r"[\W_]", "", name).upper()
 
 
@@ -136,7 +136,7 @@ def _by_name(entries: dict[str, GlassEntry], name: str) -> GlassEntry | None:
 
 
 def _note_on(entry: GlassEntry, name: str, note: str) -> tuple[str, bool]:
-    """Text on a glass that was found, and whether its index may be another one than that of the glass asked for."""
+    """Note on a glass that was found, and whether its index may differ from the index of the named glass."""
     parts = [note] if note else []
     if entry.name.upper() != name.upper():
         parts.insert(0, f"taken as {entry.name}")
@@ -162,7 +162,7 @@ def model_glass(index: float, abbe: float, where: str, name: str = "", deviation
 
 
 def require_glass(medium: Medium, where: str) -> Medium:
-    """Return the medium; refuse one whose index in visible light is not that of a glass."""
+    """Return the medium; refuse one with an implausible index in visible light."""
     if fault := medium.fault():
         raise BadInputError(f"{where}: {fault}")
     return medium

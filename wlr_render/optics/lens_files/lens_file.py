@@ -1,4 +1,4 @@
-"""Read a sequential prescription of Zemax, Optiland or rayoptics; the format is told by the file itself."""
+"""Read a sequential prescription of Zemax, Optiland or rayoptics; the content tells the format."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def read_lens_file(path: Path, catalogue: GlassCatalogue) -> tuple[str, LensFile
     """Read a lens file: the program it is of, and its content.
 
     Raises:
-        BadInputError: the file is none of the three formats, or breaks its format; the sentence says where.
+        BadInputError: the file has none of the three formats, or breaks its format; the sentence says where.
     """
     if not read_bytes(path, LIMITS.data_bytes).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         return "Zemax", read_zemax(path, catalogue)

@@ -43,7 +43,7 @@ class Ignored:
         value: as the file has it, shortened.
         reason: why it was left out, and its substitute.
         bends_rays: whether rays run otherwise without it.
-        part: "shape" for a surface that is not read as what it is, "glass" for a glass that is taken approximately.
+        part: "shape" for a surface of a type that is not read, "glass" for a glass that is taken approximately.
     """
 
     surface: int | None

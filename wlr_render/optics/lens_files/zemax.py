@@ -59,7 +59,7 @@ _HARMLESS = {
 }
 """Keys of a surface that say how it is drawn, coated, solved for or optimised."""
 _NOT_STATED = (1.5, 40.0), (0.0, 0.0)
-"""Index and Abbe number that stand beside the name of a catalogue glass where the file does not state them."""
+"""Index and Abbe number of a `GLAS` line that does not state them."""
 _CONIC_WITHOUT_TERMS = {
     *("BINARY_1", "BINARY_2", "DGRATING", "FZERNPHA", "FZERNSAG", "IRREGULA", "QED_TYPE", "SZERNPHA", "SZERNSAG"),
     *("XODDASPH",),
@@ -138,8 +138,8 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
     """Read a .zmx file of sequential mode.
 
     Raises:
-        BadInputError: the file is not one, is not sequential, has a number that is none, or names a glass that is in
-            no catalogue.
+        BadInputError: the file is not one, is not sequential, has a value that is not a number, or names a
+            glass that is in no catalogue.
     """
     reading = _Reading(path, catalogue)
     header, surfaces = _split(path, decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), _KIND))
@@ -224,7 +224,7 @@ def _note_environment(reading: _Reading, header: dict[str, tuple[list[str], int]
     """Note a temperature and pressure at which the glasses have other indices than in their catalogues."""
     words, line = header.get("ENVD", ([], 0))
     if len(words) > 1 and tuple(reading.number(words, place, line, "ENVD") for place in (0, 1)) != _ROOM:
-        reason = "the glasses have their indices at 20 degrees Celsius and 1 atmosphere, not those of this environment"
+        reason = "the indices are those at 20 degrees Celsius and 1 atmosphere; another environment is not read"
         reading.ignore(None, "ENVD", " ".join(words), reason, True)
 
 
@@ -255,7 +255,7 @@ def _coordinate_break(reading: _Reading, surface: _Lines) -> FloatArray:
 
 
 def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Medium]:
-    """Whether the surface is a mirror, and the medium behind it."""
+    """Return whether the surface is a mirror, and the medium behind it."""
     found = surface.last("GLAS")
     if found is None or not found[0]:
         return False, AIR
@@ -276,7 +276,7 @@ def _glass(reading: _Reading, surface: _Lines, before: Medium) -> tuple[bool, Me
 
 
 def _stated_glass(reading: _Reading, surface: _Lines, words: list[str], line: int, model: bool) -> Medium | None:
-    """The glass by the index and Abbe number beside its name, or by a name of six digits; None if there are none."""
+    """The glass by the index and Abbe number in its line, or by a name of six digits; None without them."""
     name, where = words[0], f"{reading.path}: line {line}: glass {shown(words[0])}"
     if len(words) > 4:
         index, abbe = (reading.number(words, place, line, "GLAS") for place in (3, 4))
@@ -354,7 +354,7 @@ def _odd_asphere(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
 
 
 def _extended_asphere(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
-    """Terms of (r / normalisation)^2, ^4, ... from `XDAT`, beside those of an even asphere."""
+    """Terms of (r / normalisation)^2, ^4, ... from `XDAT`, added to the terms of an even asphere."""
     values = reading.numbered(surface, "XDAT")
     count, norm = _terms_and_norm(reading, surface, values)
     low = reading.numbered(surface, "PARM")
@@ -368,7 +368,7 @@ def _extended_asphere(reading: _Reading, surface: _Lines, base: Conic) -> Shape:
 
 
 def _terms_and_norm(reading: _Reading, surface: _Lines, values: dict[int, float]) -> tuple[int, float]:
-    """How many terms `XDAT` holds, and the length that their coordinates are divided by."""
+    """Number of terms in `XDAT`, and the length that divides their coordinates."""
     norm = values.get(2, 1.0) or 1.0
     if not _NORMS[0] <= abs(norm) <= _NORMS[1]:
         raise BadInputError(
