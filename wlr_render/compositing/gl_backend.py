@@ -220,6 +220,8 @@ class GlEye:
             self._context, plan.camera, self._context.target(size, 4, "srgb"), self._context.target(size, 1, "f4")
         )
         picture, at = WarpedPicture(image, plan.samples_per_axis), plan.channels[0].eye_box.centre
+        if overlays:
+            OverlayImport(self._context)
         overlay = SeenOverlay(image.colour, np.eye(3))
         all_samples = [WarpedPicture(image, samples) for samples in range(1, MAX_SAMPLES + 1)] if insets else []
         for poses, target, pictures, over in itertools.product(

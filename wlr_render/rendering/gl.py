@@ -61,12 +61,6 @@ def read_between_texels(texture: Texture) -> None:
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
 
 
-def read_between_levels(texture: Texture) -> None:
-    """Compute a texture's mip levels from its first, and set trilinear filtering."""
-    texture.build_mipmaps()
-    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-
-
 def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
     """A texture as (height, width, components), or (height, width) if it has one component."""
     shape = (texture.height, texture.width) + ((texture.components,) if texture.components > 1 else ())

@@ -239,13 +239,18 @@ class GlContext:
         return sampler
 
     @property
+    def texture_unit(self) -> int:
+        """The unit for textures that are bound to be written or asked about; no shader reads from it."""
+        return int(self._ctx.default_texture_unit)
+
+    @property
     def reads_srgb_codes(self) -> bool:
         """Whether `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL decodes them all the same."""
         return "GL_EXT_texture_sRGB_decode" in self._ctx.extensions
 
     def has_srgb_format(self, texture: Texture) -> bool:
         """Whether OpenGL decodes a texture's sRGB codes when it is sampled; call it in a drawing block."""
-        texture.use(self._ctx.default_texture_unit)
+        texture.use(self.texture_unit)
         found = ctypes.c_int()
         query = self.function("glGetTexLevelParameteriv", ctypes.c_uint, ctypes.c_int, ctypes.c_uint, ctypes.c_void_p)
         query(_TEXTURE_2D, 0, _INTERNAL_FORMAT, ctypes.addressof(found))

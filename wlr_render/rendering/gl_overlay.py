@@ -11,6 +11,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
+from wlr_render.rendering.gl_mips import MipLevels
 from wlr_render.rendering.picture_import import PictureImport, is_texture
 from wlr_render.rendering.stored_picture import METRES, Rows, StoredColour
 from wlr_render.rendering.view import View
@@ -72,7 +73,7 @@ class OverlayImport:
     """Copies the pictures of overlays; each overwrites the last."""
 
     def __init__(self, context: gl.GlContext) -> None:
-        self._context, self._import = context, PictureImport(context)
+        self._context, self._import, self._levels = context, PictureImport(context), MipLevels(context)
 
     def take(self, picture: Any, quad: Quad, stored_colour: StoredColour, rows: Rows | None) -> Overlay:
         """A picture as an array, or as a texture of any kind that `PictureImport.from_textures` takes.
@@ -98,5 +99,5 @@ class OverlayImport:
         take_any = take.from_arrays if is_array else take.from_textures
         image = take_any(camera, picture, None, METRES, rows or usual, stored_colour)
         with self._context.drawing():
-            gl.read_between_levels(image.colour)
+            self._levels.fill(image.colour)
         return Overlay(image.colour, quad)
