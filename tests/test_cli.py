@@ -124,11 +124,13 @@ def test_every_verb_explains_itself(verb, capsys, monkeypatch):
     assert text.startswith(f"Usage: wlr-render {verb.words} ")
     assert verb.help in text
     assert "default: None" not in text
+    assert "default: False" not in text
     for _, field, _, notes in fields_of(options_of(verb)):
         (described,) = (note for note in notes if isinstance(note, Parameter))
         assert described.help[0].isupper(), field.name
         assert described.help.endswith("."), field.name
         assert described.help in text, field.name
+        assert all(f" Range: {limits.short()}." in described.help for limits in notes if isinstance(limits, Range))
 
 
 STAND_IN = '#!/bin/sh\nprintf "%s" "$(basename "$0")"; printf " [%s]" "$@"; echo\n'

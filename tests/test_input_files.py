@@ -1,5 +1,6 @@
 import gzip
 import os
+import socket
 import zlib
 
 import cv2
@@ -134,6 +135,12 @@ def test_a_length_in_millimetres_is_asked_about():
     [
         (KeyError("width"), 1, "defect of the program: KeyError in test_input_files.py"),
         (MemoryError(), 2, "memory"),
+        (ConnectionResetError(104, "Connection reset by peer"), 1, "defect of the program: ConnectionResetError"),
+        (socket.gaierror(-2, "Name or service not known"), 1, "defect of the program: gaierror"),
+        (ProcessLookupError(3, "No such process"), 1, "defect of the program: ProcessLookupError"),
+        (TimeoutError(110, "Connection timed out"), 1, "defect of the program: TimeoutError"),
+        (TimeoutError(110, "Connection timed out", "share/a.png"), 2, "share/a.png: cannot be read or written"),
+        (OSError(28, "No space left on device"), 2, "A file: cannot be read or written (No space left on device)"),
         (PermissionError(13, "Permission denied", "a.png"), 2, "a.png: cannot be read or written (Permission denied)"),
     ],
 )

@@ -202,7 +202,7 @@ def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
     except Exception as error:
         if debug:
             raise
-        return _refuse(app, _sentence(error), 2 if isinstance(error, _OF_THE_INPUT) else 1)
+        return _refuse(app, _sentence(error), 2 if _is_of_the_input(error) else 1)
 
 
 def _refuse_empty(tokens: Sequence[str]) -> None:
@@ -266,8 +266,18 @@ def _run(app: App, tokens: Sequence[str], debug: bool) -> int:
     return 0
 
 
-_OF_THE_INPUT = (BadInputError, CycloptsError, MemoryError, OSError)
-"""Exceptions that the user can do something about; others are defects of the program."""
+def _is_of_the_input(error: Exception) -> bool:
+    """Whether the user can do something about an exception; others are defects of the program.
+
+    Of the errors of the operating system these are files and the disk, and not connections or processes, whose failures
+    the program must foresee.
+    """
+    from socket import gaierror  # not before it is needed: --help must be quick
+
+    elsewhere = (ConnectionError, TimeoutError, ChildProcessError, ProcessLookupError, gaierror)
+    if isinstance(error, elsewhere) and error.filename is None:
+        return False
+    return isinstance(error, BadInputError | CycloptsError | MemoryError | OSError)
 
 
 def _sentence(error: Exception) -> str:
@@ -288,7 +298,7 @@ def _sentence(error: Exception) -> str:
         return str(error)
     if isinstance(error, MemoryError):
         return "The memory of this machine is too small for this job; ask for fewer or smaller items."
-    if isinstance(error, OSError):
+    if isinstance(error, OSError) and _is_of_the_input(error):
         return f"{error.filename or 'A file'}: cannot be read or written ({error.strerror or error})."
     place = traceback.extract_tb(error.__traceback__)[-1]
     return (

@@ -35,7 +35,9 @@ class BudgetStudyOptions(SpreadOptions):
     _: KW_ONLY
     sessions: Annotated[int, described("Simulated sessions; three headsets take turns."), Range(1, 1000)] = 30
     first: Annotated[int, described("Number of the first session."), Range(0, 100_000)] = 0
-    resume: Annotated[bool, described("Keep the sessions that an earlier run of the same program left there.")] = False
+    resume: Annotated[
+        bool, described("Keep the sessions that an earlier run of the same program left there.", flag=True)
+    ] = False
     workers: Workers = None
     scheduler: Scheduler = None
     record: Annotated[Path | None, described("Folder in which budget.md is kept, too.")] = None

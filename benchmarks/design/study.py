@@ -32,9 +32,11 @@ class DesignOptions(SpreadOptions):
     )
     sessions: Annotated[int, described("Simulated sessions of each headset."), Range(2, 1000)] = 8
     in_depth: Annotated[
-        bool, described("Choose places before and behind the middle plane, too, as `plan --in-depth` does.")
+        bool, described("Choose places before and behind the middle plane, too, as `plan --in-depth` does.", flag=True)
     ] = False
-    resume: Annotated[bool, described("Keep the sessions that an earlier run of the same program left there.")] = False
+    resume: Annotated[
+        bool, described("Keep the sessions that an earlier run of the same program left there.", flag=True)
+    ] = False
     workers: Workers = None
     scheduler: Scheduler = None
     seed: Seed = 1

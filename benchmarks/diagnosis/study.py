@@ -58,7 +58,9 @@ class DiagnosisOptions(SpreadOptions):
         tuple[ConditionName, ...],
         described("Conditions of the benches that the trials of each kind share evenly (default: all).", many=True),
     ] = get_args(ConditionName)
-    resume: Annotated[bool, described("Keep the trials that an earlier run of the same program left there.")] = False
+    resume: Annotated[
+        bool, described("Keep the trials that an earlier run of the same program left there.", flag=True)
+    ] = False
     seed: Seed = 1
     workers: Workers = None
     scheduler: Scheduler = None

@@ -62,7 +62,7 @@ class PhotographsOptions(SpreadOptions):
     ] = 6
     resume: Annotated[
         bool,
-        described("Keep the trials of benches that an earlier run of the same program left there."),
+        described("Keep the trials of benches that an earlier run of the same program left there.", flag=True),
     ] = False
     workers: Workers = None
     scheduler: Scheduler = None

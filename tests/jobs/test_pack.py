@@ -1,5 +1,6 @@
 """Data sets from the frames of `render`, read back by their own libraries and without them."""
 
+import hashlib
 import json
 import tarfile
 from dataclasses import replace
@@ -12,6 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.finished_files import FinishedFiles
 from wlr_render.jobs.pack import PackOptions, pack
 from wlr_render.jobs.render import RenderOptions, render
+from wlr_render.models.model_file import load_eye_model
 from wlr_render.rendering.image_files import read_png
 
 KEYS = [f"{eye}-00000{number}" for number in (0, 1) for eye in ("left", "right")]
@@ -88,6 +90,44 @@ def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled, tmp_p
         assert set(map(len, row["objects"].values())) == {2}
         assert row["objects"]["category"] == ["ball", "plane"]
     assert len(list(folder.iterdir())) == 9
+
+
+@pytest.mark.parametrize("layout", ["webdataset", "huggingface"])
+def test_a_data_set_names_its_sources_and_no_path_of_this_machine(
+    model_file, scene_file, tmp_path, monkeypatch, layout
+):
+    """Who gets it can tell two headsets by their names and hashes."""
+    options = PackOptions(layout, tmp_path / "secret" / "frames", out=tmp_path / "secret" / "set")
+    render(RenderOptions(model_file, scene_file, method="raytrace", out=options.folder))
+    arguments = ["/home/me/wlr-render", "pack", layout, str(options.folder), f"--out={options.out}/"]
+    monkeypatch.setattr("sys.argv", arguments)
+    pack(options)
+    if layout == "webdataset":
+        stated = json.loads(members(options.out / "frames-000000.tar")["right-000000.json"])
+    else:
+        stated = json.loads((options.out / "train" / "metadata.jsonl").read_text())
+    names = load_eye_model(model_file).mappings.name, Path(scene_file).stem
+    for what, path, name in zip(("headset", "scene"), (model_file, scene_file), names, strict=True):
+        assert stated[what] == name
+        assert stated[f"{what}_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    for path in options.out.rglob("*"):
+        if path.is_file():
+            for folder in (tmp_path, Path(model_file).parent, Path(scene_file).parent):
+                assert str(folder).encode() not in path.read_bytes(), path
+    command = json.loads((options.out / "report.json").read_text())["provenance"]["command"]
+    assert command == f"wlr-render pack {layout} frames --out=set"
+
+
+def test_frames_of_the_last_version_are_packed_by_the_names_of_their_files(frames_of, tmp_path):
+    """Its record of a sequence has no names."""
+    drawn = frames_of()
+    path = drawn.out / "sequence.json"
+    record = json.loads(path.read_text())
+    del record["names"]
+    path.write_text(json.dumps(record))
+    pack(PackOptions("huggingface", drawn.out, out=tmp_path / "set"))
+    row = json.loads((tmp_path / "set" / "train" / "metadata.jsonl").read_text().splitlines()[0])
+    assert row["headset"] == Path(drawn.headset).name
 
 
 def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):

@@ -213,3 +213,18 @@ def test_columns_of_one_name_are_all_in_the_json_file(tmp_path):
     saved = save_report(Report("Twice", blocks=[table]), tmp_path)
     (rows,) = json.loads(saved.files[2].read_text())["tables"]
     assert rows["rows"] == [{"a": 1, "interval": "2 to 3", "interval (2)": 4, "interval (3)": "5 to 6"}]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "command"),
+    [
+        (["/opt/bin/wlr-render", "plan", "a/b.toml"], "wlr-render plan a/b.toml"),
+        (["/x/ipykernel_launcher.py", "-f", "/home/me/kernel-1.json"], "Python, without a command line"),
+        (["-c"], "Python, without a command line"),
+        ([""], "Python, without a command line"),
+    ],
+)
+def test_a_report_states_the_command_line_where_there_is_one(arguments, command, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.argv", arguments)
+    saved = save_report(Report("Any"), tmp_path)
+    assert json.loads(saved.files[2].read_text())["provenance"]["command"] == command

@@ -33,6 +33,7 @@ from wlr_render.jobs.headset import headset_path, is_model, open_channels
 from wlr_render.jobs.options import eyes_of, seed_of
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
+from wlr_render.optics.traced_mappings import TRACED
 from wlr_render.processes import THIS_MACHINE, as_finished
 from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.frame_layers import INSTANCE, frame_layers
@@ -88,6 +89,11 @@ class OpenedFiles:
             "misalignment": headset_path(options.misalignment) if options.misalignment else None,
         }
         return {name: self.inputs[str(path)] for name, path in paths.items() if path}
+
+    def names(self) -> dict[str, str]:
+        """Names of the headset and of the scene, whatever their files are called."""
+        first = next(iter(self.middle().values()))
+        return {"headset": first.name.removesuffix(TRACED), "scene": self.scene.name}
 
     def middle(self) -> dict[str, EyeMappings]:
         """The only or the green channel of each eye."""

@@ -5,6 +5,7 @@ same values in the same words.
 """
 
 import dataclasses
+import inspect
 import math
 import types
 import typing
@@ -51,6 +52,18 @@ class Range:
             return f"between {self.at_least:g} and {most}"
         return f"a finite number of {self.at_least:g} or more" if self.at_least > -math.inf else "a finite number"
 
+    def short(self) -> str:
+        """The limits as --help states them, e.g. "5 to 1000"."""
+        unit = f" {self.unit}" if self.unit else ""
+        if self.above > -math.inf:
+            return f"above {self.above:g}" + (
+                f", at most {self.at_most:.12g}{unit}" if self.at_most < math.inf else unit
+            )
+        if self.at_most == math.inf:
+            return f"{self.at_least:g} or more{unit}"
+        least = f"0, or {self.least_size:g}" if self.least_size else f"{self.at_least:g}"
+        return f"{least} to {self.at_most:.12g}{unit}"
+
     def admits(self, value: float) -> bool:
         """Whether a number lies within the limits."""
         # Infinity is compared as well: a whole number may be too large for `math.isfinite`.
@@ -78,6 +91,10 @@ def described(
 @dataclass(frozen=True)
 class Options:
     """Base of all options: checks choices and ranges, and refuses options that the others make meaningless."""
+
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        cls.__annotations__ = {name: _with_range(hint) for name, hint in inspect.get_annotations(cls).items()}
 
     def __post_init__(self) -> None:
         hints, annotated = (typing.get_type_hints(type(self), include_extras=extras) for extras in (False, True))
@@ -187,6 +204,17 @@ _PLAIN_TYPES: tuple[tuple[type, Any, str], ...] = (
 )
 
 
+def _with_range(hint: Any) -> Any:
+    """A type whose help text, if it has one, also states its range."""
+    notes = _notes(hint)
+    ranges = [note.short() for note in notes if isinstance(note, Range)]
+    for number, note in enumerate(notes):
+        if ranges and isinstance(note, Parameter) and note.help:
+            stated = Parameter.combine(note, Parameter(help=f"{note.help} Range: {ranges[0]}."))
+            return Annotated[(hint.__origin__, *notes[:number], stated, *notes[number + 1 :])]
+    return hint
+
+
 def _notes(hint: object) -> tuple[object, ...]:
     return getattr(hint, "__metadata__", ())
 
@@ -255,7 +283,7 @@ class SpreadOptions(Options):
 
 
 Degree = Range(at_least=1, at_most=12)
-"""Limits of polynomial degrees and of rays per pixel and axis: more only costs time."""
+"""Limits of polynomial degrees: more only costs time."""
 
 
 _BOX_HELP = (

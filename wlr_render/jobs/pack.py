@@ -87,7 +87,7 @@ def pack(options: PackOptions, *, progress: ProgressArgument = SILENT) -> Report
             files = [_write_image_folder(temporary / _SPLIT, samples)]
     written = [out / path.relative_to(temporary) for path in files]
     shards = "1 tar file" if len(written) == 1 else f"{len(written)} tar files"
-    place = f"in {shards}" if options.layout == "webdataset" else f"beside {written[0]}"
+    place = f"in {shards}" if options.layout == "webdataset" else f"beside {written[0].relative_to(out)}"
     frames = "1 frame" if len(entries) == 1 else f"{len(entries)} frames"
     report = Report(
         f"Data set of {folder.resolve().name}",
@@ -95,6 +95,7 @@ def pack(options: PackOptions, *, progress: ProgressArgument = SILENT) -> Report
         inputs=[folder / RECORD, folder / LIST],
         files=written,
         record={"frames": len(entries)},
+        is_published=True,
     )
     return save_report(report, out)
 
@@ -132,7 +133,7 @@ def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[
     has_layers = job_table.has("layers") and bool(job_table.unchecked("layers"))
     has_labels = has_layers and "instance" in job_table.texts("layers")
     judged = [each for each in _JUDGEMENTS if job_table.has(each) and job_table.unchecked(each) is not None]
-    sources = {"headset": job_table.text("headset"), "scene": job_table.text("scene")}
+    sources = _sources(record, job_table)
     for entry in entries:
         name = entry.text("file")
         found = _FRAME.fullmatch(name)
@@ -159,6 +160,17 @@ def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[
         if has_labels:
             metadata["objects"] = read_labels(labels, "annotations")
         yield _Sample(key, metadata, files)
+
+
+def _sources(record: Table, job_table: Table) -> dict[str, str]:
+    """Names and hashes of the headset and the scene: who gets the data set has no use for paths of this machine."""
+    hashes = record.table("files")
+    names = record.table("names") if record.has("names") else None  # version 0.2.0 wrote none
+    sources = {}
+    for what in ("headset", "scene"):
+        sources[what] = names.text(what) if names else Path(job_table.text(what)).name
+        sources[f"{what}_sha256"] = hashes.text(what)
+    return sources
 
 
 def _write_shards(out: Path, samples: Iterator[_Sample], count: int) -> list[Path]:

@@ -86,7 +86,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, opened.middle(), head, eyes)
     frames = [_frame_record(planned) for planned in plan]
-    record = sequence_record(_job(options, raster), opened.of_options(options), opened.inputs, frames)
+    record = sequence_record(_job(options, raster), opened.names(), opened.of_options(options), opened.inputs, frames)
     text = record_text(record)
     folder = output_folder(options.out)
     require_same_job(folder, record, RenderOptions)

@@ -21,6 +21,7 @@ _TRAJECTORIES = ("head", "eye_track")
 
 def sequence_record(
     job: Mapping[str, Any],
+    names: Mapping[str, str],
     files: Mapping[str, str],
     inputs: Mapping[str, str],
     frames: Sequence[Mapping[str, Any]],
@@ -29,6 +30,7 @@ def sequence_record(
 
     Args:
         job: the options that change what a frame shows.
+        names: of the headset and the scene, by option; the options themselves may be paths.
         files: SHA-256 of the files that options name, by option.
         inputs: SHA-256 of every file that the frames show, by its path.
         frames: file, time stamp, viewpoint and head pose of each frame.
@@ -38,6 +40,7 @@ def sequence_record(
         "version": _VERSION,
         "frame": "openxr",
         "job": dict(job),
+        "names": dict(names),
         "files": dict(files),
         "inputs": dict(inputs),
         "frames": list(frames),

@@ -41,7 +41,7 @@ class BoardOptions(Options):
     dictionary: Annotated[str, described("OpenCV's dictionary of the markers of a ChArUco board."), _CHARUCO] = (
         "DICT_5X5_1000"
     )
-    legacy: Annotated[bool, described("ChArUco pattern of OpenCV before 4.6."), _CHARUCO] = False
+    legacy: Annotated[bool, described("ChArUco pattern of OpenCV before 4.6.", flag=True), _CHARUCO] = False
     dpi: Annotated[int, described("Resolution of the PNG in dots per inch."), Range(1, 10_000)] = 200
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/board")

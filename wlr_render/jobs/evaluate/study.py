@@ -55,7 +55,10 @@ class StudyOptions(SpreadOptions):
     workers: Workers = None
     scheduler: Scheduler = None
     resume: Annotated[
-        bool, described("Continue a run of the same program that was cut off: outcomes in the output folder are kept.")
+        bool,
+        described(
+            "Continue a run of the same program that was cut off: outcomes in the output folder are kept.", flag=True
+        ),
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/evaluate")
 

@@ -49,7 +49,8 @@ class PlanOptions(Options):
         bool,
         described(
             "Choose camera places before and behind the middle plane of the eye box, too: for a stage of three axes, "
-            "calibrated at five levels of each."
+            "calibrated at five levels of each.",
+            flag=True,
         ),
     ] = False
     dot_noise_px: Annotated[

@@ -192,7 +192,7 @@ def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument 
     ]
     inputs = [options.session, *(each / "model.json" for each in options.calibration)]
     name = calibrations[0].models.name if len(calibrations) == 1 else f"{len(calibrations)} calibrations"
-    return misalignment_report(judged, name, folder, inputs, options, warnings[:1])
+    return misalignment_report(judged, name, folder, inputs, options, list(dict.fromkeys(warnings)))
 
 
 def _calibrations(options: VerifySessionOptions, bench: PhotoBench) -> list[_Calibration]:
