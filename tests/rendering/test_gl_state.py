@@ -1,5 +1,8 @@
 """A context of somebody else's program: drawn in, and given back as it was."""
 
+import shutil
+import subprocess
+
 import gl_scenes
 import moderngl
 import numpy as np
@@ -273,6 +276,43 @@ def test_a_third_party_software_context_is_adopted():
     except OSError as error:
         pytest.skip(f"libosmesa6 is not installed ({error}).")
     assert run(script) == "osmesa True\n"
+
+
+@pytest.fixture
+def display(tmp_path):
+    """Number of an X display without a screen."""
+    if shutil.which("Xvfb") is None:
+        pytest.skip("Xvfb is not installed.")
+    server = subprocess.Popen(["Xvfb", "-displayfd", "1"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    yield server.stdout.readline().decode().strip()
+    server.terminate()
+    server.communicate(timeout=20)
+
+
+def test_a_context_of_an_x_window_system_is_adopted_and_no_other_opens_beside_it(gl_context, display):
+    script = """
+        import gl_scenes, moderngl
+        from wlr_render.errors import BadInputError, MissingGlError
+        from wlr_render.rendering import gl
+        from wlr_render.rendering.gl_raster import GlRaster
+        before = gl.open_context("egl")
+        theirs = moderngl.create_context(standalone=True, require=410)
+        scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
+        for draw in (lambda: before.drawing().__enter__(), lambda: gl.open_context("egl")):
+            try:
+                draw()
+            except (BadInputError, MissingGlError) as error:
+                print(error)
+        with gl.adopt_context() as context:
+            picture = GlRaster(context, scene).draw(gl_scenes.view())
+            print(context.backend, (picture.inverse_depth > 0).sum() > 100)
+        theirs.release()
+        print((GlRaster(before, scene).draw(gl_scenes.view()).colour == picture.colour).all())
+    """
+    first, second, *drawn = run(script, DISPLAY=f":{display}").splitlines()
+    assert "release the context that is current there, or adopt it" in first
+    assert "egl: another platform's context is current on this thread; release it, or adopt it" in second
+    assert drawn == ["glx True", "True"]
 
 
 def test_a_refusal_is_both_a_missing_gl_and_a_bad_input():

@@ -128,6 +128,8 @@ def open_context(backend: str = "auto") -> GlContext:
             finally:
                 restore()
             return GlContext(ctx, current, OwnContext(ctx, current, save))
+        except NoCurrentContextError:
+            reasons.append(f"{name}: another platform's context is current on this thread; release it, or adopt it")
         except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
             reasons.append(f"{name}: {error}")
     raise MissingGlError(
