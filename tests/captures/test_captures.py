@@ -142,6 +142,23 @@ def test_rows_keep_their_visits_and_motions():
     np.testing.assert_array_equal(motion.of(names).size[visit], SIZES)
 
 
+def test_parts_that_record_less_than_others_join_without_losing_anything():
+    motion = CaptureMotionPrior(np.array([0, 1]), SIZES, 0.1)
+    timed = see_through(
+        conditions=Conditions.recorded(3, time_s=np.array([1.0, 2.0, 3.0]), stage=np.ones((3, 2))),
+        target_point=np.ones((3, 3)),
+        motion=motion,
+    )
+    for parts, known in (((see_through(), timed), slice(3, 6)), ((timed, see_through()), slice(0, 3))):
+        joined = concatenate(parts)
+        np.testing.assert_array_equal(joined.conditions.time_s[known], [1.0, 2.0, 3.0])
+        np.testing.assert_array_equal(joined.target_point[known], 1.0)
+        assert np.isnan(joined.conditions.time_s).sum() == np.isnan(joined.target_point[:, 0]).sum() == 3
+        assert joined.conditions.stage.shape == (6, 2)
+        assert joined.motion is motion
+    assert concatenate([see_through(), see_through()]).conditions is None
+
+
 @pytest.mark.parametrize("visit", [None, np.array([4, 4, 9])])
 def test_copies_are_visits_of_their_own_that_move_as_much(visit):
     names = np.array([0, 1]) if visit is None else np.array([4, 9])

@@ -13,7 +13,7 @@ from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.lens import Lens, radians_per_pixel
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -88,7 +88,7 @@ def display_captures(headset: Headset, panel: Panel, camera: Lens, views: Sequen
         raise BadInputError("no photographs of the panel are left to fit the display to; see which were rejected.")
     parts = []
     for number, view in enumerate(views):
-        direction, sound = _directions(camera, view.device_from_camera, view.samples.camera_pixel)
+        direction, angle, sound = _directions(camera, view.device_from_camera, view.samples.camera_pixel)
         # The decoded panel position is uncertain; as a direction it is so by the camera pixels that it stands for.
         sigma_px = np.hypot(view.samples.sigma_px / view.samples.scale, _SYSTEMATIC_PX)
         parts.append(
@@ -101,7 +101,7 @@ def display_captures(headset: Headset, panel: Panel, camera: Lens, views: Sequen
                 view_dir=direction[sound],
                 pixel=view.samples.panel_pixel[sound],
                 capture=np.full(int(sound.sum()), number),
-                sigma_arcmin=(sigma_px * _arcmin_per_pixel(camera))[sound],
+                sigma_arcmin=(sigma_px * angle)[sound],
                 conditions=_conditions(view, int(sound.sum())),
             )
         )
@@ -121,7 +121,10 @@ def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetV
     parts = []
     for view in views:
         lens = view.camera or camera
-        direction, sound = _directions(lens, view.device_from_camera, view.observation.pixel)
+        discs, pixel = view.observation.discs, view.observation.pixel
+        if discs is not None:
+            pixel = discs.centres(lens, view.target_point, pixel)
+        direction, angle, sound = _directions(lens, view.device_from_camera, pixel)
         count = int(sound.sum())
         on_target = view.target_point[sound]
         parts.append(
@@ -134,7 +137,7 @@ def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetV
                 point=transforms.apply(view.device_from_target, on_target),
                 capture=np.full(count, view.capture),
                 target_pose=np.full(count, view.target_pose),
-                sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * _arcmin_per_pixel(lens))[sound],
+                sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * angle)[sound],
                 conditions=_conditions(view, count),
                 target_point=on_target,
             )
@@ -174,8 +177,8 @@ def _conditions(view: PanelView | TargetView, count: int) -> Conditions:
 
 def _directions(
     camera: Lens, device_from_camera: FloatArray, pixel: FloatArray
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Directions (n, 3) in the device frame, and which of them the camera model has at all, (n,).
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Directions (n, 3) in the device frame, arcminutes per pixel (n,) there, and which the camera model has, (n,).
 
     Raises:
         BadInputError: some of them do not lead forward in the device frame.
@@ -187,8 +190,5 @@ def _directions(
             "the eyeball camera looks back, not through the optics; check 'frame' and the tracking camera's 'rotation' "
             "in session.toml."
         )
-    return direction, np.asarray(np.isfinite(in_camera).all(axis=-1))
-
-
-def _arcmin_per_pixel(camera: Lens) -> float:
-    return float(1.0 / np.sqrt(np.prod(camera.focal_px)) / ARCMIN)
+    angle = radians_per_pixel(camera, in_camera) / ARCMIN
+    return direction, angle, np.asarray(np.isfinite(in_camera).all(axis=-1))

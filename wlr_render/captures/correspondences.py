@@ -63,7 +63,7 @@ class Conditions:
         for each in fields(cls):
             shape, default = shapes.get(each.name, ()), -1 if each.name in ("visit", "channel") else np.nan
             value = np.asarray(columns.get(each.name, np.full(shape, default)))
-            filled[each.name] = np.array([value] * count) if value.ndim == len(shape) else value
+            filled[each.name] = np.repeat(value[None], count, axis=0) if value.ndim == len(shape) else value
         return cls(**filled)
 
 
@@ -490,17 +490,32 @@ def select(captures: _AnyRows, rows: IntArray | NDArray[np.bool_]) -> _AnyRows:
 def concatenate(parts: Sequence[_AnyRows]) -> _AnyRows:
     """Concatenate captures of one eye; `capture` indices keep their values. There must be at least one part.
 
+    Rows of a part without conditions or target points have none recorded. The motion and the common errors of all are
+    those of the first part that has any.
+
     Raises:
-        BadInputError: the motion of the first part, which that of all becomes, leaves out a capture.
+        BadInputError: this motion, or these common errors, leave out a capture.
     """
-    per_row: dict[str, Any] = {}
-    for name in _per_row(parts[0]):
-        values = [getattr(part, name) for part in parts]
-        if isinstance(values[0], Conditions):
-            per_row[name] = concatenate(values)
-        else:
-            per_row[name] = np.concatenate(_of_one_width(values) if name == "stage" else values)
-    return replace(parts[0], **per_row)
+    counts = [len(part.visit if isinstance(part, Conditions) else part) for part in parts]
+    joined = {
+        each.name: _joined(each.name, [getattr(part, each.name) for part in parts], counts) for each in fields(parts[0])
+    }
+    return replace(parts[0], **joined)
+
+
+def _joined(name: str, values: Sequence[Any], counts: Sequence[int]) -> Any:
+    """One attribute of all parts, by its values in each, None where a part lacks it, and their numbers of rows."""
+    known = next((value for value in values if value is not None), None)
+    if isinstance(known, Conditions):
+        pairs = zip(values, counts, strict=True)
+        return concatenate([Conditions.recorded(count) if value is None else value for value, count in pairs])
+    if not isinstance(known, np.ndarray):
+        return known
+    rows = [
+        np.full((count, *known.shape[1:]), np.nan) if value is None else value
+        for value, count in zip(values, counts, strict=True)
+    ]
+    return np.concatenate(_of_one_width(rows) if name == "stage" else rows)
 
 
 def _of_one_width(stages: Sequence[FloatArray]) -> list[FloatArray]:

@@ -130,8 +130,17 @@ def exposure_of(path: Path) -> float | None:
         return None  # reading the picture will say what is wrong with the file
 
 
-def check_photograph(image: Photograph, size_px: tuple[int, int], kind: PhotographFormat, name: str) -> None:
+def check_photograph(
+    image: CodeImage, size_px: tuple[int, int], kind: PhotographFormat, name: str, merged_from: float | None = None
+) -> None:
     """Refuse a photograph of another size than its camera's, or that is black or blown out.
+
+    Args:
+        image: (h, w).
+        size_px: width and height of the camera's photographs.
+        kind: of its file.
+        name: of the photograph, for the error.
+        merged_from: value from which an image merged from several exposures is saturated.
 
     Raises:
         BadInputError: it has another size than the camera.
@@ -146,7 +155,7 @@ def check_photograph(image: Photograph, size_px: tuple[int, int], kind: Photogra
     dark, bright = np.percentile(image, [5, 95])
     if bright < _BLACK * kind.full_scale:
         raise BadPhotographError(f"{name}: is black; nothing can be found in it.")
-    if dark >= kind.full_scale and not kind.synthetic:
+    if dark >= (merged_from or kind.full_scale) and not kind.synthetic:
         raise BadPhotographError(f"{name}: is blown out; nothing can be found in it.")
 
 

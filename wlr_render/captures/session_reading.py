@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.boards.board_file import board_table
+from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
 from wlr_render.captures.patterns.pattern import Pattern
@@ -33,7 +34,7 @@ from wlr_render.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import THIS_MACHINE, Spread, as_finished
 from wlr_render.progress import SILENT, Progress
 
-_VERSION = 5  # of the way of reading: results of another one are read again
+_VERSION = 6  # of the way of reading: results of another one are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept of a decoded set
 _MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pixels; all together stay below two
 
@@ -176,12 +177,15 @@ class _BoardTask:
         check_photograph(image, self.size_px, self.kind, self.name)
         found = self.board.find(image, self.name)
         counts = np.array([found.unidentified, found.disagreeing, found.ambiguous_half_turn])
-        return {"index": found.index, "pixel": found.pixel, "sigma_px": found.sigma_px, "counts": counts}
+        seen = {"index": found.index, "pixel": found.pixel, "sigma_px": found.sigma_px, "counts": counts}
+        discs = found.discs
+        return seen if discs is None else seen | {"centroid": discs.centroid, "radius_m": discs.radius_m}
 
     def result(self, kept: dict[str, NDArray[Any]]) -> BoardObservation:
         unidentified, disagreeing, half_turn = (int(number) for number in kept["counts"])
         seen = kept["index"], kept["pixel"], kept["sigma_px"]
-        return BoardObservation(*seen, unidentified, disagreeing, bool(half_turn))
+        discs = Discs(kept["centroid"], kept["radius_m"]) if "centroid" in kept else None
+        return BoardObservation(*seen, unidentified, disagreeing, bool(half_turn), discs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,9 +216,7 @@ class _PanelTask:
 
     def read(self) -> dict[str, NDArray[Any]]:
         files = self._files()
-        path = files.paths[0]
-        # The first picture shows the panel white: what is wrong with it is wrong with all.
-        check_photograph(read_photograph(path, self.kind), self.size_px, self.kind, f"{self.name}/{path.name}")
+        self._check_first(files)
         options = replace(self.decoding, full_scale=self.kind.full_scale, end_of_scale=files.end_of_scale(self.kind))
         decoded = self.pattern.decode(files.read(self.kind), options)
         samples = sample(decoded)
@@ -222,8 +224,23 @@ class _PanelTask:
             raise BadInputError(_why_nothing(decoded))
         return _arrays(decoded, samples) | {
             "missing": np.array(files.missing, dtype=np.int64),
-            "file_note": np.array(file_note(path, self.kind)),
+            "file_note": np.array(file_note(files.paths[0], self.kind)),
         }
+
+    def _check_first(self, files: CodeFiles) -> None:
+        """Check the first picture with light of the panel, its exposures merged: its faults are those of all.
+
+        Raises:
+            BadInputError: as `check_photograph`.
+        """
+        names = self.pattern.names()
+        for name, paths, image in zip(names, files.pictures, files.read(self.kind), strict=True):
+            if image is None or name == "black":
+                continue
+            longest = paths[int(np.argmax(files.exposures_s))] if files.exposures_s else paths[0]
+            merged_from = files.end_of_scale(self.kind) if files.exposures_s else None
+            check_photograph(image, self.size_px, self.kind, str(longest), merged_from)
+            return
 
     def result(self, kept: dict[str, NDArray[Any]]) -> PanelReading:
         samples = DecodedSamples(kept["camera_pixel"], kept["panel_pixel"], kept["sigma_px"], kept["scale"])

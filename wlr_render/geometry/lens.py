@@ -63,6 +63,13 @@ class Lens(Protocol):
         """Tangents (..., 2), x / z and y / z, of pixels (..., 2); NaN where there are none."""
 
 
+def radians_per_pixel(lens: Lens, direction: FloatArray) -> FloatArray:
+    """Angle (n,) that one pixel spans at unit directions (n, 3), geometric mean of the two transverse axes."""
+    slope = lens.project(direction).by_point
+    # The derivative along the direction itself is zero: what is left maps the two transverse angles to pixels.
+    return np.asarray(np.linalg.det(slope @ np.swapaxes(slope, 1, 2)) ** -0.25)
+
+
 def undistorted(
     seen: FloatArray, start: FloatArray, distorted: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 ) -> FloatArray:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from imperfect_bench import PERFECT, Imperfections, TrueBench, adjusted, start_of, thinned
 
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.bench.checks import bench_checks, prior_pulls, reading_pulls, significance
 from wlr_render.calibration.bench.faults import adjust_without_faults
 from wlr_render.calibration.bench.lenses import sound_views
@@ -130,9 +131,14 @@ def test_a_target_that_moved_is_named(when):
     # Moved before the tracking photographs, or between the two of them.
     touched = "tracking/pose0" if when == "before" else "tracking/pose0_after"
     views = [others[view.name] if view.name.startswith(touched) else view for view in observations.views]
-    found, faults = adjust_without_faults(replace(observations, views=views), adjusted)
+    first = 0 if when == "before" else 1000  # as a session file may number targets and mountings
+    views = [view if view.target is None else replace(view, target=view.target + first) for view in views]
+    places = {name: replace(each, orientation=each.orientation + first) for name, each in observations.places.items()}
+    found, faults = adjust_without_faults(replace(observations, views=views, places=places), adjusted)
     kinds = {each.kind for fault in faults for each in (fault, *fault.alternatives)}
     assert ("target before tracking" if when == "before" else "tracking") in kinds
+    assert set(CalibratedBench(None, found, faults, {}, (), ()).targets) == {first, first + 1}
+    assert {fault.target for fault in faults} <= {first, first + 1}
     sentences = [check.sentence for check in bench_checks(found, faults) if not check.ok]
     assert when == "after" or any("the target moved at pose 0" in sentence for sentence in sentences)
 

@@ -217,7 +217,7 @@ def _free_views(session: PhotoSession, reading: Reading, name: str, camera: Sess
 
 def _board_view(session: PhotoSession, name: str, seen: BoardObservation, camera: str, target: int = 0) -> BoardView:
     point = session.board_of(target).point_of(seen.index)
-    return BoardView(name, camera, seen.index, point, seen.pixel, seen.sigma_px)
+    return BoardView(name, camera, seen.index, point, seen.pixel, seen.sigma_px, discs=seen.discs)
 
 
 def _view(
@@ -257,7 +257,9 @@ def _repeated_views(bench: CalibratedBench, reading: Reading) -> list[RepeatedVi
     for (target, _, _), pairs in taken.items():
         if len(pairs) > 1 and target in bench.adjustment.state.targets:
             (first, one), (last, other) = pairs[0], pairs[-1]
-            views = [_board_view(session, p.name, s, EYEBALL, target) for p, s in ((first, one), (last, other))]
+            lens = bench.adjustment.state.lens_at(target)
+            pair = ((first, one), (last, other))
+            views = [_board_view(session, p.name, s, EYEBALL, target).seen_by(lens) for p, s in pair]
             found.append(RepeatedView(target, bench.device_from_camera(first), views[0], views[1]))
     return found
 

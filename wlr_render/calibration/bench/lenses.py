@@ -67,7 +67,7 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
         lens, tried = _chosen_lens(usable, setup, observations)
     kept: list[BoardView] = []
     scales: list[float] = []
-    for view in usable:
+    for view in (each.seen_by(lens) for each in usable):
         try:
             pose, scale = board_pose(lens, view)
         except BadInputError as error:

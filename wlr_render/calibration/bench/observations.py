@@ -10,14 +10,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from wlr_render.captures.boards.board import BoardTolerances
+from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.photo_session import StageAxis, StageDescription
 from wlr_render.geometry.lens import Lens
+from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 EYEBALL, TRACKING = "eyeball", "tracking"
 """The two cameras: in the place of the eye, and on the headset."""
 
-APART = 1000
+APART = LIMITS.index + 1
 """Target poses and mountings that are set apart after a fault have their number plus a multiple of this."""
 
 FEWEST_FEATURES = 8
@@ -41,6 +43,7 @@ class BoardView:
         target: number of the target pose; None for a board held freely before the camera.
         place: name of the camera place; None where the camera's place does not matter (free board) or is the headset's.
         board: which board, by name; targets with a board of their own have another.
+        discs: of dots, from which `pixel` is found again once the lens is known; None for corners.
     """
 
     name: str
@@ -52,6 +55,7 @@ class BoardView:
     target: int | None = None
     place: str | None = None
     board: str = "board"
+    discs: Discs | None = None
 
     def __len__(self) -> int:
         return len(self.point)
@@ -64,7 +68,14 @@ class BoardView:
             point=self.point[rows],
             pixel=self.pixel[rows],
             sigma_px=self.sigma_px[rows],
+            discs=None if self.discs is None else self.discs.only(rows),
         )
+
+    def seen_by(self, lens: Lens) -> "BoardView":
+        """The view with the centres of its dots as a known lens sees them."""
+        if self.discs is None:
+            return self
+        return replace(self, pixel=self.discs.centres(lens, self.point, self.pixel))
 
 
 @dataclass(frozen=True, eq=False)

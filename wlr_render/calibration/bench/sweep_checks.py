@@ -17,12 +17,11 @@ from wlr_render.calibration.bench.observations import APART, BoardView
 from wlr_render.calibration.poses import motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.lens import Lens, radians_per_pixel
 from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_ARCMIN = NEGLIGIBLE_RAD / ARCMIN
-_RAYLEIGH = 1.1774  # median distance from the origin of a point that scatters by 1 along both axes
-_NOISY = 2.0  # a median distance this many times what noise makes is a change
+_CERTAIN = 3.0  # sigmas by which a displacement must exceed what can be neglected
 _FOLLOWS = 0.5  # a view that moves by more than this part of what the target's motion would make has followed it
 
 
@@ -112,15 +111,15 @@ class _ViewChange:
 
     Attributes:
         names: of the two photographs.
-        median_arcmin: median distance beyond noise.
+        arcmin: rms displacement by the affine motion that fits the dots best, less the part of noise.
         sigma_arcmin: its standard deviation.
-        is_significant: whether it is more than noise and more than can be neglected.
+        is_significant: whether it is certainly more than can be neglected.
         foreseen_arcmin: rms that the target's motion by the tracking camera would have made.
         follows: how much of that motion is in what is seen, 1 if all.
     """
 
     names: tuple[str, str]
-    median_arcmin: float
+    arcmin: float
     sigma_arcmin: float
     is_significant: bool
     foreseen_arcmin: float = 0.0
@@ -143,7 +142,7 @@ def sweep_check(
     """
     views = [_view_change(view, tracked, camera) for view in repeated]
     step = f"sweep at target pose {target}"
-    largest = max(views, key=lambda view: view.median_arcmin, default=None)
+    largest = max(views, key=lambda view: view.arcmin, default=None)
     if tracked is not None and tracked.is_significant:
         moved = f"{_culprit(views)} between {tracked.names[0]} and {tracked.names[1]}, by {tracked}"
         return tracked.check(step, f"{moved}; repeat this sweep with its tracking photographs")
@@ -152,17 +151,17 @@ def sweep_check(
     culprit = "the camera or its stage" if tracked else "the target, the camera or its stage"
     sentence = (
         f"{culprit} moved between {largest.names[0]} and {largest.names[1]}: features are displaced by "
-        f"{largest.median_arcmin:.2g}' at one stage reading; repeat this sweep"
+        f"{largest.arcmin:.2g}' at one stage reading; repeat this sweep"
     )
     return Check(
         step,
         "displacement of features at one stage reading, arcmin",
-        largest.median_arcmin,
+        largest.arcmin,
         largest.sigma_arcmin,
         NEGLIGIBLE_ARCMIN,
-        sentence if largest.is_significant else "nothing moved",
+        sentence if largest.is_significant else f"nothing moved by more than {NEGLIGIBLE_ARCMIN:.1g}'",
         ok=not largest.is_significant,
-        contradictory=largest.is_significant and largest.median_arcmin > REFUSED_ARCMIN,
+        contradictory=largest.is_significant and largest.arcmin > REFUSED_ARCMIN,
     )
 
 
@@ -179,17 +178,10 @@ def _view_change(
     tracked: TargetChange | None,
     camera: Lens,
 ) -> _ViewChange:
-    point, displaced, sigma_px = _common(view)
-    noise = np.sqrt(2.0) * sigma_px * _RAYLEIGH
-    median = float(np.median(np.linalg.norm(displaced, axis=1))) if len(point) else 0.0
-    per_px = 1.0 / float(np.mean(camera.focal_px)) / ARCMIN
-    beyond = float(np.sqrt(max(median**2 - noise**2, 0.0))) * per_px
-    change = _ViewChange(
-        (view.first.name, view.last.name),
-        beyond,
-        noise / np.sqrt(max(len(point), 1)) * per_px,
-        median > _NOISY * noise and beyond > NEGLIGIBLE_ARCMIN,
-    )
+    point, displaced, sigma_px, per_px = _common(view, camera)
+    size, sigma = _affine_part(point, displaced * per_px, sigma_px * per_px)
+    certain = size > NEGLIGIBLE_ARCMIN + _CERTAIN * sigma
+    change = _ViewChange((view.first.name, view.last.name), size, sigma, certain)
     if tracked is None or len(point) == 0:
         return change
     camera_from_device = transforms.inverse(view.device_from_camera)
@@ -201,19 +193,38 @@ def _view_change(
     power = float(np.sum(foreseen**2))
     return replace(
         change,
-        foreseen_arcmin=float(np.sqrt(power / len(point))) * per_px,
+        foreseen_arcmin=float(np.sqrt(np.mean(np.sum((foreseen * per_px) ** 2, axis=1)))),
         follows=float(np.sum(foreseen * displaced)) / power if power > 0 else 0.0,
     )
 
 
-def _common(view: RepeatedView) -> tuple[FloatArray, FloatArray, float]:
-    """Dots (n, 3) that both photographs show, their displacement (n, 2), and the noise of one of them."""
-    where = {tuple(point): i for i, point in enumerate(view.last.point)}
-    pairs = [(i, where[tuple(point)]) for i, point in enumerate(view.first.point) if tuple(point) in where]
+def _common(view: RepeatedView, camera: Lens) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Dots that both photographs show.
+
+    Returns:
+        Their points (n, 3), displacements (n, 2) in pixels, sigmas (n, 1) of these per axis, and arcminutes per pixel
+        (n, 1) there.
+    """
+    number = {tuple(feature): i for i, feature in enumerate(view.last.feature.tolist())}
+    pairs = [(i, number[key]) for i, each in enumerate(view.first.feature.tolist()) if (key := tuple(each)) in number]
     first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    sigma_px = np.concatenate([view.first.sigma_px[first], view.last.sigma_px[last]])
-    return (
-        view.first.point[first],
-        view.last.pixel[last] - view.first.pixel[first],
-        float(np.sqrt(np.mean(sigma_px**2))) if len(first) else 0.0,
-    )
+    sigma_px = np.hypot(view.first.sigma_px[first], view.last.sigma_px[last])
+    angle = radians_per_pixel(camera, camera.dir_of_pixel(view.first.pixel[first])) / ARCMIN
+    displaced = view.last.pixel[last] - view.first.pixel[first]
+    known = np.isfinite(angle)
+    return view.first.point[first][known], displaced[known], sigma_px[known, None], angle[known, None]
+
+
+def _affine_part(point: FloatArray, displaced: FloatArray, sigma: FloatArray) -> tuple[float, float]:
+    """Rms of the affine motion that fits displacements (n, 2) of points (n, 3) best, without its noise; and its sigma.
+
+    A rigid motion of the target moves its dots by nearly such a map, in which the noise of many dots averages out.
+    """
+    if len(point) == 0:
+        return 0.0, 0.0
+    design = np.column_stack([np.ones(len(point)), point[:, :2]])
+    axes = np.linalg.qr(design / sigma)[0]  # orthonormal: a coefficient has unit noise
+    found = axes.T @ (displaced / sigma)
+    square = np.mean(np.sum((axes @ found * sigma) ** 2, axis=1))
+    noise = np.mean(np.sum((axes * sigma) ** 2, axis=1)) / axes.shape[1]  # by each coefficient, on average
+    return float(np.sqrt(max(square - found.size * noise, 0.0))), float(np.sqrt(noise))

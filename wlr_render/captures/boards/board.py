@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -54,6 +55,7 @@ class BoardObservation:
         disagreeing: number of features that are not as the board has them there, e.g. dots of another size.
         ambiguous_half_turn: the board looks the same turned by 180 degrees, so that the indices may be those of the
             board turned; `half_turned` has the others.
+        discs: of dots, from which `pixel` is found again once the lens is known; None for corners.
     """
 
     index: IntArray
@@ -62,10 +64,12 @@ class BoardObservation:
     unidentified: int = 0
     disagreeing: int = 0
     ambiguous_half_turn: bool = False
+    discs: Discs | None = None
 
     def only(self, rows: NDArray[np.bool_]) -> "BoardObservation":
         """Some of the features, by mask (n,)."""
-        return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows])
+        discs = None if self.discs is None else self.discs.only(rows)
+        return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows], discs=discs)
 
     def half_turned(self, board: "Board") -> "BoardObservation":
         """The same features, numbered as on the board turned by 180 degrees."""

@@ -15,6 +15,7 @@ from wlr_render.captures.boards.board import (
     flat_points,
     grid_indices,
 )
+from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import measure_dots
 from wlr_render.captures.boards.dot_detection import find_dots
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, link_lattices
@@ -141,8 +142,8 @@ class CircleGrid:
             if shape is None:
                 continue
             keep = seen[rows]
-            pixel = measured.dots.centre[dot[keep]]
-            pixel = pixel - shape.centroid_shift(np.full(len(keep), 0.5 * self.diameter_m / unit))
+            discs = Discs(measured.dots.centre[dot[keep]], np.full(len(keep), 0.5 * self.diameter_m))
+            pixel = discs.centroid - shape.centroid_shift(discs.radius_m / unit)
             order = np.lexsort(index[keep].T)
             return BoardObservation(
                 index[keep][order],
@@ -151,6 +152,7 @@ class CircleGrid:
                 unidentified=len(lattice) - len(index),
                 disagreeing=len(index) - len(keep),
                 ambiguous_half_turn=self.half_turn_symmetric,
+                discs=discs.only(order),
             )
         raise BoardNotFoundError(
             f"{name}: no {self.title} is in the picture: {len(dots)} dark spots were seen, {most} of them "

@@ -18,6 +18,7 @@ from wlr_render.captures.boards.board import (
     grid_indices,
     grid_points,
 )
+from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.boards.dot_detection import find_dots
 from wlr_render.captures.boards.dot_identity import identify
@@ -170,7 +171,8 @@ def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) ->
     on_board = np.all((index >= 0) & (index < [board.columns, board.rows]), axis=-1)
     diameter = board.diameter_of(np.where(on_board[:, None], index, 0))
     agreeing = on_board & (is_large == (diameter == board.large_m))
-    pixel = measured.dots.centre[dot] - shape.centroid_shift(0.5 * diameter / board.pitch_m)
+    discs = Discs(measured.dots.centre[dot], 0.5 * diameter)
+    pixel = discs.centroid - shape.centroid_shift(discs.radius_m / board.pitch_m)
     order = np.nonzero(agreeing)[0]
     order = order[np.lexsort(index[order].T)]
     return BoardObservation(
@@ -179,6 +181,7 @@ def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) ->
         measured.sigma_px[dot][order],
         unidentified=len(lattice) - int(on_board.sum()),
         disagreeing=int((on_board & ~agreeing).sum()),
+        discs=discs.only(order),
     )
 
 

@@ -261,8 +261,9 @@ def _tracked_pose(station: SavedStation, bench: PhotoBench, seen: BoardObservati
     point = bench.board.point_of(seen.index)
     if station.shape is not None:
         point = station.shape.point_of(seen.index, point)
-    view = BoardView("tracking", TRACKING, seen.index, point, seen.pixel, seen.sigma_px)
-    return np.asarray(station.device_from_tracking @ board_pose(station.tracking_camera, view)[0])
+    view = BoardView("tracking", TRACKING, seen.index, point, seen.pixel, seen.sigma_px, discs=seen.discs)
+    lens = station.tracking_camera
+    return np.asarray(station.device_from_tracking @ board_pose(lens, view.seen_by(lens))[0])
 
 
 def _draw(

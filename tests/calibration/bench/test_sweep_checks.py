@@ -1,0 +1,63 @@
+"""Motion during a sweep, by photographs of the target that were repeated at one stage reading."""
+
+import numpy as np
+import pytest
+
+from wlr_render.calibration.bench.observations import EYEBALL, BoardView
+from wlr_render.calibration.bench.sweep_checks import NEGLIGIBLE_ARCMIN, RepeatedView, sweep_check
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.transforms import apply, rigid, rotation_about
+
+LENS = LensCamera((1280, 1024), np.full(2, 1350.0), np.array([640.0, 512.0]))
+INDEX = np.stack(np.meshgrid(np.arange(20), np.arange(15)), axis=-1).reshape(-1, 2)
+POINT = np.concatenate([(INDEX - [9.5, 7.0]) * 0.02, np.zeros((300, 1))], axis=1)
+AHEAD = rigid(np.eye(3), np.array([0.0, 0.0, 0.5]))
+
+
+def check(after, noise_px, count=300):
+    """The check of a target that stood at AHEAD before, and at `after` when it was photographed again."""
+    rng = np.random.default_rng(0)
+
+    def view(name, camera_from_board):
+        pixel = LENS.pixel_of_point(apply(camera_from_board, POINT))[:count]
+        noisy = pixel + rng.normal(0.0, noise_px, pixel.shape)
+        return BoardView(name, EYEBALL, INDEX[:count], POINT[:count], noisy, np.full(count, noise_px), 0, "place")
+
+    pair = RepeatedView(0, np.eye(4), view("first", AHEAD), view("last", after))
+    return sweep_check(0, None, [pair], LENS)
+
+
+def moved_right(arcmin):
+    return rigid(np.eye(3), np.array([0.5 * arcmin * ARCMIN, 0.0, 0.5]))
+
+
+@pytest.mark.parametrize("noise_px", [0.03, 0.1, 0.2])
+def test_a_shift_of_the_whole_picture_is_found_far_below_the_noise_of_one_dot(noise_px):
+    found = check(moved_right(0.64), noise_px)
+    assert not found.ok
+    assert found.value == pytest.approx(0.64, abs=4.0 * found.sigma + 0.02)
+    assert "features are displaced by 0.6" in found.sentence
+
+
+def test_a_turn_about_the_middle_of_the_picture_is_found():
+    found = check(AHEAD @ rigid(rotation_about("z", 2.0 * ARCMIN), np.zeros(3)), 0.1)
+    assert not found.ok
+    assert found.value == pytest.approx(2.0 * np.sqrt(np.mean(np.sum(POINT**2, axis=1))) / 0.5, rel=0.1)
+
+
+@pytest.mark.parametrize("noise_px", [0.03, 0.2, 1.0])
+def test_noise_and_motions_that_can_be_neglected_are_none(noise_px):
+    for after in (AHEAD, moved_right(0.6 * NEGLIGIBLE_ARCMIN)):
+        found = check(after, noise_px)
+        assert found.ok
+        assert found.sentence == "nothing moved by more than 0.3'"
+
+
+def test_photographs_without_a_common_dot_show_nothing():
+    rng = np.random.default_rng(0)
+    views = [
+        BoardView(name, EYEBALL, index, POINT[:10], rng.uniform(100, 900, (10, 2)), np.full(10, 0.1))
+        for name, index in (("first", INDEX[:10]), ("last", INDEX[10:20]))
+    ]
+    assert sweep_check(0, None, [RepeatedView(0, np.eye(4), *views)], LENS).ok

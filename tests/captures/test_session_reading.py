@@ -1,0 +1,79 @@
+"""Sets of code photographs of a session: several exposures, and sets without the picture of a white panel."""
+
+import cv2
+import numpy as np
+import pytest
+
+from wlr_render.captures import session_reading
+from wlr_render.captures.boards.board_design import design_board
+from wlr_render.captures.decoded import DecodeOptions
+from wlr_render.captures.patterns.catalogue import make_pattern
+from wlr_render.captures.photo_session import CodeSet, PhotoSession, SessionCamera, SessionPanel
+from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.mappings import EyeBox, Panel
+
+PATTERN = make_pattern("gray", Panel(64, 48))
+BRACKETS = {"1ms": 0.005, "8ms": 0.04, "64ms": 0.32}
+
+
+@pytest.fixture
+def read(tmp_path, monkeypatch):
+    """Read the folder "set" of a session of nothing else."""
+    monkeypatch.setattr(session_reading, "as_finished", lambda run, tasks, spread, folder=None: map(run, tasks))
+
+    def reading():
+        session = PhotoSession(
+            folder=tmp_path,
+            device="headset",
+            eyes=("right",),
+            eye_boxes={"right": EyeBox(np.zeros(3), np.full(3, 0.01))},
+            panels={"right": SessionPanel(PATTERN)},
+            decoding=DecodeOptions(),
+            board=design_board(8, 6, 0.03),
+            eyeball_camera=SessionCamera((232, 184), PhotographFormat()),
+            display=(CodeSet(tmp_path / "set"),),
+        )
+        return session_reading.read_session(session, tmp_path / "kept")
+
+    return reading
+
+
+def photograph(folder, gain, offset=1.0):
+    """Every picture of the code by a camera before the panel."""
+    folder.mkdir(parents=True)
+    for number, name in enumerate(PATTERN.names()):
+        shown = np.pad(cv2.resize(PATTERN.image(number), (192, 144), interpolation=cv2.INTER_NEAREST), 20)
+        grey = np.clip(np.rint(shown * gain + offset), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(folder / f"{number:03d}_{name.replace(' ', '_')}.png"), grey)
+
+
+def test_a_bracketed_set_is_read_although_its_shortest_exposure_is_black(read, tmp_path):
+    for name, gain in BRACKETS.items():
+        photograph(tmp_path / "set" / name, gain)
+    found = read()
+    assert not found.excluded
+    (panel,) = found.panels.values()
+    assert panel.extent == pytest.approx(np.array([[0, 0], [64, 48]]), abs=2.0)
+
+
+def test_a_bracketed_set_is_read_although_its_longest_exposure_is_blown_out(read, tmp_path):
+    photograph(tmp_path / "set" / "1ms", 0.5)
+    photograph(tmp_path / "set" / "64ms", 32.0, 255.0)
+    assert not read().excluded
+
+
+@pytest.mark.parametrize(("gain", "offset", "why"), [(0.002, 0.0, "black"), (40.0, 255.0, "blown out")])
+def test_a_bracketed_set_is_named_where_all_of_its_exposures_are_of_no_use(read, tmp_path, gain, offset, why):
+    for name in ("1ms", "8ms"):
+        photograph(tmp_path / "set" / name, gain, offset)
+    (excluded,) = read().excluded
+    assert excluded.name == "set"
+    assert excluded.reason == f"8ms/000_white.png: is {why}; nothing can be found in it"
+
+
+def test_a_set_without_white_is_not_judged_by_its_black_picture(read, tmp_path):
+    photograph(tmp_path / "set", 0.6)
+    (tmp_path / "set" / "000_white.png").unlink()
+    found = read()
+    assert not found.excluded
+    assert next(iter(found.panels.values())).missing == ("white",)
