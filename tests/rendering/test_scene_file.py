@@ -9,6 +9,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.files import shipped_names
 from wlr_render.geometry import transforms
 from wlr_render.rendering import scene_file
+from wlr_render.rendering.painters import saturation_warnings
 from wlr_render.rendering.scene import Instance, LightSource, Scene, world_positions
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.shapes import construction
@@ -222,3 +223,38 @@ def test_a_file_with_a_spot_light_alone_gets_the_lights_of_a_file_without_lights
     spot = {"KHR_lights_punctual": {"lights": [{"type": "spot"}]}}
     nodes = [{"mesh": 0, "extensions": {"KHR_lights_punctual": {"light": 0}}}]
     assert len(load_scene(gltf(tmp_path, nodes=nodes, extensions=spot)).lights) == 2
+
+
+def lit(folder, kind, intensity, **scene):
+    """A scene file of a white box 1 m away from a light of glTF, and the mesh file that it places."""
+    box = construction.box()
+    place = np.array([0, 1.0, 0]) if kind == "point" else np.array([0, -1.0, 0])
+    light = LightSource(kind, place + box.corners.mean(axis=0) * (kind == "point"), np.full(3, intensity / np.pi))
+    save_glb(Scene("lit", (box,), (Instance("box", 0, np.eye(4)),), (light,)), folder / "lit.glb")
+    keys = "".join(f"{key} = {value}\n" for key, value in scene.items())
+    path = folder / "lit.toml"
+    path.write_text(f'{HEADER}{keys}[[object]]\nmesh = "lit.glb"\n')
+    return path
+
+
+@pytest.mark.parametrize(("kind", "intensity"), [("directional", 683.0), ("point", 54351.4)])
+def test_photometric_lights_are_named_and_scaled_by_exposure(tmp_path, kind, intensity):
+    scene = load_scene(lit(tmp_path, kind, intensity))
+    ((name, brightness),) = scene.bright_lights().items()
+    assert brightness == pytest.approx(intensity / np.pi, rel=1e-3)
+    frame = np.zeros((10, 10, 3), np.uint8)
+    frame[:6, :, 0] = 255
+    (warning,) = saturation_warnings(scene, [frame])
+    assert warning.startswith("60% of the pixels of a frame are saturated.")
+    assert f"'{name}' ({brightness:.3g} times)" in warning
+    assert saturation_warnings(scene, [np.zeros_like(frame)]) == []
+    scaled = load_scene(lit(tmp_path, kind, intensity, exposure=1 / brightness))
+    np.testing.assert_allclose(scaled.lights[0].colour, scene.lights[0].colour / brightness, rtol=1e-6)
+    assert load_scene(lit(tmp_path, kind, intensity, exposure=0.9 / brightness)).bright_lights() == {}
+    np.testing.assert_array_equal(scaled.ambient, scene.ambient)
+
+
+def test_a_faulty_exposure_is_refused(tmp_path):
+    for value in ("0", "-1", "nan", "1e9"):
+        with pytest.raises(BadInputError, match=r"lit.toml: 'exposure'"):
+            load_scene(lit(tmp_path, "point", 1.0, exposure=value))

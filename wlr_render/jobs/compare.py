@@ -32,7 +32,7 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
-from wlr_render.rendering.painters import Frame, TracedPainter, blank_warnings, is_blank
+from wlr_render.rendering.painters import Frame, TracedPainter, blank_warnings, is_blank, saturation_warnings
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene, scene_path
@@ -118,6 +118,7 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
     folder = output_folder(options.out)
     verdicts: list[str] = []
     blank: list[str] = []
+    frames: list[NDArray[np.uint8]] = []
     blocks: list[Block] = []
     files: list[Path] = []
     with raster.context:
@@ -131,10 +132,11 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
             files += drawn
             verdicts.append(compared.verdict(eye))
             blank += [f"the frame of the {eye} eye"] if is_blank(compared.traced) else []
+            frames.append(compared.traced)
     report = Report(
         f"Rasterisation error of {scene.name} on {Path(options.headset).stem}",
         " ".join(verdicts),
-        warnings=[*scene.warnings, *blank_warnings(blank, scene.name)],
+        warnings=[*scene.warnings, *blank_warnings(blank, scene.name), *saturation_warnings(scene, frames)],
         blocks=blocks,
         inputs=[headset_path(options.headset), scene_path(options.scene)],
         files=files,

@@ -65,7 +65,7 @@ from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
 from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank
+from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
 from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
@@ -137,6 +137,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     folder = output_folder(options.out)
     verdicts: list[str] = []
     blank: list[str] = []
+    frames: list[NDArray[np.uint8]] = []
     blocks: list[Block] = []
     files: list[Path] = []
     with raster.context if raster else contextlib.nullcontext():
@@ -147,6 +148,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
             seen = list(progress(_views(truth, fit, painters, places), len(places), f"viewpoints, {eye} eye"))
             if any(is_blank(colour) for view in seen for colour in view.shown.values()):
                 blank.append(f"a frame of the {eye} eye")
+            frames += seen[0].shown.values()
             own = output_folder(folder_of_eye(folder, eye, options.eye))
             files += _save_views(own, device.name, truth, renderer, seen[1])
             overall = _overall(truth, scene, seen)
@@ -167,6 +169,7 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
             *scene.warnings,
             *traced_instead(raster, options.backend),
             *blank_warnings(blank, scene.name),
+            *saturation_warnings(scene, frames),
         ],
         advice=[f"Look at {' and '.join(str(block.path) for block in blocks if isinstance(block, Picture))}."],
         blocks=blocks,

@@ -54,7 +54,7 @@ from wlr_render.jobs.sequence_record import RECORD, record_text, require_same_jo
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.frame_layers import LAYERS
 from wlr_render.rendering.image_files import read_png, write_video
-from wlr_render.rendering.painters import blank_warnings
+from wlr_render.rendering.painters import blank_warnings, saturation_warnings
 from wlr_render.rendering.scene_file import scene_path
 from wlr_render.rendering.scene_raster import SceneRaster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable
@@ -102,6 +102,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     misaligned = _labels(folder, plan, "misalignment") if options.misalignment else []
     joined = _joined(folder, options, opened, plan, misaligned)
     videos = _videos(folder, plan, options) if options.video else []
+    first = reversed([*zip(plan, pictures, strict=True)])
     warnings = [
         *opened.scene.warnings,
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
@@ -110,6 +111,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
         *held_warnings(options, plan),
         *_redrawn_warnings(folder, changed),
         *blank_warnings([path.name for path in pictures if finished.remark(path) == _BLANK], opened.scene.name),
+        *saturation_warnings(opened.scene, map(read_png, {each.eye: path for each, path in first}.values())),
     ]
     files = [sequence, folder / LIST, *joined, *videos]
     report = _report(options, plan, len(missing), predicted, misaligned, files)

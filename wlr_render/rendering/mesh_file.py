@@ -69,7 +69,7 @@ def lights_of_scene(path: Path, source: Any) -> tuple[LightSource, ...]:
         colour = np.array(stated.get("color", (1.0, 1.0, 1.0))) * stated.get("intensity", 1.0) / np.pi
         if colour.shape != (3,) or not ((colour >= 0) & (colour <= _BRIGHTEST)).all():
             raise BadInputError(f"{path}: light {shown(node)} must have a colour from 0 to {_BRIGHTEST:g}; correct it.")
-        lights.append(LightSource(kind, vector, colour.astype(np.float32)))
+        lights.append(LightSource(kind, vector, colour.astype(np.float32), str(stated.get("name", node))))
     return tuple(lights)
 
 

@@ -1,6 +1,6 @@
 """Panel images of one eye for a viewpoint and a head pose, by ray tracing; `raster_painter.py` rasterises."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Protocol
@@ -14,8 +14,12 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.sampling import bilinear_at
+from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.view import GeometryImage, View
 from wlr_render.rendering.warp import SURFACE_STEP
+
+_WHITE = 255
+_SATURATED = 0.01  # of a frame's pixels: fewer are highlights
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +83,20 @@ def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
     return [
         f"{which} {'shows' if len(names) == 1 else 'show'} nothing of the scene '{scene}': every pixel has the same "
         "colour; place the scene within the field of view, in metres, with light on it."
+    ]
+
+
+def saturation_warnings(scene: Scene, frames: Iterable[NDArray[np.uint8]]) -> list[str]:
+    """A sentence if lights of a scene burn out part of one of these frames; they are drawn only if a light may."""
+    lights = scene.bright_lights()
+    share = max((float(np.mean((frame == _WHITE).any(axis=-1))) for frame in frames if lights), default=0.0)
+    if share < _SATURATED:
+        return []
+    named = ", ".join(f"'{name}' ({brightness:.3g} times)" for name, brightness in lights.items())
+    return [
+        f"{share:.0%} of the pixels of a frame are saturated. Lights of the scene '{scene.name}' that make a white "
+        f"surface brighter than white: {named}. State 'exposure' in a scene file, such as exposure = "
+        f"{1 / max(lights.values()):.2g}; 0.00146 undoes the units of Blender's exporter (scenes/README.md)."
     ]
 
 

@@ -69,11 +69,13 @@ class LightSource:
         vector: (3,) for "directional" the unit direction in which the light travels, for "point" its position
             (metres); world frame.
         colour: (3,) linear RGB times intensity; for a point light the value at 1 m, falling with 1 / distance^2.
+        name: for messages.
     """
 
     kind: str
     vector: NDArray[np.float64]
     colour: Float32Array
+    name: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,23 @@ class Scene:
         if not self.not_drawn:
             return []
         return [f"Surfaces are drawn matt and opaque by every method. Not drawn: {'; '.join(self.not_drawn)}."]
+
+    def bright_lights(self) -> dict[str, float]:
+        """Lights that alone make a white surface brighter than white, by name, and by how many times they do.
+
+        For a point light the surface is in the middle of the nearest instance.
+        """
+        found: dict[str, float] = {}
+        for light in self.lights:
+            brightness = float(light.colour.max())
+            if light.kind == "point":
+                places = [
+                    world_positions(self.mesh_of(each), each).mean(axis=0) - light.vector for each in self.instances
+                ]
+                brightness /= max(float(np.min(np.sum(np.square(places), axis=1))), 1e-6)
+            if brightness > 1.0:
+                found[light.name] = max(found.get(light.name, 0.0), brightness)
+        return found
 
     @property
     def triangle_count(self) -> int:

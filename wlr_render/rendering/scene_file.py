@@ -34,6 +34,7 @@ _MESH_ALONE_M = 30.0  # of a mesh around its own middle, 1 m ahead of the wearer
 _SCALES = 1e-6, 1e6
 _MOST_DEGREES = 3600.0
 _BRIGHTEST = 1e6
+_EXPOSURES = 1e-9, 1e6
 _MOST_OBJECTS = 1000
 _MOST_LIGHTS = 100
 _MOST_TRIANGLES = 20_000_000  # over all placements
@@ -78,10 +79,12 @@ def load_scene(spec: str | Path) -> Scene:
         first = len(scene.instances)
         scene = _with(scene, _object(entry, path.parent))
         _require_drawable(entry.where, scene, first)
+    exposure = table.number("exposure", default=1.0, least=_EXPOSURES[0], most=_EXPOSURES[1])
     table.finish()
     if not scene.instances:
         raise table.fail("'object' is empty; give at least one object.")
-    return scene
+    lights = [replace(light, colour=np.float32(exposure) * light.colour) for light in scene.lights]
+    return replace(scene, lights=tuple(lights))
 
 
 def _require_header(table: Table) -> None:
@@ -136,7 +139,7 @@ def _light(table: Table) -> LightSource:
         vector = normalised(vector)
     else:
         vector = _position(table)
-    light = LightSource(kind, vector, _colour(table, "colour"))
+    light = LightSource(kind, vector, _colour(table, "colour"), table.where)
     table.finish()
     return light
 
