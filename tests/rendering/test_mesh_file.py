@@ -231,12 +231,37 @@ def test_properties_of_gltf_that_are_not_drawn_are_named(tmp_path, material, key
     assert load_meshes(path).not_drawn == ((f"{keys} of 'steel' in wedge.gltf",) if keys else ())
 
 
-def test_a_moved_texture_and_a_material_without_a_name_are_named(tmp_path):
+def test_a_material_without_a_name_is_named_by_its_number(tmp_path):
+    surface = {"pbrMetallicRoughness": {"metallicFactor": 0}, "extensions": {"KHR_materials_sheen": {}}}
+    path = gltf(tmp_path, materials=[surface])
+    assert load_meshes(path).not_drawn == ("KHR_materials_sheen of 'material 0' in wedge.gltf",)
+
+
+@pytest.mark.parametrize(
+    ("transform", "first", "second", "third"),
+    [
+        ({"scale": [2, 3]}, [0, 0], [2, 0], [0, 3]),
+        ({"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5]}, [0, 1], [0, 0.5], [0.5, 1]),  # of its document
+        ({"offset": [0, 1], "scale": [1, -1], "texCoord": 0}, [0, 1], [1, 1], [0, 0]),
+    ],
+)
+def test_texture_coordinates_are_moved_as_the_material_states(tmp_path, transform, first, second, third):
     (tmp_path / "t.png").write_bytes(png(CORNERS))
-    texture = {"index": 0, "extensions": {"KHR_texture_transform": {"scale": [2, 2]}}}
+    texture = {"index": 0, "texCoord": 0, "extensions": {"KHR_texture_transform": transform}}
     surface = {"pbrMetallicRoughness": {"baseColorTexture": texture, "metallicFactor": 0}}
-    path = gltf(tmp_path, materials=[surface], textures=[{"source": 0}], images=[{"uri": "t.png"}])
-    assert load_meshes(path).not_drawn == ("KHR_texture_transform of 'material 0' in wedge.gltf",)
+    path = gltf(
+        tmp_path,
+        materials=[surface],
+        textures=[{"source": 0}],
+        images=[{"uri": "t.png"}],
+        extensionsRequired=["KHR_texture_transform"],
+    )
+    loaded = load_meshes(path)
+    mesh = loaded.meshes[0]
+    assert loaded.not_drawn == ()
+    for place, uv in (([0, 0, 0], first), ([1, 0, 0], second), ([0, 1, 0], third)):
+        found = mesh.uv[np.argmin(np.linalg.norm(mesh.position - place, axis=1))]
+        np.testing.assert_allclose(found, uv, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -261,6 +286,30 @@ def accessors(**changes):
     rows = ((5126, "VEC3"), (5125, "SCALAR"), (5126, "VEC2"))
     stated = [{"bufferView": i, "componentType": c, "count": 3, "type": t} for i, (c, t) in enumerate(rows)]
     return [stated[0] | changes, *stated[1:]]
+
+
+def sparse(indices):
+    """The sparse part of the positions, with its indices and values in the last two views of `moved_corner`."""
+    return {
+        "count": len(indices),
+        "indices": {"bufferView": 3, "componentType": 5125},
+        "values": {"bufferView": 4},
+    }
+
+
+def moved_corner(indices):
+    """Keys of `gltf` with sparse positions: the corners with these indices are (5, 6, 7)."""
+    content = np.array(indices, np.uint32).tobytes() + np.tile(np.float32([5, 6, 7]), len(indices)).tobytes()
+    starts = np.cumsum([0, 36, 12, 24, 4 * len(indices)]).tolist()
+    lengths = (36, 12, 24, 4 * len(indices), 12 * len(indices))
+    blob = (
+        np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]).tobytes() + np.uint32([0, 1, 2]).tobytes() + bytes(24) + content
+    )
+    return {
+        "accessors": accessors(sparse=sparse(indices)),
+        "bufferViews": [{"buffer": 0, "byteOffset": s, "byteLength": n} for s, n in zip(starts, lengths, strict=True)],
+        "buffers": [{"byteLength": len(blob), "uri": "data:;base64," + base64.b64encode(blob).decode()}],
+    }
 
 
 def binary_ply(folder, corners):
@@ -332,10 +381,6 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: gltf(d, images=[{"uri": "gone.png"}], **TEXTURED), "its file gone.png is missing"),
         (lambda d: gltf(d, extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compression"),
         (
-            lambda d: gltf(d, meshes=wedge(mode=6)),
-            "mesh 'wedge' has triangle fans, which are not read; export it as tri",
-        ),
-        (
             lambda d: gltf(d, nodes=SPOT_NODES, extensions={"KHR_lights_punctual": {"lights": [{"type": "magic"}]}}),
             "light 'bulb' is of kind 'magic'",
         ),
@@ -358,10 +403,23 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: gltf(d, nodes=[{"mesh": 0, "scale": [1, 0, 1]}]), "has no size or no finite place"),
         (lambda d: gltf(d, nodes=[{"mesh": 0, "scale": [1e8, 1, 1]}]), "has no size or no finite place"),
         (lambda d: gltf(d, positions=[[0, 0, 0], [1, 0, 0], [0, 1e30, 0]]), "a vertex that is not finite in 32 bits"),
-        (lambda d: gltf(d, accessors=[{"componentType": 5126, "count": 10**9, "type": "VEC3"}]), "which is not read"),
+        (
+            lambda d: gltf(d, accessors=[{"componentType": 5126, "count": 10**8, "type": "VEC3"}]),
+            "for more than 512 MB",
+        ),
         (lambda d: gltf(d, accessors=accessors(count=4)), "accessors 0 ends at byte 48, beyond bufferViews 0"),
         (lambda d: gltf(d, accessors=accessors(count=10**10)), "accessors 0: 'count' is 10000000000, not a whole"),
-        (lambda d: gltf(d, accessors=accessors(sparse={"count": 1})), "accessors 0 is sparse"),
+        (lambda d: gltf(d, accessors=accessors(sparse={"count": 1})), "accessors 0, sparse: lacks 'indices'"),
+        (
+            lambda d: gltf(d, accessors=accessors(sparse=sparse([0]) | {"count": 4})),
+            "accessors 0, sparse: has 4 indices of component 5125 for 3 entries",
+        ),
+        (lambda d: gltf(d, **moved_corner([7])), "accessors 0: its sparse indices reach 7, beyond its 3"),
+        (lambda d: gltf(d, asset={"version": "1.0"}), "is of glTF version '1.0'; version 2 is read"),
+        (
+            lambda d: gltf(d, **TEXTURED | {"textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}]}),
+            "mesh 'wedge': its base texture has no picture that is read (KHR_texture_basisu); export PNG or JPEG",
+        ),
         (lambda d: gltf(d, accessors=accessors(componentType=5125)), "POSITION is not of type VEC3 in floats"),
         (lambda d: gltf(d, accessors=accessors(type="VEC2")), "POSITION is not of type VEC3 in floats"),
         (
@@ -605,3 +663,82 @@ def test_a_broken_texture_is_refused(tmp_path):
     (tmp_path / "t.png").write_bytes(b"not a picture")
     with pytest.raises(BadInputError, match=r"wedge\.obj: its file t\.png: cannot be read as a picture"):
         load_meshes(path)
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize(
+    ("mode", "faces"),
+    [(5, [[0, 1, 2], [1, 3, 2], [2, 3, 4]]), (6, [[1, 2, 0], [2, 3, 0], [3, 4, 0]]), (4, [[0, 1, 2]])],
+)
+def test_strips_and_fans_become_triangles(tmp_path, mode, faces, indexed):
+    corners = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.2, 2, 0]])
+    blob = corners.tobytes() + np.uint8([0, 1, 2, 3, 4]).tobytes() + bytes(3)
+    path = gltf(
+        tmp_path,
+        meshes=[{"primitives": [{"attributes": {"POSITION": 0}, "mode": mode} | ({"indices": 1} if indexed else {})]}],
+        accessors=[
+            {"bufferView": 0, "componentType": 5126, "count": 5, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5121, "count": 5, "type": "SCALAR"},
+        ],
+        bufferViews=[{"buffer": 0, "byteLength": 60}, {"buffer": 0, "byteOffset": 60, "byteLength": 5}],
+        buffers=[{"byteLength": 68, "uri": "data:;base64," + base64.b64encode(blob).decode()}],
+    )
+    mesh = load_meshes(path).meshes[0]
+    np.testing.assert_array_equal(mesh.position[mesh.triangles], corners[faces])
+
+
+def test_sparse_positions_replace_stored_ones(tmp_path):
+    mesh = load_meshes(gltf(tmp_path, **moved_corner([1]))).meshes[0]
+    assert sorted(mesh.position.tolist()) == [[0, 0, 0], [0, 1, 0], [5, 6, 7]]
+    stated = moved_corner([0, 1, 2])
+    del stated["accessors"][0]["bufferView"]
+    with pytest.raises(BadInputError, match="has no triangles with an area"):
+        load_meshes(gltf(tmp_path, **stated))
+
+
+def typed(folder, position, normal, colour, extensions=("KHR_mesh_quantization",), **flags):
+    """A triangle with attributes of any type, interleaved in rows of 4-byte steps, beside a texture of coordinates."""
+    kinds = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "f4": 5126}
+    arrays = [np.asarray(each) for each in (position, normal, colour)]
+    rows = [b"".join(a[row].tobytes() + bytes(-len(a[row].tobytes()) % 4) for a in arrays) for row in range(3)]
+    blob = b"".join(rows)
+    starts = np.cumsum([0] + [-(-a[0].nbytes // 4) * 4 for a in arrays]).tolist()
+    named = ("POSITION", "NORMAL", "COLOR_0")
+    return gltf(
+        folder,
+        extensionsUsed=list(extensions),
+        extensionsRequired=list(extensions),
+        meshes=[{"primitives": [{"attributes": {name: at for at, name in enumerate(named)}}]}],
+        accessors=[
+            {"bufferView": 0, "byteOffset": start, "componentType": kinds[a.dtype.str[1:]], "count": 3,
+             "type": f"VEC{a.shape[1]}", "normalized": flags.get(name, a.dtype.kind != "f")}
+            for name, a, start in zip(named, arrays, starts, strict=False)
+        ],
+        bufferViews=[{"buffer": 0, "byteLength": len(blob), "byteStride": len(rows[0])}],
+        buffers=[{"byteLength": len(blob), "uri": "data:;base64," + base64.b64encode(blob).decode()}],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("position", "scale", "normalised"),
+    [(np.int8, 1 / 127, True), (np.uint16, 1 / 65535, True), (np.uint8, 1, False), (np.int16, 1, False)],
+)
+@pytest.mark.parametrize("colour", [np.uint8, np.uint16, np.float32])
+def test_quantised_and_interleaved_attributes_are_read(tmp_path, position, scale, normalised, colour):
+    corners = np.array([[0, 0, 0], [100, 0, 0], [0, 50, 0]], position)
+    white = 1 if colour is np.float32 else np.iinfo(colour).max
+    colours = (np.array([[1, 0.5, 0, 1]] * 3) * white).astype(colour)
+    normals = np.array([[0, 0, 127]] * 3, np.int8)
+    mesh = load_meshes(typed(tmp_path, corners, normals, colours, POSITION=normalised)).meshes[0]
+    np.testing.assert_allclose(mesh.position, corners.astype(float) * scale, rtol=1e-6)
+    np.testing.assert_allclose(mesh.normal, [[0, 0, 1]] * 3)
+    np.testing.assert_allclose(mesh.vertex_colour, (colours / white)[:, :3], rtol=1e-6)
+    with pytest.raises(BadInputError, match="POSITION is not of type VEC3 in floats"):
+        load_meshes(typed(tmp_path, corners, normals, colours, extensions=()))
+
+
+def test_a_glb_may_have_chunks_of_other_kinds(tmp_path):
+    path = glb(tmp_path, 72)
+    content = path.read_bytes() + struct.pack("<I4s", 8, b"XYZW") + bytes(8)
+    path.write_bytes(content[:8] + struct.pack("<I", len(content)) + content[12:])
+    assert len(load_meshes(path).meshes[0].triangles) == 1

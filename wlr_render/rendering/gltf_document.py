@@ -6,7 +6,6 @@ trimesh allocates what a header promises, and passes over what it cannot read; t
 import base64
 import binascii
 import copy
-import json
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any
 from urllib.parse import unquote_to_bytes
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, require_picture, shown
@@ -22,14 +20,16 @@ from wlr_render.toml_files import parse_json
 
 LIGHTS = "KHR_lights_punctual"
 GLOSSY = "KHR_materials_pbrSpecularGlossiness"
+MOVED = "KHR_texture_transform"
+QUANTISED = "KHR_mesh_quantization"
 FLAT_MODES = {0: "points", 1: "lines", 2: "lines", 3: "lines"}
 """Modes of primitives without triangles, and their names."""
-_READ_MODES = (4, 5)  # triangles, and strips of them
-_FAN = 6
+_READ_MODES = (4, 5, 6)  # triangles, strips and fans of them
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
-_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _FLOAT = 5126
-_FLOATS = {"POSITION": "VEC3", "NORMAL": "VEC3", "TEXCOORD_0": "VEC2"}
+_SMALL_INTEGERS = {5120, 5121, 5122, 5123}
+_TYPES = {"POSITION": ("VEC3",), "NORMAL": ("VEC3",), "COLOR_0": ("VEC3", "VEC4")}
 _UNSIGNED = {5121, 5123, 5125}
 _DEEPEST = 200
 _MOST_NODES = 50_000
@@ -48,7 +48,8 @@ def base_texture(material: dict[str, Any]) -> dict[str, Any] | None:
 
 def coordinates_key(material: dict[str, Any]) -> str:
     """The attribute with the texture coordinates of a material's base texture."""
-    return f"TEXCOORD_{(base_texture(material) or {}).get('texCoord', 0)}"
+    use = base_texture(material) or {}
+    return f"TEXCOORD_{use.get('extensions', {}).get(MOVED, {}).get('texCoord', use.get('texCoord', 0))}"
 
 
 class GltfDocument:
@@ -61,13 +62,16 @@ class GltfDocument:
 
     def __init__(self, path: Path, content: bytes) -> None:
         """Parse a .gltf or .glb file."""
-        self._path, self._binary, self._content = path, b"", content
+        self._path, self._binary = path, b""
         if path.suffix.lower() == ".glb":
             # A GLB is a 12-byte header, then chunks of length, type, content: the JSON, and the first buffer.
             size = int.from_bytes(content[12:16], "little")
             self._binary = content[28 + size :]
             content = content[20 : 20 + size]
         self.tree = parse_json(path, content.decode("utf-8-sig"), "a glTF file", "export it again")
+        version = str(self.tree.get("asset", {}).get("version", "2.0"))
+        if not version.startswith("2."):
+            raise self.fail(f"is of glTF version {shown(version)}; version 2 is read")
 
     def fail(self, sentence: str, remedy: str = "export it again") -> BadInputError:
         """Exception for an error in this file; the caller raises it."""
@@ -101,29 +105,16 @@ class GltfDocument:
             yield index
             left += reversed(self.entries("nodes")[index].get("children", []))
 
-    def texture_coordinates(self, primitive: dict[str, Any], fetch: Fetch) -> NDArray[np.float32]:
-        """(vertices, 2): those of the primitive's base texture."""
-        key = coordinates_key(self.entry("materials", primitive["material"]))
-        accessor = self.entry("accessors", primitive["attributes"][key])
-        view = self.entry("bufferViews", accessor["bufferView"])
-        content = self._content_of(self.entry("buffers", view["buffer"]), fetch)
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        return np.ndarray((accessor["count"], 2), "<f4", content, start, (view.get("byteStride", 8), 4))
-
-    def for_trimesh(self) -> bytes:
-        """The file with what trimesh would read wrongly put otherwise.
+    def rewritten(self) -> dict[str, Any]:
+        """A copy of the tree with what trimesh would read wrongly put otherwise.
 
         Siblings are reversed, because trimesh takes the last one first. Primitives without triangles and cameras are
-        left out: trimesh loses the children of their nodes. The coordinates of the base texture become TEXCOORD_0.
-        Textures of specular glossiness, of which trimesh would blend the palette, become base textures.
+        left out: trimesh loses the children of their nodes. Textures of specular glossiness, of which trimesh would
+        blend the palette, become base textures.
         """
         tree = copy.deepcopy(self.tree)
         for mesh in tree.get("meshes", []):
             mesh["primitives"] = [each for each in mesh["primitives"] if each.get("mode") not in FLAT_MODES]
-            for each in mesh["primitives"]:
-                key = coordinates_key(tree["materials"][each["material"]]) if "material" in each else "TEXCOORD_0"
-                if key in each["attributes"]:
-                    each["attributes"]["TEXCOORD_0"] = each["attributes"][key]
         for material in tree.get("materials", []):
             _use_base_texture(material)
         for node in tree.get("nodes", []):
@@ -133,13 +124,12 @@ class GltfDocument:
             node.get("children", []).reverse()
         for scene in tree.get("scenes", []):
             scene.get("nodes", []).reverse()
-        text = json.dumps(tree).encode()
-        if self._path.suffix.lower() != ".glb":
-            return text
-        text += b" " * (-len(text) % 4)
-        rest = self._content[20 + int.from_bytes(self._content[12:16], "little") :]
-        length = (20 + len(text) + len(rest)).to_bytes(4, "little")
-        return self._content[:8] + length + len(text).to_bytes(4, "little") + self._content[16:20] + text + rest
+        return tree
+
+    def buffer_content(self, number: int, fetch: Fetch) -> bytes:
+        """The bytes of a buffer: of its uri, or of the GLB's second chunk."""
+        buffer = self.entry("buffers", number)
+        return self._bytes_of(buffer["uri"], fetch) if "uri" in buffer else self._binary
 
     def check(self, understood: set[str], fetch: Fetch) -> None:
         """Check everything that is drawn.
@@ -169,7 +159,7 @@ class GltfDocument:
         sizes: dict[int, int] = {}
         for index in range(len(self.entries("buffers"))):
             buffer, where = self.entry("buffers", index), f"buffers {index}"
-            content, sizes[index] = self._content_of(buffer, fetch), self._whole(buffer, "byteLength", where)
+            content, sizes[index] = self.buffer_content(index, fetch), self._whole(buffer, "byteLength", where)
             if len(content) < sizes[index]:
                 name = f", {shown(buffer['uri'])}," if "uri" in buffer else ""
                 raise self.fail(f"{where}{name} has {len(content)} bytes, not {sizes[index]}")
@@ -183,34 +173,49 @@ class GltfDocument:
             viewed += views[-1]
         for index in range(len(self.entries("accessors"))):
             accessor, where = self.entry("accessors", index), f"accessors {index}"
-            if "sparse" in accessor or "bufferView" not in accessor:
-                raise self.fail(f"{where} is sparse or without a bufferView, which is not read")
-            view = self.entry("bufferViews", accessor["bufferView"])
             kind, component = accessor.get("type"), accessor.get("componentType")
-            if kind not in _COMPONENTS or component not in _COMPONENT_BYTES:
+            if kind not in COMPONENTS or component not in _COMPONENT_BYTES:
                 raise self.fail(f"{where} has type {shown(kind)} of component {shown(component)}")
-            row = _COMPONENTS[kind] * _COMPONENT_BYTES[component]
-            count, stride = self._whole(accessor, "count", where), self._whole(view, "byteStride", where, row)
-            end = self._whole(accessor, "byteOffset", where, 0) + max(count - 1, 0) * stride + row * (count > 0)
-            if end > views[accessor["bufferView"]]:
-                raise self.fail(f"{where} ends at byte {end}, beyond bufferViews {accessor['bufferView']}")
+            row, count = COMPONENTS[kind] * _COMPONENT_BYTES[component], self._whole(accessor, "count", where)
+            if "bufferView" in accessor:
+                self._check_view(accessor, where, count, row, views)
+            if "sparse" in accessor:
+                self._check_sparse(accessor["sparse"], f"{where}, sparse", count, row, views)
             read += count * row
         if max(viewed, read) > LIMITS.mesh_bytes:
             raise self.fail(f"uses the same bytes for more than {LIMITS.mesh_bytes / 1e6:g} MB of data")
+
+    def _check_view(self, stated: dict[str, Any], where: str, count: int, row: int, views: Sequence[int]) -> None:
+        """Check that `count` rows of so many bytes lie in the buffer view that an accessor states."""
+        view = self.entry("bufferViews", stated.get("bufferView"))
+        stride = self._whole(view, "byteStride", where, row)
+        end = self._whole(stated, "byteOffset", where, 0) + max(count - 1, 0) * stride + row * (count > 0)
+        if end > views[stated["bufferView"]]:
+            raise self.fail(f"{where} ends at byte {end}, beyond bufferViews {stated['bufferView']}")
+
+    def _check_sparse(self, sparse: dict[str, Any], where: str, count: int, row: int, views: Sequence[int]) -> None:
+        if not all(isinstance(sparse.get(key), dict) for key in ("indices", "values")):
+            raise self.fail(f"{where}: lacks 'indices' or 'values'")
+        number, component = self._whole(sparse, "count", where), sparse["indices"].get("componentType")
+        if number > count or component not in _UNSIGNED:
+            raise self.fail(f"{where}: has {number} indices of component {shown(component)} for {count} entries")
+        self._check_view(sparse["indices"], where, number, _COMPONENT_BYTES[component], views)
+        self._check_view(sparse["values"], where, number, row, views)
 
     def _check_primitive(self, mesh: int, primitive: dict[str, Any], fetch: Fetch) -> None:
         where, mode = f"mesh {self.name_of('meshes', mesh)}", primitive.get("mode", 4)
         if mode in FLAT_MODES:
             return
         if mode not in _READ_MODES:
-            what = "triangle fans" if mode == _FAN else f"primitives of mode {shown(mode)}"
-            raise self.fail(f"{where} has {what}, which are not read", "export it as triangles")
+            raise self.fail(
+                f"{where} has primitives of mode {shown(mode)}, which are not read", "export it as triangles"
+            )
         counts = set()
         for name, index in primitive["attributes"].items():
             accessor = self.entry("accessors", index)
             counts.add(accessor["count"])
-            if name in _FLOATS and (accessor["componentType"], accessor["type"]) != (_FLOAT, _FLOATS[name]):
-                raise self.fail(f"{where}: {name} is not of type {_FLOATS[name]} in floats, as it is read")
+            if name in _TYPES:
+                self._check_type(where, name, accessor, _TYPES[name])
         if len(counts) > 1:
             raise self.fail(f"{where}: its attributes have {', '.join(map(str, sorted(counts)))} entries, not as many")
         if "indices" in primitive:
@@ -219,6 +224,13 @@ class GltfDocument:
                 raise self.fail(f"{where}: its indices are not of type SCALAR in unsigned integers")
         if "material" in primitive:
             self._check_material(where, primitive, self.entry("materials", primitive["material"]), fetch)
+
+    def _check_type(self, where: str, name: str, accessor: dict[str, Any], kinds: Sequence[str]) -> None:
+        """Refuse attributes of other types than glTF has; small integers of positions are of KHR_mesh_quantization."""
+        small = accessor["componentType"] in _SMALL_INTEGERS
+        plain = name in ("POSITION", "NORMAL") and QUANTISED not in self.tree.get("extensionsUsed", [])
+        if accessor["type"] not in kinds or not (accessor["componentType"] == _FLOAT or (small and not plain)):
+            raise self.fail(f"{where}: {name} is not of type {' or '.join(kinds)} in floats, as it is read")
 
     def _check_material(self, where: str, primitive: dict[str, Any], material: dict[str, Any], fetch: Fetch) -> None:
         """Refuse a colour that trimesh would wrap around, and a texture that it would leave out without a word."""
@@ -236,24 +248,22 @@ class GltfDocument:
             raise self.fail(
                 f"{where}: its base texture uses {key}, which the mesh lacks", "export it with texture coordinates"
             )
-        accessor = self.entry("accessors", primitive["attributes"][key])
-        if (accessor["componentType"], accessor["type"]) != (_FLOAT, "VEC2"):
-            raise self.fail(f"{where}: {key} is not of type VEC2 in floats, as it is read")
+        self._check_type(where, key, self.entry("accessors", primitive["attributes"][key]), ("VEC2",))
         texture = self.entry("textures", use.get("index"))
         webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
         number = webp.get("source", texture.get("source"))
+        if number is None:
+            kinds = ", ".join(texture.get("extensions", {})) or "no 'source'"
+            raise self.fail(f"{where}: its base texture has no picture that is read ({kinds})", "export PNG or JPEG")
         require_picture(f"{self._path}: images {shown(number)}", self._image(self.entry("images", number), fetch))
 
     def _image(self, image: dict[str, Any], fetch: Fetch) -> bytes:
         if "bufferView" not in image:
             return self._bytes_of(image.get("uri"), fetch)
         view = self.entry("bufferViews", image["bufferView"])
-        content = self._content_of(self.entry("buffers", view["buffer"]), fetch)
+        content = self.buffer_content(view["buffer"], fetch)
         start = view.get("byteOffset", 0)
         return content[start : start + view["byteLength"]]
-
-    def _content_of(self, buffer: dict[str, Any], fetch: Fetch) -> bytes:
-        return self._bytes_of(buffer["uri"], fetch) if "uri" in buffer else self._binary
 
     def _bytes_of(self, uri: object, fetch: Fetch) -> bytes:
         if not isinstance(uri, str):

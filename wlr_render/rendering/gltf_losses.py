@@ -3,7 +3,10 @@
 from collections.abc import Iterator
 from typing import Any
 
-from wlr_render.rendering.gltf_document import FLAT_MODES, LIGHTS, Fetch, GltfDocument, base_texture
+import numpy as np
+
+from wlr_render.rendering.gltf_arrays import GltfArrays
+from wlr_render.rendering.gltf_document import FLAT_MODES, LIGHTS, MOVED, GltfDocument, base_texture
 
 SPOT = "spot"
 """The kind of light that is not drawn."""
@@ -19,7 +22,7 @@ _NEAREST = 9728
 _UV_MARGIN = 1e-3  # beyond 0..1, in which no wrapping is seen
 
 
-def lost_material_keys(document: GltfDocument, fetch: Fetch) -> Iterator[tuple[str, list[str]]]:
+def lost_material_keys(document: GltfDocument, arrays: GltfArrays) -> Iterator[tuple[str, list[str]]]:
     """Name, and keys that are not drawn, of each material that a mesh has."""
     used: dict[int, list[dict[str, Any]]] = {}
     for mesh in document.entries("meshes"):
@@ -34,14 +37,14 @@ def lost_material_keys(document: GltfDocument, fetch: Fetch) -> Iterator[tuple[s
         keys = [key for key, value in stated.items() if key not in _DRAWN and value != _MATT_AND_OPAQUE.get(key)]
         texture = base_texture(material) or {}
         for part in (material, texture):
-            keys += part.get("extensions", {})
+            keys += [key for key in part.get("extensions", {}) if key != MOVED]
         if texture:
-            keys += _sampler_keys(document, texture, used[number], fetch)
+            keys += _sampler_keys(document, texture, used[number], arrays)
         yield document.name_of("materials", number), keys
 
 
 def _sampler_keys(
-    document: GltfDocument, texture: dict[str, Any], primitives: list[dict[str, Any]], fetch: Fetch
+    document: GltfDocument, texture: dict[str, Any], primitives: list[dict[str, Any]], arrays: GltfArrays
 ) -> Iterator[str]:
     """Settings of a texture's sampler that differ visibly from repeated and bilinear."""
     number = document.entry("textures", texture["index"]).get("sampler")
@@ -51,7 +54,8 @@ def _sampler_keys(
         if wrap is None:
             continue
         for primitive in primitives:
-            along = document.texture_coordinates(primitive, fetch)[:, axis]
+            coordinates = arrays.texture_coordinates(primitive)
+            along = np.empty(0) if coordinates is None else coordinates[:, axis]
             if along.size and (along.min() < -_UV_MARGIN or along.max() > 1 + _UV_MARGIN):
                 yield f"{key} {wrap}"
                 break

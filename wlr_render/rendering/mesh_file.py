@@ -25,7 +25,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
 from wlr_render.input_files import LIMITS, inside_folder, parsing, read_bytes, require_picture, shown
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.gltf_document import GLOSSY, LIGHTS, GltfDocument
+from wlr_render.rendering.gltf_arrays import GltfArrays
+from wlr_render.rendering.gltf_document import GLOSSY, LIGHTS, MOVED, QUANTISED, GltfDocument
 from wlr_render.rendering.gltf_losses import SPOT, lost_material_keys, lost_parts
 from wlr_render.rendering.mtl_file import Materials
 from wlr_render.rendering.obj_file import ObjFile
@@ -40,7 +41,7 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 _FARTHEST = 1e6  # metres, and scale of a placement
 _BRIGHTEST = 1e6
 _LARGEST = 1e12  # of a coordinate, whose squares must fit into 32 bits
-_UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", GLOSSY, "EXT_texture_webp"}
+_UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", GLOSSY, "EXT_texture_webp", MOVED, QUANTISED}
 
 
 def lights_of_scene(path: Path, source: Any) -> tuple[LightSource, ...]:
@@ -168,10 +169,11 @@ class _Neighbours:
         self._is_gltf = path.suffix.lower() in _GLTF  # whose names are percent-encoded
         self.file_name = path.name
         self.faults: list[BadInputError] = []
+        self.given: dict[str, bytes] = {}
         self.get = functools.cache(self._get)
 
     def __getitem__(self, name: str) -> bytes:
-        return self.get(name)
+        return self.given[name] if name in self.given else self.get(name)
 
     def find(self, names: Sequence[str]) -> str | None:
         """The first of these names that a file beside the one being read has."""
@@ -204,9 +206,10 @@ def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
     neighbours = _Neighbours(path)
     document = GltfDocument(path, read_bytes(path, LIMITS.mesh_bytes))
     document.check(_UNDERSTOOD, neighbours.get)
-    materials, parts = lost_material_keys(document, neighbours.get), list(lost_parts(document))
-    content = io.BytesIO(document.for_trimesh())
-    source = trimesh.load_scene(content, file_type=path.suffix.lower()[1:], process=False, resolver=neighbours)
+    arrays = GltfArrays(document, neighbours.get)
+    materials, parts = lost_material_keys(document, arrays), list(lost_parts(document))
+    content, neighbours.given = arrays.for_trimesh()
+    source = trimesh.load_scene(io.BytesIO(content), file_type="gltf", process=False, resolver=neighbours)
     if neighbours.faults:
         raise neighbours.faults[0]
     return source, _named(path, materials, parts)
@@ -295,13 +298,8 @@ def _of_trimesh(name: str, source: Any) -> RawMesh:
         factor = factor if material.baseColorFactor is None else material.baseColorFactor[:3] / 255.0
         if picture is not None and visual.uv is not None:
             uv = np.asarray(visual.uv, dtype=np.float32)[:, :2] * [1, -1] + [0, 1]
-    colour = None
-    if visual.kind in ("vertex", "face"):
-        colour = np.asarray(visual.vertex_colors)[:, :3] / 255
-    elif (stored := getattr(visual, "vertex_attributes", {}).get("color")) is not None:
-        # Colours beside a material are floats, or integers of which the greatest means 1.
-        whole = 1.0 if stored.dtype.kind == "f" else float(np.iinfo(stored.dtype).max)
-        colour = np.asarray(stored)[:, :3] / whole
+    stored = getattr(visual, "vertex_attributes", {}).get("color")
+    colour = None if stored is None else np.asarray(stored, dtype=np.float64)[:, :3]
     position, triangles = np.asarray(source.vertices, dtype=np.float64), np.asarray(source.faces)
     normal = np.array(source.vertex_normals, dtype=np.float64) if "vertex_normals" in source._cache else None
     return RawMesh(name, position, triangles, normal, factor, uv, picture, colour)
