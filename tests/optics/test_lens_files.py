@@ -208,6 +208,8 @@ def test_coordinate_breaks_turn_and_shift_what_follows_and_back(tmp_path):
         (SPHERE, "  TYPE ODDASPHE\n  CURV -0.01\n  PARM 1 0.1\n", "PARM 1", True),
         (SPHERE, "  TYPE TOROIDAL\n  CURV -0.01\n  PARM 1 30\n  PARM 2 0.1\n", "PARM 2", True),
         (SPHERE, SPHERE + "  SCBD 1 0 0 0 0 9.0E+1 0 0\n", "SCBD", True),
+        (SPHERE, SPHERE + "  IGNR 1\n", "IGNR", True),
+        (SPHERE, SPHERE + "  IGNR 0\n", "IGNR", False),
         (SPHERE, SPHERE + "  UDAD something\n", "UDAD", False),
         ("  CLAP 0 12 0\n", "  CLAP 3 12 0\n", "CLAP", False),
         ("MODE SEQ\n", "MODE SEQ\nMNUM 3 1\n", "MNUM", True),
@@ -283,7 +285,7 @@ def test_lines_of_a_surface_need_no_indent(tmp_path):
 
 
 def test_a_comment_with_a_separator_of_latin_1_hides_no_lines(tmp_path):
-    lens = lens_of(tmp_path, ZMX.replace("front face", "front\x85GLAS MIRROR\x0cCURV 9"), "latin-1")
+    lens = lens_of(tmp_path, ZMX.replace("  DIAM 15", "  COMM a\x85GLAS MIRROR\x0cCURV 9\n  DIAM 15"), "latin-1")
     assert lens.surfaces[2].medium.index(0.5875618) == pytest.approx(1.5168)
     assert lens.surfaces[2].shape.curvature == pytest.approx(25.0)
     assert not lens.surfaces[2].reflects

@@ -188,7 +188,7 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
         if kind in _POWERS_OF_MAKERS and len(coefficients) == len(_POWERS_OF_MAKERS[kind]):
             powers = zip(coefficients, _POWERS_OF_MAKERS[kind], strict=True)
             return require_glass(Medium.squared(name, (), powers), where)
-    glass = catalogue.require(name, where)
+    glass = catalogue.require(name, where, (kind.removesuffix("Glass"),))
     glass.tell(notes, number, "medium", name)
     return glass.medium
 

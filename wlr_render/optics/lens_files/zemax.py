@@ -58,6 +58,11 @@ _HARMLESS = {
     *("OPDX", "SCOL", "SDMA", "PZUP", "TCED", "CSOP", "GCOL", "RSCE", "VCON", "MEAS"),
 }
 """Keys of a surface that say how it is drawn, coated, solved for or optimised."""
+_BENDING_KEYS = {
+    "SCBD": (3, "a tilt or shift of the surface's properties is not read: write a coordinate break"),
+    "IGNR": (0, "the file ignores this surface, which is taken: delete it from the file"),
+}
+"""Keys of a surface that are not read, and bend rays if one of their numbers from a place on is not 0."""
 _NOT_STATED = (1.5, 40.0), (0.0, 0.0)
 """Index and Abbe number of a `GLAS` line that does not state them."""
 _CONIC_WITHOUT_TERMS = {
@@ -238,9 +243,9 @@ def _list_other_keys(reading: _Reading, surface: _Lines) -> None:
     for key, words, _ in surface.lines:
         if key in _TAKEN or key in _HARMLESS:
             continue
-        moved = any(word.strip("-+0.eE") for word in words[3:]) if key == "SCBD" else False
-        reason = "a tilt or shift of the surface's properties is not read: write a coordinate break" if moved else ""
-        reading.ignore(surface, key, " ".join(words), reason or "this key is not read", moved)
+        first, reason = _BENDING_KEYS.get(key, (len(words), ""))
+        bends = any(word.strip("-+0.eE") for word in words[first:])
+        reading.ignore(surface, key, " ".join(words), reason if bends else "this key is not read", bends)
 
 
 def _coordinate_break(reading: _Reading, surface: _Lines) -> FloatArray:
