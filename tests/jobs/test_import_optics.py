@@ -131,6 +131,7 @@ def test_a_bowed_image_makes_a_bowed_panel(tmp_path, text, starts_at):
         ("DISZ 20", "DISZ 20", {"pupil_surface": 3}, "cannot stand at surface 3: the optics of surface 2, 3"),
         ("DISZ 20", "DISZ 20", {"starts_at": "panel"}, "surface 0, the panel, lies at infinity"),
         ("DISZ 20", "DISZ 20", {"panel_surface": 1}, "no mirror or glass lies between"),
+        ("  GLAS ___BLANK 1 0 1.5 60", "  TYPE PARAXIAL", {}, r"types that are not read: surface 2 .PARAXIAL"),
         ("DISZ 45", "DISZ 4500", {}, "lens.zmx, as a device.*has a length of 4.5e.03|more than the plausible"),
     ],
 )
@@ -150,6 +151,33 @@ def test_shapes_that_are_not_read_are_warned_of(tmp_path):
     assert report.warnings == [
         "Rays run otherwise than in the file, because of surface 3: the table of ignored keys says why."
     ]
+
+
+def test_a_surface_that_is_steep_beyond_its_edge_is_read_up_to_its_semi_diameter(tmp_path):
+    text = LOUPE.replace("  CURV 0.02\n", "  TYPE EVENASPH\n  CURV 0.02\n  PARM 8 1e-9\n  DIAM 1 1\n")
+    with pytest.raises(BadInputError, match=r"mm per mm within its aperture.* --semi-diameters"):
+        imported(tmp_path, text)
+    _, device = imported(tmp_path, text, semi_diameters=True)
+    assert device.eyes["right"].display.steps[0].surface.aperture.high[0] == pytest.approx(0.001)
+
+
+def test_a_diffractive_element_is_named(tmp_path):
+    file = json.loads((LENSES / "Sasian Triplet.roa").read_text())
+    surface = file["optical_model"]["attributes"]["seq_model"]["attributes"]["ifcs"][1]["attributes"]
+    surface["phase_element"] = {"__instance_type__": ["rayoptics.oprops.doe", "DiffractiveElement"], "attributes": {}}
+    path = tmp_path / "doe.roa"
+    path.write_text(json.dumps(file))
+    _, lens = read_lens_file(path, GlassCatalogue())
+    assert [(note.surface, note.value) for note in lens.ignored if note.part == "shape"] == [(1, "DiffractiveElement")]
+
+
+def test_a_common_glass_needs_no_catalogue_and_its_source_is_in_the_table(tmp_path):
+    report, device = imported(tmp_path, LOUPE.replace("___BLANK 1 0 1.5 60", "BK7 0 0 1.5 40"))
+    assert device.eyes["right"].display.steps[0].medium.index(0.5875618) == pytest.approx(1.5168, abs=5e-6)
+    reason = "taken as N-BK7, from this program's catalogue (Schott, Zemax catalogue of 2017-01-20)"
+    assert report.tables[1].rows[0] == ["2", "GLAS", "BK7", "no", reason]
+    assert not report.warnings
+    assert 'formula = "N-BK7"' in report.files[0].read_text()
 
 
 def test_types_that_are_not_read_are_named_for_all_three_programs(tmp_path):
