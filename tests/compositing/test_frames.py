@@ -247,6 +247,28 @@ def test_a_shared_context_outlives_its_compositors(flat_image_headset, gl_contex
     np.testing.assert_array_equal(*pictures)
 
 
+@pytest.mark.parametrize("adopted", [False, True])
+def test_after_a_lost_context_a_new_compositor_draws_the_same(compositor, flat_image_headset, adopted):
+    def made_anew():
+        own = moderngl.create_context(standalone=True, require=410, backend="egl") if adopted else "egl"
+        return compositor(flat_image_headset, context=own)
+
+    lost, seen = made_anew(), viewpoint(flat_image_headset)
+    draw(lost, SceneSource(lost, scene()), HEAD, seen)
+    before = lost.compose().read()
+    lost.context._errors._get_error = lambda: 0x0507  # GL_CONTEXT_LOST, for ever
+    if adopted:
+        lost.context._owner._state._checks._errors._get_error = lambda: 0x0507
+    with pytest.raises(gl.GlError, match="the context is lost"):
+        lost.compose()
+    lost.release()
+    with pytest.raises(BadInputError, match="has been released"):
+        lost.compose()
+    again = made_anew()
+    draw(again, SceneSource(again, scene()), HEAD, seen)
+    np.testing.assert_array_equal(again.compose().read(), before)
+
+
 def test_a_frame_is_itself_alone_and_may_be_a_key(compositor, flat_image_headset):
     made, seen = compositor(flat_image_headset), flat_image_headset.eye_box.centre
     first, second = (made.begin_frame(HEAD, seen) for _ in range(2))

@@ -227,6 +227,8 @@ def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
 def test_in_a_plain_pyrender_program(caller):
     told = run(
         """
+        import pyglet
+        pyglet.options["headless"] = True  # pyrender imports its window, which wants libXrender beside libX11
         import gl_scenes, numpy as np, pyrender, trimesh
         from fitted_eyes import fitted_eye
         from wlr_render.compositing.compositor import Compositor

@@ -229,6 +229,8 @@ def test_a_context_of_version_4_1_is_adopted(caller):
 
 def test_inside_a_plain_pyrender_program(gl_context):
     script = """
+        import pyglet
+        pyglet.options["headless"] = True  # pyrender imports its window, which wants libXrender beside libX11
         import gl_scenes, numpy as np, pyrender, trimesh
         from wlr_render.rendering import gl
         from wlr_render.rendering.pyrender_drawing import PyrenderDrawing

@@ -45,6 +45,7 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.gl import GlContext
 from wlr_render.rendering.gl_warp import MAX_OVERLAYS
+from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.panel_light import SRGB_PANEL, PanelLight
 from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
 from wlr_render.rendering.stored_picture import CODES, METRES, PREMULTIPLIED, Rows, StoredColour, StoredDepth
@@ -241,7 +242,7 @@ class Compositor:
                 f"frame {handle.number} is older than frame {last.handle.number}, which the {eye} eye shows already; "
                 "drop its picture."
             )
-        not_copied = getattr(color, "colour", None)  # of a GpuImage
+        not_copied = color.colour if isinstance(color, GpuImage) else None
         others = (each for name, each in self._newest.items() if name != eye)
         if not_copied is not None and any(not_copied is other.not_copied for other in others):
             raise BadInputError(

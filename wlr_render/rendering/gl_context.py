@@ -305,11 +305,17 @@ class GlContext:
         """
         caller_is_gone = self._caller is not None and isinstance(self._caller.mglo, moderngl.InvalidObject)
         is_gone = caller_is_gone and not self._current.is_current()
-        if not self._released and (is_gone or self._owner.release(list(self._objects))):
+        if not self._released and (is_gone or self._freed()):
             self._programs.clear()
             self._no_vertices.clear()
             self._released = True
         return self._released
+
+    def _freed(self) -> bool:
+        try:
+            return self._owner.release(list(self._objects))
+        except GlError:
+            return True  # the context is lost with all its objects
 
     def pixel_buffer(self, size_bytes: int) -> Buffer:
         """An empty buffer that pixels are read into."""

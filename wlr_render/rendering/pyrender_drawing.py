@@ -1,6 +1,6 @@
 """The intermediate image drawn by pyrender: glTF's metallic-roughness materials instead of our Lambert shading.
 
-Geometry agrees with `raster.GlRaster`; colours differ by design (gloss, and a gamma of 2.2 for sRGB). pyrender has
+Geometry agrees with `gl_raster.GlRaster`; colours differ by design (gloss, and a gamma of 2.2 for sRGB). pyrender has
 neither window nor context of its own here: its renderer draws inside ours or an adopted one, and
 `gl.GlContext.drawing` clears up the switches that it leaves on.
 """
