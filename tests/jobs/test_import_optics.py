@@ -161,6 +161,13 @@ def test_a_surface_that_is_steep_beyond_its_edge_is_read_up_to_its_semi_diameter
     assert device.eyes["right"].display.steps[0].surface.aperture.high[0] == pytest.approx(0.001)
 
 
+def test_a_surface_in_air_of_a_type_that_is_not_read_is_not_said_to_bend_no_ray(tmp_path):
+    text = LOUPE.replace("SURF 4", "SURF 4\n  TYPE BINARY_2\n  PARM 1 1\n  XDAT 3 5\nSURF 5")
+    report, _ = imported(tmp_path, text)
+    assert "surface 4 (BINARY_2) is not read, and a simpler one or none stands in its place" in report.verdict
+    assert report.tables[0].rows[4][4] == "left out: its type is not read"
+
+
 def test_a_diffractive_element_is_named(tmp_path):
     file = json.loads((LENSES / "Sasian Triplet.roa").read_text())
     surface = file["optical_model"]["attributes"]["seq_model"]["attributes"]["ifcs"][1]["attributes"]

@@ -149,15 +149,23 @@ def _require_readable(options: ImportOpticsOptions, device: Device) -> None:
 
 def _not_the_lens(headset: ImportedHeadset) -> str:
     """Beginning of the verdict if surfaces of the file are of types that are not read; else empty."""
-    unread = [note for note in headset.ignored if note.part == "shape" and note.bends_rays]
+    unread = _unread(headset)
     if not unread:
         return ""
+    substitute = (
+        "a simpler surface" if all(note.surface in headset.path for note in unread) else "a simpler one or none"
+    )
     listed = ", ".join(f"surface {note.surface} ({note.value})" for note in unread[:_MOST_NAMED])
     more = f" and {len(unread) - _MOST_NAMED} more" if len(unread) > _MOST_NAMED else ""
     return (
-        f"The device does not trace as the lens does: the type of {listed}{more} is not read, and a simpler surface "
+        f"The device does not trace as the lens does: the type of {listed}{more} is not read, and {substitute} "
         "stands in its place. "
     )
+
+
+def _unread(headset: ImportedHeadset) -> list[Ignored]:
+    """Notes on the surfaces of types that are not read and bend rays."""
+    return [note for note in headset.ignored if note.part == "shape" and note.bends_rays]
 
 
 def _warnings(headset: ImportedHeadset) -> list[str]:
@@ -193,6 +201,7 @@ def _surface_table(lens: LensFile, headset: ImportedHeadset) -> ReportTable:
     """Table of the surfaces of the file and their use in the device."""
     optics = headset.device.eyes[next(iter(headset.device.eyes))]
     steps = dict(zip(headset.path, optics.display.steps, strict=True))
+    unread = {note.surface for note in _unread(headset)}
     rows: list[list[Cell]] = []
     for surface in lens.surfaces:
         step = steps.get(surface.number)
@@ -200,6 +209,8 @@ def _surface_table(lens: LensFile, headset: ImportedHeadset) -> ReportTable:
             what, name = str(step.interaction), step.surface.name
         elif surface.number == headset.panel_number:
             what, name = "panel", "panel"
+        elif surface.number in unread:
+            what, name = "left out: its type is not read", None
         else:
             what, name = "left out: bends no ray" if surface.number in headset.passed_over else "not between them", None
         medium = step.medium.name if step is not None else None
