@@ -446,7 +446,7 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: obj(d, mtl="newmtl m\nmap_Kd ../t.png\n"), "'../t.png' leads out of the folder"),
         (lambda d: obj(d, mtl="newmtl n\n"), "uses the material 'm', which 'wedge.mtl' lacks"),
         (lambda d: obj(d, faces="f 0/1 2/2 3/3\n"), "line 9: has vertex 0"),
-        (lambda d: gltf(d, buffers=[{"byteLength": 72, "uri": "data:,base64,AAAA"}]), "has 3 bytes, not 72"),
+        (lambda d: gltf(d, buffers=[{"byteLength": 72, "uri": "data:,base64,AAAA"}]), "has 11 bytes, not 72"),
         (lambda d: obj(d, faces="f 1/1 2/2 0/3\n"), "line 9: has vertex 0, but they are counted from 1"),
         (lambda d: obj(d, mtl="newmtl m\nKd -1 0 0\n"), "'Kd' is '-1 0 0', not three numbers from 0 to 1"),
         (lambda d: obj(d, mtl="newmtl m\nKd red\n"), "'Kd' is 'red', not three numbers from 0 to 1"),
@@ -735,6 +735,22 @@ def test_quantised_and_interleaved_attributes_are_read(tmp_path, position, scale
     np.testing.assert_allclose(mesh.vertex_colour, (colours / white)[:, :3], rtol=1e-6)
     with pytest.raises(BadInputError, match="POSITION is not of type VEC3 in floats"):
         load_meshes(typed(tmp_path, corners, normals, colours, extensions=()))
+
+
+def test_data_of_a_uri_may_be_percent_encoded(tmp_path):
+    """RFC 2397: without ;base64 the data are text."""
+    blob = base64.b64decode(json.loads(gltf(tmp_path).read_text())["buffers"][0]["uri"].partition(",")[2])
+    text = "".join(f"%{byte:02x}" for byte in blob)
+    image = "data:image/png," + "".join(f"%{byte:02X}" for byte in png(CORNERS))
+    buffers = [{"byteLength": 72, "uri": f"data:application/octet-stream,{text}"}]
+    mesh = load_meshes(gltf(tmp_path, buffers=buffers, images=[{"uri": image}], **TEXTURED)).meshes[0]
+    np.testing.assert_array_equal(mesh.texture, CORNERS)
+
+
+def test_a_primitive_without_positions_is_named(tmp_path):
+    loaded = load_meshes(gltf(tmp_path, meshes=wedge({"attributes": {}})))
+    assert len(loaded.meshes) == 1
+    assert "primitives without positions of mesh 'wedge' in wedge.gltf" in loaded.not_drawn
 
 
 def test_a_glb_may_have_chunks_of_other_kinds(tmp_path):

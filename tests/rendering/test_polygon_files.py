@@ -61,6 +61,12 @@ def test_the_ways_of_writing_a_triangle_are_one(tmp_path, text):
     assert faces_of(only(tmp_path / "model.obj")) == [((0, 0, 0), (1, 0, 0), (0, 1, 0))]
 
 
+def test_an_obj_in_utf_16_is_refused(tmp_path):
+    (tmp_path / "model.obj").write_bytes((TRIANGLE + FACE).encode("utf-16"))
+    with pytest.raises(BadInputError, match=r"model.obj: has null characters; is it binary, or UTF-16"):
+        load_meshes(tmp_path / "model.obj")
+
+
 def test_negative_indices_count_from_the_line_they_stand_in(tmp_path):
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 0 0 1\nv 1 0 1\nv 0 1 1\nf -3 -2 -1\n"
     assert faces_of(only(obj(tmp_path, text)))[0] == ((0, 0, 0), (1, 0, 0), (0, 1, 0))

@@ -54,6 +54,10 @@ class GltfArrays:
         files = {f"buffer {n}": self._document.buffer_content(n, self._fetch) for n in range(len(buffers))}
         files[f"buffer {len(buffers)}"] = bytes(self._blob)
         tree["buffers"] = [{"byteLength": len(content), "uri": name} for name, content in files.items()]
+        for number, image in enumerate(tree.get("images", [])):
+            if str(image.get("uri", "")).startswith("data:"):
+                files[f"image {number}"] = self._document.bytes_of(image["uri"], self._fetch)
+                image["uri"] = f"image {number}"
         return json.dumps(tree).encode(), files
 
     def values(self, number: int) -> NDArray[Any]:

@@ -52,6 +52,11 @@ def coordinates_key(material: dict[str, Any]) -> str:
     return f"TEXCOORD_{use.get('extensions', {}).get(MOVED, {}).get('texCoord', use.get('texCoord', 0))}"
 
 
+def has_triangles(primitive: dict[str, Any]) -> bool:
+    """Whether a primitive has triangles; one without positions is not drawn, as glTF demands."""
+    return primitive.get("mode") not in FLAT_MODES and "POSITION" in primitive["attributes"]
+
+
 class GltfDocument:
     """The JSON of a glTF file, with checked references between its lists.
 
@@ -114,7 +119,7 @@ class GltfDocument:
         """
         tree = copy.deepcopy(self.tree)
         for mesh in tree.get("meshes", []):
-            mesh["primitives"] = [each for each in mesh["primitives"] if each.get("mode") not in FLAT_MODES]
+            mesh["primitives"] = [each for each in mesh["primitives"] if has_triangles(each)]
         for material in tree.get("materials", []):
             _use_base_texture(material)
         for node in tree.get("nodes", []):
@@ -129,7 +134,7 @@ class GltfDocument:
     def buffer_content(self, number: int, fetch: Fetch) -> bytes:
         """The bytes of a buffer: of its uri, or of the GLB's second chunk."""
         buffer = self.entry("buffers", number)
-        return self._bytes_of(buffer["uri"], fetch) if "uri" in buffer else self._binary
+        return self.bytes_of(buffer["uri"], fetch) if "uri" in buffer else self._binary
 
     def check(self, understood: set[str], fetch: Fetch) -> None:
         """Check everything that is drawn.
@@ -204,7 +209,7 @@ class GltfDocument:
 
     def _check_primitive(self, mesh: int, primitive: dict[str, Any], fetch: Fetch) -> None:
         where, mode = f"mesh {self.name_of('meshes', mesh)}", primitive.get("mode", 4)
-        if mode in FLAT_MODES:
+        if not has_triangles(primitive):
             return
         if mode not in _READ_MODES:
             raise self.fail(
@@ -259,19 +264,21 @@ class GltfDocument:
 
     def _image(self, image: dict[str, Any], fetch: Fetch) -> bytes:
         if "bufferView" not in image:
-            return self._bytes_of(image.get("uri"), fetch)
+            return self.bytes_of(image.get("uri"), fetch)
         view = self.entry("bufferViews", image["bufferView"])
         content = self.buffer_content(view["buffer"], fetch)
         start = view.get("byteOffset", 0)
         return content[start : start + view["byteLength"]]
 
-    def _bytes_of(self, uri: object, fetch: Fetch) -> bytes:
+    def bytes_of(self, uri: object, fetch: Fetch) -> bytes:
+        """What a uri refers to: data of its own, as base64 or text (RFC 2397), or a file."""
         if not isinstance(uri, str):
             raise self.fail(f"has the uri {shown(uri)}, which is not text")
         if not uri.startswith("data:"):
             return fetch(uri)
+        kind, _, data = uri.partition(",")
         try:
-            return base64.b64decode(unquote_to_bytes(uri.partition("base64,")[2]))
+            return base64.b64decode(unquote_to_bytes(data)) if kind.endswith(";base64") else unquote_to_bytes(data)
         except binascii.Error as error:
             raise self.fail(f"has data that are not base64 ({error})") from error
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.rendering.gltf_arrays import GltfArrays
-from wlr_render.rendering.gltf_document import FLAT_MODES, LIGHTS, MOVED, GltfDocument, base_texture
+from wlr_render.rendering.gltf_document import FLAT_MODES, LIGHTS, MOVED, GltfDocument, base_texture, has_triangles
 
 SPOT = "spot"
 """The kind of light that is not drawn."""
@@ -27,7 +27,7 @@ def lost_material_keys(document: GltfDocument, arrays: GltfArrays) -> Iterator[t
     used: dict[int, list[dict[str, Any]]] = {}
     for mesh in document.entries("meshes"):
         for primitive in mesh["primitives"]:
-            if "material" in primitive and primitive.get("mode") not in FLAT_MODES:
+            if "material" in primitive and has_triangles(primitive):
                 used.setdefault(primitive["material"], []).append(primitive)
     for number in sorted(used):
         material = document.entries("materials")[number]
@@ -74,6 +74,7 @@ def lost_parts(document: GltfDocument) -> Iterator[str]:
     for number, mesh in enumerate(document.entries("meshes")):
         name = document.name_of("meshes", number)
         flat = [FLAT_MODES[each["mode"]] for each in mesh["primitives"] if each.get("mode") in FLAT_MODES]
+        flat += ["primitives without positions" for each in mesh["primitives"] if "POSITION" not in each["attributes"]]
         yield from (f"{what} of mesh {name}" for what in dict.fromkeys(flat))
         if any(each.get("targets") for each in mesh["primitives"]) and any(map(any, weights.get(number, []))):
             yield f"morph targets of mesh {name}"

@@ -43,7 +43,7 @@ def obj_text(content: bytes) -> str:
 
 def without_comment(text: str) -> str:
     """A statement without a comment at its end."""
-    return re.split(r"(?:^|\s)#", text, maxsplit=1)[0].strip()
+    return re.split(r"(?:^|\s)#", text, maxsplit=1)[0].strip() if "#" in text else text
 
 
 def spellings(name: str) -> list[str]:

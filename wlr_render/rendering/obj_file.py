@@ -21,7 +21,8 @@ from wlr_render.rendering.srgb import decode_srgb
 _DATA = {"v": (3, 8), "vt": (1, 3), "vn": (3, 3)}
 """Fewest and most numbers of each kind of data."""
 _KINDS = tuple(_DATA)
-_WITHOUT_EFFECT = {"g", "s", "bevel", "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj", "mg", "end"}
+_BULK = {*_DATA, "f", "fo"}
+_WITHOUT_EFFECT = {"mtllib", "g", "s", "bevel", "c_interp", "d_interp", "lod", "shadow_obj", "trace_obj", "mg", "end"}
 _NAMES = {"p": "points", "l": "lines", "usemap": "texture maps (usemap)", "maplib": "texture maps (usemap)"}
 _NAMES |= dict.fromkeys(("call", "csh"), "other files (call, csh)")
 _FREE_FORM = ("vp", "deg", "bmat", "step", "cstype", "curv", "curv2", "surf", "parm", "trim", "hole", "scrv", "sp")
@@ -35,11 +36,12 @@ Corner = tuple[int, int, int]
 
 @dataclass
 class _Part:
-    """The faces of one material: polygons of indices into `corners`."""
+    """The faces of one material: polygons of indices into `corners`, which `known` has by their words."""
 
     material: str
     object_name: str = ""
     corners: dict[Corner, int] = field(default_factory=dict)
+    known: dict[str, int] = field(default_factory=dict)
     polygons: list[list[int]] = field(default_factory=list)
 
 
@@ -60,16 +62,18 @@ class ObjFile:
         self._parts: dict[str, _Part] = {}
         self._part, self._object = self._part_of(""), ""
         self._has_library = False
+        if b"\0" in content:
+            raise BadInputError(f"{path}: has null characters; is it binary, or UTF-16? Export it as plain text.")
         strange: dict[str, None] = {}
-        for number, line in _statements(obj_text(content)):
-            key, _, rest = line.partition(" ")
+        for number, words in _statements(obj_text(content)):
+            key, rest = words[0], " ".join(words[1:]) if words[0] not in _BULK else ""
             if key in _DATA:
-                self._data[key].append(self._numbers(number, key, rest))
+                self._data[key].append(self._numbers(number, words))
             elif key in ("f", "fo"):
-                self._face(number, rest.split())
+                self._face(number, words)
             elif key == "usemtl":
                 self._part = self._part_of(rest)
-            elif key == "mtllib":
+            elif key == "mtllib" and rest:
                 self._has_library = True
                 materials.open(rest)
             elif key == "o":
@@ -134,30 +138,37 @@ class ObjFile:
     def _part_of(self, material: str) -> _Part:
         return self._parts.setdefault(material, _Part(material))
 
-    def _numbers(self, line: int, key: str, text: str) -> list[float]:
-        words = without_comment(text).split()
-        least, most = _DATA[key]
-        if len(words) < least:
-            count = ("fewer than three numbers", "no number")[least == 1]
-            raise BadInputError(f"{self._path} line {line}: has {count}; export it again.")
-        if len(words) > most:
-            raise BadInputError(
-                f"{self._path} line {line}: '{key}' has {len(words)} numbers, more than {most}; export it again."
-            )
+    def _numbers(self, line: int, words: Sequence[str]) -> list[float]:
+        """Numbers of a statement of data, without a comment at its end."""
+        least, most = _DATA[words[0]]
         try:
-            return [float(word) for word in words]
+            if least <= len(words) - 1 <= most:
+                return [*map(float, words[1:])]
         except ValueError:
-            raise BadInputError(
-                f"{self._path} line {line}: '{key}' is {shown(text)}, not numbers; export it again."
-            ) from None
+            pass
+        text = without_comment(" ".join(words[1:]))
+        count = len(text.split())
+        if least <= count <= most and count < len(words) - 1:
+            return self._numbers(line, [words[0], *text.split()])
+        if count < least:
+            few = ("fewer than three numbers", "no number")[least == 1]
+            raise BadInputError(f"{self._path} line {line}: has {few}; export it again.")
+        what = f"{count} numbers, more than {most}" if count > most else f"{shown(text)}, which are not numbers"
+        raise BadInputError(f"{self._path} line {line}: '{words[0]}' has {what}; export it again.")
 
     def _face(self, line: int, words: Sequence[str]) -> None:
-        part, polygon = self._part, []
-        for word in words:
-            if word.startswith("#"):
-                break
-            corner = self._corner(line, word)
-            polygon.append(part.corners.setdefault(corner, len(part.corners)))
+        part = self._part
+        try:
+            polygon = [part.known[word] for word in words[1:]]
+        except KeyError:
+            polygon = []
+            for word in words[1:]:
+                if word.startswith("#"):
+                    break
+                corner = self._corner(line, word)
+                polygon.append(part.corners.setdefault(corner, len(part.corners)))
+                if "-" not in word:  # which counts from another place in another line
+                    part.known[word] = polygon[-1]
         if len(polygon) < 3:
             raise BadInputError(f"{self._path} line {line}: has fewer than three numbers; export it again.")
         part.object_name = self._object
@@ -187,11 +198,13 @@ class ObjFile:
 
     def _array(self, kind: str, columns: int) -> FloatArray:
         """The first columns of one kind of data, 0 where a line has fewer; every corner's index is checked."""
-        rows = self._data[kind]
-        at = _KINDS.index(kind)
-        largest = max((corner[at] for part in self._parts.values() for corner in part.corners), default=-1)
-        if largest >= len(rows):
+        rows, at = self._data[kind], _KINDS.index(kind)
+        used = [np.array([*part.corners])[:, at].max() for part in self._parts.values() if part.corners]
+        if (largest := int(max(used, default=-1))) >= len(rows):
             self._refuse_index(kind, largest + 1)
+        widths = {len(row) for row in rows}
+        if len(widths) == 1 and min(widths) >= columns:
+            return np.array(rows)[:, :columns]
         return np.array([(*row[:columns], 0.0, 0.0)[:columns] for row in rows]).reshape(-1, columns)
 
     def _refuse_index(self, kind: str, index: int) -> None:
@@ -201,10 +214,9 @@ class ObjFile:
 
     def _colours(self) -> FloatArray | None:
         """Linear colours (vertices, 3) of 'v' lines of six or more numbers; white where others have none."""
-        rows = [row[3:6] if len(row) >= 6 else [1.0, 1.0, 1.0] for row in self._data["v"]]
         if not any(len(row) >= 6 for row in self._data["v"]):
             return None
-        codes = np.array(rows)
+        codes = np.array([row[3:6] if len(row) >= 6 else [1.0, 1.0, 1.0] for row in self._data["v"]])
         if not ((codes >= 0) & (codes <= 255)).all():
             raise BadInputError(
                 f"{self._path}: has a vertex colour outside 0 to 1, or one that is not finite; export it again."
@@ -221,19 +233,17 @@ def _triangles(path: Path, position: FloatArray, polygons: Sequence[Sequence[int
         return np.concatenate([triangulated(position, np.array(each)) for each in by_corners.values()])
 
 
-def _statements(text: str) -> Iterator[tuple[int, str]]:
-    """Statements with their line numbers, words separated by one blank; a backslash continues a line."""
+def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Words of each statement, and its line number; a backslash continues a line."""
     whole, start = "", 0
     for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
         start = start if whole else number
-        if not whole and line.lstrip().startswith("#"):
-            continue
-        if line.endswith("\\"):
+        if line.endswith("\\") and (whole or not line.lstrip().startswith("#")):
             whole += line[:-1] + " "
             continue
-        words = " ".join((whole + line).split())
+        words = (whole + line).split()
         whole = ""
-        if words:
+        if words and not words[0].startswith("#"):
             yield start, words
-    if words := " ".join(whole.split()):
+    if words := whole.split():
         yield start, words
