@@ -148,7 +148,7 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def reason_of(error: BaseException) -> str:
-    """The reason that an exception gives, in at most 200 characters of one line; of OpenCV's without its source line."""
+    """The reason that an exception gives, in at most 200 characters of one line, without OpenCV's source line."""
     if isinstance(error, SystemError) and error.__cause__ is not None:  # as OpenCV's constructors raise
         error = error.__cause__
     reason = getattr(error, "strerror", None) or getattr(error, "err", None) or str(error)

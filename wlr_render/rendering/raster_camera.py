@@ -202,7 +202,8 @@ class EyePlan:
 
         The densest grid that any colour channel needs. Computed on first use: only a compositor needs it.
         """
-        chosen = [choose_warp_grid(mappings, self.device_from_camera) for mappings in self.channels]
+        models = {id(mappings): mappings for mappings in self.channels}.values()  # one model may serve all colours
+        chosen = [choose_warp_grid(mappings, self.device_from_camera) for mappings in models]
         return min(chosen, key=lambda each: float(each.cell_px.min()))
 
     @classmethod
