@@ -66,6 +66,14 @@ def test_unknown_name_lists_what_is_shipped(tmp_path):
         files.named_or_path("devices", tmp_path)
 
 
+def test_a_file_of_the_current_folder_is_found_whatever_its_suffix(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").write_text("")
+    assert files.named_or_path("devices", "mine") == Path("mine")
+    (tmp_path / "northstar").write_text("")
+    assert files.named_or_path("devices", "northstar").is_absolute()  # a shipped name comes first
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [

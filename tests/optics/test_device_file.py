@@ -365,3 +365,13 @@ def test_surfaces_stated_by_one_another_end_somewhere(tmp_path):
     )
     with pytest.raises(BadInputError, match="'of' leads through more than 6 surfaces"):
         load(tmp_path, GOOD + more)
+
+
+@pytest.mark.parametrize("name", ["model.json", "MODEL.JSON"])
+def test_a_model_given_as_a_device_is_named_as_one(tmp_path, monkeypatch, name):
+    """Also by a name without a folder."""
+    (tmp_path / name).write_text('{"format": "wlr-eye-model"}')
+    monkeypatch.chdir(tmp_path)
+    for spec in (tmp_path / name, name):
+        with pytest.raises(BadInputError, match=rf"{name}: is a model file, .* a device is needed: .* render, export"):
+            load_device(spec)

@@ -84,6 +84,14 @@ def test_a_map_of_one_channel_is_no_map(tmp_path):
         image_files.read_map(path)
 
 
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 16), (16, 1)])
+def test_a_video_of_one_row_of_pixels_is_refused_for_its_size(tmp_path, height, width):
+    sentence = rf"v\.mp4: a video of {width} x {height} pixels cannot be encoded, for VP9 needs 2 or more each way"
+    with pytest.raises(BadInputError, match=sentence):
+        image_files.write_video(tmp_path / "v.mp4", [np.zeros((height, width, 3), np.uint8)], 30.0)
+    assert image_files.write_video(tmp_path / "w.mp4", [np.zeros((3, 2, 3), np.uint8)], 30.0).is_file()
+
+
 def test_faults_name_the_file(tmp_path):
     with pytest.raises(BadInputError, match="no frames"):
         image_files.write_video(tmp_path / "v.mp4", [], 30.0)

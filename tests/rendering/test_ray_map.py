@@ -1,8 +1,11 @@
 import numpy as np
 import pytest
+from small_headsets import changed_device
 
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.mappings import Status
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.rendering import ray_map
 from wlr_render.rendering.warp_grid import WarpGrid
 
@@ -117,3 +120,15 @@ def test_around_an_unsolved_node_shifted_pixel_centres_are_solved_exactly(toy_he
     field = ray_map.ray_map(toy_headset_with_hole, viewpoint, plan)
     exact = ray_map.solve_every_pixel(toy_headset_with_hole, viewpoint, np.eye(3), panel.pixel_centres() + offset)
     np.testing.assert_array_equal(field.slope_offset, exact.slope_offset)
+
+
+@pytest.mark.parametrize("pixels", [[1, 1], [2, 1], [1, 3]])
+def test_panels_of_one_pixel_have_a_plan(tmp_path, pixels):
+    device = changed_device(tmp_path, "northstar", ("pixels = [1440, 1600]", f"pixels = {pixels}"))
+    headset = traced_eye(load_device(device))
+    plan = ray_map.choose_plan(headset)
+    found = ray_map.ray_map(headset, headset.eye_box.centre, plan)
+    exact = ray_map.solve_pixels(
+        headset, plan.device_from_camera, headset.display.panel.pixel_centres().reshape(-1, 2), headset.eye_box.centre
+    )
+    np.testing.assert_allclose(found.slope_offset.reshape(4, -1).T, exact.slope_offset, atol=1e-4)

@@ -89,7 +89,11 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
                     writer = cv2.VideoWriter(str(temporary), cv2.VideoWriter.fourcc(*"vp09"), frames_per_second, size)
                     opened.callback(writer.release)
                     if not writer.isOpened():
-                        raise BadInputError(f"{path}: this OpenCV cannot encode video; the PNG frames are complete.")
+                        why = "VP9 needs 2 or more each way" if min(size) < 2 else "this OpenCV has no encoder for it"
+                        raise BadInputError(
+                            f"{path}: a video of {size[0]} x {size[1]} pixels cannot be encoded, for {why}; the PNG "
+                            "frames are complete."
+                        )
                 if (frame.shape[1], frame.shape[0]) != size:
                     raise BadInputError(
                         f"{path}: frame {count} has another size than the first; give frames of one size."
