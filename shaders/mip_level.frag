@@ -20,7 +20,11 @@ void main()
     colour = vec4(0.0);
     for (int k = first / count; k * count < end; ++k) {
         int covered = min((k + 1) * count, end) - max(k * count, first);
-        colour += float(covered) * texelFetch(finer, along_x ? ivec2(k, at.y) : ivec2(at.x, k), level);
+        vec4 texel = texelFetch(finer, along_x ? ivec2(k, at.y) : ivec2(at.x, k), level);
+#if DECODE
+        texel.rgb = linear_of_srgb(texel.rgb);
+#endif
+        colour += float(covered) * texel;
     }
     colour /= float(parts);
 #if ENCODE

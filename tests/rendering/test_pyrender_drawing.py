@@ -8,6 +8,7 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.pyrender_drawing import PyrenderDrawing, PyrenderView
+from wlr_render.rendering.srgb import decode_srgb
 
 pytestmark = pytest.mark.gl
 
@@ -59,6 +60,16 @@ def test_textures_are_upright_and_lit_as_ours_where_gloss_is_absent(gl_context):
     camera = Pinhole(2, 2, np.array([-0.5, -0.5]), np.array([0.5, 0.5]))
     scene = unlit((quad((-0.5, -0.5), (0.5, 0.5), texture=texture), at(0, 0, -1)))
     np.testing.assert_array_equal(PyrenderView(gl_context, scene).draw(view(camera)).colour, texture)
+
+
+def test_minified_textures_of_odd_sides_show_their_mean_light_at_their_place(gl_context):
+    texture = np.zeros((9, 31, 3), np.uint8)
+    texture[-1], texture[:, -1] = 255, 255  # what a driver's own levels may leave out
+    camera = Pinhole(1, 1, np.array([-0.5, -0.5]), np.array([0.5, 0.5]))
+    scene = unlit((quad((-0.5, -0.5), (0.5, 0.5), texture=texture), at(0, 0, -1)))
+    drawn = PyrenderView(gl_context, scene).draw(view(camera)).colour
+    mean = decode_srgb(texture).mean(axis=(0, 1))
+    np.testing.assert_allclose(decode_srgb(drawn)[0, 0], mean, atol=0.02)
 
 
 def test_light_comes_from_the_same_side_with_about_the_same_strength(gl_context):

@@ -238,6 +238,11 @@ class GlContext:
             self.function("glSamplerParameteri", *[ctypes.c_uint] * 3)(number, _SRGB_DECODE, _SKIP_DECODE)
         return sampler
 
+    def third_party_texture(self, number: int, size: tuple[int, int]) -> Texture:
+        """A 2D texture of 8 bits that other software made and frees, by its OpenGL name; in a third-party block."""
+        forget_textures(self._ctx)
+        return self._ctx.external_texture(number, size, 4, 0, "f1")
+
     @property
     def texture_unit(self) -> int:
         """The unit for textures that are bound to be written or asked about; no shader reads from it."""

@@ -20,7 +20,7 @@ class MipLevels:
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._targets = context, gl.RenderTargets(context)
         with context.drawing():
-            self._drawings = [context.full_screen("mip_level.frag", ENCODE=encode) for encode in (0, 1)]
+            self._shrinking(), self._shrinking(encodes=True)  # compiled here, in no frame
         self._copy = context.function("glCopyTexSubImage2D", ctypes.c_uint, *[ctypes.c_int] * 7)
 
     def fill(self, texture: gl.Texture) -> None:
@@ -35,25 +35,33 @@ class MipLevels:
         if texture.filter != _MIPMAPPED:
             texture.build_mipmaps()  # makes room for the levels
             texture.filter = _MIPMAPPED
+        self.refill(texture)
+
+    def refill(self, texture: gl.Texture, holds_codes: bool = False) -> None:
+        """Fill levels that are there already; `holds_codes`: shaders read sRGB codes from the texture, not light."""
         sizes = level_sizes(texture.size)
         for level in range(1, len(sizes)):
-            self._fill(texture, level, sizes)
+            self._fill(texture, level, sizes, holds_codes)
 
-    def _fill(self, texture: gl.Texture, level: int, sizes: list[tuple[int, int]]) -> None:
+    def _fill(self, texture: gl.Texture, level: int, sizes: list[tuple[int, int]], holds_codes: bool) -> None:
         finer = _uncut(sizes, level)
         width, height = sizes[level]
         largest = sizes[1][0], sizes[0][1]
         across = self._targets.get("across", largest, (4, "f4"))
         down = self._targets.get(f"down {texture.dtype}", sizes[1], (4, texture.dtype))
         narrow = width, sizes[finer][1]
-        self._shrink(texture, finer, sizes[finer], across, narrow, width, along_x=True)
-        encodes = gl.is_srgb(texture)
-        self._shrink(across.textures[0], 0, narrow, down, (width, height), height, along_x=False, encodes=encodes)
+        decoding, encoding = self._shrinking(holds_codes), self._shrinking(encodes=holds_codes or gl.is_srgb(texture))
+        self._shrink(decoding, texture, finer, sizes[finer], across, narrow, width, along_x=True)
+        self._shrink(encoding, across.textures[0], 0, narrow, down, (width, height), height, along_x=False)
         texture.use(self._context.texture_unit)
         self._copy(_TEXTURE_2D, level, 0, 0, 0, 0, width, height)
 
+    def _shrinking(self, decodes: bool = False, encodes: bool = False) -> gl.VertexArray:
+        return self._context.full_screen("mip_level.frag", DECODE=int(decodes), ENCODE=int(encodes))
+
     def _shrink(
         self,
+        drawing: gl.VertexArray,
         finer: gl.Texture,
         level: int,
         size: tuple[int, int],
@@ -61,9 +69,7 @@ class MipLevels:
         shrunk: tuple[int, int],
         count: int,
         along_x: bool,
-        encodes: bool = False,
     ) -> None:
-        drawing = self._drawings[encodes]
         gl.bind_textures(drawing.program, finer=finer)
         gl.set_uniforms(drawing.program, level=level, size=size, count=count, along_x=along_x)
         target.framebuffer.viewport = (0, 0, *shrunk)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.rendering import gl
+from wlr_render.rendering.gl_mips import MipLevels
 from wlr_render.rendering.gl_raster import NEAR_M
 from wlr_render.rendering.gpu_image import GpuImage, LatestViews
 from wlr_render.rendering.picture_import import PictureImport
@@ -29,6 +30,8 @@ from wlr_render.rendering.view import GeometryImage, View
 
 _FAR_M = 1e9  # in float32 the same as infinity
 _PLATFORMS = {"egl", "osmesa"}  # that PyOpenGL does not choose by itself
+_TEXTURE_2D = 0x0DE1
+_IN_CODES = "baseColorTexture", "emissiveTexture"  # that pyrender's shader decodes after filtering
 _BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model does not
 
 
@@ -50,7 +53,7 @@ class PyrenderDrawing:
         self._pyrender = _import_pyrender(context.backend)
         if camera_node not in graph.camera_nodes:
             raise BadInputError("The node is not a camera of the pyrender scene: add it with scene.add(camera).")
-        self._renderer = _renderer(self._pyrender)
+        self._renderer = _renderer(self._pyrender, _Loader(context))
         self._latest = LatestViews()
         self._imports: defaultdict[str, PictureImport] = defaultdict(lambda: PictureImport(context))
 
@@ -141,11 +144,11 @@ def _import_pyrender(backend: str) -> Any:
     return pyrender
 
 
-def _renderer(pyrender: Any) -> Any:
+def _renderer(pyrender: Any, loader: "_Loader") -> Any:
     renderer = pyrender.Renderer(1, 1)
     # The picture stays on the GPU; pyrender would read it back, and depth in two passes over the image.
     renderer._read_main_framebuffer = lambda scene, flags: None
-    renderer._update_context = _Loader()
+    renderer._update_context = loader
     # Python's garbage collection would delete objects of these numbers in whichever context is current then.
     renderer.delete = lambda: None
     return renderer
@@ -154,7 +157,8 @@ def _renderer(pyrender: Any) -> Any:
 class _Loader:
     """Loads a scene's meshes and textures into the context, but for those that a caller's renderer has loaded."""
 
-    def __init__(self) -> None:
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context, self._levels = context, MipLevels(context)
         self._loaded: set[Any] = set()
 
     def __call__(self, graph: Any, flags: int) -> None:
@@ -165,7 +169,16 @@ class _Loader:
         missing = {thing for thing in wanted if not thing._in_context()}
         for thing in missing:
             thing._add_to_context()
+        in_codes = {getattr(primitive.material, name, None) for primitive in primitives for name in _IN_CODES}
+        for texture in missing - primitives:
+            if texture.source is not None and texture.tex_type == _TEXTURE_2D:
+                self._refill(texture, texture in in_codes)
         self._loaded = (self._loaded & wanted) | missing
+
+    def _refill(self, texture: Any, holds_codes: bool) -> None:
+        """Replace the mip levels that the driver made by means over all texels."""
+        height, width = texture.source.shape[:2]
+        self._levels.refill(self._context.third_party_texture(texture._texid, (width, height)), holds_codes)
 
 
 @contextlib.contextmanager
