@@ -61,6 +61,13 @@ def test_a_larger_chessboard_that_is_found_in_part_is_named(monkeypatch):
         Chessboard(4, 5, 0.018, 0.018).find(image)
 
 
+def test_a_chessboard_of_fewer_squares_than_stated_is_named():
+    """OpenCV takes the edge of the board for a line of corners."""
+    image = picture(BOARD, turn_deg=10.0, distance_m=0.3, tilt_deg=20)
+    with pytest.raises(BoardNotFoundError, match=r"a whole outer line does not look like corners.* fewer squares"):
+        Chessboard(8, 6, 0.018, 0.018).find(image)
+
+
 def test_a_frame_or_a_cluttered_surround_is_no_further_row_of_squares():
     board = Chessboard(8, 5, 0.018, 0.006)
     light = light_of(CAMERA, pose(20.0, distance_m=0.3), board, surround=0.0)

@@ -1,5 +1,7 @@
 """Circle grids of another size than stated, with a circle hidden, and turned."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -51,3 +53,12 @@ def test_a_hidden_circle_is_a_grid_not_found():
     cv2.circle(image, (int(x), int(y)), 12, 1.0, -1)
     with pytest.raises(BoardNotFoundError, match=r"^a\.png: no circle grid 9 x 7, .* 62 of them on one lattice"):
         grid.find(exposed(image, snr=40), "a.png")
+
+
+def test_a_radius_stated_as_the_diameter_is_named():
+    grid = GRIDS["rows"]
+    wrong = replace(grid, diameter_m=0.5 * grid.diameter_m)
+    with pytest.raises(
+        BoardNotFoundError, match=r"diameters of 8\.\d to 9\.?\d? mm, where board\.toml has 4\.5; correct"
+    ):
+        wrong.find(exposed(light(grid), snr=40), "a.png")

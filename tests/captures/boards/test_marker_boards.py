@@ -1,6 +1,7 @@
 """ChArUco boards and AprilGrids: parts of them, the other pattern, other numbering, other boards."""
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -17,6 +18,11 @@ APRIL = AprilGrid(4, 3, 0.032, 0.3)
 
 def picture(board, **view):
     return exposed(cv2.GaussianBlur(light_of(CAMERA, pose(**view), board), (0, 0), 0.7), snr=40)
+
+
+@cache
+def whole_picture(board):
+    return picture(board, distance_m=0.28)
 
 
 def test_our_picture_of_a_charuco_board_is_opencvs():
@@ -46,25 +52,110 @@ def test_the_other_pattern_is_named(legacy):
 
 
 def test_another_charuco_board_is_named():
-    image = picture(CHARUCO, distance_m=0.28)
-    with pytest.raises(BoardNotFoundError, match=r"no marker of DICT_5X5_100 is in the picture"):
-        replace(CHARUCO, dictionary="DICT_5X5_100").find(image)
-    with pytest.raises(BoardNotFoundError, match=r"marker 23 of DICT_4X4_100 .* only has 0 to 14; is it another board"):
-        replace(CHARUCO, square_columns=6, square_rows=5).find(image)
+    image = whole_picture(CHARUCO)
+    for changes, sentence in (
+        ({"dictionary": "DICT_5X5_100"}, r"no marker of DICT_5X5_100 is in the picture, but 24 of DICT_4X4_1000"),
+        (
+            {"square_columns": 6, "square_rows": 5},
+            r"marker 23 of DICT_4X4_100 .* only has 0 to 14; is it another board",
+        ),
+        ({"square_columns": 6, "square_rows": 8}, r"as on a board of 8 x 6 squares; exchange square_columns and"),
+        ({"square_rows": 5}, r"marker 23 continues the board, which has 0 to 19 .* correct square_rows"),
+        ({"square_columns": 9}, r"no corner lies between them as on a board of 9 x 6 squares"),
+        ({"marker_m": 0.01}, r"markers are 0\.7\d of a square's side, where board\.toml has 0\.50; correct marker_mm"),
+    ):
+        with pytest.raises(BoardNotFoundError, match=sentence):
+            replace(CHARUCO, **changes).find(image)
+    with pytest.raises(BoardNotFoundError, match=r"check the dictionary in board\.toml, or expose more"):
+        CHARUCO.find(np.full_like(image, 90))
+
+
+def steep_view(tilt_deg=76.0, focal_px=1400.0, distance_m=0.2):
+    """A board of 17 x 11 squares tilted about x, and its homography from (x, y) in metres to pixels."""
+    made = cv2.aruco.CharucoBoard((17, 11), 0.01, 0.0075, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100))
+    rotation = cv2.Rodrigues(np.array([np.deg2rad(tilt_deg), 0.0, 0.0]))[0]
+    camera = np.array([[focal_px, 0, 640.0], [0, focal_px, 480.0], [0, 0, 1]])
+    homography = camera @ np.column_stack([rotation[:, :2], [0.0, 0.0, distance_m]])
+    metre = 0.01 / 60
+    of_drawing = np.array([[metre, 0, 0.5 * metre - 0.085], [0, metre, 0.5 * metre - 0.055], [0, 0, 1]])
+    fine = np.array([[3.0, 0, -0.5], [0, 3.0, -0.5], [0, 0, 1]])
+    drawn = made.generateImage((17 * 60, 11 * 60))
+    image = cv2.warpPerspective(drawn, fine @ homography @ of_drawing, (3840, 2880), borderValue=255)
+    image = cv2.GaussianBlur(cv2.resize(image, (1280, 960), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
+    return made, (40 + 0.7 * image).astype(np.uint8), homography
+
+
+def test_a_steep_charuco_board_is_found_where_opencv_takes_it_for_another():
+    made, image, homography = steep_view()
+    assert cv2.aruco.CharucoDetector(made).detectBoard(image)[1] is None
+    board = CharucoBoard(17, 11, 0.01, 0.0075, "DICT_5X5_100")
+    found = board.find(image)
+    expected = cv2.perspectiveTransform(board.point_of(found.index)[:, None, :2], homography)[:, 0]
+    assert len(found) > 50
+    assert np.abs(found.pixel - expected).max() < 0.2
+    with pytest.raises(BoardNotFoundError, match="exchange square_columns and square_rows"):
+        replace(board, square_columns=11, square_rows=17).find(image)
+
+
+@pytest.mark.parametrize("board", [CHARUCO, APRIL], ids=["charuco", "april"])
+def test_a_board_seen_in_a_mirror_is_named(board):
+    image = np.ascontiguousarray(whole_picture(board)[:, ::-1])
+    with pytest.raises(BoardNotFoundError, match=r"^a\.png: the picture is mirrored"):
+        board.find(image, "a.png")
 
 
 def test_numbering_from_another_corner_is_named():
-    image = picture(APRIL, distance_m=0.28)
+    image = whole_picture(APRIL)
     with pytest.raises(BoardNotFoundError, match=r'^a\.png: .* set first_tag = "bottom-left" in board\.toml'):
         replace(APRIL, first_at_bottom=False).find(image, "a.png")
 
 
 def test_another_april_grid_is_named():
-    image = picture(APRIL, distance_m=0.28)
+    image = whole_picture(APRIL)
     with pytest.raises(BoardNotFoundError, match=r"0 tags of the board .* check border_bits"):
         AprilGrid(4, 3, 0.032, 0.3, border_bits=1).find(np.full_like(image, 90))
-    with pytest.raises(BoardNotFoundError, match=r"tag 11 is in the picture, but .* has 20 to 31"):
-        replace(APRIL, first_id=20).find(image)
+    for changes, sentence in (
+        ({"first_id": 20}, r"tag 11 is in the picture, but .* has 20 to 31"),
+        ({"first_id": 1}, r"first tag has another number; correct first_id"),
+        ({"tag_columns": 3, "tag_rows": 4}, r"as on a board of 4 columns, where .* has 3; exchange tag_columns and"),
+        ({"tag_columns": 5}, r"as on a board of 4 columns, where .* has 5; correct tag_columns and tag_rows\."),
+        ({"tag_columns": 5, "first_at_bottom": False}, r'and tag_rows, and set first_tag = "bottom-left"'),
+        ({"tag_rows": 2}, r"tag 11 continues the board, which has 0 to 7 .* correct tag_rows or first_id"),
+        ({"border_bits": 1}, r"\d+ tags .* borders are 2 bits wide, \d with border_bits = 1; set border_bits = 2"),
+        (
+            {"spacing": 0.25},
+            r"gaps between tags are 0\.(299|300|301) .* has spacing = 0\.25: .* with print_error_um = 20",
+        ),
+        ({"spacing": 0.32}, r"gaps between tags are 0\.(299|300|301) .* has spacing = 0\.32"),
+    ):
+        with pytest.raises(BoardNotFoundError, match=sentence):
+            replace(APRIL, **changes).find(image)
+    assert len(replace(APRIL, spacing=0.305).find(image)) == len(APRIL.find(image))
+
+
+def test_tags_printed_with_one_border_bit_and_two_stated_are_named():
+    image = picture(replace(APRIL, border_bits=1), distance_m=0.28)
+    with pytest.raises(
+        BoardNotFoundError, match=r"\d+ tags .* 1 bits wide, 0 with border_bits = 2; set border_bits = 1"
+    ):
+        APRIL.find(image)
+
+
+def test_tags_of_another_family_are_named(monkeypatch):
+    with monkeypatch.context() as other:
+        other.setattr("wlr_render.captures.boards.april_grid.DICTIONARY", "DICT_APRILTAG_25h9")
+        image = picture(AprilGrid(4, 3, 0.032, 0.3), distance_m=0.28)
+    with pytest.raises(BoardNotFoundError, match=r"\d+ tags of DICT_APRILTAG_25h9 are in the picture, and boards here"):
+        AprilGrid(4, 3, 0.032, 0.3).find(image)
+
+
+def test_corners_that_lie_on_no_plane_are_refused(monkeypatch):
+    """Also where no other order of the tags is found, for example of tags numbered by columns."""
+    monkeypatch.setattr(AprilGrid, "_other_layout", lambda *_: None)
+    with pytest.raises(
+        BoardNotFoundError, match=r"do not lie on a plane as those of the board do; correct the numbers"
+    ):
+        replace(APRIL, tag_columns=3, tag_rows=4).find(whole_picture(APRIL))
 
 
 @pytest.mark.parametrize("quarter_turns", [1, 2, 3])

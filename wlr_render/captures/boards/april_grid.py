@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import (
+    MIRRORED,
     USUAL_TOLERANCES,
     BoardNotFoundError,
     BoardObservation,
@@ -20,7 +21,7 @@ from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # (column, row) of a tag's corners, clockwise from the top left
@@ -30,6 +31,16 @@ _GROWN = (1.0, 1.07, 1.14, 1.21)
 border in place of the border."""
 _SUB_PIXEL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.05)
 _CLEARLY = 3.0  # by so much another order of the tags fits better, to be named
+_FITTING = 0.02  # of a tag's side: the error of a fitting order of the tags, seen by a lens without distortion
+_MOST_COLUMNS = 60  # of boards whose order is compared
+_FIRST_TAGS = ("top-left", "bottom-left")
+_USUAL_BORDERS = (2, 1)  # bits: Kalibr's, and those of others
+_MANY_MORE = 1.5  # times as many tags found with another border, to be named
+_OTHER_FAMILIES = ("DICT_APRILTAG_36h10", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5")
+_LEAST_OF_OTHERS = 4  # tags of another family; fewer may be chance
+_LEAST_SPACINGS = 8  # pairs of tags whose median tells the spacing
+_SPACING_ERROR = 0.01  # of the spacing seen through a lens of 90 degrees
+_MOST_PRINT_ERRORS = 10.0  # standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,41 +139,50 @@ class AprilGrid(CellBoard):
         """
         grey = as_bytes(image)
         corners, numbers = self._detect(grey)
-        on_board = (numbers >= self.first_id) & (numbers < self.first_id + self.tag_columns * self.tag_rows)
+        on_board = self._has(numbers)
         foreign = int((~on_board).sum())
-        if on_board.sum() < _LEAST_TAGS:
-            raise BoardNotFoundError(f"{name}: {self._why_nothing(int(on_board.sum()), numbers[~on_board])}")
-        corners, numbers = corners[on_board], numbers[on_board]
-        turn, error = self._turned(numbers, corners)
-        other = replace(self, first_at_bottom=not self.first_at_bottom)
-        if self.tag_rows > 1 and _CLEARLY * other._turned(numbers, corners)[1] < error:
-            where = "bottom-left" if other.first_at_bottom else "top-left"
-            raise BoardNotFoundError(
-                f'{name}: the AprilGrid is numbered from another corner; set first_tag = "{where}" in board.toml.'
-            )
-        index = (2 * self._tag_of(numbers)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)).reshape(-1, 2)
-        place = self.point_of(index)[:, :2] / self.tag_m
+        fault = self._other_design(grey, numbers)
+        if fault is None and on_board.sum() < _LEAST_TAGS:
+            fault = self._why_nothing(grey, numbers)
+        if fault is None:
+            seen = corners[~on_board], numbers[~on_board]
+            corners, numbers = corners[on_board], numbers[on_board]
+            turn, error = self._turned(numbers, corners)
+            fault = self._other_layout(numbers, corners, error) or self._further_tags(seen, numbers, corners, turn)
+        if fault is not None:
+            raise BoardNotFoundError(f"{name}: {fault}")
+        index, place = self._corner_indices(numbers, turn), self._places(numbers, turn)
         reach = 0.9 * min(self.border_bits / self._bits, self.spacing)
-        middle = corners.mean(axis=1, keepdims=True)
-        starts = [(middle + grown * (corners - middle)).reshape(-1, 2) for grown in _GROWN]
-        # Corners of large tags may be off by more than the fit's window.
-        window = max(
-            2, int(0.5 * reach * np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners])))
-        )
-        guess = np.array((starts[0] + OPENCV_PIXEL_SHIFT)[:, None, :], dtype=np.float32)
-        nearer = cv2.cornerSubPix(grey, guess, (window, window), (-1, -1), _SUB_PIXEL)
-        starts.append(nearer[:, 0].astype(np.float64) - OPENCV_PIXEL_SHIFT)
-        return replace(observe_corners(image, index, place, starts, reach, name=name), unidentified=4 * foreign)
+        found = observe_corners(image, index, place, _starts(grey, corners, reach), reach, name=name)
+        if fault := self._other_spacing(found):
+            raise BoardNotFoundError(f"{name}: {fault}")
+        return replace(found, unidentified=4 * foreign)
 
-    def _detect(self, grey: NDArray[np.uint8]) -> tuple[FloatArray, IntArray]:
+    def _has(self, numbers: IntArray) -> BoolArray:
+        """Which tags (n,) are of this board, by number."""
+        return np.asarray((numbers >= self.first_id) & (numbers <= self._last_id))
+
+    @property
+    def _last_id(self) -> int:
+        return self.first_id + self.tag_columns * self.tag_rows - 1
+
+    def _detect(self, grey: NDArray[np.uint8], family: str = DICTIONARY) -> tuple[FloatArray, IntArray]:
         """Corners (n, 4, 2) and numbers (n,) of the tags seen; a number seen twice is dropped."""
         how = cv2.aruco.DetectorParameters()
         how.markerBorderBits = self.border_bits
-        corners, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(DICTIONARY), how).detectMarkers(grey)
+        corners, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(family), how).detectMarkers(grey)
         numbers = np.zeros(0, dtype=np.int64) if ids is None else np.asarray(ids, np.int64).ravel()
         once = np.array([np.count_nonzero(numbers == number) == 1 for number in numbers], dtype=bool)
         pixel = np.array(corners, dtype=np.float64).reshape(-1, 4, 2) - OPENCV_PIXEL_SHIFT
         return pixel[once], numbers[once]
+
+    def _corner_indices(self, number: IntArray, turn: int) -> IntArray:
+        """(4 n, 2) column and row of the corners of tags (n,), printed by so many quarter turns."""
+        return (2 * self._tag_of(number)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)).reshape(-1, 2)
+
+    def _places(self, number: IntArray, turn: int) -> FloatArray:
+        """(4 n, 2) their places, in sides of a tag."""
+        return self.point_of(self._corner_indices(number, turn))[:, :2] / self.tag_m
 
     def _turned(self, number: IntArray, corners: FloatArray) -> tuple[int, float]:
         """By how many quarter turns the tags are printed against the dictionary, and the median error of the fit in px.
@@ -171,8 +191,7 @@ class AprilGrid(CellBoard):
         """
         tried = []
         for turn in range(4):
-            index = 2 * self._tag_of(number)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)
-            place = self.point_of(index)[..., :2].reshape(-1, 2) / self.tag_m
+            place = self._places(number, turn)
             homography, _ = cv2.findHomography(place, corners.reshape(-1, 2))
             if homography is None:
                 tried.append((np.inf, turn))
@@ -182,14 +201,146 @@ class AprilGrid(CellBoard):
         error, turn = min(tried)
         return turn, error
 
-    def _why_nothing(self, seen: int, foreign: IntArray) -> str:
-        last = self.first_id + self.tag_columns * self.tag_rows - 1
-        if len(foreign):
+    def _other_design(self, grey: NDArray[np.uint8], numbers: IntArray) -> str | None:
+        """Sentence about another border or other numbers of the tags seen than this board's; None if these fit."""
+        on_board = self._has(numbers)
+        seen, foreign = int(on_board.sum()), numbers[~on_board]
+        if len(foreign) > seen:
             return (
                 f"tag {foreign.max()} is in the picture, but a board of {self.tag_columns} x {self.tag_rows} tags has "
-                f"{self.first_id} to {last}; is it another board?"
+                f"{self.first_id} to {self._last_id}; is it another board, or 'first_id' another number?"
             )
+        if seen == self.tag_columns * self.tag_rows:
+            return None
+        for bits in set(_USUAL_BORDERS) - {self.border_bits}:
+            other = replace(self, border_bits=bits)
+            with_other = int(other._has(other._detect(grey)[1]).sum())
+            if with_other >= max(_LEAST_TAGS, _MANY_MORE * seen):
+                return (
+                    f"{with_other} tags of the board are found if their borders are {bits} bits wide, {seen} with "
+                    f"border_bits = {self.border_bits}; set border_bits = {bits} in board.toml."
+                )
+        return None
+
+    def _other_layout(self, numbers: IntArray, corners: FloatArray, error: float) -> str | None:
+        """Sentence about the arrangement that fits the tags clearly better than this board's; None if none does.
+
+        Args:
+            numbers, corners: (n,) and (n, 4, 2), of the tags seen.
+            error: of this board's arrangement, as `_turned` returns it.
+        """
+        side = float(np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners])))
+        if error < _FITTING * side or self.tag_columns * self.tag_rows == 1:
+            return None
+        orders = [
+            replace(self, tag_columns=columns, first_at_bottom=at_bottom)
+            for columns in range(1, min(int(numbers.max()) + 1, _MOST_COLUMNS) + 1)
+            for at_bottom in (self.first_at_bottom, not self.first_at_bottom)
+        ]
+        tried = [*orders, *(replace(self, first_id=self.first_id + shift) for shift in range(1, self.tag_columns))]
+        errors = [other._turned(numbers, corners)[1] for other in tried]
+        best = int(np.argmin(errors))
+        if _CLEARLY * errors[best] >= error:
+            return None
+        other = tried[best]
+        if other.first_id != self.first_id:
+            return "the tags lie as on a board whose first tag has another number; correct first_id in board.toml."
+        where = f'set first_tag = "{_FIRST_TAGS[other.first_at_bottom]}" in board.toml'
+        if other.tag_columns == self.tag_columns:
+            return f"the AprilGrid is numbered from another corner; {where}."
+        remedy = "exchange" if other.tag_columns == self.tag_rows else "correct"
+        return (
+            f"the tags lie as on a board of {other.tag_columns} columns, where board.toml has {self.tag_columns}; "
+            f"{remedy} tag_columns and tag_rows"
+            + (f", and {where}." if other.first_at_bottom != self.first_at_bottom else ".")
+        )
+
+    def _further_tags(
+        self, foreign: tuple[FloatArray, IntArray], numbers: IntArray, corners: FloatArray, turn: int
+    ) -> str | None:
+        """Sentence about tags with foreign numbers that continue the board's order; None if there are none.
+
+        Args:
+            foreign: corners (m, 4, 2) and numbers (m,) of tags that this board does not have.
+            numbers, corners, turn: of the tags that it has, and their print's quarter turns.
+        """
+        homography, _ = cv2.findHomography(self._places(numbers, turn), corners.reshape(-1, 2))
+        if not len(foreign[1]) or homography is None:
+            return None
+        expected = cv2.perspectiveTransform(self._places(foreign[1], turn)[:, None, :], homography).reshape(-1, 4, 2)
+        side = np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners]))
+        if np.median(np.linalg.norm(expected - foreign[0], axis=-1)) > 0.5 * side:
+            return None
+        return (
+            f"tag {foreign[1].max()} continues the board, which has {self.first_id} to {self._last_id} by board.toml; "
+            "correct tag_rows or first_id."
+        )
+
+    def _other_spacing(self, found: BoardObservation) -> str | None:
+        """Sentence about gaps between the tags that are clearly others than `spacing`; None if these fit."""
+        seen = _spacings_seen(found)
+        if len(seen) < _LEAST_SPACINGS:
+            return None
+        spacing = float(np.median(seen))
+        off_m = 0.5 * self.tag_m * abs(1 - (1 + spacing) / (1 + self.spacing))
+        print_error_m = max(self.tolerances.print_error_m, USUAL_TOLERANCES.print_error_m)
+        if off_m < _MOST_PRINT_ERRORS * print_error_m or abs(spacing - self.spacing) < _SPACING_ERROR:
+            return None
+        return (
+            f"the gaps between tags are {spacing:.3f} of a tag's side, where board.toml has spacing = "
+            f"{self.spacing:g}: corners lie {1e6 * off_m:.0f} um from their places, with print_error_um = "
+            f"{1e6 * self.tolerances.print_error_m:g}; measure tag_mm and spacing again."
+        )
+
+    def _why_nothing(self, grey: NDArray[np.uint8], numbers: IntArray) -> str:
+        seen = int(self._has(numbers).sum())
+        if len(self._detect(np.ascontiguousarray(grey[:, ::-1]))[1]) >= max(_LEAST_TAGS, seen + 1):
+            return MIRRORED
+        for family in _OTHER_FAMILIES:
+            for bits in _USUAL_BORDERS:
+                found = replace(self, border_bits=bits)._detect(grey, family)[1]
+                if len(found) >= _LEAST_OF_OTHERS:
+                    return (
+                        f"{len(found)} tags of {family} are in the picture, and boards here have {DICTIONARY}; print a "
+                        "board of these."
+                    )
         return (
             f"{seen} tags of the board are in the picture, and {_LEAST_TAGS} are needed; show more of it, expose it "
             "more, or check border_bits in board.toml (Kalibr prints 2, others 1)."
         )
+
+
+def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[FloatArray]:
+    """Guesses (4 n, 2) of the corners' pixels: as detected, grown, and refined by OpenCV.
+
+    Args:
+        grey: the picture.
+        corners: (n, 4, 2) as detected.
+        reach: of the fit, tags.
+    """
+    middle = corners.mean(axis=1, keepdims=True)
+    starts = [(middle + grown * (corners - middle)).reshape(-1, 2) for grown in _GROWN]
+    # Corners of large tags may be off by more than the fit's window.
+    side = np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners]))
+    window = max(2, int(0.5 * reach * side))
+    guess = np.array((starts[0] + OPENCV_PIXEL_SHIFT)[:, None, :], dtype=np.float32)
+    nearer = cv2.cornerSubPix(grey, guess, (window, window), (-1, -1), _SUB_PIXEL)
+    return [*starts, nearer[:, 0].astype(np.float64) - OPENCV_PIXEL_SHIFT]
+
+
+def _spacings_seen(found: BoardObservation) -> FloatArray:
+    """Gap over side (n,) of each pair of neighbouring tags, from the cross-ratio of their four corners in a line.
+
+    The cross-ratio does not depend on the perspective.
+    """
+    at = {tuple(index): pixel for index, pixel in zip(found.index.tolist(), found.pixel, strict=True)}
+    ratios = []
+    for column, row in at:
+        for right, down in ((1, 0), (0, 1)):
+            line = [at.get((column + k * right, row + k * down)) for k in range(4)]
+            first_of_tag = (column if right else row) % 2 == 0
+            if first_of_tag and all(pixel is not None for pixel in line):
+                a, b, c, d = np.array(line)
+                length = np.linalg.norm([c - a, d - b, d - a, c - b], axis=1)
+                ratios.append(length[0] * length[1] / (length[2] * length[3]))
+    return np.asarray(np.sqrt(1 + 1 / (np.maximum(ratios, 1 + 1e-6) - 1)) - 1)

@@ -19,6 +19,10 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 RealArray = NDArray[np.floating[Any]]
 
 
+MIRRORED = "the picture is mirrored; photograph the board directly, or switch the camera's mirroring off."
+"""Sentence about a board seen in a mirror."""
+
+
 class BoardNotFoundError(BadInputError):
     """The photograph shows no board, too little of it, or another one; the sentence says which."""
 

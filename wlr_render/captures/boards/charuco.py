@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import (
+    MIRRORED,
     USUAL_TOLERANCES,
     BoardNotFoundError,
     BoardObservation,
@@ -17,10 +18,14 @@ from wlr_render.captures.boards.board import (
 )
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
-from wlr_render.captures.boards.markers import dictionary_of, marker_cells
+from wlr_render.captures.boards.markers import LARGEST_DICTIONARIES, dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import FloatArray, IntArray
+
+_LEAST_MARKERS = 4  # fewer may be chance, or fit a homography anyhow
+_OTHER_MARKER = 0.2  # of the stated side; small markers are found larger or smaller by a pixel
+_FITTING = 0.1  # of a marker's side: the error of markers that lie as on the board
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,38 +109,127 @@ class CharucoBoard(CellBoard):
                 them; it says if they are where the other pattern has them.
         """
         grey = as_bytes(image)
-        index, pixel, numbers = self._detect(grey)
-        if not len(index):
-            raise BoardNotFoundError(f"{name}: {self._why_nothing(grey, numbers)}")
+        seen = self._detect(grey)
+        fault = self._other_sizes(seen) if len(seen.index) else self._why_nothing(grey, seen.numbers)
+        if fault is not None:
+            raise BoardNotFoundError(f"{name}: {fault}")
         margin = 0.5 * (1.0 - self.marker_m / self.square_m)
-        return observe_corners(image, index, index.astype(np.float64), [pixel], white_margin=margin, name=name)
+        place = seen.index.astype(np.float64)
+        return observe_corners(image, seen.index, place, [seen.pixel], white_margin=margin, name=name)
 
-    def _detect(self, grey: NDArray[np.uint8]) -> tuple[IntArray, FloatArray, IntArray]:
-        """Index (n, 2) and pixel (n, 2) of the corners, and the numbers (m,) of the markers seen."""
-        corners, ids, _, marker_ids = cv2.aruco.CharucoDetector(self._opencv).detectBoard(grey)
+    def _detect(self, grey: NDArray[np.uint8]) -> "_Seen":
+        board = self._opencv
+        corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(grey)
         numbers = np.zeros(0, dtype=np.int64) if marker_ids is None else np.asarray(marker_ids, np.int64).ravel()
+        marker = np.array(markers, dtype=np.float64).reshape(-1, 4, 2) - OPENCV_PIXEL_SHIFT
+        if (ids is None or not len(ids)) and self._lie_as_here(marker, numbers):
+            # OpenCV's own check takes the distances in a steep view for those of another board.
+            how = cv2.aruco.CharucoParameters()
+            how.checkMarkers = False
+            corners, ids, _, _ = cv2.aruco.CharucoDetector(board, how).detectBoard(grey)
         if ids is None or not len(ids):
-            return np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), numbers
+            return _Seen(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), marker, numbers)
         row, column = np.divmod(np.asarray(ids, np.int64).ravel(), self.square_columns - 1)
         pixel = np.asarray(corners, np.float64).reshape(-1, 2) - OPENCV_PIXEL_SHIFT
-        return np.stack([column, row], axis=-1), pixel, numbers
+        return _Seen(np.stack([column, row], axis=-1), pixel, marker, numbers)
+
+    def _lie_as_here(self, marker: FloatArray, numbers: IntArray) -> bool:
+        """Whether the homography of this board's places of the markers fits their corners (m, 4, 2)."""
+        known = numbers < len(self._opencv.getIds())
+        if known.sum() < _LEAST_MARKERS:
+            return False
+        seen = marker[known]
+        place = np.array(self._opencv.getObjPoints(), dtype=np.float64)[numbers[known], :, :2]
+        homography, _ = cv2.findHomography(place.reshape(-1, 2), seen.reshape(-1, 2), cv2.LMEDS)
+        if homography is None:
+            return False
+        expected = cv2.perspectiveTransform(place.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
+        side = np.sqrt([cv2.contourArea(corners.astype(np.float32)) for corners in seen])
+        off = np.linalg.norm(expected - seen, axis=-1).max(axis=1)
+        return bool(np.median(off / np.maximum(side, 1e-9)) < _FITTING)
+
+    def _other_sizes(self, seen: "_Seen") -> str | None:
+        """Sentence about further rows, or another size of the markers, than this board has; None if these fit."""
+        last = len(self._opencv.getIds()) - 1
+        if len(seen.numbers) and (highest := int(seen.numbers.max())) > last:
+            # An even number of rows more keeps the colours of the squares.
+            more = 2 * -(-(highest - last) // self.square_columns)
+            if replace(self, square_rows=self.square_rows + more)._lie_as_here(seen.marker, seen.numbers):
+                return (
+                    f"marker {highest} continues the board, which has 0 to {last} by board.toml; correct square_rows."
+                )
+        homography, _ = cv2.findHomography(seen.pixel, seen.index.astype(np.float64))
+        if homography is None or not len(seen.marker):
+            return None
+        flat = cv2.perspectiveTransform(seen.marker.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
+        side = float(np.median(np.linalg.norm(flat - np.roll(flat, 1, axis=1), axis=-1)))
+        stated = self.marker_m / self.square_m
+        if abs(side - stated) < _OTHER_MARKER * stated:
+            return None
+        return (
+            f"markers are {side:.2f} of a square's side, where board.toml has {stated:.2f}; correct marker_mm, the "
+            "side of a marker with its black border."
+        )
 
     def _why_nothing(self, grey: NDArray[np.uint8], numbers: IntArray) -> str:
+        if len(self._detect(np.ascontiguousarray(grey[:, ::-1])).index):
+            return MIRRORED
         other = replace(self, legacy=not self.legacy)
-        if len(other._detect(grey)[0]):
+        if len(other._detect(grey).index):
             pattern, value = ("legacy", "true") if other.legacy else ("present", "false")
             return f"the ChArUco board has OpenCV's {pattern} pattern; set legacy = {value} in board.toml."
         if not len(numbers):
-            return (
-                f"no marker of {self.dictionary} is in the picture; check the dictionary in board.toml, or expose more."
-            )
+            return self._why_no_marker(grey)
         last = len(self._opencv.getIds()) - 1
         if numbers.max() > last:
             return (
                 f"marker {numbers.max()} of {self.dictionary} is in the picture, but a board of "
                 f"{self.square_columns} x {self.square_rows} squares only has 0 to {last}; is it another board?"
             )
+        exchanged = replace(self, square_columns=self.square_rows, square_rows=self.square_columns)
+        if len(exchanged._detect(grey).index):
+            return (
+                f"the markers lie as on a board of {exchanged.square_columns} x {exchanged.square_rows} squares; "
+                "exchange square_columns and square_rows in board.toml."
+            )
         return (
             f"{len(numbers)} markers of {self.dictionary} are in the picture, but no corner lies between them as on a "
             f"board of {self.square_columns} x {self.square_rows} squares; show more of it, or correct board.toml."
         )
+
+    def _why_no_marker(self, grey: NDArray[np.uint8]) -> str:
+        best, most = "", _LEAST_MARKERS - 1
+        for name in LARGEST_DICTIONARIES:
+            if (found := len(_markers_of(name, grey))) > most:
+                best, most = name, found
+            if 2 * most > len(self._opencv.getIds()):
+                break
+        if not best:
+            return (
+                f"no marker of {self.dictionary} is in the picture; check the dictionary in board.toml, or expose more."
+            )
+        return (
+            f"no marker of {self.dictionary} is in the picture, but {most} of {best}; correct the dictionary in "
+            "board.toml."
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a picture shows of a board, pixels from its outer corner.
+
+    Attributes:
+        index, pixel: (n, 2) corners.
+        marker, numbers: (m, 4, 2) corners and (m,) numbers of markers.
+    """
+
+    index: IntArray
+    pixel: FloatArray
+    marker: FloatArray
+    numbers: IntArray
+
+
+def _markers_of(dictionary: str, grey: NDArray[np.uint8]) -> IntArray:
+    """Numbers (n,) of the markers of a dictionary in a picture."""
+    _, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(dictionary)).detectMarkers(grey)
+    return np.zeros(0, dtype=np.int64) if ids is None else np.asarray(ids, np.int64).ravel()

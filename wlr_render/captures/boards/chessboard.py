@@ -106,6 +106,12 @@ class Chessboard(CellBoard):
         index = self.indices()
         start = grid[index[:, 1], index[:, 0]]
         found = observe_corners(image, index, index.astype(np.float64), [start], name=name)
+        if not np.array_equal(np.ptp(found.index, axis=0), np.ptp(index, axis=0)):
+            raise BoardNotFoundError(
+                f"{name}: of {self.columns} x {self.rows} inner corners a whole outer line does not look like corners; "
+                "the chessboard has fewer squares than board.toml says, or its edge is not seen: count the inner "
+                "corners of the whole board."
+            )
         return replace(found, ambiguous_half_turn=self.half_turn_symmetric)
 
     def _grid(self, image: Photograph, name: str) -> FloatArray:

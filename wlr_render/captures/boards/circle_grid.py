@@ -24,6 +24,7 @@ from wlr_render.captures.photographs import Photograph
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _TRIES = 3  # lattices, the largest first, that are compared with the grid
+_OTHER_DIAMETER = 1.5  # ratio to the stated diameter; a radius is 2 times off
 _QUARTER = np.array([[0, 1], [-1, 0]])
 
 
@@ -142,6 +143,17 @@ class CircleGrid:
             if shape is None:
                 continue
             keep = seen[rows]
+            # Blur takes contrast from small circles: an area is between that of black circles and that at the contrast.
+            black = measured.darkness_px2[dot[keep]] / shape.cell_px2
+            least_m, most_m = (
+                unit * float(np.sqrt(4 / np.pi * np.median(area)))
+                for area in (black, black / measured.contrast[dot[keep]])
+            )
+            if least_m > _OTHER_DIAMETER * self.diameter_m or most_m < self.diameter_m / _OTHER_DIAMETER:
+                raise BoardNotFoundError(
+                    f"{name}: the circles seen have diameters of {1e3 * least_m:.2g} to {1e3 * most_m:.2g} mm, where "
+                    f"board.toml has {1e3 * self.diameter_m:g}; correct the diameter or the pitch."
+                )
             discs = Discs(measured.dots.centre[dot[keep]], np.full(len(keep), 0.5 * self.diameter_m))
             pixel = discs.centroid - shape.centroid_shift(discs.radius_m / unit)
             order = np.lexsort(index[keep].T)

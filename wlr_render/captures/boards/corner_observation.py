@@ -12,6 +12,7 @@ from wlr_render.captures.photographs import Photograph
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _LEAST_FOR_OUTLIERS = 9  # fewer neighbours do not tell which of them is wrong
+_MOST_DEPARTURE = 0.1  # of a cell's side: median distance of corners from where their neighbours expect them
 LEAST_CORNERS = 4
 
 
@@ -36,7 +37,7 @@ def observe_corners(
         name: of the photograph, for the error.
 
     Raises:
-        BoardNotFoundError: too few corners are left.
+        BoardNotFoundError: too few corners are left, or they lie otherwise than on the board.
     """
     if len(index) < LEAST_CORNERS:
         raise _too_few(name, len(index))
@@ -51,6 +52,11 @@ def observe_corners(
         rows = rows[_smooth(place[rows], pixel[rows])]
     if len(rows) < LEAST_CORNERS:
         raise _too_few(name, len(rows))
+    if _departure(place[rows], pixel[rows]) > _MOST_DEPARTURE:
+        raise BoardNotFoundError(
+            f"{name}: the corners seen do not lie on a plane as those of the board do; correct the numbers of columns "
+            "and rows in board.toml, or is it another board?"
+        )
     rows = rows[np.lexsort(index[rows].T)]
     left_out = len(index) - len(rows)
     return BoardObservation(index[rows], pixel[rows], sigma[rows], disagreeing=left_out)
@@ -70,6 +76,23 @@ def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
         if np.isfinite(expected).all() and cell > 0:
             tried.append(smooth_rows(expected / cell, pixel, _LEAST_FOR_OUTLIERS)[0])
     return max(tried, key=len)
+
+
+def _departure(place: FloatArray, pixel: FloatArray) -> float:
+    """Median distance of corners from where their neighbours expect them, over the side of a cell.
+
+    Neighbours are mapped smoothly, or, where few corners are seen, by a homography: lenses bend the picture of a plane.
+    """
+    cell = np.sqrt(max(np.linalg.det(np.cov(pixel.T)), 0.0) / max(np.linalg.det(np.cov(place.T)), 1e-12)) ** 0.5
+    if len(place) >= _LEAST_FOR_OUTLIERS:
+        shape = lattice_shape(place, pixel)
+        off = np.linalg.norm(pixel - shape.expected, axis=1) / shape.doubt
+    else:
+        homography, _ = cv2.findHomography(place, pixel)
+        if homography is None:
+            return 0.0
+        off = np.linalg.norm(cv2.perspectiveTransform(place[:, None, :], homography)[:, 0] - pixel, axis=1)
+    return float(np.median(off)) / max(cell, 1e-9)
 
 
 def _too_few(name: str, corners: int) -> BoardNotFoundError:

@@ -19,6 +19,12 @@ def dictionary_of(name: str) -> cv2.aruco.Dictionary:
 
 
 DICTIONARIES = tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
+LARGEST_DICTIONARIES = tuple(
+    name
+    for name in DICTIONARIES
+    if not name.endswith(("_50", "_100", "_250")) and not (name[-3] == "H" and name.replace("H", "h") in DICTIONARIES)
+)
+"""Dictionaries that hold all markers of the others, under one name each."""
 
 
 def marker_cells(
