@@ -178,7 +178,7 @@ class AprilGrid(CellBoard):
 
     def _corner_indices(self, number: IntArray, turn: int) -> IntArray:
         """(4 n, 2) column and row of the corners of tags (n,), printed by so many quarter turns."""
-        return (2 * self._tag_of(number)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)).reshape(-1, 2)
+        return np.asarray(2 * self._tag_of(number)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)).reshape(-1, 2)
 
     def _places(self, number: IntArray, turn: int) -> FloatArray:
         """(4 n, 2) their places, in sides of a tag."""

@@ -83,7 +83,8 @@ def _departure(place: FloatArray, pixel: FloatArray) -> float:
 
     Neighbours are mapped smoothly, or, where few corners are seen, by a homography: lenses bend the picture of a plane.
     """
-    cell = np.sqrt(max(np.linalg.det(np.cov(pixel.T)), 0.0) / max(np.linalg.det(np.cov(place.T)), 1e-12)) ** 0.5
+    areas = [max(float(np.linalg.det(np.cov(each.T))), 1e-12) for each in (pixel, place)]
+    cell = (areas[0] / areas[1]) ** 0.25
     if len(place) >= _LEAST_FOR_OUTLIERS:
         shape = lattice_shape(place, pixel)
         off = np.linalg.norm(pixel - shape.expected, axis=1) / shape.doubt
@@ -92,7 +93,7 @@ def _departure(place: FloatArray, pixel: FloatArray) -> float:
         if homography is None:
             return 0.0
         off = np.linalg.norm(cv2.perspectiveTransform(place[:, None, :], homography)[:, 0] - pixel, axis=1)
-    return float(np.median(off)) / max(cell, 1e-9)
+    return float(np.median(off)) / cell
 
 
 def _too_few(name: str, corners: int) -> BoardNotFoundError:
