@@ -150,3 +150,30 @@ def test_automatic_exposure_within_a_set_is_named(tmp_path):
     assert cv2.imread(str(tmp_path / "5.tiff"), -1) is not None
     with pytest.raises(BadInputError, match=r"5\.tiff 0\.02 s; .* automatic exposure off"):
         decoded(tmp_path)
+
+
+def test_names_of_another_code_are_refused_though_there_are_as_many(tmp_path):
+    names = [
+        f"{n:03}_{each.replace(' ', '_')}.png"
+        for n, each in enumerate(make_pattern("gray-fringes", Panel(48, 40)).names())
+    ]
+    names += [None] * (len(NAMES) - len(names))
+    with pytest.raises(
+        BadInputError, match=r"_0\.png: shows 'u fringe 16 px step 0', .* the code gray-fringes: choose it"
+    ):
+        find_code_files(write(tmp_path, names[: len(NAMES)]), NAMES)
+
+
+def test_names_of_another_panel_are_refused(tmp_path):
+    larger = make_pattern("gray", Panel(96, 40))
+    names = [f"{n:03}_{each.replace(' ', '_')}.png" for n, each in enumerate(larger.names()[: len(NAMES)])]
+    with pytest.raises(BadInputError, match=r"shows 'u bit 6', .* with the size of the panel that showed it"):
+        find_code_files(write(tmp_path, names), NAMES)
+
+
+def test_a_file_that_shows_no_picture_among_named_ones_is_refused(tmp_path):
+    """Also if another one is missing, so that their number is right."""
+    names = [f"{n:03}_{each.replace(' ', '_')}.png" for n, each in enumerate(NAMES)]
+    names[5] = "thumbnail.png"
+    with pytest.raises(BadInputError, match=r"thumbnail\.png: its name states no picture of the code"):
+        find_code_files(write(tmp_path, names), NAMES)

@@ -19,6 +19,8 @@ from wlr_render.toml_files import read_toml
 
 MANIFESTS = ("manifest.toml", "manifest.csv")
 _AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}
+_ROLE = re.compile(r"[uv] (bit \d+( inverse)?|fringe .+ step \d+)")
+"""Role of a picture of any code but white and black, which all codes have."""
 _LONGEST_S = 10_000.0
 _SAME_EXPOSURE = 1.02
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -209,17 +211,24 @@ def _by_manifest(
 
 
 def _number_of_role(role: str, names: Sequence[str]) -> int | None:
+    plain = _plain_role(role)
+    return names.index(plain) if plain in names else None
+
+
+def _plain_role(role: str) -> str:
+    """A role as patterns name their pictures, e.g. "u bit 3" for "column_bit_3"."""
     words = role.lower().replace("_", " ").split()
     if words and words[0] in _AXES:
         words[0] = _AXES[words[0]]
-    plain = " ".join(words)
-    return names.index(plain) if plain in names else None
+    return " ".join(words)
 
 
 def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Path) -> tuple[tuple[Path, ...], ...]:
     """Files of each picture, from their names alone."""
     found: list[tuple[Path, ...]] = [()] * len(names)
-    roles = [_number_of_role(re.sub(r"^\d+[_ -]", "", path.stem), names) for path in paths]
+    stated = [re.sub(r"^\d+[_ -]", "", path.stem) for path in paths]
+    roles = [_number_of_role(each, names) for each in stated]
+    _check_code(paths, stated, roles)
     if None not in roles:
         for path, role in zip(paths, roles, strict=True):
             if role is None or found[role]:
@@ -236,6 +245,34 @@ def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Pa
     for path, place in zip(paths, places, strict=True):
         found[shown[place]] = (path,)
     return tuple(found)
+
+
+def _check_code(paths: Sequence[Path], stated: Sequence[str], roles: Sequence[int | None]) -> None:
+    """Refuse photographs whose names state pictures of another code, or names of which only some state a picture.
+
+    Args:
+        paths: of the photographs.
+        stated: what the name of each says, without its number.
+        roles: which picture of the code this is; None for none.
+
+    Raises:
+        BadInputError: the sentence names the first photograph that is not of this code.
+    """
+    plain = [_plain_role(each) for each in stated]
+    foreign = [n for n, each in enumerate(plain) if roles[n] is None and _ROLE.fullmatch(each)]
+    if foreign:
+        bits, fringes = (any(f" {kind} " in each for each in plain) for kind in ("bit", "fringe"))
+        code = "gray-fringes" if bits and fringes else "gray" if bits else "fringes"
+        raise BadInputError(
+            f"{paths[foreign[0]]}: shows '{plain[foreign[0]]}', which is not a picture of this code; the names are "
+            f"those of the code {code}: choose it as pattern, with the size of the panel that showed it."
+        )
+    unnamed = [path for path, role in zip(paths, roles, strict=True) if role is None]
+    if unnamed and len(unnamed) < len(paths):
+        raise BadInputError(
+            f"{unnamed[0]}: its name states no picture of the code, as those of other photographs in its folder do; "
+            f"remove it, or name all pictures in {MANIFESTS[0]}."
+        )
 
 
 def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:

@@ -217,3 +217,46 @@ def test_where_half_of_the_panel_is_over_exposed_the_other_half_is_read(toy_came
     assert np.mean(decoded.rejection[camera.whole() & (white > 262)] == Rejection.SATURATED) > 0.9
     errors, _ = errors_of(camera, decoded)
     assert errors.max() < 0.5
+
+
+@pytest.mark.parametrize("told", ["gray", "fringes", "gray-fringes"])
+@pytest.mark.parametrize("name", ["gray", "fringes", "gray-fringes"])
+@pytest.mark.parametrize("look", [{}, {"noise": 4, "white": 60}, {"camera_gamma": 2.2}], ids=["clear", "dim", "gamma"])
+def test_photographs_of_another_code_are_refused(toy_camera, name, told, look):
+    panel = Panel(96, 64)
+    camera = toy_camera(panel, size_px=(120, 90), scale=0.7, samples=3, **look)
+    shown = list(camera.photographs(make_pattern(name, panel)))
+    if name == told:
+        assert make_pattern(told, panel).decode(shown).accepted.mean() > 0.5
+    else:
+        refusal(make_pattern(told, panel), shown)
+
+
+def test_fringes_are_no_bits_and_their_inverses(toy_camera):
+    panel = Panel(96, 64)
+    camera = toy_camera(panel, size_px=(120, 90), scale=1.2, samples=3)
+    shown = list(camera.photographs(make_pattern("gray-fringes", panel)))
+    sentence = refusal(make_pattern("gray", panel), shown)
+    assert "another code" in sentence or "choose the code that was shown" in sentence
+
+
+def test_white_and_black_last_are_told_from_a_dark_panel(sets):
+    _, shown = sets["gray"]
+    sentence = refusal(sets["gray"][0], [*shown[2:], *shown[:2]])
+    assert re.search(r"is brighter than .* in \d\d% of the picture and darker in \d\d%, .*--order opencv", sentence)
+
+
+def test_hot_pixels_are_no_lit_panel(sets):
+    pattern, shown = sets["gray"]
+    white = shown[1].copy()
+    white[20, 30] = 250
+    sentence = refusal(pattern, [white, *shown[1:]])
+    assert "photograph 0 ('white') is nowhere brighter than photograph 1 ('black')" in sentence
+
+
+def test_no_part_of_the_lit_pixels_is_above_all_of_them(sets):
+    pattern, shown = sets["gray"]
+    white = shown[1].copy()
+    white[20:26, 30:36] = 250
+    sentence = refusal(pattern, [white, *shown[1:]])
+    assert re.search(r"in \d+ pixels, and the panel lights \d+: one of them shows something else", sentence)

@@ -84,7 +84,7 @@ def _departure(place: FloatArray, pixel: FloatArray) -> float:
     Neighbours are mapped smoothly, or, where few corners are seen, by a homography: lenses bend the picture of a plane.
     """
     areas = [max(float(np.linalg.det(np.cov(each.T))), 1e-12) for each in (pixel, place)]
-    cell = (areas[0] / areas[1]) ** 0.25
+    cell = float(np.sqrt(np.sqrt(areas[0] / areas[1])))
     if len(place) >= _LEAST_FOR_OUTLIERS:
         shape = lattice_shape(place, pixel)
         off = np.linalg.norm(pixel - shape.expected, axis=1) / shape.doubt

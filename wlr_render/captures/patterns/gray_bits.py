@@ -34,6 +34,10 @@ _UNMIXED = 0.8  # a stripe that fills the pixel this much adds up with its inver
 _AROUND, _SURROUNDINGS = 7, 31  # widths of windows, camera pixels
 _ODD_SUM = 0.8  # of the contrast: positive + inverse is off by one contrast where one of the two is another bit's
 _ODD_SHARE = 0.2  # of the lit pixels
+_FRINGE_SUM = 0.3  # of the contrast: two steps of a fringe add up to more and to less; curved grey values to one side
+_FRINGE_SHARE = 0.1  # of the well-lit pixels, on each side
+_CLEAR_CONTRAST = 0.5  # of the usual contrast; noise of darker pixels is much of their contrast
+_SMOOTH_PX = 3  # width of windows whose mean has less noise
 
 _ALONE_GAIN = 3.0  # 2 (positive - middle), over positive - inverse: variances (4 + 2) and 2 of a photograph's
 _READABLE = 0.3  # of full evidence: a finer bit that has less does not replace the position of the coarser ones
@@ -233,7 +237,17 @@ def _check_pair(steady: Grey, light: PanelContrast, reader: PhotographReader) ->
     if share > _ODD_SHARE:
         raise BadInputError(
             f"{reader.label(reader.taken - 2)} and {reader.label(reader.taken - 1)} do not add up to white + black in "
-            f"{share:.0%} of the lit pixels: one of them is missing, out of order or of another exposure."
+            f"{share:.0%} of the lit pixels: one of them is missing, out of order or of another exposure, or the "
+            "photographs show another code."
+        )
+    well_lit = light.lit & (light.contrast > _CLEAR_CONTRAST * light.usual_contrast)
+    smooth = cv2.blur(steady, (_SMOOTH_PX, _SMOOTH_PX)) * light.per_contrast
+    both_ways = [float(np.mean((sign * smooth > _FRINGE_SUM)[well_lit])) for sign in (1, -1)]
+    if min(both_ways) > _FRINGE_SHARE:
+        raise BadInputError(
+            f"{reader.label(reader.taken - 2)} and {reader.label(reader.taken - 1)} are not a bit and its inverse: "
+            f"their sum is above white + black in {both_ways[0]:.0%} of the lit pixels and below it in "
+            f"{both_ways[1]:.0%}, as with fringes; choose the code that was shown as pattern."
         )
 
 

@@ -18,6 +18,8 @@ INVERSE = " inverse"
 """End of the name of a bit's inverse picture."""
 _CLEAR = 4.0  # contrast over its noise, below which a pixel is not lit
 _BEYOND = 0.05  # of the number of lit pixels
+_BOTH_WAYS = 0.2  # of the larger part: the smaller one, of the parts in which each of two pictures is the brighter one
+_STEADY_PX = 5  # width of windows whose mean is hardly noise
 _NOISE_WINDOW = 15
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 
@@ -161,14 +163,26 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelContras
     end_of_scale = options.full_scale if options.end_of_scale is None else options.end_of_scale
     full = white >= end_of_scale
     bright = contrast >= max(enough, _CLEAR * _noise_of_dark(contrast))
+    steady = cv2.blur(contrast, (_STEADY_PX, _STEADY_PX))
+    brighter, darker = (float(np.mean(sign * steady >= enough)) for sign in (1, -1))
+    if min(brighter, darker) > _BOTH_WAYS * max(brighter, darker):
+        raise BadInputError(
+            f"{reader.label(0)} is brighter than {reader.label(1)} in {brighter:.0%} of the picture and darker in "
+            f"{darker:.0%}, so they do not show white and black: OpenCV's Gray code shows these last (order = "
+            '"opencv", --order opencv); or the photographs are out of order.'
+        )
     if np.count_nonzero(contrast <= -enough) > 2 * np.count_nonzero(contrast >= enough):
-        raise BadInputError(f"{reader.label(0)} is darker than {reader.label(1)}: the two seem to be exchanged.")
+        raise BadInputError(
+            f"{reader.label(0)} is darker than {reader.label(1)}: the two seem to be exchanged, or each photograph "
+            "shows the picture before its own."
+        )
     if np.count_nonzero(full) > 0.5 * np.count_nonzero(bright | full):
         raise BadInputError(
             f"{reader.label(0)} is over-exposed: {np.mean(full):.0%} of it is at the end of the scale "
             f"({options.full_scale}); expose less, or state the camera's true full scale."
         )
-    if not np.any(bright):
+    # Single pixels are hot ones or noise.
+    if not np.any(cv2.medianBlur(bright.astype(np.uint8), 3)):
         raise BadInputError(
             f"{reader.label(0)} is nowhere brighter than {reader.label(1)} by {options.min_contrast:.0%} of the scale "
             f"({options.full_scale}): was the panel on, and the exposure long enough?"
@@ -189,11 +203,11 @@ def check_range(image: Grey, light: PanelContrast, reader: PhotographReader) -> 
         BadInputError: in too many pixels it does not: a reference shows something else, or the light has changed.
     """
     beyond = np.abs(image - light.middle) > 0.5 * (light.contrast + light.usual_contrast)
-    share = np.count_nonzero(beyond) / np.count_nonzero(light.lit)
-    if share > _BEYOND:
+    pixels, lit = np.count_nonzero(beyond), np.count_nonzero(light.lit)
+    if pixels > _BEYOND * lit:
         raise BadInputError(
             f"{reader.label(reader.taken - 1)} is brighter than {reader.label(0)} or darker than {reader.label(1)} in "
-            f"{share:.0%} of the lit pixels: one of them shows something else, or the light has changed."
+            f"{pixels} pixels, and the panel lights {lit}: one of them shows something else, or the light has changed."
         )
 
 
