@@ -192,6 +192,23 @@ def test_frames_that_show_nothing_of_the_scene_are_named(options, tmp_path):
         assert report.record["frames_drawn"] == drawn
 
 
+def test_burnt_out_frames_and_columns_that_are_not_read_are_named(options, tmp_path):
+    place = ",".join(f"{1e3 * each:.6f}" for each in open_eye(options.headset).eye_box.centre)
+    track = tmp_path / "pupils.csv"
+    names = "time_s,right_x_mm,right_y_mm,right_z_mm,confidence"
+    track.write_text(f"{names}\n0,{place},1\n1,{place},1\n", encoding="utf-8")
+    scene = tmp_path / "bright.toml"
+    light = '[[light]]\nkind = "directional"\ndirection = [0, 0, -1]\ncolour = [1, 1, 1]\n'
+    scene.write_text(f"exposure = 683\n{Path(options.scene).read_text(encoding='utf-8')}\n{light}", encoding="utf-8")
+    report = render(replace(options, scene=str(scene), eye_track=track, frame_limit=1))
+    columns, burnt = report.warnings
+    assert columns.startswith(f"{track}: not read: 'confidence'")
+    share = np.mean((read_png(options.out / "right-000000.png") == 255).any(axis=-1))
+    assert share > 0.01
+    assert burnt.startswith(f"{share:.0%} of the pixels of a frame are saturated.")
+    assert "[[light]] number 2' (683 times)" in burnt
+
+
 def test_more_frames_than_a_disk_holds_are_refused(moving, tmp_path):
     long = still_head(tmp_path / "long.tum", [0.0, 1e6])
     with pytest.raises(BadInputError, match=r"--fps 10 over 1e\+06 s are 10000001 frames; draw at most 1000000"):
