@@ -6,6 +6,9 @@ from collections.abc import Sequence
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
+STATED_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
+"""A line with which spreadsheets state the separator; it is no row."""
+
 
 def separator_of(row: str) -> str | None:
     """The separator of a row or header: a semicolon, a tab or a comma; None for blanks, or for a single cell.

@@ -322,6 +322,13 @@ def test_vertex_colours_of_ply_of_every_type(tmp_path, kind, white):
     np.testing.assert_array_equal(mesh.vertex_colour, np.tile([1, 0, 0], (len(mesh.vertex_colour), 1)))
 
 
+@pytest.mark.parametrize(("alpha", "named"), [(255, ()), (128, ("opacity (alpha) of 'vertex' in house.ply",))])
+def test_opacity_of_ply_is_named(tmp_path, alpha, named):
+    extra = [("uchar", name) for name in ("red", "green", "blue", "alpha")]
+    path = ply(tmp_path, extra=extra, vertices=[[*row, 9, 9, 9, alpha] for row in QUAD])
+    assert load_meshes(path).not_drawn == named
+
+
 def test_each_texture_of_ply_is_a_mesh_of_its_own(tmp_path):
     for name, code in (("a.png", 10), ("b.png", 78)):
         Image.new("RGB", (2, 2), (code,) * 3).save(tmp_path / name)

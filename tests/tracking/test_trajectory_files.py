@@ -89,6 +89,7 @@ NS = (10**9, 1)
         table("# timestamp tx ty tz qw qx qy qz", " ", WXYZ, lead="# ground truth\n"),
         table("# time_s, x_m, y_m, z_m, qw, qx, qy, qz", "\t", WXYZ),
         table("time_s;x_m;y_m;z_m;qx;qy;qz;qw", ";", comma=True, lead="\ufeff", ends="\r\n"),
+        table("time_s;x_m;y_m;z_m;qx;qy;qz;qw", ";", comma=True, lead="sep=;\n"),
         table("time_s\tx_m\ty_m\tz_m\tqx\tqy\tqz\tqw", "\t", comma=True),
         table("time_s x_m y_m z_m qx qy qz qw", " ", comma=True),
         table("%time,pose.position.x,pose.position.y,pose.position.z,pose.orientation.x,pose.orientation.y,"
@@ -105,6 +106,16 @@ def test_a_header_decides_what_the_columns_are(tmp_path, text):
     np.testing.assert_allclose(head.position_in_world, np.array(POSES)[:, 1:4], rtol=1e-12)
     again = head.world_from_device_xyzw * [[1], [np.sign(head.world_from_device_xyzw[1, 3])]]
     np.testing.assert_allclose(again, np.array(POSES)[:, 4:], atol=1e-12)
+
+
+def test_an_eye_track_of_ours_may_have_decimal_commas(tmp_path):
+    for row in (
+        "{},5;right;0,0300;0,0001;-0,03\n",
+        "{},5 right 0,0300 0,0001 -0,03\n",
+        "{}.5\tright\t0.03\t1e-4\t-.03\n",
+    ):
+        eyes = read_eye_trajectory(written(tmp_path, EYE_HEADER + row.format(0) + row.format(1)))
+        np.testing.assert_allclose(eyes.viewpoint_at("right", 1.0), [0.03, 0.0001, -0.03])
 
 
 def test_columns_that_are_not_read_are_named(tmp_path):

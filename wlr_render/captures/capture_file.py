@@ -1,19 +1,12 @@
 """Capture files: the `ObservationTable` of one eye as one .npz.
 
-The archive holds `header`, a JSON text with
-
-    format "wlr-captures", version 2, frame "openxr", units {"length": "m", "sigma": "arcmin", "pixel": "px"},
-    device, eye, panel {width_px, height_px} or null, eye_box {centre_m, size_m}, see_through_eye_box or null
-
-(docs/files.md has one to copy) and one array for each column of the table and of its conditions. Conditions that no
-row has recorded are omitted.
+The archive holds `header`, a JSON text (docs/files.md has one to copy), and one array for each column of the table and
+of its conditions. Conditions that no row has recorded are omitted.
 Priors of the camera's motion are optional: `display_motion_capture`, `display_motion_size`, `display_motion_log_sigma`,
 and the same of `see_through_motion`, see `CaptureMotionPrior`. So are errors that all captures share: `common_sources`
 in the header, and the arrays `display_common_capture`, `..._motion`, `..._target_pose`, `..._target`, `..._focus`,
 `..._lens_orders`, `..._lens_low`, `..._lens_high` and `..._lens_coefficients`, and the same of `see_through_common`;
-see `CommonErrors`. Those of an exact lens, or without target poses, are omitted.
-Version 1, which is still read, has one array per attribute of `captures.correspondences`, named `display_viewpoint`,
-..., `see_through_point`, ..., and no conditions.
+see `CommonErrors`. Those of an exact lens, or without target poses, are omitted. Version 1 is still read.
 """
 
 import json

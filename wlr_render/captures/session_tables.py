@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.session_schema import Column, Columns, Kind, Schema
-from wlr_render.delimited_text import with_commas
+from wlr_render.delimited_text import STATED_SEPARATOR, with_commas
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
 from wlr_render.input_files import LIMITS, decode_text, gunzip, parsing, read_bytes, shown
@@ -67,6 +67,8 @@ def _text(path: Path) -> str:
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Lines that are not blank, with their numbers; cells are separated by commas, and decimals by points."""
     lines = [(number, text) for number, text in enumerate(_text(path).split("\n"), 1) if text.strip()]
+    if lines and STATED_SEPARATOR.fullmatch(lines[0][1].strip()):
+        lines = lines[1:]
     for number, text in lines:
         if len(text) > _LONGEST_LINE:
             raise BadInputError(

@@ -33,12 +33,16 @@ class RenderOptions(SpreadOptions):
     head: Annotated[
         Path | None,
         described(
-            "Head trajectory, TUM, EuRoC or an OpenXR recording (default: a head at rest at the world's origin)."
+            "Head trajectory: TUM, EuRoC, a table with named columns, or an OpenXR recording (default: a head at rest "
+            "at the world's origin)."
         ),
     ] = None
     eye_track: Annotated[
         Path | None,
-        described("Eye trajectory, or an OpenXR recording (default: pupils at rest at the centres of the eye boxes)."),
+        described(
+            "Eye trajectory, a table of pupils with named columns, or an OpenXR recording (default: pupils at rest at the "
+            "centres of the eye boxes)."
+        ),
     ] = None
     frames_per_second: Annotated[
         float,

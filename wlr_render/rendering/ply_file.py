@@ -50,6 +50,11 @@ class _Element:
     properties: list[tuple[str | tuple[str, str], str]] = field(default_factory=list)
     columns: dict[str, Column] = field(default_factory=dict)
 
+    def is_translucent(self) -> bool:
+        """Whether rows differ in 'alpha', or have less than the most."""
+        alpha = np.asarray(self.columns.get("alpha", ()), dtype=np.float64)
+        return bool(alpha.size and alpha.min() not in (1.0, 255.0, 65535.0))
+
     def vectors(self, *names: Sequence[str]) -> tuple[FloatArray, list[str]] | None:
         """Values (rows, k) of the first of these groups of properties that is there, and their types."""
         for group in names:
@@ -93,6 +98,7 @@ class PlyFile:
             _read_binary(path, elements, body, ">" if ["format", "binary_big_endian", "1.0"] in lines else "<")
         self._elements = {element.name: element for element in elements}
         self.not_drawn = [name for key, name in _NAMES.items() if key in self._elements and self._elements[key].rows]
+        self.not_drawn += [f"opacity (alpha) of '{each.name}'" for each in elements if each.is_translucent()]
 
     def meshes(self) -> Iterator[RawMesh]:
         """The faces, as one mesh for each texture."""

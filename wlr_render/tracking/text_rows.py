@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.delimited_text import cells_of, separator_of
+from wlr_render.delimited_text import STATED_SEPARATOR, cells_of, separator_of
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
@@ -214,6 +214,8 @@ def read_text_table(path: str | Path) -> TextTable:
     stripped = [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
     comments = tuple(text.lstrip("#").strip() for _, text in stripped if text.startswith("#"))
     content = [(number, text) for number, text in stripped if not text.startswith("#")]
+    if content and STATED_SEPARATOR.fullmatch(content[0][1]):
+        content = content[1:]
     named = bool(content) and not _is_number(cells_of(content[0][1], separator_of(content[0][1]))[0])
     if len(content) <= named:
         raise BadInputError(f"{path}: has no rows; is the recording empty?")
