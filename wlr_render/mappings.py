@@ -59,7 +59,7 @@ def count_unsolved(statuses: Iterable[StatusArray]) -> dict[str, int]:
     return {each.name.lower().replace("_", " "): int(counts[each]) for each in Status if each and counts[each]}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class QueryResult:
     """Answer to a batched query.
 
@@ -108,7 +108,7 @@ class Panel:
         return np.stack(np.meshgrid(u, v), axis=-1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EyeBox:
     """Box of valid viewpoints, axis-aligned in the device frame.
 
@@ -130,7 +130,7 @@ class EyeBox:
         return self.centre + 0.5 * self.size * np.asarray(unit)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FieldOfView:
     """A box of directions.
 

@@ -41,7 +41,7 @@ class MotionOptions(Protocol):
     def frame_limit(self) -> int | None: ...  # noqa: D102
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlannedFrame:
     """One frame to draw."""
 

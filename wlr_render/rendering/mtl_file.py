@@ -52,7 +52,7 @@ def spellings(name: str) -> list[str]:
     return [*dict.fromkeys(plain + [each.replace("\\", "/") for each in plain])]
 
 
-@dataclass
+@dataclass(eq=False)
 class ObjMaterial:
     """A material of a library.
 

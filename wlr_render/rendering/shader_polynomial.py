@@ -19,7 +19,7 @@ _HELD = 2
 _STEP = 1.0 / 128.0  # of central differences, in scaled units: what float32 and order 8 lose is then alike
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Thinned:
     """A polynomial without its smallest terms.
 
