@@ -133,6 +133,17 @@ def test_every_verb_explains_itself(verb, capsys, monkeypatch):
         assert all(f" Range: {limits.short()}." in described.help for limits in notes if isinstance(limits, Range))
 
 
+def test_no_two_verbs_replace_each_others_reports_by_default():
+    """All but those of `calibrate`, which add the models of the other eye."""
+    out = {
+        verb.words: field.default
+        for verb in VERBS
+        for _, field, _, _ in fields_of(options_of(verb))
+        if field.name == "out" and not verb.words.startswith("calibrate")
+    }
+    assert len(set(out.values())) == len(out)
+
+
 STAND_IN = '#!/bin/sh\nprintf "%s" "$(basename "$0")"; printf " [%s]" "$@"; echo\n'
 
 
