@@ -192,7 +192,7 @@ def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye, mesh, newest):
 
 
 @pytest.mark.parametrize("stage", ["vertex", "fragment"])
-def test_the_glsl_warp_compiles_for_vulkan(stage, tmp_path):
+def test_the_glsl_warp_compiles_for_vulkan_metal_and_direct3d(stage, tmp_path):
     compiler = shutil.which("glslangValidator")
     if compiler is None:
         pytest.skip("glslangValidator is not installed (glslang-tools).")
@@ -202,3 +202,8 @@ def test_the_glsl_warp_compiles_for_vulkan(stage, tmp_path):
     command = [compiler, "-V", str(source), "-o", str(tmp_path / "warp.spv")]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout
+    if shutil.which("spirv-cross") is None:
+        pytest.skip("spirv-cross is not installed.")
+    for language in (["--msl"], ["--hlsl", "--shader-model", "50"]):
+        translated = subprocess.run(["spirv-cross", command[-1], *language], capture_output=True, text=True)
+        assert translated.returncode == 0, translated.stderr
