@@ -40,8 +40,8 @@ class RenderOptions(SpreadOptions):
     eye_track: Annotated[
         Path | None,
         described(
-            "Eye trajectory, a table of pupils with named columns, or an OpenXR recording (default: pupils at rest at the "
-            "centres of the eye boxes)."
+            "Eye trajectory, a table of pupils with named columns, or an OpenXR recording (default: pupils at rest at "
+            "the centres of the eye boxes)."
         ),
     ] = None
     frames_per_second: Annotated[
