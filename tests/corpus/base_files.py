@@ -20,7 +20,9 @@ from corpus.base_texts import (
     GLASSES,
     HEAD,
     HEAD_CSV,
+    LENS_KALIBR,
     LENS_MRCAL,
+    LENS_ROS,
     LENS_XML,
     LENS_YAML,
     LENS_ZMX,
@@ -30,6 +32,7 @@ from corpus.base_texts import (
     RECORDING,
     SCENE_WITH_MESH,
     STATION,
+    TARGET_KALIBR,
 )
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.boards.board_design import design_board
@@ -66,6 +69,9 @@ def _write_texts(folder: Path) -> None:
     texts = {
         "scene.toml": SCENE_WITH_MESH,
         "lens.yaml": LENS_YAML,
+        "lens_ros.yaml": LENS_ROS,
+        "camchain.yaml": LENS_KALIBR,
+        "target.yaml": TARGET_KALIBR,
         "lens.xml": LENS_XML,
         "lens.cameramodel": LENS_MRCAL,
         "lens.zmx": LENS_ZMX,

@@ -63,6 +63,46 @@ photographs = "shown"
 stage_mm = [0.0, 0.0, 0.0]
 """
 
+LENS_ROS = """header:
+  frame_id: camera
+height: 48
+width: 64
+distortion_model: plumb_bob
+d:
+- 0.01
+- 0.0
+- 0.0
+- 0.0
+- 0.0
+k: [60.0, 0.0, 31.5, 0.0, 60.0, 23.5, 0.0, 0.0, 1.0]
+binning_x: 0
+binning_y: 0
+roi:
+  x_offset: 0
+  y_offset: 0
+  height: 0
+  width: 0
+  do_rectify: false
+---
+"""
+
+LENS_KALIBR = """cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [0.01, 0.0, 0.0, 0.0]
+  distortion_model: radtan
+  intrinsics: [60.0, 60.0, 31.5, 23.5]
+  resolution: [64, 48]
+  rostopic: /cam0/image_raw
+"""
+
+TARGET_KALIBR = """target_type: 'aprilgrid'
+tagCols: 6
+tagRows: 6
+tagSize: 0.088
+tagSpacing: 0.3
+"""
+
 LENS_YAML = """%YAML:1.0
 ---
 image_width: 64

@@ -255,10 +255,9 @@ def _opencv_content(file: Path, text: str) -> dict[str, Any]:
 
 
 def _plain(node: Any) -> Any:
-    """Value of a node: an array for a matrix, else a list, a number or text."""
+    """Value of a node: a list for a matrix or a list, a number or text."""
     if node.isMap():
-        is_matrix = not node.getNode("dt").empty()
-        return np.asarray(node.mat(), dtype=np.float64) if is_matrix else _plain(node.getNode("data"))
+        return _plain(node.getNode("data"))  # not `node.mat()`, which damaged files make write past its memory
     if node.isSeq():  # a node of many numbers takes time quadratic in them
         return [_plain(node.at(place)) for place in range(min(node.size(), _LONGEST_LIST + 1))]
     return node.real() if node.isReal() or node.isInt() else node.string()
@@ -367,8 +366,6 @@ def _numbers(value: Any) -> list[float]:
     """Numbers of a matrix, of nested lists, or of one number, about the first 100; NaN for what is not a number."""
     if isinstance(value, dict):  # a matrix of ROS: rows, cols and data
         return _numbers(value.get("data"))
-    if isinstance(value, np.ndarray):
-        return [float(each) for each in value.ravel()]
     if isinstance(value, list):
         found: list[float] = []
         for each in value:

@@ -45,3 +45,5 @@ def _first_document(text: str) -> Any:
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise ValueError(f"{line}{error.problem}") from error
+    except AttributeError as error:  # as PyYAML raises
+        raise ValueError("a value is not of its tag's type") from error

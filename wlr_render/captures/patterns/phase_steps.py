@@ -196,7 +196,7 @@ def check_step_order(values: NDArray[np.float32], reader: PhotographReader, firs
     if as_read > _MAX_UNEXPLAINED:
         raise BadInputError(
             f"{reader.label(first)} to {reader.label(first + steps - 1)} show no fringe shifted step by step: one is "
-            "missing, out of order or of another exposure."
+            "missing, out of order or of another exposure, or the photographs show another code."
         )
 
 
