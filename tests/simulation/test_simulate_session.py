@@ -124,6 +124,14 @@ class TestClosedForms:
         assert pixel.shape == (*shape, 2)
         np.testing.assert_allclose(camera.tangents_of_pixel(pixel), tangents, atol=1e-14)
 
+    def test_pixels_that_a_barrel_never_reaches_have_no_direction(self):
+        camera = replace(bench_with("no_optics").camera, distortion=np.array([-0.3, 0.0]))
+        fold = np.sqrt(1.0 / 0.9)
+        edge = camera.pixel_of_tangents(np.array([[0.99 * fold, 0.0], [0.5, 0.0]]))
+        beyond = camera.centre_px + 1.2 * (camera.pixel_of_tangents(np.array([[fold, 0.0]])) - camera.centre_px)
+        np.testing.assert_allclose(camera.tangents_of_pixel(edge)[:, 0], [0.99 * fold, 0.5], atol=1e-8)
+        assert np.isnan(camera.tangents_of_pixel(beyond)).all()
+
     def test_a_barrel_pulls_points_towards_the_centre_by_the_cube_of_the_radius(self):
         camera = replace(bench_with("no_optics").camera, distortion=np.array([-0.1, 0.0]))
         straight = replace(camera, distortion=np.zeros(2))

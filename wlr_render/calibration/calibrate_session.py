@@ -91,12 +91,30 @@ class SessionCalibration:
 
     @property
     def all_excluded(self) -> tuple[tuple[str, str], ...]:
-        """Name and reason of every photograph that the results were made without."""
-        return (*((each.name, each.reason) for each in self._excluded), *self.bench.rejected.items())
+        """Name and reason of every photograph that the results were made without, the worst first."""
+        worst = worst_first(self._excluded)
+        return (*self.bench.rejected.items(), *((each.name, each.reason) for each in worst))
 
     @property
     def _excluded(self) -> list[Excluded]:
         return [*self.reading.excluded, *(each for eye in self.eyes.values() for each in eye.excluded)]
+
+
+class RefusedCalibrationError(BadInputError):
+    """A session from which too little could be read, or whose steps contradict each other.
+
+    Attributes:
+        reading: what the photographs say, with everything that was excluded.
+        found: the bench; None where it could not be adjusted.
+    """
+
+    reading: Reading = Reading()
+    found: SessionCalibration | None = None
+
+
+def worst_first(excluded: Sequence[Excluded]) -> list[Excluded]:
+    """Sort by how far captures lie off, then faults of the session before photographs that failed."""
+    return sorted(excluded, key=lambda each: (-each.off_arcmin, not each.fault))
 
 
 def calibrate_session(
@@ -111,33 +129,38 @@ def calibrate_session(
         fit: fits the models.
 
     Raises:
-        BadInputError: too little could be read, or the steps contradict each other.
+        RefusedCalibrationError: too little could be read, or the steps contradict each other.
     """
+    bench: CalibratedBench | None = None
+    eyes: dict[str, EyeCalibration] = {}
+    excluded = list(reading.excluded)
     try:
-        return _calibrated(session, reading, folder, fit)
+        reading = with_half_turns(session, reading)
+        bench = calibrate_bench(session, reading)
+        for eye in session.eyes:
+            save_station(folder / f"station-{eye}.json", bench)
+        refuse_contradictions(bench.checks)
+        for eye in session.eyes:
+            own = session.for_eye(eye)
+            captures, moved = sound_captures(own, reading, bench)
+            excluded += moved
+            save_captures(folder / f"captures-{eye}.npz", captures)
+            eyes[eye] = _fitted(own, captures, moved, fit)
     except BadInputError as error:
-        # Whatever was excluded is the likely cause of what is missing now.
-        reasons = [f"{each.name}: {each.reason}" for each in reading.excluded]
-        more = [f"{len(reasons) - _NAMED} more"] if len(reasons) > _NAMED else []
-        before = f" Excluded before: {'; '.join(reasons[:_NAMED] + more)}." if reasons else ""
-        raise BadInputError(f"{error}{before}") from error
-
-
-def _calibrated(
-    session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], KindComparison]
-) -> SessionCalibration:
-    reading = with_half_turns(session, reading)
-    bench = calibrate_bench(session, reading)
-    for eye in session.eyes:
-        save_station(folder / f"station-{eye}.json", bench)
-    refuse_contradictions(bench.checks)
-    eyes = {}
-    for eye in session.eyes:
-        own = session.for_eye(eye)
-        captures, excluded = sound_captures(own, reading, bench)
-        save_captures(folder / f"captures-{eye}.npz", captures)
-        eyes[eye] = _fitted(own, captures, excluded, fit)
+        refused = RefusedCalibrationError(f"{error}{_excluded_before(excluded)}")
+        refused.reading = replace(reading, excluded=tuple(excluded))
+        refused.found = None if bench is None else SessionCalibration(session, refused.reading, bench, {})
+        raise refused from error
     return SessionCalibration(session, reading, bench, eyes)
+
+
+def _excluded_before(excluded: Sequence[Excluded]) -> str:
+    """What was excluded is the likely cause of what is missing now."""
+    reasons = [f"{each.name}: {each.reason}" for each in worst_first(excluded)]
+    if not reasons:
+        return ""
+    named = f", the worst {_NAMED} of {len(reasons)}" if len(reasons) > _NAMED else ""
+    return f" Excluded before{named}: {'; '.join(reasons[:_NAMED])}."
 
 
 def _fitted(
@@ -234,11 +257,11 @@ def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:
 
 def _exclusion(name: str, moved: CaptureOutlier) -> Excluded:
     reason = (
-        f"its points lie {moved.arcmin:.0f}' from the positions predicted from the other photographs: it was taken at "
-        "another stage reading or target pose than session.toml says, or something moved; correct its entry, or take "
-        "it again."
+        f"its points lie {moved.arcmin:.0f}' from the positions predicted from the other photographs, as of another "
+        "stage reading or target pose than session.toml says, of something that moved, or of optics that no smooth "
+        "prediction follows there: compare its entry and its picture with those of its neighbours, or take it again."
     )
-    return Excluded(name, reason, fault=True)
+    return Excluded(name, reason, fault=True, off_arcmin=moved.arcmin)
 
 
 def _refuse_far_places(session: PhotoSession, viewpoint: FloatArray) -> None:

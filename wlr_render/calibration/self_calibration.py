@@ -38,8 +38,9 @@ OFFSET, SHIFT, GROWTH, TURN, POINTING = slice(0, 3), slice(3, 5), slice(5, 6), s
 PARAMETERS = 11
 
 _STEPS = np.repeat([1e-5, 1e-2, 1e-5, 1e-5, 1e-2], [3, 2, 1, 3, 2])  # of central differences
-_ITERATIONS = 8
+_ITERATIONS = 30
 _STILL_ARCMIN = 1e-7  # change of the predicted clicks that ends the iteration
+_SETTLED = 0.01  # of a click's scatter: the last change that leaves a result
 _NEAREST_M, _FARTHEST_M = 0.05, 100.0
 _FAR_FROM_BOX_M = 0.05
 _FARTHEST_CLICK_ARCMIN = 300.0
@@ -209,6 +210,11 @@ class WearState:
             (self._fitted(clicks, sigma, self.covariance + np.diag(self.settings.by_slip), math.log(share)), True),
         ]
         found, has_slipped = max(tried, key=lambda each: each[0].log_odds)
+        if not found.is_settled:
+            raise BadInputError(
+                f"the fit to {len(clicks.pixel)} clicks does not converge in {_ITERATIONS} steps; are the points in "
+                "the device frame of the same moment? Click again."
+            )
         count, wrong = len(clicks.pixel), len(found.outliers)
         if count > 2 and 2 * wrong > count:
             raise BadInputError(
@@ -313,11 +319,13 @@ class WearState:
             spread = spread + np.diag(np.repeat(wrong, 2) * self.settings.outlier_arcmin**2)
             gain = np.linalg.solve(spread, slope @ prior).T
             last, mean = mean, self.mean + gain @ innovation
-            if np.abs(slope @ (mean - last)).max() < _STILL_ARCMIN:
+            change = float(np.abs(slope @ (mean - last)).max())
+            if change < _STILL_ARCMIN:
                 break
         covariance = prior - gain @ slope @ prior
         outliers = tuple(int(number) for number in np.flatnonzero(wrong))
-        return _Fitted(mean, 0.5 * (covariance + covariance.T), outliers, log_odds + log_prior)
+        settled = change < _SETTLED * sigma_arcmin
+        return _Fitted(mean, 0.5 * (covariance + covariance.T), outliers, log_odds + log_prior, settled)
 
     def _check(self, clicks: Clicks) -> None:
         """Refuse clicks that cannot be.
@@ -360,12 +368,13 @@ class WearState:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A posterior: mean, covariance, wrong clicks, and the logarithm of its evidence times its prior odds."""
+    """A posterior: mean, covariance, wrong clicks, the logarithm of its evidence times its prior odds, convergence."""
 
     mean: FloatArray
     covariance: FloatArray
     outliers: tuple[int, ...]
     log_odds: float
+    is_settled: bool
 
 
 def _likeliest(innovation: FloatArray, spread: FloatArray, settings: WearSettings) -> tuple[BoolArray, float]:

@@ -48,11 +48,13 @@ class Excluded:
         reason: the sentence.
         fault: whether the session is not as session.toml says (missing, of another size, out of order, without the
             board), rather than one photograph having failed.
+        off_arcmin: how far what it shows lies from where the other photographs predict it; 0 where nothing was read.
     """
 
     name: str
     reason: str
     fault: bool
+    off_arcmin: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,9 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 
+_NEWTON_STEPS = 20
+_NEWTON_ERROR = 1e-12  # of the distorted radius, tangents
+
 
 @dataclass(frozen=True, eq=False)
 class EyeballCamera:
@@ -46,19 +49,31 @@ class EyeballCamera:
         return np.asarray(distorted * (self.focal_px * [1.0, -1.0]) + self.centre_px)
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """The inverse of `pixel_of_tangents`, by Newton's method on the radius."""
+        """The inverse of `pixel_of_tangents`, by Newton's method on the radius; NaN where the lens has no direction."""
         distorted = (pixel - self.centre_px) / (self.focal_px * [1.0, -1.0])
         k1, k2 = self.distortion
         if k1 == 0.0 and k2 == 0.0:
             return np.asarray(distorted)
         distorted_radius = np.linalg.norm(distorted, axis=-1)
         radius = distorted_radius.copy()
-        for _ in range(8):
+        for _ in range(_NEWTON_STEPS):
             square = radius * radius
             excess = radius * (1.0 + square * (k1 + k2 * square)) - distorted_radius
-            radius -= excess / (1.0 + square * (3.0 * k1 + 5.0 * k2 * square))
+            growth = 1.0 + square * (3.0 * k1 + 5.0 * k2 * square)
+            with np.errstate(all="ignore"):  # beyond the largest radius of a barrel no step leads anywhere
+                radius = radius - excess / growth
         square = radius * radius
-        return np.asarray(distorted / (1.0 + square * (k1 + k2 * square))[..., None])
+        factor = 1.0 + square * (k1 + k2 * square)
+        # Beyond the first radius at which the picture folds over, a solution is none.
+        sound = (np.abs(radius * factor - distorted_radius) < _NEWTON_ERROR) & (radius >= 0) & (radius < self._fold)
+        return np.where(sound[..., None], distorted / np.where(sound, factor, 1.0)[..., None], np.nan)
+
+    @property
+    def _fold(self) -> float:
+        """Tangent from which the distorted radius decreases; infinite where it never does."""
+        k1, k2 = self.distortion
+        squares = np.roots([5.0 * k2, 3.0 * k1, 1.0])
+        return float(np.sqrt(min([np.inf, *squares.real[(squares.imag == 0) & (squares.real > 0)]])))
 
     def view_dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Unit directions (n, 3) of pixels (n, 2) in the device frame, before any slip."""

@@ -322,8 +322,9 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
     [
         (
             {"moved": (CaptureMotion(5, 3.5e-4, 2e-4, 30.2, 5.0, 20.0),)},
-            "Display: the camera of set 5 stood 350 um and 200 microradians from where it is stated, 30 times the "
-            "others: correct its entry, or leave it out.",
+            "Display: the readings of set 5 lie as if its camera had stood 350 um and 200 microradians from where it "
+            "is stated, 30 times as far as the others: the camera or the headset moved, its entry is wrong, or the "
+            "optics are less smooth there than the model. The model was fitted without them.",
         ),
         (
             {"noise_arcmin": 1.0},

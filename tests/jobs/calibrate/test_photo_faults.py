@@ -176,7 +176,7 @@ def test_faults_end_with_status_2_after_everything_else_is_done(photo_session, c
     status, out, err = command_line(photo_session, capsys)
     assert status == 2
     assert err == [f"wlr-render: 2 faulty item(s) were left out: {SET}, {SEEN}."]
-    assert "1. Correct the entries of session.toml that are excluded" in out
+    assert "1. Compare the excluded photographs with their entries in session.toml" in out
     record = json.loads((photo_session.out / "report.json").read_text(encoding="utf-8"))
     tables = record["tables"]
     (aside,) = [table["rows"] for table in tables if table["title"] == "Excluded"]
@@ -198,7 +198,7 @@ def test_a_photograph_at_another_stage_reading_than_it_says_is_named_and_left_ou
     found = photo_session.calibrate()
     (off,) = [check for check in found.bench.checks if not check.ok]
     assert off.step == "bare/pose0_02.png"
-    assert "correct its stage reading" in off.sentence
+    assert "or its stage reading is another; the photograph was rejected" in off.sentence
     assert found.bench.rejected.keys() == {"bare/pose0_02.png"}
     assert [name for name, _ in found.all_excluded] == ["bare/pose0_02.png"]
     first = found.session.display[0]
@@ -239,12 +239,22 @@ def test_poses_that_contradict_each_other_stop_before_the_fit(photo_session, cap
 
 
 def test_a_refused_run_leaves_no_results_of_an_earlier_one(photo_session):
-    """The bench as it was found stays for the user to look at; it is this run's."""
+    """The bench as it was found, and the report of it, stay for the user to look at; they are this run's."""
     other_target_pose(photo_session)
     before = (photo_session.out / "station-right.json").stat().st_mtime_ns
-    assert photo_session.refusal()
+    photo_session.cut_short("bare/pose0_01.png")
+    sentence = photo_session.refusal()
     left = {path.name for path in photo_session.out.iterdir()}
-    assert left.isdisjoint({"model.json", "captures-right.npz", "report.html", "report.json", "report.md"})
+    assert left.isdisjoint({"model.json", "captures-right.npz", "coverage.png"})
+    report = json.loads((photo_session.out / "report.json").read_text(encoding="utf-8"))
+    assert report["is_refused"] is True
+    assert report["sentence"].removeprefix("Refused: ") in sentence
+    tables = {table["title"]: table["rows"] for table in report["tables"]}
+    assert [row["photograph"] for row in tables["Excluded"]] == ["bare/pose0_01.png"]
+    assert any(row["check"] == "FAILED" for row in tables["Checks of the bench"])
+    assert report["advice"]
+    assert "FAILED" in (photo_session.out / "report.md").read_text(encoding="utf-8")
+    assert (photo_session.out / "report.html").is_file()
     assert (photo_session.out / "station-right.json").stat().st_mtime_ns != before
     record = json.loads((photo_session.out / "station-right.json").read_text(encoding="utf-8"))
     assert not all(check["ok"] for check in record["checks"])
@@ -301,14 +311,18 @@ def test_a_session_file_with_a_fault_is_refused_in_one_sentence(photo_session, c
     assert kept(photo_session).keys() == before.keys()
 
 
-def test_a_long_list_of_what_was_excluded_is_cut(photo_session):
+def test_a_long_list_of_what_was_excluded_is_in_the_report(photo_session):
     (photo_session.folder / "board.toml").unlink()
     save_board(design_board(16, 8, 0.041, seed=7), photo_session.folder / "board.toml")
     sentence = photo_session.refusal()
     assert "[eyeball_camera]: a camera needs 3 or more photographs of the board" in sentence
     assert "is it another board?" in sentence
     assert sentence.count("intrinsics/eyeball") == 3
-    assert sentence.endswith("53 more.")
+    assert "Excluded before, the worst 3 of 56: " in sentence
+    assert sentence.endswith(f"What was read and found is in {photo_session.out / 'report.html'}.")
+    report = json.loads((photo_session.out / "report.json").read_text(encoding="utf-8"))
+    (excluded,) = (table["rows"] for table in report["tables"] if table["title"] == "Excluded")
+    assert len(excluded) == 56
 
 
 def test_photographs_of_the_lens_that_are_not_there(photo_session):

@@ -162,20 +162,9 @@ def reading_pulls(adjustment: Adjustment) -> list[Pull]:
 
 def _fault_check(fault: Fault) -> Check:
     turn_arcmin, shift_mm = np.linalg.norm(fault.motion[:3]) / ARCMIN, 1e3 * np.linalg.norm(fault.motion[3:])
-    size = f"{shift_mm:.3g} mm and {turn_arcmin:.2g}'"
-    if fault.kind == "photograph":
-        sentence = (
-            f"the target or the camera moved at {fault.names[0]}, which lies {size} from where the other photographs "
-            "have it; it was rejected: take it again, or correct its stage reading"
-        )
-    elif fault.kind == "exchange":
-        sentence = (
-            f"the stage readings of {fault.names[0]} and {fault.names[1]} look exchanged; both were rejected: correct "
-            "the readings, or take them again"
-        )
-    else:
-        said = [_moved(each) for each in (fault, *fault.alternatives) if each.kind not in SINGLE]
-        sentence = f"{'; or '.join(dict.fromkeys(said))}, by {size}; take these photographs again"
+    sentence = (
+        f"photographs disagree by {shift_mm:.3g} mm and {turn_arcmin:.2g}': {_explained(fault)}; {_remedy(fault)}"
+    )
     turned = turn_arcmin * ARCMIN / NEGLIGIBLE_RAD > 1e-3 * shift_mm / NEGLIGIBLE_M
     large = fault.kind not in SINGLE and (shift_mm > REFUSED_MM or turn_arcmin > REFUSED_ARCMIN)
     value, limit = (turn_arcmin, NEGLIGIBLE_RAD / ARCMIN) if turned else (shift_mm, 1e3 * NEGLIGIBLE_M)
@@ -187,8 +176,35 @@ def _fault_check(fault: Fault) -> Check:
     )
 
 
+def _explained(fault: Fault) -> str:
+    """The explanations that the views cannot tell apart, the likeliest first, with their probabilities."""
+    odds: dict[str, float] = {}
+    for each in (fault, *fault.alternatives):
+        odds[_moved(each)] = odds.get(_moved(each), 0.0) + float(np.exp(each.log_odds - fault.log_odds))
+    if len(odds) == 1:
+        return next(iter(odds))
+    ranked = sorted(odds, key=lambda motion: -odds[motion])
+    return "either " + "; or ".join(f"{motion} ({100 * odds[motion] / sum(odds.values()):.0f} %)" for motion in ranked)
+
+
+def _remedy(fault: Fault) -> str:
+    """What else looks like a fault, and what to do."""
+    if fault.kind == "photograph":
+        return "the photograph was rejected: compare it with its entry, or take it again"
+    if fault.kind == "exchange":
+        return "both were rejected: compare them with their entries, or take them again"
+    return (
+        "a lens of another kind or focus, a wrong scale of board or stage, dots of very few pixels, or exchanged "
+        "photographs look much the same: rule these out, then take the photographs again"
+    )
+
+
 def _moved(fault: Fault) -> str:
+    if fault.kind == "photograph":
+        return f"the target or the camera moved at {fault.names[0]}, or its stage reading is another"
     before, after = fault.names
+    if fault.kind == "exchange":
+        return f"the stage readings of {before} and {after} look exchanged"
     if fault.kind == "target in bare":
         return f"the target moved at pose {fault.target} between {before} and {after}"
     if fault.kind == "camera in bare":

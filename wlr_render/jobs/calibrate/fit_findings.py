@@ -105,9 +105,10 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
     _, first = np.unique(side.smooth.readings.capture, return_index=True)
     for each in report.moved:
         found.append(
-            f"{title}: the camera of {names[first[each.capture]]} stood {_digits(1e6 * each.shift_m)} um and "
-            f"{_digits(1e6 * each.turn_rad)} microradians from where it is stated, {each.times:.0f} times the others: "
-            "correct its entry, or leave it out."
+            f"{title}: the readings of {names[first[each.capture]]} lie as if its camera had stood "
+            f"{_digits(1e6 * each.shift_m)} um and {_digits(1e6 * each.turn_rad)} microradians from where it is "
+            f"stated, {each.times:.0f} times as far as the others: the camera or the headset moved, its entry is "
+            "wrong, or the optics are less smooth there than the model. The model was fitted without them."
         )
     stated = report.stated_noise_arcmin
     beside = "" if stated is None else f"({_digits(report.noise_arcmin, 3)}' beside {stated:.3g}')"
@@ -323,7 +324,10 @@ def _predicted(display: FittedDisplay, pixel: FloatArray, viewpoint: FloatArray)
 def _residual_plots(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[str]) -> list[Plot]:
     """Residual of each camera position (and target pose), and maps of the residuals."""
     parts = {"display": captures.display, "see-through": captures.see_through}
-    caption = "A capture whose residual is far above the others' was not taken at the position that its entry states."
+    caption = (
+        "A residual far above the others' is that of a camera or headset that moved, of a wrong entry, or of optics "
+        "that the model does not follow there."
+    )
     plots, maps = [], []
     for name, side in fit.sides.items():
         part = parts[name]

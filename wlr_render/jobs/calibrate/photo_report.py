@@ -1,6 +1,7 @@
 """The report of a calibration from photographs: what was read, how certain the station is, how well the models fit."""
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ from wlr_render.calibration.bench.state import BOARD_SHAPE
 from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
 from wlr_render.calibration.poses import Pose
 from wlr_render.captures.decoded import Rejection
+from wlr_render.captures.photo_session import PhotoSession
+from wlr_render.captures.session_reading import Reading
 from wlr_render.files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
@@ -35,9 +38,9 @@ def headline(found: SessionCalibration) -> str:
 
 def advice(found: SessionCalibration) -> list[str]:
     """What to do next: about faults and failed checks, then about camera positions to add."""
-    steps = ["Correct the entries of session.toml that are excluded, or take the photographs again."] * bool(
-        found.faults
-    )
+    steps = [
+        "Compare the excluded photographs with their entries in session.toml; correct these, or take them again."
+    ] * bool(found.faults)
     steps += [f"{check.step}: {check.sentence}" for check in found.bench.checks if not check.ok]
     return [*steps, *(step for each in found.eyes.values() for step in fit_advice(each.fit))]
 
@@ -49,10 +52,8 @@ def set_names(found: SessionCalibration, eye: EyeCalibration) -> list[str]:
 
 def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
     """Tables, pictures (written into `folder`) and plots, in the order of the procedure."""
-    read = [_read_table(found), _excluded_table(found), _decoded_table(found)]
     blocks: list[Block] = [
-        Section("Photographs"),
-        *(table for table in read if table.rows),
+        *reading_blocks(found.session, found.reading, found.all_excluded),
         *(_coverage(folder, each, len(found.eyes) > 1) for each in found.eyes.values()),
         *_decoding(folder, found),
         Section("The bench"),
@@ -73,6 +74,12 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
     return blocks
 
 
+def reading_blocks(session: PhotoSession, reading: Reading, excluded: Iterable[tuple[str, str]]) -> list[Block]:
+    """Tables of what was read and, by name and reason, of what was excluded."""
+    tables = [_read_table(session, reading), _excluded_table(excluded), _decoded_table(session, reading)]
+    return [Section("Photographs"), *(table for table in tables if table.rows)]
+
+
 def _decoding(folder: Path, found: SessionCalibration) -> list[Picture]:
     if not found.reading.decoded(found.session.display):
         return []
@@ -86,8 +93,7 @@ def _coverage(folder: Path, each: EyeCalibration, several: bool) -> Picture:
     return Picture(title, _draw_coverage(folder / f"{name}.png", each), "Camera positions, and what they saw.")
 
 
-def _read_table(found: SessionCalibration) -> ReportTable:
-    session, reading = found.session, found.reading
+def _read_table(session: PhotoSession, reading: Reading) -> ReportTable:
     rows: list[list[Cell]] = []
     for name, photographs in (
         ("target without the headset", session.bare),
@@ -109,17 +115,17 @@ def _read_table(found: SessionCalibration) -> ReportTable:
     return ReportTable("What was read", columns, rows, notes)
 
 
-def _excluded_table(found: SessionCalibration) -> ReportTable:
-    rows: list[list[Cell]] = [[name, reason] for name, reason in found.all_excluded]
+def _excluded_table(excluded: Iterable[tuple[str, str]]) -> ReportTable:
+    rows: list[list[Cell]] = [[name, reason] for name, reason in excluded]
     return ReportTable("Excluded", ["photograph", "reason"], rows)
 
 
-def _decoded_table(found: SessionCalibration) -> ReportTable:
+def _decoded_table(session: PhotoSession, reading: Reading) -> ReportTable:
     rows: list[list[Cell]] = []
-    for each, panel in found.reading.decoded(found.session.display):
+    for each, panel in reading.decoded(session.display):
         share = panel.counts / panel.counts.sum()
         low, high = panel.extent
-        covered = float(np.prod((high - low) / found.session.panels[each.eye].pattern.panel.size_px))
+        covered = float(np.prod((high - low) / session.panels[each.eye].pattern.panel.size_px))
         rejected: Counter[str] = Counter(
             {
                 reason.name.lower().replace("_", " "): float(share[reason])
@@ -128,7 +134,7 @@ def _decoded_table(found: SessionCalibration) -> ReportTable:
             }
         )
         most = [f"{name} {100 * part:.2g} %" for name, part in rejected.most_common(2) if part > 0]
-        name = found.session.name_of(each.folder)
+        name = session.name_of(each.folder)
         rows.append([name, 100 * float(share[0]), 100 * covered, len(panel.samples), ", ".join(most) or "-"])
     columns = ["set", "decoded (% of picture)", "panel's box seen (%)", "samples", "most rejected, but for dark"]
     return ReportTable("Decoded sets", columns, rows)

@@ -5,9 +5,16 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from wlr_render.calibration.calibrate_session import SessionCalibration, calibrate_session
+from wlr_render.calibration.calibrate_session import (
+    RefusedCalibrationError,
+    SessionCalibration,
+    calibrate_session,
+    worst_first,
+)
+from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
+from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.input_files import naming
 from wlr_render.jobs.calibrate.fit import (
@@ -22,7 +29,7 @@ from wlr_render.jobs.calibrate.fit import (
     save_models,
 )
 from wlr_render.jobs.calibrate.fit_findings import fit_warnings
-from wlr_render.jobs.calibrate.photo_report import advice, headline, session_blocks, set_names
+from wlr_render.jobs.calibrate.photo_report import advice, headline, reading_blocks, session_blocks, set_names
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, Scheduler, SpreadOptions, Workers, described
 from wlr_render.models.model_file import remove_eye_models
@@ -53,13 +60,17 @@ def calibrate_photos(options: CalibratePhotosOptions, *, progress: ProgressArgum
 
     Raises:
         BadInputError: session.toml is faulty, too little could be read, or the steps contradict each other; what was
-            read is kept.
+            read is kept, and the report says how far the calibration came.
     """
     return report_of(calibrated(options, progress=progress), options)
 
 
 def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = SILENT) -> SessionCalibration:
-    """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz."""
+    """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz.
+
+    Raises:
+        BadInputError: as `calibrate_photos`; the report of a refused calibration is written.
+    """
     session = load_photo_session(options.session)
     for eye in session.eyes:  # a faulty prescription is refused before anything is read
         options.fit.prescription_of(eye)
@@ -68,7 +79,11 @@ def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = 
     reading = read_session(session, folder / READ, options.spread, progress)
     progress.say("calibrating the bench, fitting the models")
     with naming(options.session):
-        return calibrate_session(session, reading, folder, options.fit.fit)
+        try:
+            return calibrate_session(session, reading, folder, options.fit.fit)
+        except RefusedCalibrationError as refused:
+            _save_refusal(refused, session, options)
+            raise BadInputError(f"{refused} What was read and found is in {folder / 'report.html'}.") from refused
 
 
 def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
@@ -78,6 +93,22 @@ def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
     remove_eye_models(folder / MODEL_FILE, eyes)
     for name in _REPORT:
         (folder / name).unlink(missing_ok=True)
+
+
+def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, options: CalibratePhotosOptions) -> None:
+    """Write the report of a calibration that was refused: how far it came, and every exclusion."""
+    folder, found, reading = output_folder(options.out), refused.found, refused.reading
+    excluded = [(each.name, each.reason) for each in worst_first(reading.excluded)]
+    report = Report(
+        f"Calibration of {session.device}, {' and '.join(session.eyes)} eye: refused",
+        verdict=f"Refused: {refused}",
+        advice=[] if found is None else advice(found),
+        warnings=reading.notes,
+        blocks=reading_blocks(session, reading, excluded) if found is None else session_blocks(found, folder),
+        inputs=[options.session, *options.fit.inputs],
+        record={"options": options, "device": session.device, "is_refused": True},
+    )
+    save_report(report, folder)
 
 
 def _record(found: SessionCalibration) -> dict[str, Any]:
