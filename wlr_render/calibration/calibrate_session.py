@@ -271,5 +271,6 @@ def _refuse_far_places(session: PhotoSession, viewpoint: FloatArray) -> None:
         x, y, z = 1e3 * off
         raise BadInputError(
             f"{session.folder}: the camera places lie ({x:.0f}, {y:.0f}, {z:.0f}) mm (x right, y up, z backward) from "
-            "the middle of [eye_box]; check [tracking_camera] 'translation_mm' and 'rotation', 'frame' and 'centre_mm'."
+            "the middle of [eye_box]; check [tracking_camera] 'translation_mm' and 'rotation', 'frame' and "
+            "'centre_mm', and that the tracking photographs are of the target poses that their entries state."
         )
