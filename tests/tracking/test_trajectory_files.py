@@ -80,6 +80,8 @@ NS = (10**9, 1)
         table("#timestamp [ns],tx [m],ty [m],tz [m],qx,qy,qz,qw", scale=NS),
         table("timestamp_ns,x,y,z,qx,qy,qz,qw", scale=NS),
         table("#" + EUROC, order=WXYZ, scale=NS),
+        table("#" + EUROC.replace(" [ns]", ""), order=WXYZ, scale=NS),
+        table("time_ms,head_x,head_y,head_z,head_qw,head_qx,head_qy,head_qz", order=WXYZ, scale=(1000, 1)),
         table(EUROC, order=WXYZ, scale=NS),
         table(EUROC.replace(",", ", "), order=WXYZ, scale=NS),
         table("time,x,y,z,qx,qy,qz,qw"),
@@ -151,6 +153,8 @@ def test_nanoseconds_since_1970_are_not_rounded_before_they_are_divided(tmp_path
         ("timestamp_ns,x,y,z,qx,qy,qz,qw\n0.5,0,0,0,0,0,0,1\n", "line 2: time '0.5' is not in integer nanoseconds, as"),
         ("timestamp,x,y,z,qx,qy,qz,qw\n1403715273262,0,0,0,0,0,0,1\n1403715273267,0,0,0,0,0,0,1\n", "a time is 1.4"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: 12 columns, as KITTI's poses, which have no times; write TUM"),
+        ("1,0,0,0,0,1,0,0,0,0,1,0\n", "line 1: 12 columns, as KITTI's poses"),
+        ("# t x y z q0 q1 q2 q3\n0 0 0 0 1 0 0 0\n", "lack qx, qy, qz, qw"),
         ("time_s,x,y,z,qx,qy,qz,qw\n", "no rows"),
     ],
 )
@@ -240,6 +244,8 @@ PUPILS = "time_s,left_x_mm,left_y_mm,left_z_mm,right_x_mm,right_y_mm,right_z_mm"
         PUPILS.replace(",", ";") + "\n0,0;-32,0;1;-30;32;1;-30\n0,5;-33;1;-30;32;1;-30\n",
         PUPILS + "\n0,-32,1,-30,32,1,-30\n0.25,nan,nan,nan,,,\n0.5,-33,1,-30,32,1,-30\n",
         PUPILS.replace("time_s", "frame,timestamp_ns") + "\n7,0,-32,1,-30,32,1,-30\n8,500000000,-33,1,-30,32,1,-30\n",
+        "time_s,eye,x_m,y_m,z_m\n0,L,-.032,.001,-.03\n0,R,.032,.001,-.03\n.5,L,-.033,.001,-.03\n.5,R,.032,.001,-.03\n",
+        "time_s,x_left_mm,y_left_mm,z_left_mm,x_right_mm,y_right_mm,z_right_mm\n0,-32,1,-30,32,1,-30\n0.5,-33,1,-30,32,1,-30\n",
         "t_ms,eye,x_m,y_m,z_m\n0,left,-.032,.001,-.03\n0,right,.032,.001,-.03\n500,Left,-.033,.001,-.03\n"
         "500,right,.032,.001,-.03\n",
         "Time (s),Left Pupil X (cm),Left Pupil Y (cm),Left Pupil Z (cm),right_pupil_x [m],right_pupil_y [m],"

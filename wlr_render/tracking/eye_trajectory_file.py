@@ -49,6 +49,7 @@ _ROLES = {
     TIME: "time",
     rf"(left|right){_PUPIL}[_. ]?([xyz])": r"\1_\2",
     r"(?:pupil|viewpoint|eye)(?:_?(?:position|pos))?_(left|right)[_. ]?([xyz])": r"\1_\2",
+    r"([xyz])_(left|right)": r"\2_\1",
     r"eye": "eye",
     r"(?:(?:entrance_)?(?:pupil|viewpoint)_?)?([xyz])": r"\1",
 }
@@ -146,7 +147,8 @@ def _eyes_of(row: Row, columns: dict[str, Column]) -> dict[str, list[Column]]:
     if "eye" not in columns:
         eyes = [eye for eye in EYES if f"{eye}_x" in columns]
         return {eye: [columns[f"{eye}_{axis}"] for axis in "xyz"] for eye in eyes}
-    eye = row.fields[columns["eye"].index].lower()
+    word = row.fields[columns["eye"].index].lower()
+    eye = {"l": "left", "r": "right"}.get(word, word)
     if eye not in EYES:
         raise row.fail(f"unknown eye {shown(eye)}; it must be one of {', '.join(EYES)}.")
     return {eye: [columns[axis] for axis in "xyz"]}

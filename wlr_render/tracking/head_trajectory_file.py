@@ -38,7 +38,8 @@ _POSITION = "position|pos|p|translation|trans|t|location|loc"
 _ROLES = {
     TIME: "time",
     rf"(?:.*[._ /])?(?:{_QUATERNION})(?:_[a-z]+)?[._ ]?([wxyz])": r"q\1",
-    rf"(?:.*[._ /])?(?:{_POSITION})(?:_[a-z]+_[a-z]+)?[._ ]?([xyz])|([xyz])": r"\1\2",
+    rf"(?:.*[._ /])?(?:{_POSITION})(?:_[a-z]+_[a-z]+)?[._ ]?([xyz])"
+    "|(?:(?:head|headset|hmd|device|camera|cam|pose)[._ ])?([xyz])": r"\1\2",
 }
 """Names of columns without units, in small letters."""
 _NEEDED = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -59,6 +60,8 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
         count = len(table.header or table.headers[0])
         content = np.array([_named_row(row, columns, count) for row in table.rows])
     else:
+        if len((first := table.rows[0]).fields) == _KITTI:
+            raise first.fail("12 columns, as KITTI's poses, which have no times; write TUM: time tx ty tz qx qy qz qw.")
         content = np.array([(_euroc_row if table.separated else _tum_row)(row) for row in table.rows])
     require_ascending_rows(table.rows, content[:, 0], 0 if columns is None else columns["time"].index)
     require_plausible_motion(str(path), content[:, 0], content[:, 1:4], _FAR_M)
@@ -76,8 +79,6 @@ def _named_row(row: Row, columns: dict[str, Column], count: int) -> list[float]:
 
 def _tum_row(row: Row) -> list[float]:
     """Time, position and quaternion xyzw of a TUM row."""
-    if len(row.fields) == _KITTI:
-        raise row.fail("12 columns, as KITTI's poses, which have no times; write TUM: time tx ty tz qx qy qz qw.")
     row.require_columns((8,), "TUM: time tx ty tz qx qy qz qw")
     return row.numbers(0, 4) + row.unit_vector(range(4, 8), "quaternion")
 

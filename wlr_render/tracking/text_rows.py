@@ -143,7 +143,8 @@ class TextTable:
                 if role in found:
                     twice = f"the columns '{found[role].name}' and '{name}' are both {role}; keep one"
                 elif role:
-                    found[role] = Column(index, name, unit)
+                    is_euroc = role == "time" and any("p_RS_R_" in each for each in cells)
+                    found[role] = Column(index, name, unit or ("ns" if is_euroc else ""))
             missing = [role for role in needed if role not in found]
             if self.header is None and 2 * len(missing) > len(needed):
                 continue
