@@ -61,6 +61,17 @@ def read_between_texels(texture: Texture) -> None:
         texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
 
 
+def make_mip_levels(texture: Texture) -> None:
+    """Allocate the mip levels of a texture and set trilinear filtering, once.
+
+    The driver fills them by a filter of its own.
+    """
+    trilinear = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
+    if texture.filter != trilinear:
+        texture.build_mipmaps()
+        texture.filter = trilinear
+
+
 def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
     """A texture as (height, width, components), or (height, width) if it has one component."""
     shape = (texture.height, texture.width) + ((texture.components,) if texture.components > 1 else ())

@@ -6,12 +6,9 @@ all that is shown from such a level is displaced.
 
 import ctypes
 
-import moderngl
-
 from wlr_render.rendering import gl
 
 _TEXTURE_2D = 0x0DE1
-_MIPMAPPED = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
 
 
 class MipLevels:
@@ -32,9 +29,7 @@ class MipLevels:
             texture: of four components, "f1", "f2" or "srgb" as `GlContext.target` makes it; what a shader reads from
                 it is light, premultiplied with alpha.
         """
-        if texture.filter != _MIPMAPPED:
-            texture.build_mipmaps()  # makes room for the levels
-            texture.filter = _MIPMAPPED
+        gl.make_mip_levels(texture)
         self.refill(texture)
 
     def refill(self, texture: gl.Texture, holds_codes: bool = False) -> None:
