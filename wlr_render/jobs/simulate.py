@@ -24,6 +24,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, Sampling
+from wlr_render.simulation.photographs.photo_plan import unreadable_targets
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
 
@@ -150,11 +151,12 @@ def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -
         BadInputError: an unknown device or eye, or the folder holds a session made in another way.
     """
     made = simulate_photo_session(options.session, options.recipe, options.spread, progress)
+    too_small = [f"{each} Calibration cannot use them." for each in unreadable_targets(options.recipe.build())]
     return Report(
         f"Simulated session {options.session.name}",
         verdict=f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {options.session}",
         advice=[f"Calibrate with: wlr-render calibrate photos {options.session}"],
-        warnings=retaken_warnings(made.changed),
+        warnings=[*too_small, *retaken_warnings(made.changed)],
     )
 
 

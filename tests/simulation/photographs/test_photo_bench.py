@@ -16,7 +16,7 @@ from wlr_render.simulation.photographs.photo_bench import (
     stage_readings,
     target_at,
 )
-from wlr_render.simulation.photographs.photo_plan import plan_photographs
+from wlr_render.simulation.photographs.photo_plan import plan_photographs, unreadable_targets
 from wlr_render.simulation.photographs.recipe import SimulationRecipe, load_recipe, save_recipe
 
 OPTIONS = PhotoBenchOptions(camera_px=(640, 512), imperfections=BenchImperfections.none())
@@ -155,6 +155,21 @@ def test_the_plan_moves_the_bare_camera_along_every_axis_and_fills_the_lenses(be
 def test_benches_that_cannot_be_are_refused(eye, options, complaint):
     with pytest.raises(BadInputError, match=complaint):
         design_photo_bench(load_device("plane_plate"), eye, options)
+
+
+def test_pictures_too_small_to_identify_a_near_board_are_named():
+    def said(camera, tracking):
+        options = PhotoBenchOptions(camera_px=camera, tracking_px=tracking)
+        return unreadable_targets(design_photo_bench(load_device("freeform40"), "right", options))
+
+    assert said((640, 512), (640, 480)) == []
+    (sentence,) = said((320, 256), (640, 480))
+    assert sentence.startswith(
+        "Target pose 0: the eyeball camera's pictures of 320 x 256 pixels are too small to ident"
+    )
+    assert any(
+        "dots of 2" in each and "tracking camera's pictures of 240" in each for each in said((640, 512), (240, 180))
+    )
 
 
 def test_a_recipe_from_before_volumetric_sessions_is_read(tmp_path):

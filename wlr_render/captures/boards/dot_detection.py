@@ -17,7 +17,8 @@ FloatImage = NDArray[np.float32]
 
 _LEVELS = 5  # dots of up to 24 px on the finest, 380 px on the coarsest
 _KERNEL_PX = 25  # side of the closing's square, on each level
-_LEAST_AREA_PX = 8.0  # on the finest level
+LEAST_AREA_PX = 8.0
+"""Of a dot that is found on the finest level."""
 _LEAST_AREA_BEYOND_PX = 60.0  # on the coarser ones: below, the level before sees it better
 _FULLNESS = (0.8, 1.15)  # area over that of the ellipse of the same second moments: 1 for any ellipse
 _LEAST_AXES_RATIO = 0.3
@@ -66,7 +67,7 @@ def find_dots(image: NDArray[np.generic]) -> Dots:
     for octave in range(_LEVELS):
         if min(level.shape) < _KERNEL_PX:
             break
-        dots, depth = _dots_of_level(level, _LEAST_AREA_BEYOND_PX if octave else _LEAST_AREA_PX)
+        dots, depth = _dots_of_level(level, _LEAST_AREA_BEYOND_PX if octave else LEAST_AREA_PX)
         # A pixel of the next level lies over every second one of this, centre on centre.
         scale = 2.0**octave
         found.append(Dots((dots.centre - 0.5) * scale + 0.5, dots.spread * scale**2))

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from wlr_render.captures.boards.board import BoardNotFoundError
+from wlr_render.captures.boards.dot_detection import LEAST_AREA_PX
+from wlr_render.captures.boards.dot_identity import identify
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import (
@@ -26,6 +29,7 @@ from wlr_render.simulation.photographs.photo_bench import PhotoBench, stage_read
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
 _TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
+_GROUND_PX = 4.0  # around a dot that is measured
 _FILL = (0.75, 1.1)  # of the picture's width by the board, by turns
 _PLACES, _TURNS, _READINGS, _CREEP, _HAND, _STATED = range(17, 23)  # streams of random numbers
 _CREEP_TIME = 0.3  # of the session, in which the creep falls to 1 / e
@@ -74,6 +78,31 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
         _boards_before(bench.eyeball.camera, bench.board.size_m),
         _boards_before(bench.tracking.camera, bench.board.size_m),
     )
+
+
+def unreadable_targets(bench: PhotoBench) -> list[str]:
+    """Sentences about target poses of which a photograph shows too few whole dots, or too small ones, to be read."""
+    found = []
+    for number, target in enumerate(bench.device_from_target):
+        for name, lens, camera in (
+            ("eyeball", bench.eyeball.camera, bench.device_from_camera),
+            ("tracking", bench.tracking.camera, bench.device_from_tracking),
+        ):
+            in_camera = transforms.apply(transforms.inverse(camera) @ target, bench.printed.points)
+            pixel, index = lens.pixel_of_point(in_camera), bench.board.indices()
+            radius = 0.5 * bench.board.diameter_of(index) * lens.focal_px[0] / in_camera[:, 2]
+            edge = radius[:, None] + _GROUND_PX
+            whole = np.all((pixel > edge) & (pixel < np.array(lens.size_px) - edge), axis=1)
+            size = f"the {name} camera's pictures of {lens.size_px[0]} x {lens.size_px[1]} pixels are too small"
+            try:
+                identify(index[whole], bench.board.large[index[whole, 1], index[whole, 0]], bench.board.large)
+            except BoardNotFoundError as error:
+                found.append(f"Target pose {number}: {size} to identify the board: {error}")
+            if np.any(np.pi * radius[whole] ** 2 < LEAST_AREA_PX):
+                found.append(
+                    f"Target pose {number}: {size}: dots of {2 * radius[whole].min():.2g} pixels are not found."
+                )
+    return found
 
 
 def bare_steps(axes: int, in_depth: bool) -> FloatArray:
