@@ -51,6 +51,17 @@ def test_the_other_pattern_is_named(legacy):
         replace(CHARUCO, legacy=not legacy).find(image, "a.png")
 
 
+@pytest.mark.parametrize("legacy", [False, True])
+def test_the_other_pattern_of_an_odd_number_of_columns_is_named(legacy):
+    """Its markers lie as here but for one in every second row."""
+    board = CharucoBoard(15, 8, 0.01, 0.0075, "DICT_5X5_100", legacy)
+    image = cv2.copyMakeBorder(board._opencv.generateImage((900, 480)), 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=255)
+    image = (40 + 0.7 * cv2.GaussianBlur(image, (0, 0), 0.8)).astype(np.uint8)
+    assert len(board.find(image)) == 14 * 7
+    with pytest.raises(BoardNotFoundError, match=rf"set legacy = {str(legacy).lower()} in board\.toml"):
+        replace(board, legacy=not legacy).find(image)
+
+
 def test_another_charuco_board_is_named():
     image = whole_picture(CHARUCO)
     for changes, sentence in (

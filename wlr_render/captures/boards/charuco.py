@@ -25,7 +25,8 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _LEAST_MARKERS = 4  # fewer may be chance, or fit a homography anyhow
 _OTHER_MARKER = 0.2  # of the stated side; small markers are found larger or smaller by a pixel
-_FITTING = 0.1  # of a marker's side: the error of markers that lie as on the board
+_FITTING = 0.1  # of a marker's side: the usual error of markers that lie as on the board
+_SQUARE_OFF = 0.5  # of a marker's side: the error of a marker that lies elsewhere
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +147,8 @@ class CharucoBoard(CellBoard):
         expected = cv2.perspectiveTransform(place.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
         side = np.sqrt([cv2.contourArea(corners.astype(np.float32)) for corners in seen])
         off = np.linalg.norm(expected - seen, axis=-1).max(axis=1)
-        return bool(np.median(off / np.maximum(side, 1e-9)) < _FITTING)
+        # Of the other pattern, or of other numbers of squares, some rows fit; the others are off by a square or more.
+        return bool(np.median(off / np.maximum(side, 1e-9)) < _FITTING and np.all(off < _SQUARE_OFF * side))
 
     def _other_sizes(self, seen: "_Seen") -> str | None:
         """Sentence about further rows, or another size of the markers, than this board has; None if these fit."""
