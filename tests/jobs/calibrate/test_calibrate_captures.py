@@ -347,13 +347,14 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         ),
         (
             {"motion_agreement": MotionAgreement(5e-6, 9e-6, 2.4, 1.0, 4.2, 0.1)},
-            "Display: the camera shifted 2.4 times as much between captures as the bench states (4.2 sigma): look for "
-            "what moved after the stage was judged.",
+            "Display: between captures the camera seems to have shifted 2.40 times as far as the bench states (off by "
+            "4.2 sigma): camera or headset moved after the bench was photographed, or the optics are less smooth than "
+            "the model.",
         ),
         (
             {"motion_agreement": MotionAgreement(5e-6, 9e-6, 1.0, 0.3, 0.1, 3.5)},
-            "Display: the camera turned 0.30 times as much between captures as the bench states (3.5 sigma): predicted "
-            "errors are too large.",
+            "Display: between captures the camera seems to have turned 0.300 times as far as the bench states (off by "
+            "3.5 sigma): the predicted errors are too large.",
         ),
         (
             {"one_more": OneMore("a row of 3 camera positions at y = +4.0 mm", 0.06)},

@@ -138,11 +138,14 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
         ):
             if sigmas > MOTIONS_DIFFER:
                 why = (
-                    "predicted errors are too large" if factor < 1 else "look for what moved after the stage was judged"
+                    "the predicted errors are too large"
+                    if factor < 1
+                    else "camera or headset moved after the bench was photographed, or the optics are less smooth than "
+                    "the model"
                 )
                 found.append(
-                    f"{title}: the camera {moved} {_digits(factor)} times as much between captures as the bench states "
-                    f"({sigmas:.1f} sigma): {why}."
+                    f"{title}: between captures the camera seems to have {moved} {_digits(factor, 3)} times as far as "
+                    f"the bench states (off by {sigmas:.1f} sigma): {why}."
                 )
     if (gain := _gain(report)) > FEW_POSITIONS:
         found.append(
