@@ -200,7 +200,6 @@ class Survey:
                 capture=self.cell[rows],
                 motion=None,
                 orders=_LIMITS.orders(2, 0),
-                limits=_LIMITS,
             )
         )
 

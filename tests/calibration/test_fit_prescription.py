@@ -41,6 +41,23 @@ def test_exact_captures_give_back_the_assembly_errors(name):
     np.testing.assert_array_less(np.abs(fitted.values - drawn), 5.0 * sigma + 1e-3 * ASSEMBLY_SIZES)
 
 
+def test_the_prior_of_the_assembly_errors_is_gaussian_however_large_they_are(monkeypatch):
+    class SolverReachedError(Exception):
+        pass
+
+    def solver(residual, start, *, loss, f_scale, **_):
+        """An error of 6 sizes costs 18, a reading off by 6 sizes less."""
+        square = (np.full(len(residual(start)), 6.0) / f_scale) ** 2
+        cost = 0.5 * f_scale**2 * loss(square)[0]
+        np.testing.assert_allclose(cost[-len(ASSEMBLY_SIZES) :], 18.0)
+        assert np.all(cost[: -len(ASSEMBLY_SIZES)] < 9.0)
+        raise SolverReachedError
+
+    monkeypatch.setattr("wlr_render.calibration.fit_prescription.least_squares", solver)
+    with pytest.raises(SolverReachedError):
+        fit_assembly(captured(prescription("birdbath28"), count=1), prescription("birdbath28"))
+
+
 @pytest.mark.parametrize("name", DEVICES)
 def test_displaced_parts_are_found_at_a_quarter_arcminute_of_noise(name):
     truth = wrong_headset(prescription(name), np.random.default_rng(0))

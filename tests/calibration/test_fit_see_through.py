@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PLANE, bend_of, places_among, positions_in_plane, see_through_captures
+from toy_device import EYE_BOX, PLANE, bend_of, grid_in_plane, places_among, positions_in_plane, see_through_captures
 
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.smooth_prior import NOISE_FLOOR_ARCMIN
@@ -157,6 +157,24 @@ def test_noise_is_found_and_straight_rays_stay_straight():
     point, viewpoint, _ = truth_at(1.0, 0.0)
     seen = found.mapping.view_dir_of_real_point(point, viewpoint).value
     assert np.sqrt(np.mean(arcmin_between(seen, normalised(point - viewpoint)) ** 2)) < 0.1
+
+
+def pole(base, tangents):
+    """Optics whose coefficients fall slowly with the order in the direction: by 2.2 along x, by 2.9 along y."""
+    u, v = (tangents / [0.4, 0.3]).T
+    a = 1e-3 * np.stack([1.0 / (1.33 - u), 1.0 / (1.62 - v)], axis=-1)
+    return a, 0.1 * a
+
+
+def test_terms_that_the_optics_need_are_found_and_the_predicted_error_is_the_true_one():
+    exact = see_through_captures(places_among(positions_in_plane(12), 40, seed=8), depths=(0.7,), bend=pole)
+    fitted = fit_see_through(see_through_captures(grid_in_plane(4, 4), bend=pole, sigma_arcmin=0.1))
+    assert fitted.smooth.readings.limits.pixel > 6
+    seen = fitted.mapping.view_dir_of_real_point(exact.point, exact.viewpoint).value
+    true = np.sqrt(np.mean(arcmin_between(seen, exact.view_dir) ** 2))
+    predicted = np.sqrt(np.mean(fitted.mapping.sigma(exact.point, exact.viewpoint) ** 2))
+    print(f"true over predicted {true / predicted:.2f}")
+    assert 0.8 < true / predicted < 1.25
 
 
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])

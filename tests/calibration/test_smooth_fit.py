@@ -128,6 +128,12 @@ def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count, 
         assert np.sqrt(np.mean(true**2)) < 2 * np.sqrt(np.mean(predicted**2))
 
 
+@pytest.mark.parametrize("sigma", [0.005, 0.0005])
+def test_a_sharp_camera_is_believed(sigma):
+    smooth = fit_display(clean(1, sigma), "planar", 4).smooth
+    assert smooth.noise == pytest.approx(1.0, rel=0.05)
+
+
 def test_gross_readings_lose_their_weight():
     captures = clean(1)
     off = np.zeros((len(captures), 2))

@@ -116,6 +116,21 @@ def test_sums_less_those_of_some_readings_are_those_of_the_others() -> None:
     assert found.log_evidence == pytest.approx(posterior(rest.sums(), rest.prior, HYPER).log_evidence, abs=1e-8)
 
 
+@pytest.mark.parametrize("motion", [0.02, 0.05, 0.2])
+def test_the_curvature_is_that_of_the_evidence(motion: float) -> None:
+    """Of the size of the motions, from strongly to weakly determined; the mean of 40 draws."""
+    rng, step = np.random.default_rng(23), 1e-2
+    found, second = [], []
+    for _ in range(40):
+        sums, prior, _ = drawn(rng, motion)
+        hyper = np.log([1.0, 1.0, 0.1, motion])
+        hyper[1] = 0.7
+        three = [posterior(sums, prior, hyper + by * np.eye(4)[3]) for by in (-step, 0.0, step)]
+        second.append(-np.diff([each.log_evidence for each in three], 2)[0] / step**2)
+        found.append(three[1].curvature[3])
+    assert np.mean(found) == pytest.approx(np.mean(second), rel=0.15)
+
+
 def drawn(
     rng: np.random.Generator, motion: float, tails: bool = False, rim: bool = False
 ) -> tuple[Sums, Prior, FloatArray]:

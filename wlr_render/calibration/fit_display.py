@@ -30,9 +30,8 @@ from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
 
-DISPLAY_LIMITS = (Limits(pixel=8, place=5, total=8), Limits(pixel=10, place=5, total=10))
-"""What the optics of the shipped devices need at usual noise, and without noise; the evidence decides how much of it
-is used."""
+DISPLAY_LIMITS = (Limits(pixel=8, place=5, total=8), Limits(pixel=12, place=6, total=12))
+"""Of the first fit, and of all fits; the terms between them are used as far as they matter."""
 
 
 def fit_display(
@@ -51,7 +50,7 @@ def fit_display(
         kind: "planar" (viewpoints are carried along their measured rays to the base plane), "volumetric",
             "static" (only the camera position nearest to the eye box's centre is used), "point-per-pixel", or with a
             trend "grey-box" (planar, and the trend is its prior mean) or "prescription" (the trend alone).
-        degree: highest total degree; None for `DISPLAY_LIMITS`.
+        degree: highest total degree; None for the terms within `DISPLAY_LIMITS` that matter.
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_fit.fit`.
@@ -124,7 +123,6 @@ def _readings(
         capture=capture,
         motion=respond and motion_of(tangents, respond),
         orders=limits.orders(2, places),
-        limits=limits,
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond),
@@ -148,7 +146,6 @@ def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, tren
         capture=np.unique(captures.capture, return_inverse=True)[1],
         motion=None,
         orders=limits.orders(2, 0),
-        limits=limits,
     )
 
 

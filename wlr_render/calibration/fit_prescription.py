@@ -71,8 +71,8 @@ class FittedAssembly:
 def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
     """Fit the twelve assembly errors of a prescription to display and see-through captures together.
 
-    Robust nonlinear least squares of angles; each error has a Gaussian prior of its plausible size. The size of the
-    residuals is estimated, for display and see-through apart: it also contains what assembly errors cannot explain.
+    Nonlinear least squares, robust in the angles; each error has a Gaussian prior of its plausible size. The size of
+    the residuals is estimated, for display and see-through apart: it also contains what assembly errors cannot explain.
 
     A wrong shape can look like large assembly errors, which then serve the models but mean nothing themselves.
 
@@ -95,7 +95,7 @@ def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float 
             return np.concatenate([*(np.nan_to_num(each, nan=_LOST) for each in found), scaled])
 
         solution = least_squares(
-            residual, scaled, loss="soft_l1", f_scale=2.0, diff_step=1e-5, xtol=1e-6, ftol=1e-8, max_nfev=_EVALUATIONS
+            residual, scaled, loss=_loss, f_scale=2.0, diff_step=1e-5, xtol=1e-6, ftol=1e-8, max_nfev=_EVALUATIONS
         )
         scaled, fitted = solution.x, assembled(optics, ASSEMBLY_SIZES * solution.x)
         before, sizes = sizes, [_robust_size(part.residual(fitted)) for part in parts]
@@ -110,6 +110,15 @@ def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float 
     return FittedAssembly(
         optics, ASSEMBLY_SIZES * scaled, covariance, display_arcmin, next(iter(see_through_arcmin), None), wavelength_um
     )
+
+
+def _loss(square: FloatArray) -> FloatArray:
+    """Soft-L1 of squares (n,) with first and second derivatives, (3, n); of the prior at their end, the squares."""
+    root = np.sqrt(1.0 + square)
+    found = np.stack([2.0 * (root - 1.0), 1.0 / root, -0.5 / root**3])
+    prior = square[-len(ASSEMBLY_NAMES) :]
+    found[:, -len(prior) :] = prior, np.ones_like(prior), np.zeros_like(prior)
+    return found
 
 
 def display_trend(assembly: FittedAssembly, plane: BasePlane, box: Box) -> Trend:

@@ -26,8 +26,8 @@ from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
 
-SEE_THROUGH_LIMITS = (Limits(pixel=6, place=4, total=6), Limits(pixel=8, place=5, total=8))
-"""Of direction and place: deviations are smoother than the display's distortion."""
+SEE_THROUGH_LIMITS = (Limits(pixel=6, place=4, total=6), Limits(pixel=12, place=6, total=12))
+"""Likewise, of direction and place: deviations are smoother than the display's distortion."""
 
 
 def fit_see_through(
@@ -45,7 +45,7 @@ def fit_see_through(
         captures: what was measured, at two or more target depths.
         kind: "planar", "volumetric", "static" (of each target pose, only the camera position nearest to the eye
             box's centre is used), or with a trend "grey-box" or "prescription"; see `fit_display`.
-        degree: highest total degree; None for `SEE_THROUGH_LIMITS`.
+        degree: highest total degree; None for the terms within `SEE_THROUGH_LIMITS` that matter.
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_fit.fit`.
@@ -133,7 +133,6 @@ def _readings(
         capture=capture,
         motion=respond and motion_of(captures.tangents, respond),
         orders=limits.orders(2, places)[:, np.roll(np.arange(2 + places), places)],
-        limits=limits,
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond, by_point),

@@ -1,9 +1,9 @@
 """How a model of either side of the headset, display or see-through, is fitted: kinds of models, limits, refusals."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Generic
+from typing import Any, Generic
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.contraction import require_unique
 from wlr_render.models.spread import Covariance
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.regressor import Regressor
 
@@ -42,6 +42,13 @@ class ModelKind(Generic[AnyCaptures, AnyModel]):
     is_trend_alone: bool = False
 
 
+def _with_orders(
+    readings_within: Callable[..., FitReadings], orders: IntArray, captures: AnyCaptures, **given: Any
+) -> FitReadings:
+    """Readings of captures with the terms that a fit chose."""
+    return replace(readings_within(captures, limits=TREND_ALONE, **given), orders=orders)
+
+
 @dataclass(frozen=True)
 class Side(Generic[AnyCaptures, AnyModel]):
     """Display or see-through.
@@ -50,7 +57,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         name: "display" or "see-through".
         subject: what the model's inputs are beside the place, "pixel" or "direction".
         kinds: by name; "planar" is one of them.
-        limits: of the orders, the narrowest first.
+        limits: of the orders of the fit that finds which terms matter, and of all fits; see `smooth_fit.fit_within`.
         nearest: captures -> those from the camera position nearest to the eye box's centre.
         check: (captures, kind, plane), refuses captures that no fit is needed to refuse.
         lacking: (captures, kind) -> what captures that do not determine a model lack, as the end of a sentence.
@@ -103,11 +110,10 @@ class Side(Generic[AnyCaptures, AnyModel]):
             ) from error
         if degree is None:  # a limit may be why no polynomial follows
             smooth.require_agreement(f"the {self.name} captures of {captures.device}", used.sigma_arcmin)
-        used_limits = smooth.readings.limits
-        readings_of = partial(readings_within, limits=used_limits)
+        readings_of = partial(_with_orders, readings_within, smooth.readings.orders)
         mapping = how.model(used, plane, smooth.polynomial, smooth.spread)
         contraction = require_unique(mapping.contraction(), kind, self.name)
-        orders = used_limits.words(self.subject, how.has_places)
+        orders = smooth.readings.limits.words(self.subject, how.has_places)
         return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)
 
     def _require_at_eye_box(self, captures: AnyCaptures) -> None:

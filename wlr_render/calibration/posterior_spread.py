@@ -12,10 +12,16 @@ _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank
 _SAMPLES = 500  # readings at which that is judged
 
 
-def spread_of(readings: FitReadings, found: Posterior, response: Response | None = None) -> Covariance:
+def spread_of(
+    readings: FitReadings, found: Posterior, response: Response | None = None, beyond: FloatArray | None = None
+) -> Covariance:
     """Low-rank factors of the posterior covariance, judged by the variance that they keep at some of the readings.
 
-    `response` tells how the fit follows the errors that its captures share.
+    Args:
+        readings: what was fitted.
+        found: the posterior.
+        response: how the fit follows the errors that its captures share.
+        beyond: (blocks,) variance that terms beyond those of the fit add to an output; None for none.
     """
     orders, box, blocks = readings.orders, readings.box, readings.blocks
     outputs = blocks * (1 if readings.mixed else 2)
@@ -32,7 +38,7 @@ def spread_of(readings: FitReadings, found: Posterior, response: Response | None
         design = np.einsum("nrb,nt->nrbt", readings.multiplier[rows] * weight[:, None, None], sample)
         root = _root(found.side_covariance)
         joint = root @ _principal(design.reshape(2 * len(rows), -1) @ root)
-        joint = joint.reshape(blocks, len(orders), -1).transpose(1, 0, 2)
+        joint = _with_constant(joint.reshape(blocks, len(orders), -1).transpose(1, 0, 2), orders, beyond)
         apart = np.zeros((len(orders), 0))
         joint_orders = orders
     else:
@@ -40,8 +46,8 @@ def spread_of(readings: FitReadings, found: Posterior, response: Response | None
         design = design.reshape(len(rows), -1)
         root = _root(found.alone)
         apart_root = root @ _principal(design @ root)
-        rank = apart_root.shape[1]
-        apart = apart_root.reshape(blocks, len(orders), rank).transpose(1, 0, 2).reshape(len(orders), blocks * rank)
+        apart = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
+        apart = _with_constant(apart, orders, beyond).reshape(len(orders), -1)
         # What the coefficients do with the side unknowns, the trend's parameters among them.
         trend = readings.trend
         shared = trend.parameters if trend else 0
@@ -71,6 +77,14 @@ def spread_of(readings: FitReadings, found: Posterior, response: Response | None
         Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
         readings.sources[:shared],
     )
+
+
+def _with_constant(factors: FloatArray, orders: IntArray, beyond: FloatArray | None) -> FloatArray:
+    """Factors (terms, blocks, rank), and those of a variance (blocks,) that is the same everywhere."""
+    if beyond is None or not beyond.any():
+        return factors
+    constant = ~orders.any(axis=1)
+    return np.concatenate([factors, constant[:, None, None] * np.diag(np.sqrt(beyond))], axis=2)
 
 
 def _root(covariance: FloatArray) -> FloatArray:

@@ -141,7 +141,7 @@ class FitReadings:
         capture: (n,) indices 0..captures - 1 of what shares a motion of the camera.
         motion: (slope of the modelled values (n, 2, variables)) -> (n, 2, 6): by how much `observed` less the model
             changes with a shift (metres) and a turn (radians) of the camera; None where no motion is modelled.
-        orders: (terms, variables) of the fit. limits: that they keep.
+        orders: (terms, variables) of the fit.
         trend: what is known of the model before the fit; None for nothing.
         motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
         common: errors that all captures share; None where none are known.
@@ -156,7 +156,6 @@ class FitReadings:
     capture: IntArray
     motion: Callable[[FloatArray], FloatArray] | None
     orders: IntArray
-    limits: Limits
     trend: Trend | None = None
     motion_prior: CaptureMotionPrior | None = None
     common: Common | None = None
@@ -169,6 +168,13 @@ class FitReadings:
         """What display and see-through share errors of: the parameters of the trend, then common errors."""
         parameters = self.trend.parameters if self.trend else 0
         return (PRESCRIPTION,) * parameters + (self.common.sources if self.common else ())
+
+    @property
+    def limits(self) -> Limits:
+        """The narrowest limits that the orders keep."""
+        parts = self.orders[:, ~self.is_place], self.orders[:, self.is_place], self.orders
+        pixel, place, total = (int(part.sum(axis=1).max(initial=-1)) for part in parts)
+        return Limits(pixel, place, total)
 
     @property
     def mixed(self) -> bool:
@@ -299,6 +305,7 @@ def sums_of(
     motion: FloatArray | None,
     kept: FloatArray,
     captures: int | None = None,
+    still: Sums | None = None,
 ) -> Sums:
     """Sums over the readings less their free part and trend.
 
@@ -308,13 +315,16 @@ def sums_of(
         motion: (n, 2, 6) columns of the motion of each reading's camera; None without motions.
         kept: (n,) weights of the readings.
         captures: number of camera positions; None for that of the readings.
+        still: the sums of the same readings and weights without motions, if they are there; saves most of the work.
     """
     terms, own = len(readings.orders), 0 if motion is None else 6
     groups = (captures or int(readings.capture.max()) + 1) if own else 0
     trend = readings.trend
     parameters = trend.parameters if trend else 0
     columns = 0 if readings.mixed else readings.blocks * terms
-    sums = Sums(columns, 2, readings.blocks * terms if readings.mixed else parameters, groups, own)
+    side = readings.blocks * terms if readings.mixed else parameters, groups, own
+    sums = Sums(columns, 2, *side) if still is None else still.with_side(*side)
+    add = sums.add if still is None else sums.add_side
     observed = np.zeros_like(readings.observed)
     if start is not None:
         observed = readings.observed - readings.values(start)
@@ -323,7 +333,7 @@ def sums_of(
         rows = slice(first, first + _CHUNK)
         design = design_of(readings, rows, basis(readings.inputs[rows], readings.orders, readings.box))
         mixed = design if readings.mixed else _by_parameter(readings, rows)
-        sums.add(
+        add(
             observed[rows],
             (readings.weight * kept)[rows],
             np.empty((len(design), 0)) if readings.mixed else design,

@@ -2,7 +2,8 @@
 
 The readings decide how smooth the optics are (`smooth_prior.py`). What the readings of one capture share, a small shift
 and turn of the camera, is unknown, too; its size is the repeatability of the stage, which the captures state or the
-readings tell. Orders are limits only, and no design is refused: where camera positions are few, the posterior is wide.
+readings tell. They also tell which terms matter (`fit_within`). No design is refused: where camera positions are few,
+the posterior is wide.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -33,6 +34,7 @@ from wlr_render.calibration.smooth_prior import (
     motion_sizes,
     motion_start,
     noise_floor,
+    prior_squares,
     search_starts,
     smoothness_prior,
 )
@@ -43,7 +45,8 @@ from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, poste
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
-_SATURATED = 0.75  # share of the coefficients that the readings determine above which wider limits are tried
+_BEYOND = 0.05  # share of a fit's variance that is expected of the terms beyond its own before it gets more of them
+_WIDENINGS = 3
 _MOTION_ROUNDS = 3
 _ROUNDS = 4  # of outlier weights
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
@@ -111,6 +114,8 @@ class SmoothFit:
         readings: what was fitted.
         kept: (n,) weights of the readings, from 1 down to 0 for outliers.
         moved: captures that moved by far more than the others; their weights are zero.
+        beyond: (blocks,) variance of each output of a block that is expected of terms beyond those of the fit; None for
+            limits that the user states.
     """
 
     polynomial: Polynomial
@@ -121,7 +126,9 @@ class SmoothFit:
     _prior: Prior
     _columns: FloatArray | None
     _start: Polynomial
+    _sums: Sums
     _motion_curvature: FloatArray | None = None
+    beyond: FloatArray | None = None
 
     @property
     def noise(self) -> float:
@@ -220,7 +227,28 @@ class SmoothFit:
         readings = replace(self.readings, trend=trend)
         sums = sums_of(readings, self._start, self._columns, self.kept)
         found = posterior(sums, self._prior, self._hyper)
-        return replace(self, polynomial=polynomial_of(readings, self._start, found), posterior=found, readings=readings)
+        polynomial = polynomial_of(readings, self._start, found)
+        return replace(self, polynomial=polynomial, posterior=found, readings=readings, _sums=sums)
+
+    def orders_that_matter(self, widest: FitReadings) -> IntArray | None:
+        """The fewest of the terms of `widest` with which the others do not matter; None where no more are needed."""
+        most = _BEYOND * self.noise**2 * self.determined[0] / self._sums.count
+        readings = self.readings
+        weight = readings.weight.reshape(-1, *[1] * (readings.multiplier.ndim - 1))
+        by_block = np.mean((readings.multiplier * weight) ** 2, axis=tuple(range(readings.multiplier.ndim - 1)))
+        square = by_block @ prior_squares(widest, self.posterior.hyper)
+        lacking = ~_among(widest.orders, self.readings.orders)
+        if square[lacking].sum() <= most:
+            return None
+        rank = np.argsort(-square, kind="stable")
+        rest = np.cumsum(square[rank][::-1])[::-1]
+        chosen = np.sort(rank[rest > 0.5 * most])
+        return widest.orders[chosen] if lacking[chosen].any() else None
+
+    def beyond_of(self, widest: FitReadings) -> FloatArray:
+        """(blocks,) variance of an output that is expected of the terms of `widest` that the fit lacks."""
+        lacking = ~_among(widest.orders, self.readings.orders)
+        return np.asarray(prior_squares(widest, self.posterior.hyper)[:, lacking].sum(axis=1))
 
     @cached_property
     def spread(self) -> Covariance:
@@ -232,16 +260,11 @@ class SmoothFit:
     ) -> Covariance:
         """Covariance of a fit with these prior sizes, common errors included."""
         if readings.common is None:
-            return spread_of(readings, found)
+            return spread_of(readings, found, beyond=self.beyond)
         width = np.exp(self._prior.features @ list(found.hyper.values())) / found.noise
         sums = sums_of(readings, None, None, kept)
         response = response_of(readings, polynomial, kept, sums, width, found.noise)
-        return spread_of(readings, found, response)
-
-    @cached_property
-    def _sums(self) -> Sums:
-        """Over all readings."""
-        return sums_of(self.readings, self._start, self._columns, self.kept, captures=self._captures)
+        return spread_of(readings, found, response, self.beyond)
 
     @property
     def _captures(self) -> int:
@@ -260,7 +283,7 @@ class SmoothFit:
         rest = posterior(sums, self._prior, self._hyper, evidence=False)
         polynomial = polynomial_of(readings, self._start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
-        spread = spread_of(readings, rest)  # without common errors: what was left out shares them
+        spread = spread_of(readings, rest, beyond=self.beyond)  # without common errors: what was left out shares them
         covariance = spread.covariance(chosen.inputs)
         if chosen.mixed:
             variance = np.einsum("nrb,nbc,nrc->n", chosen.multiplier, covariance, chosen.multiplier)
@@ -358,29 +381,38 @@ def fit_within(
     weights: FloatArray | None = None,
     stage: Stage | MotionFactors | None = None,
 ) -> SmoothFit:
-    """Fit within the first limits of the orders that leave most coefficients to the prior, or within the last.
+    """Fit with the terms that matter, as the readings themselves tell.
 
-    Where the readings determine nearly all coefficients, it is the limits that stop them, not the noise.
+    A fit within the first limits finds how fast coefficients fall with their order. While that leads to expect more
+    than `_BEYOND` of the fit's variance from the terms that it lacks, it is repeated with those of the last limits that
+    matter. The variance of all others adds to that of the fit.
+
+    Args:
+        readings_of: (limits) -> readings.
+        limits: the narrowest first; a single one holds whatever the readings tell.
+        weights, stage: as of `fit`.
 
     Raises:
         BadInputError: as `fit`.
     """
-    start: Mapping[str, float] | None = None
-    for each in limits[:-1]:
-        try:
-            smooth = fit(readings_of(each), start, weights, stage)
-        except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
-            continue
-        if smooth.posterior.determined < _SATURATED * smooth.polynomial.coefficients.size:
-            return smooth
-        start = smooth.posterior.hyper
+    first = readings_of(limits[0])
+    if len(limits) == 1:
+        return fit(first, None, weights, stage)
     widest = readings_of(limits[-1])
     try:
-        return fit(widest, start, weights, stage)
-    except np.linalg.LinAlgError:
-        if start is None:
-            raise
-        return fit(widest, None, weights, stage)
+        smooth = fit(first, None, weights, stage)
+    except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
+        smooth = fit(widest, None, weights, stage)
+    for _ in range(_WIDENINGS):
+        orders = smooth.orders_that_matter(widest)
+        if orders is None:
+            break
+        readings = replace(widest, orders=orders)
+        try:
+            smooth = fit(readings, smooth.posterior.hyper, weights, stage)
+        except np.linalg.LinAlgError:
+            smooth = fit(readings, None, weights, stage)
+    return replace(smooth, beyond=smooth.beyond_of(widest))
 
 
 def fit(
@@ -466,8 +498,9 @@ class _Search:
         starts = [dict(self.start_at)] if self.start_at is not None else search_starts(readings, prior, start, kept)
         moves = readings.motion is not None and bool(np.any(readings.sigma > 0))
         columns: FloatArray | None = None
+        still = sums_of(readings, start, None, kept)
         for _ in range(_ROUNDS):
-            found = maximise(sums_of(readings, start, None, kept), prior, starts)
+            found = maximise(still, prior, starts)
             polynomial = polynomial_of(readings, start, found)
             columns = motion_columns(readings, polynomial) if moves else None
             if self.weights is not None:
@@ -476,8 +509,9 @@ class _Search:
             if np.allclose(weights, kept, atol=0.05):
                 break
             kept, starts = weights, [dict(found.hyper)]
+            still = sums_of(readings, start, None, kept)
         if columns is None:
-            return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start)
+            return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, still)
         if isinstance(self.stage, MotionFactors):
             prior = smoothness_prior(readings, moving=True, factors=self.stage)
         else:
@@ -489,7 +523,7 @@ class _Search:
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
             columns = motion_columns(readings, polynomial)
-            sums = sums_of(readings, start, columns, kept)
+            sums = sums_of(readings, start, columns, kept, still=still)
             if round_ == 0:
                 hyper = motion_start(sums.combined(rough), of_rough, hyper)
             else:
@@ -497,7 +531,13 @@ class _Search:
                 hyper, curvature = dict(found.hyper), found.curvature[-2:]
             found = posterior(sums, prior, np.array(list(hyper.values())))
             polynomial = polynomial_of(readings, start, found)
-        return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, curvature)
+        return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, sums, curvature)
+
+
+def _among(orders: IntArray, others: IntArray) -> BoolArray:
+    """(n,) whether each row of orders (n, variables) is one of others (m, variables)."""
+    known = set(map(tuple, others.tolist()))
+    return np.array([tuple(row) in known for row in orders.tolist()], dtype=bool)
 
 
 def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
@@ -536,7 +576,7 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int
     offset[out, SHIFT], offset[out, TURN] = (np.log(_ANY_MOTION) - hyper[name] for name in ("shift", "turn"))
     columns = motion_columns(readings, smooth.polynomial)
     found = posterior(
-        sums_of(readings, smooth._start, columns, kept),
+        sums_of(readings, smooth._start, columns, kept, still=None if out else smooth._sums),
         replace(smooth._prior, own_offset=offset),
         smooth._hyper,
     )

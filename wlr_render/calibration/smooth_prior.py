@@ -4,7 +4,7 @@ A coefficient of order a in the pixel (or direction) and b in the place has the 
 with a slope for each variable.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -17,9 +17,7 @@ from wlr_render.numerics.evidence import Prior, Sums, posterior
 from wlr_render.numerics.polynomial import Polynomial
 
 NOISE_FLOOR_ARCMIN = 1e-3
-"""Least noise of a reading: exact data would send it to zero, where rounding decides."""
-BEST_CAMERA_ARCMIN = 0.02
-"""Least noise beside motions of the camera: with less, motions would take what the polynomial cannot follow."""
+"""Least noise of a reading that states more or nothing: exact data would send it to zero, where rounding decides."""
 LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
 """Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
 USUAL_SHIFT_M, USUAL_TURN_RAD = 2e-6, 1e-5
@@ -83,7 +81,7 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
         own[SHIFT, -2] = own[TURN, -1] = 1.0
         offset = np.log(motion_sizes(readings))
     bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(0.0, 2.0)] * len(footprint)
-    bounds += [(np.log(noise_floor(readings, moving)), 12.0)]
+    bounds += [(np.log(noise_floor(readings)), 12.0)]
     if moving:
         usual = motion_scale(readings)
         most = np.maximum((LARGEST_SHIFT_M, LARGEST_TURN_RAD), _MOST_TIMES * usual)
@@ -99,6 +97,21 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
         if factors is not None:
             expected[-2:] = np.stack([factors.mean, factors.sigma], axis=-1)
     return Prior(names, np.array(bounds), expected, shared, mixed, own, offset)
+
+
+def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArray:
+    """(blocks, terms) mean squares over the box of what each term is expected to be, infinite for the free ones.
+
+    Args:
+        readings: the terms.
+        hyper: hyperparameters that a fit found, logarithms.
+    """
+    prior = smoothness_prior(readings, moving=False)
+    features = prior.mixed_features if readings.mixed else prior.features
+    size = np.exp(features @ [hyper[name] for name in prior.names]).reshape(readings.blocks, -1)
+    square = size**2 * 0.5 ** np.count_nonzero(readings.orders, axis=1)  # a Chebyshev polynomial's mean square is 1/2
+    square[:, readings.free] = np.inf
+    return square
 
 
 def _log_ways(readings: FitReadings) -> FloatArray:
@@ -140,10 +153,10 @@ def _smooth_as(readings: FitReadings) -> list[int]:
     return [other if flat[axis] else axis for axis in range(len(flat))]
 
 
-def noise_floor(readings: FitReadings, moving: bool = False) -> float:
-    """Least noise of a fit, over the stated sigma; in arcminutes where none is stated."""
+def noise_floor(readings: FitReadings) -> float:
+    """Least noise of a fit, over the stated sigma, never above it; in arcminutes where none is stated."""
     stated = readings.sigma[readings.sigma > 0]
-    return (BEST_CAMERA_ARCMIN if moving else NOISE_FLOOR_ARCMIN) / (float(np.median(stated)) if stated.size else 1.0)
+    return min(NOISE_FLOOR_ARCMIN / float(np.median(stated)), 1.0) if stated.size else NOISE_FLOOR_ARCMIN
 
 
 def search_starts(readings: FitReadings, prior: Prior, start: Polynomial, kept: FloatArray) -> list[dict[str, float]]:

@@ -79,12 +79,25 @@ class Sums:
             own: (n, outputs, own) H.
             group: (n,) each reading's group, 0..groups - 1.
         """
-        design, value = design * weight[:, None], value * weight[:, None]
+        weighted = design * weight[:, None]
         self.count += int(np.count_nonzero(weight)) * value.shape[1]
         self.log_weight += value.shape[1] * float(np.log(weight[weight > 0]).sum())
-        self.square += float(np.sum(value**2))
-        self.gram += design.T @ design
-        self.moment += value.T @ design
+        self.square += float(np.sum((value * weight[:, None]) ** 2))
+        self.gram += weighted.T @ weighted
+        self.moment += (value * weight[:, None]).T @ weighted
+        self.add_side(value, weight, design, mixed, own, group)
+
+    def add_side(
+        self,
+        value: FloatArray,
+        weight: FloatArray,
+        design: FloatArray,
+        mixed: FloatArray | None = None,
+        own: FloatArray | None = None,
+        group: IntArray | None = None,
+    ) -> None:
+        """Add the side unknowns of n readings that are there already, see `add`."""
+        design, value = design * weight[:, None], value * weight[:, None]
         common = None if mixed is None else mixed * weight[:, None, None]
         everyone = slice(0, self.mixed)
         if common is not None:
@@ -109,11 +122,16 @@ class Sums:
         for output, cross in enumerate(self.side_cross):
             cross[which] += columns[:, output].T @ design
 
+    def with_side(self, mixed: int, groups: int, own: int) -> "Sums":
+        """Sums over the same readings with other side unknowns, none of which are added yet; see `add_side`."""
+        other = Sums(len(self.gram), len(self.moment), mixed, groups, own)
+        other.count, other.square, other.log_weight = self.count, self.square, self.log_weight
+        other.gram, other.moment = self.gram.copy(), self.moment.copy()
+        return other
+
     def combined(self, groups: FloatArray) -> "Sums":
         """Sums for unknowns c of k other groups, by `groups` (own, groups, k): b_go = sum over k of groups_ogk c_ko."""
-        reduced = Sums(len(self.gram), len(self.moment), self.mixed, groups.shape[2], self.own)
-        reduced.count, reduced.square, reduced.log_weight = self.count, self.square, self.log_weight
-        reduced.gram, reduced.moment = self.gram, self.moment
+        reduced = self.with_side(self.mixed, groups.shape[2], self.own)
         own = np.einsum("ogk,op->gokp", groups, np.eye(self.own))
         to = np.zeros((len(self.side_moment), len(reduced.side_moment)))
         to[: self.mixed, : self.mixed] = np.eye(self.mixed)
@@ -267,8 +285,8 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     slope = (unit**2 + variance - 1.0).sum(axis=0) @ prior.features[used]
     slope = slope + (side_unit**2 + side_variance - 1.0) @ side_features[side_used]
     slope[prior.noise] += square + determined - sums.count
-    curvature = 2.0 * (1.0 - variance).sum(axis=0) @ prior.features[used] ** 2
-    curvature = curvature + 2.0 * (1.0 - side_variance) @ side_features[side_used] ** 2
+    curvature = 2.0 * ((1.0 - variance) ** 2).sum(axis=0) @ prior.features[used] ** 2
+    curvature = curvature + 2.0 * (1.0 - side_variance) ** 2 @ side_features[side_used] ** 2
     curvature[prior.noise] += 2.0 * sums.count
     mean, side_mean = np.zeros((len(pull), len(scale))), np.zeros(len(side_scale))
     mean[:, used], side_mean[side_used] = unit * scale[used], side_unit * side_scale[side_used]

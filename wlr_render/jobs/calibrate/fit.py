@@ -35,16 +35,16 @@ class FitOptions(Options):
     degree: Annotated[
         int | None,
         described(
-            "Highest total degree of the display model (default: limits of 8 in the pixel and 5 in the place, wider "
-            "for exact captures; the evidence decides how much is used)."
+            "Highest total degree of the display model (default: all terms that the captures lead to expect; at most "
+            "12 in the pixel and in all, 6 in the place)."
         ),
         Degree,
     ] = None
     see_through_degree: Annotated[
         int | None,
         described(
-            "Highest total degree of the see-through model (default: limits of 6 in the direction and 4 in the place, "
-            "wider for exact captures; the evidence decides how much is used)."
+            "Highest total degree of the see-through model (default: all terms that the captures lead to expect; at "
+            "most 12 in the direction and in all, 6 in the place)."
         ),
         Degree,
     ] = None

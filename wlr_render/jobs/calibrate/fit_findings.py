@@ -20,7 +20,7 @@ from wlr_render.report.blocks import Block, Cell, Plot, ReportTable
 from wlr_render.report.plots import arrow_map, bars, heat_map
 
 AS_EXPECTED = 0.75, 1.33
-"""Held-out error over the expected one between which it confirms the evidence."""
+"""Held-out error over the expected one between which the two agree."""
 AS_STATED = 1.5
 """Noise found over the stated one, or the reverse, from which a report warns."""
 WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
@@ -256,14 +256,15 @@ def _held_out_table(fit: EyeFit) -> ReportTable:
 
 
 def held_out_verdict(name: str, found: float, expected: float) -> str:
-    """Whether errors at held-out positions agree with the expected ones, in one sentence."""
+    """Whether errors at held-out positions agree with the expected ones, and what the check can see."""
     low, high = AS_EXPECTED
     said = f"{name.capitalize()}: held-out positions are predicted to {_digits(found)}' ({_digits(expected)}' expected)"
     if found < low * expected:
         return f"{said}, better than expected: the predicted errors are conservative."
     if found > high * expected:
         return f"{said}, worse than expected: the captures have errors that the fit does not model."
-    return f"{said}, which confirms the predicted errors."
+    unseen = _digits(expected * np.sqrt(high**2 - 1.0))
+    return f"{said}, noise included: as expected; the noise hides model errors of less than {unseen}'."
 
 
 def _one_more_table(fit: EyeFit) -> ReportTable:
