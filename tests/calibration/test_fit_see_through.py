@@ -162,7 +162,7 @@ def test_noise_is_found_and_straight_rays_stay_straight():
 def pole(base, tangents):
     """Optics whose coefficients fall slowly with the order in the direction: by 2.2 along x, by 2.9 along y."""
     u, v = (tangents / [0.4, 0.3]).T
-    a = 1e-3 * np.stack([1.0 / (1.33 - u), 1.0 / (1.62 - v)], axis=-1)
+    a = 3e-3 * np.stack([1.0 / (1.33 - u), 1.0 / (1.62 - v)], axis=-1)
     return a, 0.1 * a
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from wlr_render.calibration.readings import TREND_ALONE, FitReadings
+from wlr_render.calibration.readings import FitReadings
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.rivals.samples import Samples
@@ -22,7 +22,6 @@ def readings_of(
         capture=position,
         motion=None,
         orders=np.zeros((0, inputs.shape[1]), np.int64),
-        limits=TREND_ALONE,
     )
     return Samples(readings, position)
 

@@ -46,8 +46,8 @@ def spread_of(
         design = design.reshape(len(rows), -1)
         root = _root(found.alone)
         apart_root = root @ _principal(design @ root)
-        apart = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
-        apart = _with_constant(apart, orders, beyond).reshape(len(orders), -1)
+        own_factors = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
+        apart = _with_constant(own_factors, orders, beyond).reshape(len(orders), -1)
         # What the coefficients do with the side unknowns, the trend's parameters among them.
         trend = readings.trend
         shared = trend.parameters if trend else 0
@@ -83,8 +83,8 @@ def _with_constant(factors: FloatArray, orders: IntArray, beyond: FloatArray | N
     """Factors (terms, blocks, rank), and those of a variance (blocks,) that is the same everywhere."""
     if beyond is None or not beyond.any():
         return factors
-    constant = ~orders.any(axis=1)
-    return np.concatenate([factors, constant[:, None, None] * np.diag(np.sqrt(beyond))], axis=2)
+    constant = (orders.sum(axis=1) == 0)[:, None, None]
+    return np.concatenate([factors, constant * np.diag(np.sqrt(beyond))], axis=2)
 
 
 def _root(covariance: FloatArray) -> FloatArray:

@@ -111,7 +111,7 @@ def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArr
     size = np.exp(features @ [hyper[name] for name in prior.names]).reshape(readings.blocks, -1)
     square = size**2 * 0.5 ** np.count_nonzero(readings.orders, axis=1)  # a Chebyshev polynomial's mean square is 1/2
     square[:, readings.free] = np.inf
-    return square
+    return np.asarray(square)
 
 
 def _log_ways(readings: FitReadings) -> FloatArray:

@@ -21,7 +21,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from wlr_render.calibration.readings import TREND_ALONE, FitReadings
+from wlr_render.calibration.readings import FitReadings
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.fitted_model import Answer, FittedDisplay, Forms, joined
@@ -169,7 +169,6 @@ def distortion_field(
         capture=captures.capture,
         motion=None,
         orders=np.zeros((0, 5), np.int64),
-        limits=TREND_ALONE,
     )
     samples = Samples(readings, np.unique(captures.capture, return_inverse=True)[1])
     layers = RayLayers(units, readings.box, captures.eye_box.centre, _DIOPTRES)
