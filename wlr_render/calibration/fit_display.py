@@ -30,7 +30,7 @@ from wlr_render.models.volumetric import VolumetricDisplay
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
 
-DISPLAY_LIMITS = (Limits(pixel=8, place=5, total=8), Limits(pixel=12, place=6, total=12))
+DISPLAY_LIMITS = (Limits(8, 5, 8), Limits(10, 5, 10), Limits(pixel=12, place=6, total=12))
 """Of the first fit, and of all fits; the terms between them are used as far as they matter."""
 
 

@@ -26,7 +26,7 @@ from wlr_render.models.volumetric import VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
 
-SEE_THROUGH_LIMITS = (Limits(pixel=6, place=4, total=6), Limits(pixel=12, place=6, total=12))
+SEE_THROUGH_LIMITS = (Limits(6, 4, 6), Limits(8, 5, 8), Limits(pixel=12, place=6, total=12))
 """Likewise, of direction and place: deviations are smoother than the display's distortion."""
 
 

@@ -46,6 +46,7 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _BEYOND = 0.05  # share of a fit's variance that is expected of the terms beyond its own before it gets more of them
+_UNSEEN = 0.1  # of the least noise: what terms beyond may always add
 _WIDENINGS = 3
 _MOTION_ROUNDS = 3
 _ROUNDS = 4  # of outlier weights
@@ -233,6 +234,7 @@ class SmoothFit:
     def orders_that_matter(self, widest: FitReadings) -> IntArray | None:
         """The fewest of the terms of `widest` with which the others do not matter; None where no more are needed."""
         most = _BEYOND * self.noise**2 * self.determined[0] / self._sums.count
+        most = max(most, (_UNSEEN * noise_floor(self.readings)) ** 2)
         readings = self.readings
         weight = readings.weight.reshape(-1, *[1] * (readings.multiplier.ndim - 1))
         by_block = np.mean((readings.multiplier * weight) ** 2, axis=tuple(range(readings.multiplier.ndim - 1)))
@@ -383,9 +385,9 @@ def fit_within(
 ) -> SmoothFit:
     """Fit with the terms that matter, as the readings themselves tell.
 
-    A fit within the first limits finds how fast coefficients fall with their order. While that leads to expect more
-    than `_BEYOND` of the fit's variance from the terms that it lacks, it is repeated with those of the last limits that
-    matter. The variance of all others adds to that of the fit.
+    A fit within the first limits that can be computed finds how fast coefficients fall with their order. While that
+    leads to expect more than `_BEYOND` of the fit's variance from the terms that it lacks, it is repeated with those of
+    the last limits that matter. The variance of all others adds to that of the fit.
 
     Args:
         readings_of: (limits) -> readings.
@@ -395,14 +397,17 @@ def fit_within(
     Raises:
         BadInputError: as `fit`.
     """
-    first = readings_of(limits[0])
-    if len(limits) == 1:
-        return fit(first, None, weights, stage)
     widest = readings_of(limits[-1])
-    try:
-        smooth = fit(first, None, weights, stage)
-    except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
+    for each in limits[:-1]:
+        try:
+            smooth = fit(readings_of(each), None, weights, stage)
+            break
+        except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
+            continue
+    else:
         smooth = fit(widest, None, weights, stage)
+    if len(limits) == 1:
+        return smooth
     for _ in range(_WIDENINGS):
         orders = smooth.orders_that_matter(widest)
         if orders is None:
