@@ -47,7 +47,8 @@ def spread_of(
         root = _root(found.alone)
         apart_root = root @ _principal(design @ root)
         own_factors = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
-        apart = _with_constant(own_factors, orders, beyond).reshape(len(orders), -1)
+        own_factors = _with_constant(own_factors, orders, beyond)
+        apart = own_factors.reshape(len(orders), blocks * own_factors.shape[2])
         # What the coefficients do with the side unknowns, the trend's parameters among them.
         trend = readings.trend
         shared = trend.parameters if trend else 0
