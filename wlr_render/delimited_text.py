@@ -46,3 +46,12 @@ def with_commas(lines: Sequence[str]) -> list[str]:
     if separator == "," and not any('"' in line for line in lines):
         return [*lines]
     return [",".join(cell.replace(",", ".") for cell in cells_of(line, separator)) for line in lines]
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number, with a decimal point."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.session_schema import Column, Columns, Kind, Schema
-from wlr_render.delimited_text import STATED_SEPARATOR, with_commas
+from wlr_render.delimited_text import STATED_SEPARATOR, is_number, with_commas
 from wlr_render.errors import BadInputError
 from wlr_render.files import write_bytes
 from wlr_render.input_files import LIMITS, decode_text, gunzip, parsing, read_bytes, shown
@@ -126,7 +126,7 @@ def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers:
                 "write one for each."
             )
         for name, cell in zip(header, cells, strict=True):
-            if not _is_number(cell):
+            if not is_number(cell):
                 return BadInputError(
                     f"{path} line {number}: '{name}' is {shown(cell.strip())}, not a number; {_REMEDY}."
                 )
@@ -134,14 +134,6 @@ def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers:
 
 
 _REMEDY = "leave out rows without a measurement"
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence[int]) -> None:

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from wlr_render.delimited_text import is_number
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import require_picture, shown
 from wlr_render.numerics.arrays import FloatArray
@@ -159,7 +160,7 @@ def _map_options(text: str) -> tuple[str, list[str]]:
     words, lost = text.split(" "), []
     while len(words) > 1 and (option := words[0].lower()) in _NUMBERS | _CHOICES:
         plain = _NUMBERS.get(option, ())
-        count = next((at for at, word in enumerate(words[1:]) if at == len(plain) or not _is_number(word)), 0)
+        count = next((at for at, word in enumerate(words[1:]) if at == len(plain) or not is_number(word)), 0)
         if option in _CHOICES:
             count = 1
             changed = _CHOICES[option] not in (None, words[1].lower())
@@ -168,11 +169,3 @@ def _map_options(text: str) -> tuple[str, list[str]]:
         lost += [option] * changed
         words = words[1 + count :]
     return " ".join(words), lost
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

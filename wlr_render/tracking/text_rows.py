@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.delimited_text import STATED_SEPARATOR, cells_of, separator_of
+from wlr_render.delimited_text import STATED_SEPARATOR, cells_of, is_number, separator_of
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
@@ -217,7 +217,7 @@ def read_text_table(path: str | Path) -> TextTable:
     content = [(number, text) for number, text in stripped if not text.startswith("#")]
     if content and STATED_SEPARATOR.fullmatch(content[0][1]):
         content = content[1:]
-    named = bool(content) and not _is_number(cells_of(content[0][1], separator_of(content[0][1]))[0])
+    named = bool(content) and not is_number(cells_of(content[0][1], separator_of(content[0][1]))[0])
     if len(content) <= named:
         raise BadInputError(f"{path}: has no rows; is the recording empty?")
     separator = separator_of(content[named][1])
@@ -239,14 +239,6 @@ def _named_cells(text: str, separator: str | None, count: int) -> tuple[str, ...
     joined = re.sub(r"\s+(?=[\[(])", "", text)  # of a name and its unit, where blanks separate names
     ways = [_split(text, separator)] + [_split(joined, other) for other in (",", ";", "\t", None)]
     return next((cells for cells in ways if len(cells) == count), ways[0])
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _split(text: str, separator: str | None, count: int = 0) -> tuple[str, ...]:
