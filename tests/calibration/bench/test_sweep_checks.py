@@ -15,8 +15,8 @@ POINT = np.concatenate([(INDEX - [9.5, 7.0]) * 0.02, np.zeros((300, 1))], axis=1
 AHEAD = rigid(np.eye(3), np.array([0.0, 0.0, 0.5]))
 
 
-def check(after, noise_px, count=300):
-    """The check of a target that stood at AHEAD before, and at `after` when it was photographed again."""
+def repeated(after, noise_px, count=300):
+    """A target that stood at AHEAD before, and at `after` when it was photographed again."""
     rng = np.random.default_rng(0)
 
     def view(name, camera_from_board):
@@ -24,8 +24,12 @@ def check(after, noise_px, count=300):
         noisy = pixel + rng.normal(0.0, noise_px, pixel.shape)
         return BoardView(name, EYEBALL, INDEX[:count], POINT[:count], noisy, np.full(count, noise_px), 0, "place")
 
-    pair = RepeatedView(0, np.eye(4), view("first", AHEAD), view("last", after))
-    return sweep_check(0, None, [pair], LENS)
+    return RepeatedView(0, np.eye(4), view("first", AHEAD), view("last", after))
+
+
+def check(after, noise_px, count=300):
+    """The check of one repeated view."""
+    return sweep_check(0, None, [repeated(after, noise_px, count)], LENS)
 
 
 def moved_right(arcmin):
@@ -52,6 +56,17 @@ def test_noise_and_motions_that_can_be_neglected_are_none(noise_px):
         found = check(after, noise_px)
         assert found.ok
         assert found.sentence == "nothing moved by more than 0.3'"
+
+
+def test_a_certain_motion_is_named_beside_a_larger_one_that_is_noise():
+    noise, motion = repeated(moved_right(1.0), 2.5), repeated(moved_right(0.64), 0.03)
+    alone = sweep_check(0, None, [noise], LENS)
+    assert alone.ok
+    assert alone.value > NEGLIGIBLE_ARCMIN
+    assert alone.sentence == "no motion of more than 0.3' is certain"
+    found = sweep_check(0, None, [noise, motion], LENS)
+    assert alone.value > found.value == pytest.approx(0.64, abs=0.05)
+    assert not found.ok
 
 
 def test_photographs_without_a_common_dot_show_nothing():

@@ -142,13 +142,20 @@ def sweep_check(
     """
     views = [_view_change(view, tracked, camera) for view in repeated]
     step = f"sweep at target pose {target}"
-    largest = max(views, key=lambda view: view.arcmin, default=None)
+    # The largest of the significant views, else of all: a large view that is all noise says nothing.
+    largest = max(views, key=lambda view: (view.is_significant, view.arcmin), default=None)
     if tracked is not None and tracked.is_significant:
         moved = f"{_culprit(views)} between {tracked.names[0]} and {tracked.names[1]}, by {tracked}"
         return tracked.check(step, f"{moved}; repeat this sweep with its tracking photographs")
     if largest is None:
         return None if tracked is None else tracked.check(step, "the tracking camera sees the target where it was")
     culprit = "the camera or its stage" if tracked else "the target, the camera or its stage"
+    limit = f"{NEGLIGIBLE_ARCMIN:.1g}'"
+    still = (
+        f"no motion of more than {limit} is certain"
+        if largest.arcmin > NEGLIGIBLE_ARCMIN
+        else f"nothing moved by more than {limit}"
+    )
     sentence = (
         f"{culprit} moved between {largest.names[0]} and {largest.names[1]}: features are displaced by "
         f"{largest.arcmin:.2g}' at one stage reading; repeat this sweep"
@@ -159,7 +166,7 @@ def sweep_check(
         largest.arcmin,
         largest.sigma_arcmin,
         NEGLIGIBLE_ARCMIN,
-        sentence if largest.is_significant else f"nothing moved by more than {NEGLIGIBLE_ARCMIN:.1g}'",
+        sentence if largest.is_significant else still,
         ok=not largest.is_significant,
         contradictory=largest.is_significant and largest.arcmin > REFUSED_ARCMIN,
     )
