@@ -18,6 +18,7 @@ from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.noise_tables import noise_table, repeatability_table
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
+from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text
 from wlr_render.simulation.bench_file import load_bench, save_bench
@@ -63,6 +64,32 @@ def test_the_values_to_type_make_the_bench_file_that_of_the_corrected_bench(expl
     path.write_text(path.read_text() + f"\n{table}]\n{keys}\n")
     assert load_bench(path).target.scale == pytest.approx(explained.corrected.target.scale, abs=1e-6)
     assert typed["target"]["scale"] == pytest.approx([1.003, 1.003], abs=2e-4)
+
+
+@pytest.mark.parametrize("fails", ["above", "beside"])
+def test_a_cause_that_fails_beside_its_value_leaves_the_report(explained, fails):
+    """A cause of the user's own may be valid up to a limit; digits then follow from the other side, or all are kept."""
+    explanation = explained.fit.explanation
+    place = explanation.names.index("target_scale")
+    hypothesis, found = explanation.hypotheses[place], explanation.values[place]
+
+    def refusing(perturb):
+        def limited(bench, values):
+            if np.any(values > found) or (fails == "beside" and np.any(values < found)):
+                raise BadInputError("cause 'target_scale' fails in its variant 'as a whole' (ValueError: limit).")
+            return perturb(bench, values)
+
+        return limited
+
+    variants = {name: refusing(perturb) for name, perturb in hypothesis.cause.variants.items()}
+    hypotheses = list(explanation.hypotheses)
+    hypotheses[place] = replace(hypothesis, cause=replace(hypothesis.cause, variants=variants))
+    fit = replace(explained.fit, explanation=replace(explanation, hypotheses=tuple(hypotheses)))
+    limited = replace(explained, fit=fit)
+    (line,) = values_to_type(limited)
+    full = ", ".join(f"{value:.7g}" for value in explained.corrected.target.scale)
+    assert line == (values_to_type(explained)[0] if fails == "above" else f"[target] scale = [{full}]")
+    assert any(line in step for step in advice(limited))
 
 
 def test_excluded_captures_and_wrong_noise_are_warned_of(explained, unexplained):

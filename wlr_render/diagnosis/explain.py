@@ -1,6 +1,7 @@
 """A diagnosis in sentences: the verdict and the advice."""
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from math import floor, log10
 from typing import Any
 
@@ -21,6 +22,7 @@ from wlr_render.diagnosis.diagnosis import (
 from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.settings import Settings
+from wlr_render.errors import BadInputError
 from wlr_render.report.blocks import cell_text
 from wlr_render.simulation.bench_file import WRITTEN_FRAME, changed_keys
 
@@ -182,13 +184,10 @@ def _typed_keys(diagnosis: Diagnosis) -> dict[str, dict[str, str]]:
     The error is that with the other values as found: of correlated values, it is what the readings allow one to round.
     """
     nominal, found = diagnosis.observations.nominal, diagnosis.fit
-    values, vector = changed_keys(nominal, diagnosis.corrected), found.explanation.vector()
+    values = changed_keys(nominal, diagnosis.corrected)
     prior_sigma = np.array([parameter.prior_sigma for parameter in found.explanation.parameters()])[found.at.free]
-    moved = []
-    for free, step in zip(found.at.free, prior_sigma / np.sqrt(np.diag(found.information)), strict=True):
-        ahead = vector.copy()
-        ahead[free] += step
-        moved.append(changed_keys(nominal, found.explanation.at(ahead).bench(nominal)))
+    steps = prior_sigma / np.sqrt(np.diag(found.information))
+    moved = [_keys_beside(diagnosis, *each) for each in zip(found.at.free, steps, strict=True)]
 
     def typed(table: str, key: str, value: Any) -> str:
         off = [np.subtract(each.get(table, {}).get(key, value), value) for each in moved]
@@ -197,6 +196,17 @@ def _typed_keys(diagnosis: Diagnosis) -> dict[str, dict[str, str]]:
         return _typed(value, sigma + np.zeros(np.shape(value)))
 
     return {table: {key: typed(table, key, value) for key, value in keys.items()} for table, keys in values.items()}
+
+
+def _keys_beside(diagnosis: Diagnosis, free: int, step: float) -> dict[str, dict[str, Any]]:
+    """The changed keys with one value a step higher, or lower where its cause fails there; none if it fails at both."""
+    nominal, explanation = diagnosis.observations.nominal, diagnosis.fit.explanation
+    for by in (step, -step):
+        vector = explanation.vector()
+        vector[free] += by
+        with suppress(BadInputError):
+            return changed_keys(nominal, explanation.at(vector).bench(nominal))
+    return {}
 
 
 AXES_NOTE = (
