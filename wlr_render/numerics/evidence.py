@@ -196,7 +196,6 @@ class Posterior:
         hyper: by name, logarithms.
         log_evidence: natural logarithm of the probability density of the readings.
         slope: (hyperparameters,) of `log_evidence`.
-        curvature: (hyperparameters,) roughly its negative second derivatives, for unknowns that stay as they are.
         mean: (outputs, columns) of x.
         mixed_mean: (mixed,) of z. own_mean: (groups, own) of b.
         side_covariance: (side, side) of z and b.
@@ -204,12 +203,14 @@ class Posterior:
         square: weighted sum of squares of what the fit leaves of the readings.
         alone: (columns, columns) covariance of x of each output if the side unknowns were known.
         by_side: (outputs, side, columns) by how much x follows the side unknowns.
+        sizes: (side + columns,) of z and b, then of an output's x, before the readings.
+        features: (side + columns, hyperparameters) derivatives of the logarithms of `sizes`.
+        count: how many readings there are.
     """
 
     hyper: Mapping[str, float]
     log_evidence: float
     slope: FloatArray
-    curvature: FloatArray
     mean: FloatArray
     mixed_mean: FloatArray
     own_mean: FloatArray
@@ -218,6 +219,9 @@ class Posterior:
     square: float
     alone: FloatArray
     by_side: FloatArray
+    sizes: FloatArray
+    features: FloatArray
+    count: int
 
     @property
     def noise(self) -> float:
@@ -235,6 +239,21 @@ class Posterior:
             whole[block, block] += self.alone
         cross = follow @ self.side_covariance
         return np.block([[self.side_covariance, cross.T], [cross, whole]])
+
+    @cached_property
+    def curvature(self) -> FloatArray:
+        """(hyperparameters,) negative second derivatives of `log_evidence` that are expected at these hyperparameters.
+
+        That is the diagonal of Fisher's information: trace((C^-1 dC)^2) / 2, where C is the covariance of the readings.
+        """
+        outputs, side, columns = self.by_side.shape
+        every = np.concatenate([np.arange(side), np.tile(np.arange(side, side + columns), outputs)])
+        sizes, features = self.sizes[every], self.features[every]
+        left = self.covariance / sizes / sizes[:, None]  # 1 where the readings say nothing of an unknown
+        known = (np.eye(len(left)) - left) ** 2
+        curvature = 2.0 * np.sum(features * (known @ features), axis=0)
+        curvature[list(self.hyper).index("noise")] += 2.0 * (self.count - len(left) + np.sum(left**2))
+        return np.asarray(curvature)
 
 
 def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True) -> Posterior:
@@ -285,9 +304,6 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     slope = (unit**2 + variance - 1.0).sum(axis=0) @ prior.features[used]
     slope = slope + (side_unit**2 + side_variance - 1.0) @ side_features[side_used]
     slope[prior.noise] += square + determined - sums.count
-    curvature = 2.0 * ((1.0 - variance) ** 2).sum(axis=0) @ prior.features[used] ** 2
-    curvature = curvature + 2.0 * (1.0 - side_variance) ** 2 @ side_features[side_used] ** 2
-    curvature[prior.noise] += 2.0 * sums.count
     mean, side_mean = np.zeros((len(pull), len(scale))), np.zeros(len(side_scale))
     mean[:, used], side_mean[side_used] = unit * scale[used], side_unit * side_scale[side_used]
     by_side = np.zeros_like(sums.side_cross)
@@ -296,7 +312,6 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
         hyper=dict(zip(prior.names, map(float, hyper), strict=True)),
         log_evidence=-0.5 * minus_two,
         slope=slope,
-        curvature=curvature,
         mean=mean,
         mixed_mean=side_mean[: sums.mixed],
         own_mean=side_mean[sums.mixed :].reshape(sums.groups, sums.own),
@@ -305,6 +320,9 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
         square=square / per_noise**2,
         alone=_in_place(inverse, scale, used),
         by_side=by_side,
+        sizes=np.concatenate([side_scale, scale]),
+        features=np.concatenate([side_features, prior.features]),
+        count=sums.count,
     )
 
 
