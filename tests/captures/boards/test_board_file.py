@@ -202,6 +202,8 @@ def test_targets_of_kalibr_are_read(tmp_path):
     file.write_text(APRIL_OF_KALIBR)
     expected = AprilGrid(6, 5, 0.088, 0.3, border_bits=2, first_id=0, first_at_bottom=True)
     assert board_table(load_board(file)) == board_table(expected)
+    file.write_text(APRIL_OF_KALIBR.replace("0.088", "88e-3") + "codeOffset: 7\n")
+    assert board_table(load_board(file)) == board_table(replace(expected, first_id=7))
     file.write_text(CHECKER_OF_KALIBR)
     assert board_table(load_board(file)) == board_table(Chessboard(6, 7, 0.06, 0.06))
 

@@ -18,6 +18,7 @@ from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.boards.markers import DICTIONARIES, dictionary_of
 from wlr_render.captures.plain_data import read_mapping
+from wlr_render.delimited_text import is_number
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, read_text
 from wlr_render.numerics.arrays import BoolArray
@@ -100,12 +101,16 @@ def _kalibr_target(path: Path) -> Table:
         BadInputError: the file is not a target of Kalibr, or the target is none of `KINDS`.
     """
     kind, remedy = "a target of Kalibr", "write board.toml"
-    table = Table(read_mapping(path, read_text(path, kind, remedy=remedy), kind, remedy), str(path))
+    stated = read_mapping(path, read_text(path, kind, remedy=remedy), kind, remedy)
+    # YAML takes 88e-3 for text.
+    numbers = {key: float(value) for key, value in stated.items() if isinstance(value, str) and is_number(value)}
+    table = Table(stated | numbers, str(path))
     target = table.text("target_type", choices=_KALIBR_TARGETS)
     keys: dict[str, Any]
     if target == "aprilgrid":
         keys = {"kind": "april-grid", "tag_columns": table.whole("tagCols", 1), "tag_rows": table.whole("tagRows", 1)}
         keys |= {"tag_mm": 1e3 * table.number("tagSize"), "spacing": table.number("tagSpacing")}
+        keys |= {"first_id": table.whole("codeOffset")} if table.has("codeOffset") else {}
     elif target == "checkerboard":
         squares = table.number("colSpacingMeters"), table.number("rowSpacingMeters")
         if squares[0] != squares[1]:
