@@ -378,6 +378,18 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: gltf(d, indices=[0, 1, 7]), "mesh 'wedge' refers to a vertex beyond its 3"),
         (lambda d: gltf(d, indices=[0, 1, 1]), "mesh 'wedge' has no triangles with an area"),
         (lambda d: gltf(d, meshes=[], nodes=[{}]), "holds no triangles"),
+        (
+            lambda d: gltf(d, meshes=wedge(mode=0)),
+            "holds no triangles (not drawn: points of mesh 'wedge'); export it again with faces.",
+        ),
+        (
+            lambda d: gltf(d, **textured(extensions={"KHR_texture_transform": {"scale": [2]}})),
+            "'scale' of its base texture is [2], not 2 finite numbers",
+        ),
+        (
+            lambda d: gltf(d, **textured(extensions={"KHR_texture_transform": {"rotation": [1, 2]}})),
+            "'rotation' of its base texture is [1, 2], not a finite",
+        ),
         (lambda d: gltf(d, images=[{"uri": "gone.png"}], **TEXTURED), "its file gone.png is missing"),
         (lambda d: gltf(d, extensionsRequired=["KHR_draco_mesh_compression"]), "extension KHR_draco_mesh_compression"),
         (
@@ -448,8 +460,8 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: obj(d, faces="f 0/1 2/2 3/3\n"), "line 9: has vertex 0"),
         (lambda d: gltf(d, buffers=[{"byteLength": 72, "uri": "data:,base64,AAAA"}]), "has 11 bytes, not 72"),
         (lambda d: obj(d, faces="f 1/1 2/2 0/3\n"), "line 9: has vertex 0, but they are counted from 1"),
-        (lambda d: obj(d, mtl="newmtl m\nKd -1 0 0\n"), "'Kd' is '-1 0 0', not three numbers from 0 to 1"),
-        (lambda d: obj(d, mtl="newmtl m\nKd red\n"), "'Kd' is 'red', not three numbers from 0 to 1"),
+        (lambda d: obj(d, mtl="newmtl m\nKd nan 0 0\n"), "'Kd' is 'nan 0 0', not three numbers"),
+        (lambda d: obj(d, mtl="newmtl m\nKd red\n"), "'Kd' is 'red', not three numbers"),
         (lambda d: obj(d, faces="f 1/1 2/2\n"), "line 9: has fewer than three numbers"),
         (lambda d: obj(d, faces="f 1/1 2/2 3/9\n"), "refers to 'vt' number 9 of 3"),
         (lambda d: obj(d, faces="f 1//1 2//1 3//1\n"), "refers to 'vn' number 1 of 0"),
@@ -472,7 +484,7 @@ TEXTURED = {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index"
         (lambda d: obj(d, texture=False), "its file t.png is missing"),
         (lambda d: obj(d, mtl=""), "its file wedge.mtl is missing"),
         (lambda d: obj(d, faces="f 1/1 2/2 9/3\n"), "refers to 'v' number 9 of 3"),
-        (lambda d: obj(d, faces=""), "holds no triangles"),
+        (lambda d: obj(d, faces="p 1\nl 1 2\n"), "holds no triangles (not drawn: points, lines); export it again"),
         (lambda d: ply(d, face="0 1 7"), "refers to a vertex beyond its 3"),
         (lambda d: ply(d, vertices=("0 0 0 0 0 0", "1 0 nan 0 0 0", "0 1 0 0 0 0")), "a vertex that is not finite"),
     ],
@@ -751,6 +763,28 @@ def test_a_primitive_without_positions_is_named(tmp_path):
     loaded = load_meshes(gltf(tmp_path, meshes=wedge({"attributes": {}})))
     assert len(loaded.meshes) == 1
     assert "primitives without positions of mesh 'wedge' in wedge.gltf" in loaded.not_drawn
+
+
+def test_an_optional_extension_of_primitives_does_not_reach_trimesh(tmp_path, capfd):
+    draco = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
+    assert len(load_meshes(gltf(tmp_path, meshes=wedge(extensions=draco))).meshes) == 1
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_embedded_buffer_is_decoded_once(tmp_path, monkeypatch):
+    decoded = []
+    decode = base64.b64decode
+    monkeypatch.setattr(base64, "b64decode", lambda data: decoded.append(1) or decode(data))
+    load_meshes(gltf(tmp_path))
+    assert len(decoded) == 1
+
+
+def test_a_primitive_without_area_is_left_out(tmp_path):
+    meshes = [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}, {"attributes": {"POSITION": 3}}]}]
+    flat = {"componentType": 5126, "count": 3, "type": "VEC3"}
+    found = load_meshes(gltf(tmp_path, meshes=meshes, accessors=[*accessors(), flat]))
+    assert [len(mesh.triangles) for mesh in found.meshes] == [1]
+    assert [instance.mesh for instance in found.instances] == [0]
 
 
 def test_a_glb_may_have_chunks_of_other_kinds(tmp_path):

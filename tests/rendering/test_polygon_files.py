@@ -51,6 +51,7 @@ def test_texture_coordinates_without_a_texture_are_no_fault(tmp_path):
     [
         "\tv 0 0 0\n v\t1  0 0 # second\r\nv 0 1 0 1.0\nf 1 2 3 # face",
         "v 0 0 0\nv 1 0 0\nv 0 1 0\n# C:\\models\\\nf 1 \\\n2 3\n",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 \\ \n2 \\\t\n3\n",
         "v +0e0 0 0\nv 1.0E+0 0 0\nv 0 100e-2 0\nvn 0 0 1\nf 1//1 2//1 3//1\n",
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 9 9 9\n",
         "v 0 0 0\rv 1 0 0\rv 0 1 0\rfo 1 2 3\r",
@@ -117,6 +118,9 @@ def test_vertex_colours_of_obj_are_srgb(tmp_path, text, colour):
         ("Kd 0.8", [0.8, 0.8, 0.8]),
         ("kd 0.1 0.2 0.3 # red", [0.1, 0.2, 0.3]),
         ("Kd 0.1 \\\n0.2 0.3", [0.1, 0.2, 0.3]),
+        ("# C:\\models\\\nKd 0.1 \\ \n0.2 0.3", [0.1, 0.2, 0.3]),
+        ("Kd 0.1 0.2 0.3\nmap_Kd\n", [0.1, 0.2, 0.3]),
+        ("Kd 0.1 0.2 0.3\nmap_Kd -s 1 1 1\nmap_Kd -clamp\nmap_Kd # none\n", [0.1, 0.2, 0.3]),
         ("", [1, 1, 1]),
     ],
 )
@@ -146,6 +150,38 @@ def test_textures_of_mtl(tmp_path, line, texture, lost):
     found = load_meshes(path)
     assert (found.meshes[0].texture == 78).all()
     assert found.not_drawn == ((f"{lost} of 'm' in model.obj",) if lost else ())
+
+
+def test_colours_of_mtl_outside_0_to_1_are_clipped_and_named(tmp_path):
+    found = load_meshes(obj(tmp_path, TRIANGLE + FACE, mtl="newmtl m\nKd 1.5 -1 1\n"))
+    np.testing.assert_array_equal(found.meshes[0].base_colour, [1, 0, 1])
+    assert found.not_drawn == ("Kd outside 0 to 1 of 'm' in model.obj",)
+
+
+def test_faces_without_texture_coordinates_are_a_mesh_without_texture(tmp_path):
+    mtl = "newmtl m\nKd 0.5 1 1\nmap_Kd tex.png\n"
+    found = load_meshes(obj(tmp_path, TRIANGLE + "v 1 1 0\n" + FACE + "f 2 4 3\n", mtl=mtl))
+    with_texture, without = found.meshes
+    assert faces_of(with_texture) == [((0, 0, 0), (1, 0, 0), (0, 1, 0))]
+    assert (with_texture.texture == 78).all()
+    assert faces_of(without) == [((0, 1, 0), (1, 0, 0), (1, 1, 0))]
+    assert without.texture is None
+    np.testing.assert_array_equal(without.base_colour, [0.5, 1, 1])
+    assert found.not_drawn == ("the texture of 'm' on faces without texture coordinates in model.obj",)
+
+
+def test_a_material_whose_faces_have_no_area_is_left_out(tmp_path):
+    mesh = only(obj(tmp_path, TRIANGLE + "f 1 1 2\nusemtl other\n" + FACE))
+    assert faces_of(mesh) == [((0, 0, 0), (1, 0, 0), (0, 1, 0))]
+
+
+def test_a_concave_polygon_of_too_many_corners_is_refused_with_the_file(tmp_path):
+    corners = "".join(f"v {x} {x * x} 0\n" for x in range(1000)) + "v 500 260000 0\n"
+    path = obj(tmp_path, corners + f"f {' '.join(map(str, range(1, 1002)))}\n")
+    with pytest.raises(
+        BadInputError, match=r"model.obj: cannot be .*1001 corners, more than 1000\); triangulate it .*\.$"
+    ):
+        load_meshes(path)
 
 
 @pytest.mark.parametrize("lines", ["mtllib red.mtl green.mtl", "mtllib red.mtl\nmtllib green.mtl", "mtllib two of.mtl"])
@@ -315,7 +351,9 @@ def test_faces_of_ply_may_have_texture_coordinates_and_colours_of_their_own(tmp_
     np.testing.assert_array_equal(mesh.vertex_colour[4:], np.tile([0, 0, 1], (3, 1)))
 
 
-@pytest.mark.parametrize(("kind", "white"), [("uchar", 255), ("ushort", 65535), ("float", 1.0)])
+@pytest.mark.parametrize(
+    ("kind", "white"), [("uchar", 255), ("ushort", 65535), ("int", 255), ("uint", 255), ("float", 1.0)]
+)
 def test_vertex_colours_of_ply_of_every_type(tmp_path, kind, white):
     extra = [(kind, name) for name in ("red", "green", "blue")]
     mesh = only(ply(tmp_path, extra=extra, vertices=[[*row, white, 0, 0] for row in QUAD]))
@@ -342,6 +380,48 @@ def test_each_texture_of_ply_is_a_mesh_of_its_own(tmp_path):
     assert {len(mesh.triangles): int(mesh.texture[0, 0, 0]) for mesh in meshes} == {2: 78, 1: 10}
     with pytest.raises(BadInputError, match=r"house.ply: has 2 textures and faces without 'texnumber'"):
         load_meshes(ply(tmp_path, **arguments))
+
+
+def test_a_colour_of_ply_above_white_is_refused(tmp_path):
+    extra = [("int", name) for name in ("red", "green", "blue")]
+    with pytest.raises(BadInputError, match=r"house.ply: a colour of 'vertex' is not from 0 to 255; correct it\."):
+        load_meshes(ply(tmp_path, extra=extra, vertices=[[*row, 256, 0, 0] for row in QUAD]))
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\r\n"])
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+def test_lines_of_ply_may_end_in_carriage_returns(tmp_path, form, end):
+    Image.new("RGB", (2, 2), (78, 78, 78)).save(tmp_path / "t.png")
+    extra = [("float", "s"), ("float", "t")]
+    # The first byte of the body is a line feed.
+    vertices = [[np.float32(-1.0000012), *row[1:], 0, 0] if at == 0 else [*row, 0, 0] for at, row in enumerate(QUAD)]
+    path = ply(tmp_path, form, extra=extra, vertices=vertices, comments="comment TextureFile t.png\n")
+    header, mark, body = path.read_bytes().partition(b"end_header\n")
+    assert form == "ascii" or body[:1] == b"\n"
+    body = body.replace(b"\n", end) if form == "ascii" else body
+    path.write_bytes((header + mark).replace(b"\n", end) + body)
+    mesh = only(path)
+    assert len(mesh.triangles) == 3
+    assert (mesh.texture == 78).all()
+
+
+@pytest.mark.parametrize("faces", [b"", b"element face 0\nproperty list uchar int vertex_indices\n"])
+def test_triangle_strips_of_ply_are_read(tmp_path, faces):
+    path = ply(tmp_path, faces=[])
+    strips = faces + b"element tristrips 1\nproperty list int int vertex_indices\n"
+    content = path.read_bytes().replace(b"element face 0\nproperty list uchar int vertex_indices\n", strips)
+    path.write_bytes(content + b"8 0 1 3 2 -1 3 2 4\n")
+    mesh = only(path)
+    assert area(mesh) == pytest.approx(5.0)
+    np.testing.assert_allclose(mesh.normal[mesh.triangles.ravel()], np.tile([0, 0, 1], (9, 1)), atol=1e-7)
+
+
+def test_a_ply_without_faces_names_what_it_has(tmp_path):
+    path = ply(tmp_path, faces=[])
+    edges = b"element edge 1\nproperty int vertex1\nproperty int vertex2\nend_header"
+    path.write_bytes(path.read_bytes().replace(b"end_header", edges) + b"0 1\n")
+    with pytest.raises(BadInputError, match=r"house.ply: holds no triangles \(not drawn: edges\); export it again"):
+        load_meshes(path)
 
 
 def test_a_ply_of_points_alone_is_refused(tmp_path):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.gltf_document import COMPONENTS, MOVED, Fetch, GltfDocument, base_texture, coordinates_key
+from wlr_render.rendering.polygons import strip_corners
 
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _STRIP, _FAN = 5, 6
@@ -47,6 +48,7 @@ class GltfArrays:
                     primitive["material"] = len(self._document.entries("materials"))
                 primitive |= {"attributes": attributes, "indices": indices, "mode": 4}
                 primitive.pop("targets", None)
+                primitive.pop("extensions", None)
         materials.append({})
         views, buffers = tree.get("bufferViews", []), tree.get("buffers", [])
         tree["accessors"] = [{**each, "bufferView": each["bufferView"] + len(views)} for each in self._accessors]
@@ -112,7 +114,7 @@ class GltfArrays:
             index = np.arange(self._document.entry("accessors", primitive["attributes"]["POSITION"])["count"])
         mode, first = primitive.get("mode", 4), np.arange(max(len(index) - 2, 0))
         if mode == _STRIP:
-            corners = np.stack([first, first + 1 + first % 2, first + 2 - first % 2], axis=1)
+            corners = strip_corners(len(index))
         elif mode == _FAN:
             corners = np.stack([first + 1, first + 2, 0 * first], axis=1)
         else:

@@ -68,6 +68,8 @@ class GltfDocument:
     def __init__(self, path: Path, content: bytes) -> None:
         """Parse a .gltf or .glb file."""
         self._path, self._binary = path, b""
+        self._buffers: dict[int, bytes] = {}
+        self._pictures: set[int] = set()
         if path.suffix.lower() == ".glb":
             # A GLB is a 12-byte header, then chunks of length, type, content: the JSON, and the first buffer.
             size = int.from_bytes(content[12:16], "little")
@@ -133,8 +135,10 @@ class GltfDocument:
 
     def buffer_content(self, number: int, fetch: Fetch) -> bytes:
         """The bytes of a buffer: of its uri, or of the GLB's second chunk."""
-        buffer = self.entry("buffers", number)
-        return self.bytes_of(buffer["uri"], fetch) if "uri" in buffer else self._binary
+        if number not in self._buffers:
+            buffer = self.entry("buffers", number)
+            self._buffers[number] = self.bytes_of(buffer["uri"], fetch) if "uri" in buffer else self._binary
+        return self._buffers[number]
 
     def check(self, understood: set[str], fetch: Fetch) -> None:
         """Check everything that is drawn.
@@ -254,13 +258,22 @@ class GltfDocument:
                 f"{where}: its base texture uses {key}, which the mesh lacks", "export it with texture coordinates"
             )
         self._check_type(where, key, self.entry("accessors", primitive["attributes"][key]), ("VEC2",))
+        moved = use.get("extensions", {}).get(MOVED, {})
+        for key, size in (("offset", 2), ("scale", 2), ("rotation", None)):
+            value = np.array(moved.get(key, np.zeros(size or ())), dtype=np.float64)
+            if value.shape != ((size,) if size else ()) or not np.isfinite(value).all():
+                what = f"{size} finite numbers" if size else "a finite number"
+                raise self.fail(f"{where}: '{key}' of its base texture is {shown(moved[key])}, not {what}")
         texture = self.entry("textures", use.get("index"))
         webp = texture.get("extensions", {}).get("EXT_texture_webp", {})
         number = webp.get("source", texture.get("source"))
         if number is None:
             kinds = ", ".join(texture.get("extensions", {})) or "no 'source'"
             raise self.fail(f"{where}: its base texture has no picture that is read ({kinds})", "export PNG or JPEG")
-        require_picture(f"{self._path}: images {shown(number)}", self._image(self.entry("images", number), fetch))
+        image = self.entry("images", number)
+        if number not in self._pictures:
+            require_picture(f"{self._path}: images {shown(number)}", self._image(image, fetch))
+            self._pictures.add(number)
 
     def _image(self, image: dict[str, Any], fetch: Fetch) -> bytes:
         if "bufferView" not in image:

@@ -124,19 +124,17 @@ def _polygon_file(path: Path) -> MeshFile:
     else:
         file = PlyFile(path, content, neighbours)
         raw = [*file.meshes()]
-    meshes = tuple(_mesh(path, each) for each in raw)
-    if not meshes:
-        raise BadInputError(f"{path}: holds no triangles; export it again with faces.")
+    not_drawn = _named(path, lost, file.not_drawn)
+    meshes = _meshes(path, raw, not_drawn)
     instances = tuple(Instance(mesh.name, number, np.eye(4)) for number, mesh in enumerate(meshes))
-    return MeshFile(meshes, instances, (), _named(path, lost, file.not_drawn))
+    return MeshFile(meshes, instances, (), not_drawn)
 
 
 def _gltf_file(path: Path) -> MeshFile:
     source, not_drawn = _loaded(path)
-    names = [name for name, geometry in source.geometry.items() if hasattr(geometry, "faces")]
-    meshes = tuple(_mesh(path, _of_trimesh(name, source.geometry[name])) for name in names)
-    if not meshes:
-        raise BadInputError(f"{path}: holds no triangles; export it again with faces.")
+    raw = [_of_trimesh(name, geometry) for name, geometry in source.geometry.items() if hasattr(geometry, "faces")]
+    meshes = _meshes(path, raw, not_drawn)
+    names = [mesh.name for mesh in meshes]
     placed = [(node, *source.graph.get(node)) for node in source.graph.nodes_geometry]
     instances = tuple(
         Instance(_instance_name(source, str(node), name), names.index(name), np.array(matrix, dtype=np.float64))
@@ -225,8 +223,21 @@ def _named(path: Path, materials: Iterable[tuple[str, list[str]]], parts: Sequen
     return tuple(f"{each} in {path.name}" for each in lost)
 
 
-def _mesh(path: Path, raw: RawMesh) -> Mesh:
-    """A checked mesh."""
+def _meshes(path: Path, raw: Sequence[RawMesh], not_drawn: Sequence[str]) -> tuple[Mesh, ...]:
+    """Checked meshes, without those whose triangles have no area; refused where none is left."""
+    meshes = tuple(mesh for each in raw if (mesh := _mesh(path, each)) is not None)
+    if raw and not meshes:
+        which = f"mesh {shown(raw[0].name)} has" if len(raw) == 1 else "its meshes have"
+        raise BadInputError(f"{path}: {which} no triangles with an area; export it again.")
+    if not meshes:
+        lost = ", ".join(each.removesuffix(f" in {path.name}") for each in not_drawn)
+        beside = f" (not drawn: {lost})" if lost else ""
+        raise BadInputError(f"{path}: holds no triangles{beside}; export it again with faces.")
+    return meshes
+
+
+def _mesh(path: Path, raw: RawMesh) -> Mesh | None:
+    """A checked mesh; None where no triangle has an area."""
     name, position, triangles = raw.name, raw.position, raw.triangles
     if not (np.abs(position) < _LARGEST).all():
         raise BadInputError(
@@ -240,7 +251,7 @@ def _mesh(path: Path, raw: RawMesh) -> Mesh:
     doubled_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     triangles = triangles[doubled_area > 0]
     if len(triangles) == 0:
-        raise BadInputError(f"{path}: mesh {shown(name)} has no triangles with an area; export it again.")
+        return None
     raw = replace(raw, triangles=triangles) if raw.normal is not None else _flat(raw, triangles)
     assert raw.normal is not None
     mesh = Mesh(

@@ -42,6 +42,23 @@ def obj_text(content: bytes) -> str:
         return content.decode("latin-1")
 
 
+def statements(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Words of each statement, and its line number; a backslash continues a line, also with blanks after it."""
+    whole, start = "", 0
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+        start = start if whole else number
+        line = line.rstrip()
+        if line.endswith("\\") and (whole or not line.lstrip().startswith("#")):
+            whole += line[:-1] + " "
+            continue
+        words = (whole + line).split()
+        whole = ""
+        if words and not words[0].startswith("#"):
+            yield start, words
+    if words := whole.split():
+        yield start, words
+
+
 def without_comment(text: str) -> str:
     """A statement without a comment at its end."""
     return re.split(r"(?:^|\s)#", text, maxsplit=1)[0].strip() if "#" in text else text
@@ -59,13 +76,13 @@ class ObjMaterial:
 
     Attributes:
         base_colour: (3,) linear RGB factor.
-        texture: name of the texture's file, or None.
+        texture: name of the texture's file, empty without one.
         picture: content of that file, once the material is used.
         lost: keys and options that are not drawn.
     """
 
     base_colour: FloatArray = field(default_factory=lambda: np.ones(3))
-    texture: str | None = None
+    texture: str = ""
     picture: bytes | None = None
     lost: list[str] = field(default_factory=list)
 
@@ -98,8 +115,8 @@ class Materials:
         if found is None:
             return None
         material = self._used[found] = self._materials[found]
-        if material.texture is not None:
-            picture = self._neighbours.find(spellings(material.texture)) or material.texture
+        picture = self._neighbours.find(spellings(material.texture)) or material.texture
+        if material.picture is None and without_comment(picture) != "":
             material.picture = self._neighbours.get(picture)
             require_picture(f"{self._path}: its file {shown(picture)[1:-1]}", material.picture)
         return material
@@ -120,8 +137,8 @@ class Materials:
     def _read(self, library: str, content: bytes) -> None:
         read: dict[str, ObjMaterial] = {}
         material = ObjMaterial()
-        for line in re.sub(r"\\\r?\n", " ", obj_text(content)).splitlines():
-            key, _, text = " ".join(line.split()).partition(" ")
+        for _, words in statements(obj_text(content)):
+            key, text = words[0], " ".join(words[1:])
             if key.lower() == "newmtl":
                 material = read[text] = ObjMaterial()
             else:
@@ -134,10 +151,12 @@ class Materials:
             if re.match("(spectral|xyz) ", value):
                 material.lost.append(f"Kd {value.split()[0]}")
             else:
-                material.base_colour = self._colour(library, value)
+                stated = self._colour(library, value)
+                material.base_colour = np.clip(stated, 0.0, 1.0)
+                material.lost += ["Kd outside 0 to 1"] * bool((material.base_colour != stated).any())
         elif key == "map_kd":
             material.texture, options = _map_options(text)
-            material.lost += [f"map_Kd {option}" for option in options]
+            material.lost += [f"map_Kd {option}" for option in options if material.texture]
         elif key in _LOST_MAPS or (key in _DEFAULTS and not re.fullmatch(_DEFAULTS[key], value)):
             material.lost.append(f"illum {value}" if key == "illum" else key)
 
@@ -148,9 +167,9 @@ class Materials:
         except ValueError:
             colour = []
         colour = 3 * colour if len(colour) == 1 else colour
-        if len(colour) != 3 or not all(0.0 <= each <= 1.0 for each in colour):
+        if len(colour) != 3 or not np.isfinite(colour).all():
             raise BadInputError(
-                f"{self._path}: in {shown(library)}, 'Kd' is {shown(text)}, not three numbers from 0 to 1; correct it."
+                f"{self._path}: in {shown(library)}, 'Kd' is {shown(text)}, not three numbers; correct it."
             )
         return np.array(colour)
 
@@ -158,12 +177,14 @@ class Materials:
 def _map_options(text: str) -> tuple[str, list[str]]:
     """The file's name of a texture statement, and its options that change the picture and are not drawn."""
     words, lost = text.split(" "), []
-    while len(words) > 1 and (option := words[0].lower()) in _NUMBERS | _CHOICES:
+    while words and (option := words[0].lower()) in _NUMBERS | _CHOICES:
         plain = _NUMBERS.get(option, ())
-        count = next((at for at, word in enumerate(words[1:]) if at == len(plain) or not is_number(word)), 0)
+        count = next(
+            (at for at, word in enumerate(words[1:]) if at == len(plain) or not is_number(word)), len(words) - 1
+        )
         if option in _CHOICES:
             count = 1
-            changed = _CHOICES[option] not in (None, words[1].lower())
+            changed = _CHOICES[option] not in (None, *map(str.lower, words[1:2]))
         else:
             changed = any(float(word) != same for word, same in zip(words[1:], plain[:count], strict=False))
         lost += [option] * changed

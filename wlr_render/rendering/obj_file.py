@@ -3,9 +3,8 @@
 Vertex colours are sRGB. Without normals in the file, those of the triangles around a vertex are averaged.
 """
 
-import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import parsing, shown
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.mtl_file import Materials, ObjMaterial, obj_text, without_comment
+from wlr_render.rendering.mtl_file import Materials, ObjMaterial, obj_text, statements, without_comment
 from wlr_render.rendering.polygons import Triangles, smooth_normals, triangulated
 from wlr_render.rendering.raw_mesh import RawMesh, opened_picture
 from wlr_render.rendering.srgb import decode_srgb
@@ -65,7 +64,7 @@ class ObjFile:
         if b"\0" in content:
             raise BadInputError(f"{path}: has null characters; is it binary, or UTF-16? Export it as plain text.")
         strange: dict[str, None] = {}
-        for number, words in _statements(obj_text(content)):
+        for number, words in statements(obj_text(content)):
             key, rest = words[0], " ".join(words[1:]) if words[0] not in _BULK else ""
             if key in _DATA:
                 self._data[key].append(self._numbers(number, words))
@@ -91,36 +90,39 @@ class ObjFile:
         for part in used:
             material = self._material(part.material)
             name = part.material if len(self._materials) > 1 and part.material else part.object_name or self._path.name
-            while name in names:
-                name += "_1"
-            names.add(name)
-            yield self._mesh(name, part, material, data, colours)
+            for raw in self._meshes_of(name, part, material, data, colours):
+                while raw.name in names:
+                    raw = replace(raw, name=f"{raw.name}_1")
+                names.add(raw.name)
+                yield raw
 
-    def _mesh(
+    def _meshes_of(
         self,
         name: str,
         part: _Part,
         material: ObjMaterial,
         data: dict[str, FloatArray],
         colours: FloatArray | None,
-    ) -> RawMesh:
+    ) -> Iterator[RawMesh]:
+        """The mesh of a part, or two: without texture are the faces that lack the coordinates which others have."""
         place, coordinate, turned = np.array([*part.corners], dtype=np.int64).T
         position = data["v"][place]
         triangles = _triangles(self._path, position, part.polygons)
         _, first, point = np.unique(place, return_index=True, return_inverse=True)
         normal = smooth_normals(position[first], point[triangles])[point]
         normal[turned >= 0] = data["vn"][turned[turned >= 0]]
-        textured = material.picture is not None and (coordinate >= 0).all()
-        return RawMesh(
-            name,
-            position,
-            triangles,
-            normal,
-            material.base_colour,
-            data["vt"][coordinate] * [1, -1] + [0, 1] if textured else None,
-            None if material.picture is None else opened_picture(material.picture),
-            None if colours is None else colours[place],
-        )
+        colour = None if colours is None else colours[place]
+        picture = None if material.picture is None else opened_picture(material.picture)
+        raw = RawMesh(name, position, triangles, normal, material.base_colour, None, picture, colour)
+        textured = (coordinate >= 0)[triangles].all(axis=1)
+        if picture is None or not textured.any():
+            yield raw
+            return
+        uv = data["vt"][np.maximum(coordinate, 0)] * [1, -1] + [0, 1]
+        yield replace(raw, triangles=triangles[textured], uv=uv)
+        if not textured.all():
+            self.not_drawn.append(f"the texture of {shown(part.material)} on faces without texture coordinates")
+            yield replace(raw, triangles=triangles[~textured], picture=None)
 
     def _material(self, name: str) -> ObjMaterial:
         found = self._materials.get(name)
@@ -231,19 +233,3 @@ def _triangles(path: Path, position: FloatArray, polygons: Sequence[Sequence[int
         by_corners.setdefault(len(polygon), []).append(polygon)
     with parsing(path, "a mesh", "triangulate it where it was made"):
         return np.concatenate([triangulated(position, np.array(each)) for each in by_corners.values()])
-
-
-def _statements(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Words of each statement, and its line number; a backslash continues a line."""
-    whole, start = "", 0
-    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
-        start = start if whole else number
-        if line.endswith("\\") and (whole or not line.lstrip().startswith("#")):
-            whole += line[:-1] + " "
-            continue
-        words = (whole + line).split()
-        whole = ""
-        if words and not words[0].startswith("#"):
-            yield start, words
-    if words := whole.split():
-        yield start, words

@@ -17,7 +17,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.input_files import parsing, require_picture, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.mtl_file import Neighbours, spellings
-from wlr_render.rendering.polygons import Triangles, smooth_normals, triangulated
+from wlr_render.rendering.polygons import Triangles, smooth_normals, strip_corners, triangulated
 from wlr_render.rendering.raw_mesh import RawMesh, opened_picture
 from wlr_render.rendering.srgb import decode_srgb
 
@@ -28,6 +28,8 @@ _TYPES |= {"float": "f", "double": "d", "float32": "f", "float64": "d"}
 _CODES = {"i": "i4", "I": "u4", "h": "i2", "H": "u2", "b": "i1", "B": "u1", "f": "f4", "d": "f8"}
 _BYTES = {"uchar", "uint8"}
 _HEADER_BYTES = 100_000
+_HEADER = rb"ply[ \t]*(?:(\r)(?!\n)|\r?\n)(?:.*?[\r\n])??end_header[ \t]*(?(1)(?:\r|\Z)|\r?(?:\n|\Z))"
+"""A header, whose lines end in LF, CR LF or CR; after a lone CR, an LF would be of the body."""
 _COLOUR = ("red", "green", "blue")
 _COLOURS = (_COLOUR, ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 _COORDINATES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
@@ -78,14 +80,15 @@ class PlyFile:
     def __init__(self, path: Path, content: bytes, neighbours: Neighbours) -> None:
         """Read all elements; `neighbours` has the textures."""
         self._path, self._neighbours = path, neighbours
-        header = re.match(rb"ply\s.*?^end_header *\r?(?:\n|$)", content[:_HEADER_BYTES], re.DOTALL | re.MULTILINE)
+        header = re.match(_HEADER, content[:_HEADER_BYTES], re.DOTALL)
         if header is None:
             raise BadInputError(
                 f"{path}: is not a PLY file: its header has no 'ply' or no 'end_header'; export it again."
             )
-        text = header[0].decode("utf-8", "replace")
-        lines = [line.split() for line in text.splitlines()]
-        self._textures = re.findall(r"^comment\s+TextureFile\s+(.*?)\s*$", text, re.MULTILINE | re.IGNORECASE)
+        rows = re.split(r"[\r\n]+", header[0].decode("utf-8", "replace"))
+        lines = [row.split() for row in rows]
+        stated = (re.match(r"comment\s+TextureFile\s+(.+?)\s*$", row, re.IGNORECASE) for row in rows)
+        self._textures = [found[1] for found in stated if found]
         elements = _elements(path, lines)
         for element in elements:
             colours = [name for _, name in element.properties if name in _COLOUR]
@@ -97,6 +100,9 @@ class PlyFile:
         else:
             _read_binary(path, elements, body, ">" if ["format", "binary_big_endian", "1.0"] in lines else "<")
         self._elements = {element.name: element for element in elements}
+        face, strips = (self._elements.get(name, _Element(name, 0)) for name in ("face", "tristrips"))
+        if not face.rows and any(name in strips.columns for name in _CORNERS):
+            self._elements["face"] = _faces_of_strips(self._elements.pop("tristrips"))
         self.not_drawn = [name for key, name in _NAMES.items() if key in self._elements and self._elements[key].rows]
         self.not_drawn += [f"opacity (alpha) of '{each.name}'" for each in elements if each.is_translucent()]
 
@@ -190,16 +196,25 @@ class PlyFile:
         return None if found is None else found[0][place] * [1, -1] + [0, 1]
 
     def _colours(self, element: _Element) -> FloatArray | None:
-        """Linear colours (rows, 3): of integers the largest is white, of floats 1."""
+        """Linear colours (rows, 3): white is 1, the largest of 8 or 16 bits, or 255 of more bits."""
         found = element.vectors(*_COLOURS)
         if found is None:
             return None
         values, types = found
         code = _CODES[_TYPES[types[0]]]
-        white = 1.0 if code[0] == "f" else float(np.iinfo(code).max)
+        white = 1.0 if code[0] == "f" else 255.0 if code[1] == "4" else float(np.iinfo(code).max)
         if not ((values >= 0) & (values <= white)).all():
             raise BadInputError(f"{self._path}: a colour of '{element.name}' is not from 0 to {white:g}; correct it.")
         return decode_srgb(np.rint(255 * values / white).astype(np.uint8)).astype(np.float64)
+
+
+def _faces_of_strips(strips: _Element) -> _Element:
+    """The triangles of strips, which the index -1 ends."""
+    lists = [np.append(each, -1) for name in _CORNERS for each in strips.columns.get(name, ())]
+    whole = np.concatenate([np.empty(0), *lists]).astype(np.int64)
+    parts = [part[part >= 0] for part in np.split(whole, np.flatnonzero(whole < 0))]
+    triangles = np.concatenate([np.empty((0, 3), np.int64), *(part[strip_corners(len(part))] for part in parts)])
+    return _Element("face", len(triangles), [], {_CORNERS[0]: triangles})
 
 
 def _elements(path: Path, lines: list[list[str]]) -> list[_Element]:

@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
 
 Triangles = NDArray[np.int64]
@@ -14,7 +13,7 @@ def triangulated(position: FloatArray, polygons: Triangles) -> Triangles:
     """Triangles (n (k - 2), 3) of n polygons (n, k) with corners in `position` (vertices, 3), polygon by polygon.
 
     Raises:
-        BadInputError: a concave polygon has more than 1000 corners.
+        ValueError: a concave polygon has more than 1000 corners.
     """
     count, corners = polygons.shape
     fan = np.stack([np.zeros(corners - 2, int), np.arange(1, corners - 1), np.arange(2, corners)], axis=1)
@@ -32,10 +31,16 @@ def triangulated(position: FloatArray, polygons: Triangles) -> Triangles:
     return triangles.reshape(count * (corners - 2), 3)
 
 
+def strip_corners(count: int) -> Triangles:
+    """Triangles (count - 2, 3) of a strip of so many corners, all of one sense."""
+    first = np.arange(max(count - 2, 0))
+    return np.stack([first, first + 1 + first % 2, first + 2 - first % 2], axis=1)
+
+
 def _clipped(place: FloatArray, normal: FloatArray) -> Triangles:
     """Triangles (k - 2, 3) of one concave polygon (k, 3), by clipping ears."""
     if len(place) > _MOST_CORNERS:
-        raise BadInputError(f"a concave polygon has {len(place)} corners, more than {_MOST_CORNERS}; triangulate it")
+        raise ValueError(f"a concave polygon has {len(place)} corners, more than {_MOST_CORNERS}")
     drop = int(np.argmax(np.abs(normal)))
     flat = np.delete(place, drop, axis=1)
     if (normal[drop] < 0) != (drop == 1):
