@@ -56,8 +56,7 @@ def export_page(
         Text(
             f"Take the first picture as the source picture of the {first.eye} eye and warp it with {checked} as above: "
             f"the second one must come out, {exactness}. It was drawn by our own sampling, "
-            f"{'bilinear' if form.holds.between_pixels else 'nearest pixel'}, of the codes as they are "
-            f"stored, for points {check_depth}."
+            f"{'bilinear in linear light' if form.holds.between_pixels else 'nearest pixel'}, for points {check_depth}."
         ),
         Picture("Source picture", options.out / CHECK_SOURCE, "u to the right in red, v downwards in green"),
         Picture("Picture for the panel", options.out / CHECK_PANEL, f"the {first.eye} panel, pixel by pixel"),

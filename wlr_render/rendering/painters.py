@@ -70,7 +70,7 @@ class Frame:
 
 
 def is_blank(colour: NDArray[np.uint8]) -> bool:
-    """Whether all pixels of a frame (height, width, 3) have one colour: the eye sees nothing of the scene."""
+    """Whether all pixels of a frame (height, width, 3) have one colour: no edge of the scene is seen."""
     flat = colour.reshape(-1)
     return bool((flat[3:] == flat[:-3]).all())  # 30 times as fast as comparison with one pixel
 
@@ -81,8 +81,8 @@ def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
         return []
     which = names[0] if len(names) == 1 else f"{len(names)} frames, {names[0]} the first,"
     return [
-        f"{which} {'shows' if len(names) == 1 else 'show'} nothing of the scene '{scene}': every pixel has the same "
-        "colour; place the scene within the field of view, in metres, with light on it."
+        f"{which} {'shows' if len(names) == 1 else 'show'} nothing of the scene '{scene}', or one even surface: every "
+        "pixel has the same colour. Place the scene within the field of view, in metres, with light on it."
     ]
 
 

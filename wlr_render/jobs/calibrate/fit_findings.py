@@ -260,7 +260,7 @@ def held_out_verdict(name: str, found: float, expected: float) -> str:
     low, high = AS_EXPECTED
     said = f"{name.capitalize()}: held-out positions are predicted to {_digits(found)}' ({_digits(expected)}' expected)"
     if found < low * expected:
-        return f"{said}, better than expected: the predicted errors are conservative."
+        return f"{said}, better than expected. Errors that all captures share (lens, board, stage) do not show here."
     if found > high * expected:
         return f"{said}, worse than expected: the captures have errors that the fit does not model."
     unseen = _digits(expected * np.sqrt(high**2 - 1.0))
