@@ -225,7 +225,11 @@ def test_held_out_rows_and_columns_stand_beside_what_is_expected(calibrated):
 
 @pytest.mark.parametrize(
     ("found", "expected", "verdict"),
-    [(1.0, 1.0, "hides model errors of less than 0.88'"), (2.0, 1.0, "does not model"), (0.5, 1.0, "better than expected")],
+    [
+        (1.0, 1.0, "hides model errors of less than 0.88'"),
+        (2.0, 1.0, "does not model"),
+        (0.5, 1.0, "better than expected"),
+    ],
 )
 def test_the_verdict_on_held_out_positions(found, expected, verdict):
     assert verdict in held_out_verdict("display", found, expected)
