@@ -100,6 +100,7 @@ def test_a_data_set_names_its_sources_and_no_path_of_this_machine(
     options = PackOptions(layout, tmp_path / "secret" / "frames", out=tmp_path / "secret" / "set")
     render(RenderOptions(model_file, scene_file, method="raytrace", out=options.folder))
     arguments = ["/home/me/wlr-render", "pack", layout, str(options.folder), f"--out={options.out}/"]
+    arguments += ["C:\\Users\\me\\frames", "--out=C:\\Users\\me\\out\\"]
     monkeypatch.setattr("sys.argv", arguments)
     pack(options)
     if layout == "webdataset":
@@ -115,19 +116,21 @@ def test_a_data_set_names_its_sources_and_no_path_of_this_machine(
             for folder in (tmp_path, Path(model_file).parent, Path(scene_file).parent):
                 assert str(folder).encode() not in path.read_bytes(), path
     command = json.loads((options.out / "report.json").read_text())["provenance"]["command"]
-    assert command == f"wlr-render pack {layout} frames --out=set"
+    assert command == f"wlr-render pack {layout} frames --out=set frames --out=out"
 
 
-def test_frames_of_the_last_version_are_packed_by_the_names_of_their_files(frames_of, tmp_path):
+@pytest.mark.parametrize("folder", ["/home/me/headsets/", "C:\\Users\\me\\headsets\\"])
+def test_frames_of_the_last_version_are_packed_by_the_names_of_their_files(folder, frames_of, tmp_path):
     """Its record of a sequence has no names."""
     drawn = frames_of()
     path = drawn.out / "sequence.json"
     record = json.loads(path.read_text())
     del record["names"]
+    record["job"]["headset"] = f"{folder}north.toml"
     path.write_text(json.dumps(record))
     pack(PackOptions("huggingface", drawn.out, out=tmp_path / "set"))
     row = json.loads((tmp_path / "set" / "train" / "metadata.jsonl").read_text().splitlines()[0])
-    assert row["headset"] == Path(drawn.headset).name
+    assert row["headset"] == "north.toml"
 
 
 def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):

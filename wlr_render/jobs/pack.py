@@ -13,7 +13,7 @@ import shutil
 import tarfile
 from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Annotated, Any, Literal
 
 from wlr_render.errors import BadInputError
@@ -163,12 +163,15 @@ def _samples(folder: Path, record: Table, entries: Sequence[Table]) -> Iterator[
 
 
 def _sources(record: Table, job_table: Table) -> dict[str, str]:
-    """Names and hashes of the headset and the scene: who gets the data set has no use for paths of this machine."""
+    """Names and hashes of the headset and the scene: who gets the data set has no use for paths of this machine.
+
+    Windows paths may have separators of either kind, and the frames may have been drawn on another machine.
+    """
     hashes = record.table("files")
     names = record.table("names") if record.has("names") else None  # version 0.2.0 wrote none
     sources = {}
     for what in ("headset", "scene"):
-        sources[what] = names.text(what) if names else Path(job_table.text(what)).name
+        sources[what] = names.text(what) if names else PureWindowsPath(job_table.text(what)).name
         sources[f"{what}_sha256"] = hashes.text(what)
     return sources
 

@@ -87,12 +87,12 @@ def _command(is_published: bool) -> str:
     if started.stem == "ipykernel_launcher" or started.name in ("", "-c"):
         return "Python, without a command line"
     if is_published:
-        arguments = [_FOLDERS.sub("", each.rstrip("/")) for each in arguments]
+        arguments = [_FOLDERS.sub("", each.rstrip("/\\")) for each in arguments]
     program = ["python", "-m", started.parent.name] if started.name == "__main__.py" else [started.name]
     return shlex.join([*program, *arguments])
 
 
-_FOLDERS = re.compile(r"[^=]*/")  # before the last name of a path, which an option and = may precede
+_FOLDERS = re.compile(r"[^=]*[/\\]")  # before the last name of a path, which an option and = may precede
 
 
 def _sha256(path: Path, output: Path) -> str:

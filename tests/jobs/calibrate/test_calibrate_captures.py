@@ -114,20 +114,23 @@ def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path):
 
 
 def test_results_of_an_earlier_calibration_do_not_stand_beside_a_new_model(tmp_path):
-    """Captures, station and coverage of photographs belong to the model that they were written with."""
+    """Captures, station, pictures and models of primaries belong to the model that they were written with."""
     earlier = ["station-right.json", "coverage.png", "coverage-right.png", "decoding.png"]
     other = ["station-left.json", "captures-left.npz", "notes.txt"]
 
     def run(calibrate, options):
         for name in (*earlier, *other):
             (tmp_path / name).write_text("of an earlier calibration")
+        if (tmp_path / "model.json").exists():  # of this eye alone
+            (tmp_path / "model-red.json").write_bytes((tmp_path / "model.json").read_bytes())
         calibrate(options)
+        assert not (tmp_path / "model-red.json").exists()
         return {name for name in (*earlier, *other, "captures-right.npz") if (tmp_path / name).exists()}
 
     assert run(calibrate_simulate, replace(TWO_EYES, out=tmp_path)) == {*other, "captures-right.npz"}
     own = CalibrateCapturesOptions(tmp_path / "captures-right.npz", fit=TWO_EYES.fit, out=tmp_path)
     # The model is of these very captures, which the station belongs to.
-    assert run(calibrate_captures, own) == {*earlier, *other, "captures-right.npz"}
+    assert run(calibrate_captures, own) == {"station-right.json", *other, "captures-right.npz"}
     moved = (tmp_path / "captures-right.npz").rename(tmp_path / "moved.npz")
     (tmp_path / "captures-right.npz").write_text("of an earlier calibration")
     assert run(calibrate_captures, replace(own, captures=moved)) == set(other)

@@ -44,7 +44,8 @@ class CalibrateCapturesOptions(Options):
 def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Fit the models of one eye; writes model.json and the report into `options.out`.
 
-    What an earlier calibration of other captures wrote there of this eye, its station and captures, is removed.
+    What an earlier calibration wrote there of this eye is removed: models of primaries, pictures, and the station and
+    captures if they are not those of `options.captures`.
 
     Raises:
         BadInputError: captures, bench or prescription cannot be read, or the captures lack see-through captures or do
@@ -63,8 +64,8 @@ def calibrate_captures(options: CalibrateCapturesOptions, *, progress: ProgressA
     with naming(options.captures):
         comparison = options.fit.fit(captures)
     fit, folder = comparison.chosen, output_folder(options.out)
-    if options.captures.resolve() != (folder / f"captures-{fit.mappings.eye}.npz").resolve():
-        remove_results(folder, [fit.mappings.eye])
+    is_own = options.captures.resolve() == (folder / f"captures-{fit.mappings.eye}.npz").resolve()
+    remove_results(folder, [fit.mappings.eye], keep_captures=is_own)
     model, notes = save_models(folder, [fit])
     report = Report(
         f"Calibration of {fit.device}, {fit.mappings.eye} eye",

@@ -131,8 +131,10 @@ def save_models(folder: Path, fits: Sequence[EyeFit], name: str = MODEL_FILE) ->
     return path, tuple(notes)
 
 
-def remove_results(folder: Path, eyes: Sequence[str]) -> None:
+def remove_results(folder: Path, eyes: Sequence[str], keep_captures: bool = False) -> None:
     """Remove what an earlier calibration wrote beside the models of some eyes: it does not belong to new models.
+
+    With `keep_captures`, the files of `RESULTS` stay: the new models are of these captures.
 
     Raises:
         BadInputError: a model file of a primary is damaged.
@@ -141,6 +143,6 @@ def remove_results(folder: Path, eyes: Sequence[str]) -> None:
         require_readable_models(folder, name)
     for name in MODELS_OF_PRIMARIES.values():
         remove_eye_models(folder / name, eyes)
-    names = [f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in RESULTS]
+    names = [] if keep_captures else [f"{kind}-{eye}{suffix}" for eye in eyes for kind, suffix in RESULTS]
     for name in (*names, "coverage.png", "decoding.png", *(f"coverage-{eye}.png" for eye in eyes)):
         (folder / name).unlink(missing_ok=True)
