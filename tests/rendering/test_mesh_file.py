@@ -765,10 +765,10 @@ def test_a_primitive_without_positions_is_named(tmp_path):
     assert "primitives without positions of mesh 'wedge' in wedge.gltf" in loaded.not_drawn
 
 
-def test_an_optional_extension_of_primitives_does_not_reach_trimesh(tmp_path, capfd):
+def test_an_optional_extension_of_primitives_does_not_reach_trimesh(tmp_path, caplog):
     draco = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
     assert len(load_meshes(gltf(tmp_path, meshes=wedge(extensions=draco))).meshes) == 1
-    assert capfd.readouterr() == ("", "")
+    assert caplog.text == ""
 
 
 def test_an_embedded_buffer_is_decoded_once(tmp_path, monkeypatch):
