@@ -1,10 +1,12 @@
 """Rows of text tables: separators, quotes and decimal commas as spreadsheets and loggers write them."""
 
+import contextlib
 import csv
 import re
 from collections.abc import Sequence
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+_SEPARATED_DECIMAL = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 STATED_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 """A line with which spreadsheets state the separator; it is no row."""
@@ -13,7 +15,7 @@ STATED_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 def separator_of(row: str) -> str | None:
     """The separator of a row or header: a semicolon, a tab or a comma; None for blanks, or for a single cell.
 
-    A comma is no separator where blanks separate numbers with decimal commas.
+    A comma is no separator where blanks separate numbers with decimal commas, each after a digit.
     """
     bare = re.sub(r'"[^"]*"', "0", row)
     words = bare.split()
@@ -22,19 +24,20 @@ def separator_of(row: str) -> str | None:
     if "\t" in bare and not all(len(cell.split()) > 1 for cell in bare.split("\t")[1:]):
         return "\t"
     with_comma = [word for word in words if "," in word]
-    if not with_comma or (len(words) > 1 and all(map(_DECIMAL_COMMA.fullmatch, with_comma))):
+    if not with_comma or (len(words) > 1 and all(map(_SEPARATED_DECIMAL.fullmatch, with_comma))):
         return None
     return ","
 
 
 def cells_of(row: str, separator: str | None) -> tuple[str, ...]:
-    """Cells of a row, stripped and without quotes; decimal commas become points."""
-    if separator is None:
-        cells = row.split()
-    elif '"' in row:
-        cells = next(csv.reader([row.strip()], delimiter=separator, skipinitialspace=True))
-    else:
-        cells = row.split(separator)
+    """Cells of a row, stripped and without quotes; decimal commas become points.
+
+    A row whose quotes the format does not allow is split at every separator.
+    """
+    cells = row.split(separator)
+    if separator is not None and '"' in row:
+        with contextlib.suppress(csv.Error):
+            cells = next(csv.reader([row.strip()], delimiter=separator, skipinitialspace=True))
     if "," in row and (separator != "," or '"' in row):
         cells = [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
     return tuple(cell.strip().strip('"') for cell in cells)

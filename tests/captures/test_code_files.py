@@ -81,7 +81,12 @@ def test_a_manifest_gives_any_file_its_role(tmp_path):
     write_photograph(tmp_path / "lamp.png", shown(0))
     rows = [f"{name},{role[2:]},{role[0]}" for name, role in zip(names[2:], NAMES[2:], strict=True)]
     table = "\n".join(["file,role,axis", f"{names[0]},white,", f"{names[1]},black,", "lamp.png,unused,", *rows])
-    for text in (table, "\ufeff" + table.replace(",", ";").replace("\n", "\r\n"), table.replace(",", "\t")):
+    for text in (
+        table,
+        "\ufeff" + table.replace(",", ";").replace("\n", "\r\n"),
+        table.replace(",", "\t"),
+        "sep=;\n" + table.replace(",", ";"),
+    ):
         (tmp_path / "manifest.csv").write_bytes(text.encode())
         assert_right(decoded(tmp_path)[1])
     roles = "\n".join(f'"{name}" = "{role}"' for name, role in zip(names, NAMES, strict=True) if role != "v bit 3")

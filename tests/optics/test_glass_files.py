@@ -69,6 +69,11 @@ def test_every_formula_of_zemax_is_read(tmp_path, number):
         assert found.index(wavelength_um) == pytest.approx(expected(coefficients, wavelength_um), abs=exact)
 
 
+def test_numbers_may_have_decimal_commas(tmp_path):
+    found = glass(tmp_path, "1,0", "2,25 0,0 0 0 0 0", "LD 0,35 2,5")
+    assert found == glass(tmp_path, 1, "2.25 0 0 0 0 0", "LD 0.35 2.5")
+
+
 def test_a_term_without_a_pole_is_a_power(tmp_path):
     """B / (L^2 - C) with C = 0, in the first formula of the Handbook of Optics."""
     assert glass(tmp_path, 7, "2.3 0.02 0 0.009").medium.index(0.5) == pytest.approx(np.sqrt(2.3 + 0.08 - 0.00225))

@@ -3,6 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.delimited_text import cells_of
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.tracking import synthetic
@@ -90,6 +91,15 @@ NS = (10**9, 1)
         table("t [ms] tx ty tz qw qx qy qz", " ", WXYZ, (1e3, 1)),
         table("# timestamp tx ty tz qw qx qy qz", " ", WXYZ, lead="# ground truth\n"),
         table("# time_s, x_m, y_m, z_m, qw, qx, qy, qz", "\t", WXYZ),
+        table("# time, x, y, z, qw, qx, qy, qz", " ", WXYZ),
+        table("# time; x; y; z; qw; qx; qy; qz", " ", WXYZ),
+        table("# Columns: time x y z qw qx qy qz", " ", WXYZ),
+        table("# format: `time x y z qw qx qy qz`", " ", WXYZ),
+        table("# format: time tx ty tz qw qx qy qz", " ", WXYZ),
+        table("# Poses (time [x y z] [qw qx qy qz]), in metres.", " ", WXYZ),
+        table("# time_s, x_mm, y_mm, z_mm, qx, qy, qz, qw", " ", scale=(1, 1000)),
+        table("# time_s x_mm y_mm z_mm qx qy qz qw; poses of the device", " ", scale=(1, 1000)),
+        table("time_s ,x_m ,y_m ,z_m ,qx ,qy ,qz ,qw", " ,"),
         table("time_s;x_m;y_m;z_m;qx;qy;qz;qw", ";", comma=True, lead="\ufeff", ends="\r\n"),
         table("time_s;x_m;y_m;z_m;qx;qy;qz;qw", ";", comma=True, lead="sep=;\n"),
         table("time_s\tx_m\ty_m\tz_m\tqx\tqy\tqz\tqw", "\t", comma=True),
@@ -154,6 +164,14 @@ def test_nanoseconds_since_1970_are_not_rounded_before_they_are_divided(tmp_path
         ("timestamp,x,y,z,qx,qy,qz,qw\n1403715273262,0,0,0,0,0,0,1\n1403715273267,0,0,0,0,0,0,1\n", "a time is 1.4"),
         ("1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: 12 columns, as KITTI's poses, which have no times; write TUM"),
         ("1,0,0,0,0,1,0,0,0,0,1,0\n", "line 1: 12 columns, as KITTI's poses"),
+        (
+            "# time x y z, then qw qx qy qz\n0 0 0 0 1 0 0 0\n",
+            "the comment 'time x y z then qw qx qy qz' names parts of",
+        ),
+        (
+            "# quaternions are qw qx qy qz\n0 0 0 0 1 0 0 0\n",
+            "but not each of the 8 columns; name them all in one line",
+        ),
         ("# t x y z q0 q1 q2 q3\n0 0 0 0 1 0 0 0\n", "lack qx, qy, qz, qw"),
         ("time_s,x,y,z,qx,qy,qz,qw\n", "no rows"),
     ],
@@ -162,6 +180,39 @@ def test_a_header_that_is_not_understood_is_refused(tmp_path, text, complaint):
     with pytest.raises(BadInputError, match=r"track\.txt") as caught:
         read_head_trajectory(written(tmp_path, text))
     assert complaint in str(caught.value)
+
+
+def test_of_two_times_the_stamp_or_the_finer_unit_is_read(tmp_path):
+    pose = ",0,0,0,0,0,0,1\n"
+    names = [f"field.pose.position.{axis}" for axis in "xyz"] + [f"field.pose.orientation.{axis}" for axis in "xyzw"]
+    ros = ",".join(("%time,field.header.seq,field.header.stamp,field.header.frame_id", *names))
+    rows = [f"{2 * 10**18 + n * 10**9},{n},{10**18 + n * 10**9},map{pose}" for n in (1, 2)]
+    head = read_head_trajectory(written(tmp_path, ros + "\n" + "".join(rows)))
+    assert head.time_s.tolist() == [1e9 + 1, 1e9 + 2]
+    assert head.unread == ("%time", "field.header.seq", "field.header.frame_id")
+    for first, second in (("time_s", "time_ns"), ("time_ns", "time_s")):
+        rows = [
+            (f"{n}" if first == "time_s" else f"{n}250000000", f"{n}250000000" if first == "time_s" else f"{n}")
+            for n in (1, 2)
+        ]
+        text = f"{first},{second},x,y,z,qx,qy,qz,qw\n" + "".join(",".join(row) + pose for row in rows)
+        head = read_head_trajectory(written(tmp_path, text))
+        assert head.time_s.tolist() == [1.25, 2.25]
+        assert head.unread == ("time_s",)
+
+
+@pytest.mark.parametrize("names", ["stamp_sec,stamp_nsec", "time_s,time_ns", "system_time_s,device_time_s"])
+def test_of_two_times_that_are_not_the_same_moments_none_is_chosen(tmp_path, names):
+    rows = "".join(f"{100 + n},{n}00000000,0,0,0,0,0,0,1\n" for n in (1, 2))
+    with pytest.raises(BadInputError, match="are both time; keep one"):
+        read_head_trajectory(written(tmp_path, f"{names},x,y,z,qx,qy,qz,qw\n{rows}"))
+
+
+def test_quotes_that_no_table_has_are_refused_with_their_line(tmp_path):
+    text = 'time_s,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,"' + 200_000 * "1"
+    with pytest.raises(BadInputError, match=r"track\.txt line 2: "):
+        read_head_trajectory(written(tmp_path, text))
+    assert cells_of('0,"1"\r,2', ",") == ("0", "1", "2")
 
 
 GOOD = "0 0 0 0 0 0 0 1\n"
@@ -256,6 +307,13 @@ def test_a_pupil_table_with_named_columns_is_read(tmp_path, text):
     eyes = read_eye_trajectory(written(tmp_path, text))
     np.testing.assert_allclose(eyes.viewpoint_at("left", [0, 0.5]), [[-0.032, 0.001, -0.03], [-0.033, 0.001, -0.03]])
     np.testing.assert_allclose(eyes.viewpoint_at("right", 0.5), [0.032, 0.001, -0.03])
+
+
+def test_an_eye_of_which_no_position_is_named_is_not_asked_for(tmp_path):
+    text = "time_s,left_x_mm,left_y_mm,left_z_mm,right_confidence\n0,-32,1,-30,0.5\n1,-32,1,-30,0.5\n"
+    eyes = read_eye_trajectory(written(tmp_path, text))
+    assert list(eyes.tracks) == ["left"]
+    assert eyes.unread == ("right_confidence",)
 
 
 def test_an_eye_without_numbers_was_not_tracked(tmp_path):

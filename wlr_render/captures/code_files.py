@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.photo_session import CODE_ORDERS
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
-from wlr_render.delimited_text import separator_of
+from wlr_render.delimited_text import STATED_SEPARATOR, separator_of
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import inside_folder, parsing, read_text, shown
 from wlr_render.toml_files import read_toml
@@ -155,10 +155,12 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
     text = read_text(path, "CSV")
     with parsing(path, "CSV"):
         lines = text.split("\n")
+        first = int(STATED_SEPARATOR.fullmatch(lines[0].strip()) is not None)
+        lines = lines[first:] or [""]
         rows = list(csv.DictReader(lines, skipinitialspace=True, delimiter=separator_of(lines[0]) or ","))
     if not rows:
         raise BadInputError(f"{path}: has no rows; give each photograph a line under the header file, role, axis.")
-    for number, row in enumerate(rows, start=2):
+    for number, row in enumerate(rows, start=first + 2):
         if not row.get("file") or not row.get("role"):
             raise BadInputError(f"{path}: line {number} has no 'file' or no 'role'; the columns are file, role, axis.")
         if row["file"] in roles:

@@ -50,8 +50,8 @@ class GlassEntry:
         """
         where = f"{self.place}: glass {shown(self.name)}"
         try:
-            values = [float(word) for word in self.coefficients]
-            number = int(float(self.formula))
+            values = [float(word.replace(",", ".")) for word in self.coefficients]
+            number = int(float(self.formula.replace(",", ".")))
         except (ValueError, OverflowError) as error:
             raise BadInputError(f"{where} has coefficients that are not numbers ({reason_of(error)}).") from error
         if number not in _FORMULAS:

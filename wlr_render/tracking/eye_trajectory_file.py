@@ -16,7 +16,6 @@ the entrance pupils of one or both eyes in the device frame, or `time_s,eye,x_mm
 """
 
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -36,6 +35,7 @@ from wlr_render.tracking.text_rows import (
     read_text_table,
     require_ascending_rows,
     require_plausible_motion,
+    role_of,
     shortest,
 )
 from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTrack, ViewpointTrack
@@ -69,9 +69,10 @@ def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
     if Path(path).suffix == SUFFIX:
         return read_openxr_eyes(path)
     table = read_text_table(path)
-    if not _has_format(table) and (columns := table.columns(_ROLES, _needed(table))) is not None:
-        return _of_named_columns(table, columns)
     header = _Header(table)
+    if not header.states_format and (columns := table.columns(_ROLES, _needed(table))) is not None:
+        return _of_named_columns(table, columns)
+    header.check()
     gaze = header.text("kind", ("viewpoint", "gaze")) == "gaze"
     tracks: dict[str, EyeTrack] = {}
     for eye, rows in _rows_by_eye(table).items():
@@ -95,14 +96,10 @@ def _viewpoints(name: str, rows: Sequence[Row], content: FloatArray, column: int
     return ViewpointTrack(time_s, viewpoint, name, content[lost, 0])
 
 
-def _has_format(table: TextTable) -> bool:
-    return any(comment.partition(":")[0].strip() == "format" for comment in table.comments)
-
-
 def _needed(table: TextTable) -> tuple[str, ...]:
     """Roles that the table's columns need: those of the eyes that it names, or of one eye in each row."""
-    names = " ".join(" ".join(cells) for cells in (table.header or (), *table.headers)).lower()
-    eyes = [eye for eye in EYES if re.search(rf"\b{eye}", names.replace("_", " "))]
+    roles = {role_of(name, _ROLES) for cells in (table.header or (), *table.headers) for name in cells}
+    eyes = [eye for eye in EYES if roles & {f"{eye}_{axis}" for axis in "xyz"}]
     if not eyes:
         return ("time", "eye", "x", "y", "z")
     return ("time", *(f"{eye}_{axis}" for eye in eyes for axis in "xyz"))
@@ -179,6 +176,10 @@ class _Header:
         pairs = (comment.partition(":") for comment in table.comments)
         self._values = {key.strip(): value.strip() for key, colon, value in pairs if colon}
         self._path = table.path
+        self.states_format = "format" in self._values
+
+    def check(self) -> None:
+        """Refuse another format, frame or units."""
         self.text("format", (EYE_FORMAT,))
         self.text("frame", (EYE_FRAME,))
         self.text("units", ("s m",))

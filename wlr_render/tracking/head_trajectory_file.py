@@ -57,7 +57,7 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
     table = read_text_table(path)
     columns = table.columns(_ROLES, _NEEDED)
     if columns is not None:
-        count = len(table.header or table.headers[0])
+        count = len(table.header or table.rows[0].fields)
         content = np.array([_named_row(row, columns, count) for row in table.rows])
     else:
         if len((first := table.rows[0]).fields) == _KITTI:

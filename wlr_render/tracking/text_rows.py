@@ -17,6 +17,7 @@ UNIT_TOLERANCE = 1e-3
 """How far a printed quaternion or direction may be from unit length; beyond it, it is something else."""
 _SLOWEST_S = 4.0  # between rows
 _FASTEST_M_S = 30.0
+_SAME_TIME_S = 1.0  # between two columns of one time, of which one may be cut to whole seconds
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,8 @@ class TextTable:
         comments: texts of the comment lines without the #, stripped, in file order.
         rows: the other lines that are not empty, without a header.
         header: cells of a first line that names the columns; None without one.
-        headers: cells of comments before the rows that have as many words as the rows have columns, last one first.
+        headers: cells of each comment before the rows, last one first; all its words where these are not as many as
+            the columns of the rows.
         separated: whether the first row is separated by something else than blanks.
     """
 
@@ -118,8 +120,10 @@ class TextTable:
 
     def unread(self, columns: Mapping[str, Column]) -> tuple[str, ...]:
         """Names that the header has beside these columns, except those of EuRoC's velocity and biases."""
-        cells = self.header or next(iter(self.headers), ())
-        read = {column.index for column in columns.values()}
+        read = {column.index: column.name for column in columns.values()}
+        named = (cells for cells in self.headers if len(cells) == len(self.rows[0].fields))
+        fitting = (cells for cells in named if all(cells[at] == name for at, name in read.items()))
+        cells = self.header or next(fitting, ())
         return tuple(
             name for at, name in enumerate(cells) if at not in read and name and not re.match("(v|b_w|b_a)_RS_", name)
         )
@@ -132,19 +136,11 @@ class TextTable:
             needed: roles without which a header is of no use.
 
         Raises:
-            BadInputError: the header lacks a role, names one twice, or states a unit that is not read.
+            BadInputError: the header lacks a role, names one twice, or states a unit that is not read; or a comment
+                names the parts of the quaternion and other columns than the rows have.
         """
-        for cells in self.headers if self.header is None else (self.header,):
-            found: dict[str, Column] = {}
-            twice = ""
-            for index, name in enumerate(cells):
-                base, unit = _base_and_unit(name)
-                role = _role_of(base, roles)
-                if role in found:
-                    twice = f"the columns '{found[role].name}' and '{name}' are both {role}; keep one"
-                elif role:
-                    is_euroc = role == "time" and any("p_RS_R_" in each for each in cells)
-                    found[role] = Column(index, name, unit or ("ns" if is_euroc else ""))
+        for cells in self._names(roles):
+            found, twice = self._found(cells, roles)
             missing = [role for role in needed if role not in found]
             if self.header is None and 2 * len(missing) > len(needed):
                 continue
@@ -163,7 +159,64 @@ class TextTable:
                         f"{self.path}: column '{column.name}' is in {column.unit}, which is not read; convert it."
                     )
             return found
+        quaternion = {role for role in needed if role.startswith("q")}
+        for words in self.headers if quaternion and self.header is None else ():
+            if quaternion <= {role_of(word, roles) for word in words}:
+                raise BadInputError(
+                    f"{self.path}: the comment {shown(' '.join(words))} names parts of a quaternion, but not each of "
+                    f"the {len(self.rows[0].fields)} columns; name them all in one line, such as {','.join(needed)}."
+                )
         return None
+
+    def _names(self, roles: Mapping[str, str]) -> Sequence[tuple[str, ...]]:
+        """Names of the columns: of the header or, without one, of each comment that names as many as the rows have.
+
+        Other words may stand around the names in a comment, if every column has a role of its own.
+        """
+        if self.header is not None:
+            return (self.header,)
+        count = len(self.rows[0].fields)
+        found = []
+        for words in self.headers:
+            of_words = [role_of(word, roles) for word in words]
+            starts = range(len(words) - count + 1 if len({*of_words} - {""}) >= count else 0)
+            distinct = (words[at : at + count] for at in starts if len({*of_words[at : at + count]} - {""}) == count)
+            if (names := words if len(words) == count else next(distinct, None)) is not None:
+                found.append(names)
+        return found
+
+    def _found(self, cells: Sequence[str], roles: Mapping[str, str]) -> tuple[dict[str, Column], str]:
+        """Columns by role, and a sentence about two of one role; of two times the better one."""
+        found: dict[str, Column] = {}
+        twice = ""
+        for index, name in enumerate(cells):
+            role = role_of(name, roles)
+            unit = _base_and_unit(name)[1]
+            is_euroc = role == "time" and any("p_RS_R_" in each for each in cells)
+            column = Column(index, name, unit or ("ns" if is_euroc else ""))
+            if role in found:
+                better = self._better_time(found[role], column) if role == "time" else None
+                if better is None:
+                    twice = f"the columns '{found[role].name}' and '{name}' are both {role}; keep one"
+                else:
+                    found[role] = better
+            elif role:
+                found[role] = column
+        return found, twice
+
+    def _better_time(self, one: Column, other: Column) -> Column | None:
+        """Of two times the stamp, or that in the finer unit if both are the same moments; None where neither is."""
+        bases = [_base_and_unit(column.name)[0] for column in (one, other)]
+        stamps = [base.endswith("stamp") for base in bases]
+        if stamps[0] != stamps[1]:
+            return one if stamps[0] else other
+        last = max(one.index, other.index)
+        ends = [row for row in (self.rows[0], self.rows[-1]) if last < len(row.fields)]
+        if bases[0] != bases[1] or one.unit == other.unit or not {one.unit, other.unit} <= {*_TIME_UNITS}:
+            return None
+        if any(abs(one.seconds(row) - other.seconds(row)) > _SAME_TIME_S for row in ends):
+            return None
+        return max(one, other, key=lambda column: _TIME_UNITS[column.unit])
 
 
 _CLOCKS = "header|host|device|frame|sensor|system|unix|utc"
@@ -195,7 +248,9 @@ def _base_and_unit(name: str) -> tuple[str, str]:
     return match[1], "" if unit in ("-", "1") else unit
 
 
-def _role_of(base: str, roles: Mapping[str, str]) -> str:
+def role_of(name: str, roles: Mapping[str, str]) -> str:
+    """The role of a column by its name; "" for none."""
+    base = _base_and_unit(name)[0]
     for pattern, role in roles.items():
         if match := re.fullmatch(pattern, base):
             return match.expand(role)
@@ -226,19 +281,31 @@ def read_text_table(path: str | Path) -> TextTable:
     count = count if header is None else len(header)
     rows = tuple(Row(path, number, _split(text, separator, count)) for number, text in content[named:])
     before = [text.lstrip("#").strip() for number, text in stripped if text.startswith("#") and number < rows[0].line]
-    headers = [
-        cells
-        for text in reversed(before)
-        if len(cells := _named_cells(text, separator, len(rows[0].fields))) == len(rows[0].fields)
-    ]
+    headers = [_comment_cells(text, separator, len(rows[0].fields)) for text in reversed(before)]
     return TextTable(path, comments, rows, header, tuple(headers), separator is not None)
 
 
 def _named_cells(text: str, separator: str | None, count: int) -> tuple[str, ...]:
     """Names of a header, split as the rows are or, where that gives another number of them, in some other way."""
-    joined = re.sub(r"\s+(?=[\[(])", "", text)  # of a name and its unit, where blanks separate names
-    ways = [_split(text, separator)] + [_split(joined, other) for other in (",", ";", "\t", None)]
+    joined = _with_units(text)  # of a name and its unit, where blanks separate names
+    words = tuple(re.split(r"[,;\s]+", joined.strip(" ,;\t")))
+    ways = [words if separator is None else _split(text, separator)]
+    ways += [*(_split(joined, other) for other in (",", ";", "\t")), words]
     return next((cells for cells in ways if len(cells) == count), ways[0])
+
+
+def _comment_cells(text: str, separator: str | None, count: int) -> tuple[str, ...]:
+    """Names in a comment, with or without words and a colon before them; all words where these are not `count`."""
+    plain = text.replace("`", " ").strip()
+    ways = [_named_cells(names, separator, count) for names in (plain, re.sub(r"^[^,;]*:\s+", "", plain))]
+    words = re.split(r"[,;\s]+", _with_units(plain))
+    cells = [cell.strip(".:'\"") for cell in next((cells for cells in ways if len(cells) == count), words)]
+    return tuple(cell if re.search(r"\w\s*[\[(][^\[(]*[\])]$", cell) else cell.strip("()[]") for cell in cells)
+
+
+def _with_units(text: str) -> str:
+    """Text without the blanks between a name and its unit in brackets."""
+    return re.sub(r"\s+(?=[\[(][^\s,;]*[\])])", "", text)
 
 
 def _split(text: str, separator: str | None, count: int = 0) -> tuple[str, ...]:

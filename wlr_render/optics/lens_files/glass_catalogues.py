@@ -141,7 +141,7 @@ def _note_on(entry: GlassEntry, name: str, note: str) -> tuple[str, bool]:
     if entry.name.upper() != name.upper():
         parts.insert(0, f"taken as {entry.name}")
     try:
-        low, high = (float(word) for word in entry.range_um[:2])
+        low, high = (float(word.replace(",", ".")) for word in entry.range_um[:2])
     except ValueError:
         low, high = _VISIBLE_UM
     is_outside = low > _VISIBLE_UM[0] or high < _VISIBLE_UM[1]
