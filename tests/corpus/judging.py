@@ -77,8 +77,13 @@ def _uses(outcome: Outcome) -> list[str]:
 
 
 def _leaves(outcome: Outcome, before: Snapshot, after: Snapshot) -> list[str]:
-    """Outputs go to folders named out; a refused command leaves no file at all, and none changes an input."""
+    """Outputs go to folders named out, and no command changes an input.
+
+    A refused command leaves no file at all, or only the report that its sentence names.
+    """
     new = [name for name in after if name not in before]
+    if outcome.status != 0 and "is in out/report.html" in outcome.err:
+        new = [name for name in new if Path(name).with_suffix("") != Path("out/report")]
     found = [f"it changes or removes {name}" for name in before if after.get(name) != before[name]]
     found += [f"it leaves {name}" for name in new if outcome.status != 0 or Path(name).parts[0] != "out"]
     return found + [f"it leaves the hidden {name}" for name in new if Path(name).name.startswith(".")]

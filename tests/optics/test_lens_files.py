@@ -68,7 +68,7 @@ def test_live_rays_of_optiland(name):
 @pytest.mark.oracle
 @pytest.mark.parametrize(("name", "maker"), [("N-BK7", "schott"), ("SK16", "hikari"), ("F2", "hikari"), ("J-LAK7", "")])
 def test_glasses_of_the_database_are_those_of_optiland(name, maker):
-    materials = pytest.importorskip("optiland.materials", reason="pip install '.[glasses]'")
+    materials = pytest.importorskip("optiland.materials", reason="Optiland is not installed: pip install '.[glasses]'")
     glass = GlassCatalogue().find(name, (maker,) if maker else ()).medium
     expected = materials.Material(name, reference=maker) if maker else materials.Material(name)
     for wavelength_um in (0.45, 0.55, 0.65):
@@ -404,6 +404,6 @@ def test_a_glass_of_a_similar_name_is_told(tmp_path, monkeypatch, found):
 
 @pytest.mark.oracle
 def test_optilands_nearest_name_is_not_taken_for_the_glass():
-    pytest.importorskip("optiland.materials", reason="pip install '.[glasses]'")
+    pytest.importorskip("optiland.materials", reason="Optiland is not installed: pip install '.[glasses]'")
     assert GlassCatalogue().find("SF8", ("schott",)).medium.name != "SF8"
     assert GlassCatalogue().find("N-SF8", ("schott",)).medium.name == "N-SF8"

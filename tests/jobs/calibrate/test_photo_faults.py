@@ -127,7 +127,7 @@ def swapped(first, second):
 
 SET_FAULTS = {
     "both of a bit missing": (lambda s: [path.unlink() for path in paths(s)[4:6]], "one of the two is needed to read"),
-    "one too many": (one_too_many, "holds 37 photographs, but the code has 36 pictures"),
+    "one too many": (one_too_many, "999.png: its name states no picture of the code"),
     "all missing": (no_picture_left, "holds no photographs"),
     "folder missing": (lambda s: shutil.rmtree(s.folder / SET), "there is no such folder"),
     "white and black exchanged": (swapped(0, 1), "'white') is darker than photograph 1 ('black')"),
