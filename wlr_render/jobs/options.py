@@ -41,28 +41,21 @@ class Range:
     unit: str = ""
 
     def sentence(self) -> str:
-        """The limits in words."""
-        most = f"{self.at_most:.12g}"
-        if self.unit:
-            zero, least = ("0, or ", self.least_size) if self.least_size else ("", self.at_least)
-            return f"{zero}between {least:g} and {most} {self.unit} (is it in another unit?)"
-        if self.above > -math.inf:
-            return f"a finite number above {self.above:g}" + (f" and at most {most}" if self.at_most < math.inf else "")
-        if self.at_most < math.inf:
-            return f"between {self.at_least:g} and {most}"
-        return f"a finite number of {self.at_least:g} or more" if self.at_least > -math.inf else "a finite number"
+        """The limits in words, with a question where the unit may have been missed."""
+        return self.short() + (" (is it in another unit?)" if self.unit else "")
 
     def short(self) -> str:
-        """The limits as --help states them, e.g. "5 to 1000"."""
+        """The limits in words, as --help states them, e.g. "between 5 and 1000"."""
         unit = f" {self.unit}" if self.unit else ""
+        most = f"{self.at_most:.12g}{unit}"
         if self.above > -math.inf:
-            return f"above {self.above:g}" + (
-                f", at most {self.at_most:.12g}{unit}" if self.at_most < math.inf else unit
+            return f"a finite number above {self.above:g}" + (
+                f" and at most {most}" if self.at_most < math.inf else unit
             )
-        if self.at_most == math.inf:
-            return f"{self.at_least:g} or more{unit}"
-        least = f"0, or {self.least_size:g}" if self.least_size else f"{self.at_least:g}"
-        return f"{least} to {self.at_most:.12g}{unit}"
+        if self.at_most < math.inf:
+            zero, least = ("0, or ", self.least_size) if self.least_size else ("", self.at_least)
+            return f"{zero}between {least:g} and {most}"
+        return f"a finite number of {self.at_least:g} or more{unit}" if self.at_least > -math.inf else "a finite number"
 
     def admits(self, value: float) -> bool:
         """Whether a number lies within the limits."""

@@ -79,13 +79,13 @@ class Sums:
             own: (n, outputs, own) H.
             group: (n,) each reading's group, 0..groups - 1.
         """
-        weighted = design * weight[:, None]
+        design, value = design * weight[:, None], value * weight[:, None]
         self.count += int(np.count_nonzero(weight)) * value.shape[1]
         self.log_weight += value.shape[1] * float(np.log(weight[weight > 0]).sum())
-        self.square += float(np.sum((value * weight[:, None]) ** 2))
-        self.gram += weighted.T @ weighted
-        self.moment += (value * weight[:, None]).T @ weighted
-        self.add_side(value, weight, design, mixed, own, group)
+        self.square += float(np.sum(value**2))
+        self.gram += design.T @ design
+        self.moment += value.T @ design
+        self._add_sides(value, weight, design, mixed, own, group)
 
     def add_side(
         self,
@@ -97,7 +97,18 @@ class Sums:
         group: IntArray | None = None,
     ) -> None:
         """Add the side unknowns of n readings that are there already, see `add`."""
-        design, value = design * weight[:, None], value * weight[:, None]
+        self._add_sides(value * weight[:, None], weight, design * weight[:, None], mixed, own, group)
+
+    def _add_sides(
+        self,
+        value: FloatArray,
+        weight: FloatArray,
+        design: FloatArray,
+        mixed: FloatArray | None,
+        own: FloatArray | None,
+        group: IntArray | None,
+    ) -> None:
+        """As `add_side`, of values and a design that are weighted already."""
         common = None if mixed is None else mixed * weight[:, None, None]
         everyone = slice(0, self.mixed)
         if common is not None:
