@@ -379,3 +379,9 @@ def test_one_file_cannot_hold_two_kinds_of_eye(tmp_path):
     mixed = {"left": ViewpointTrack(time_s, xyz), "right": GazeTrack(time_s, xyz, RotatingEye(np.zeros(3)))}
     with pytest.raises(BadInputError, match="of one kind"):
         write_eye_trajectory(tmp_path / "eyes.txt", EyeTrajectory(mixed))
+
+
+def test_a_comment_with_the_usual_order_of_the_quaternion_is_no_header(tmp_path):
+    path = tmp_path / "head.tum"
+    path.write_text("# position, then quaternion: qx qy qz qw\n0 1 2 3 1 0 0 0\n1 1 2 3 1 0 0 0\n")
+    np.testing.assert_array_equal(read_head_trajectory(path).world_from_device_xyzw[0], [1, 0, 0, 0])

@@ -106,8 +106,8 @@ class TextTable:
         comments: texts of the comment lines without the #, stripped, in file order.
         rows: the other lines that are not empty, without a header.
         header: cells of a first line that names the columns; None without one.
-        headers: cells of each comment before the rows, last one first; all its words where these are not as many as
-            the columns of the rows.
+        headers: cells of each of the last comments before the rows, last one first; all its words where these are not
+            as many as the columns of the rows.
         separated: whether the first row is separated by something else than blanks.
     """
 
@@ -137,7 +137,8 @@ class TextTable:
 
         Raises:
             BadInputError: the header lacks a role, names one twice, or states a unit that is not read; or a comment
-                names the parts of the quaternion and other columns than the rows have.
+                names the parts of the quaternion in an order that is not that of TUM or, in a table with separators,
+                EuRoC, and other columns than the rows have.
         """
         for cells in self._names(roles):
             found, twice = self._found(cells, roles)
@@ -160,8 +161,10 @@ class TextTable:
                     )
             return found
         quaternion = {role for role in needed if role.startswith("q")}
+        usual = ["qw", "qx", "qy", "qz"] if self.separated else ["qx", "qy", "qz", "qw"]
         for words in self.headers if quaternion and self.header is None else ():
-            if quaternion <= {role_of(word, roles) for word in words}:
+            named = [role for word in words if (role := role_of(word, roles)) in quaternion]
+            if quaternion <= {*named} and named != usual:
                 raise BadInputError(
                     f"{self.path}: the comment {shown(' '.join(words))} names parts of a quaternion, but not each of "
                     f"the {len(self.rows[0].fields)} columns; name them all in one line, such as {','.join(needed)}."
@@ -257,6 +260,9 @@ def role_of(name: str, roles: Mapping[str, str]) -> str:
     return ""
 
 
+_MOST_COMMENTS = 100  # last comments before the rows that may name the columns
+
+
 def read_text_table(path: str | Path) -> TextTable:
     """Read a file of rows, separated by semicolons, tabs, commas or blanks, as its first row of numbers.
 
@@ -281,7 +287,7 @@ def read_text_table(path: str | Path) -> TextTable:
     count = count if header is None else len(header)
     rows = tuple(Row(path, number, _split(text, separator, count)) for number, text in content[named:])
     before = [text.lstrip("#").strip() for number, text in stripped if text.startswith("#") and number < rows[0].line]
-    headers = [_comment_cells(text, separator, len(rows[0].fields)) for text in reversed(before)]
+    headers = [_comment_cells(text, separator, len(rows[0].fields)) for text in reversed(before[-_MOST_COMMENTS:])]
     return TextTable(path, comments, rows, header, tuple(headers), separator is not None)
 
 
