@@ -91,7 +91,7 @@ class SessionCalibration:
 
     @property
     def all_excluded(self) -> tuple[tuple[str, str], ...]:
-        """Name and reason of every photograph that the results were made without, the worst first."""
+        """Name and reason of every photograph that the results were made without, those of the bench first."""
         worst = worst_first(self._excluded)
         return (*self.bench.rejected.items(), *((each.name, each.reason) for each in worst))
 
@@ -156,10 +156,12 @@ def calibrate_session(
 
 def _excluded_before(excluded: Sequence[Excluded]) -> str:
     """What was excluded is the likely cause of what is missing now."""
-    reasons = [f"{each.name}: {each.reason}" for each in worst_first(excluded)]
+    ranked = worst_first(excluded)
+    reasons = [f"{each.name}: {each.reason}" for each in ranked]
     if not reasons:
         return ""
-    named = f", the worst {_NAMED} of {len(reasons)}" if len(reasons) > _NAMED else ""
+    worst = "the worst " if ranked[0].off_arcmin > 0.0 else ""
+    named = f", {worst}{_NAMED} of {len(reasons)}" if len(reasons) > _NAMED else ""
     return f" Excluded before{named}: {'; '.join(reasons[:_NAMED])}."
 
 

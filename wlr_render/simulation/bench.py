@@ -64,7 +64,7 @@ class EyeballCamera:
                 radius = radius - excess / growth
         square = radius * radius
         factor = 1.0 + square * (k1 + k2 * square)
-        # Beyond the first radius at which the picture folds over, a solution is none.
+        # Solutions beyond the first radius at which the picture folds over are not of this lens.
         sound = (np.abs(radius * factor - distorted_radius) < _NEWTON_ERROR) & (radius >= 0) & (radius < self._fold)
         return np.where(sound[..., None], distorted / np.where(sound, factor, 1.0)[..., None], np.nan)
 

@@ -29,7 +29,7 @@ from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, RotatingEye
 from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_eyes
 from wlr_render.tracking.text_rows import (
     TIME,
-    Column,
+    NamedColumn,
     Row,
     TextTable,
     read_text_table,
@@ -105,7 +105,7 @@ def _needed(table: TextTable) -> tuple[str, ...]:
     return ("time", *(f"{eye}_{axis}" for eye in eyes for axis in "xyz"))
 
 
-def _of_named_columns(table: TextTable, columns: dict[str, Column]) -> EyeTrajectory:
+def _of_named_columns(table: TextTable, columns: dict[str, NamedColumn]) -> EyeTrajectory:
     """Entrance pupils of a table whose columns are named; an eye without numbers in a row was lost there."""
     count = len(table.rows[0].fields if table.header is None else table.header)
     for role, column in columns.items():
@@ -139,7 +139,7 @@ def _of_named_columns(table: TextTable, columns: dict[str, Column]) -> EyeTrajec
     )
 
 
-def _eyes_of(row: Row, columns: dict[str, Column]) -> dict[str, list[Column]]:
+def _eyes_of(row: Row, columns: dict[str, NamedColumn]) -> dict[str, list[NamedColumn]]:
     """The columns of the position of each eye that a row may have."""
     if "eye" not in columns:
         eyes = [eye for eye in EYES if f"{eye}_x" in columns]

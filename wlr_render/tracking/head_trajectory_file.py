@@ -21,7 +21,7 @@ from wlr_render.input_files import shown
 from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_head
 from wlr_render.tracking.text_rows import (
     TIME,
-    Column,
+    NamedColumn,
     Row,
     read_text_table,
     require_ascending_rows,
@@ -69,7 +69,7 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
     return HeadTrajectory(content[:, 0], content[:, 1:4], content[:, 4:8], str(path), unread=unread)
 
 
-def _named_row(row: Row, columns: dict[str, Column], count: int) -> list[float]:
+def _named_row(row: Row, columns: dict[str, NamedColumn], count: int) -> list[float]:
     """Time, position and quaternion xyzw of a row whose columns are named."""
     row.require_columns((count,), "as its header names")
     position = [columns[axis].metres(row) for axis in "xyz"]

@@ -71,7 +71,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Column:
+class NamedColumn:
     """A column that a header names: its index, its name as it stands, and its unit, "" without one."""
 
     index: int
@@ -118,7 +118,7 @@ class TextTable:
     headers: tuple[tuple[str, ...], ...]
     separated: bool
 
-    def unread(self, columns: Mapping[str, Column]) -> tuple[str, ...]:
+    def unread(self, columns: Mapping[str, NamedColumn]) -> tuple[str, ...]:
         """Names that the header has beside these columns, except those of EuRoC's velocity and biases."""
         read = {column.index: column.name for column in columns.values()}
         named = (cells for cells in self.headers if len(cells) == len(self.rows[0].fields))
@@ -128,7 +128,7 @@ class TextTable:
             name for at, name in enumerate(cells) if at not in read and name and not re.match("(v|b_w|b_a)_RS_", name)
         )
 
-    def columns(self, roles: Mapping[str, str], needed: Sequence[str]) -> dict[str, Column] | None:
+    def columns(self, roles: Mapping[str, str], needed: Sequence[str]) -> dict[str, NamedColumn] | None:
         """The columns that a header names, by role; None where no header names any, or a comment less than half.
 
         Args:
@@ -188,15 +188,15 @@ class TextTable:
                 found.append(names)
         return found
 
-    def _found(self, cells: Sequence[str], roles: Mapping[str, str]) -> tuple[dict[str, Column], str]:
+    def _found(self, cells: Sequence[str], roles: Mapping[str, str]) -> tuple[dict[str, NamedColumn], str]:
         """Columns by role, and a sentence about two of one role; of two times the better one."""
-        found: dict[str, Column] = {}
+        found: dict[str, NamedColumn] = {}
         twice = ""
         for index, name in enumerate(cells):
             role = role_of(name, roles)
             unit = _base_and_unit(name)[1]
             is_euroc = role == "time" and any("p_RS_R_" in each for each in cells)
-            column = Column(index, name, unit or ("ns" if is_euroc else ""))
+            column = NamedColumn(index, name, unit or ("ns" if is_euroc else ""))
             if role in found:
                 better = self._better_time(found[role], column) if role == "time" else None
                 if better is None:
@@ -207,7 +207,7 @@ class TextTable:
                 found[role] = column
         return found, twice
 
-    def _better_time(self, one: Column, other: Column) -> Column | None:
+    def _better_time(self, one: NamedColumn, other: NamedColumn) -> NamedColumn | None:
         """Of two times the stamp, or that in the finer unit if both are the same moments; None where neither is."""
         bases = [_base_and_unit(column.name)[0] for column in (one, other)]
         stamps = [base.endswith("stamp") for base in bases]

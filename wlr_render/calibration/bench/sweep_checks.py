@@ -142,7 +142,7 @@ def sweep_check(
     """
     views = [_view_change(view, tracked, camera) for view in repeated]
     step = f"sweep at target pose {target}"
-    # The largest of the significant views, else of all: a large view that is all noise says nothing.
+    # The largest of the significant views, else of all: a large displacement may be noise.
     largest = max(views, key=lambda view: (view.is_significant, view.arcmin), default=None)
     if tracked is not None and tracked.is_significant:
         moved = f"{_culprit(views)} between {tracked.names[0]} and {tracked.names[1]}, by {tracked}"

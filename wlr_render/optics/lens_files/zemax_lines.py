@@ -44,7 +44,7 @@ class ZemaxReading:
     def value(self, surface: SurfaceLines, key: str, default: float = 0.0, infinite: bool = False) -> float:
         """The first number of a surface's key."""
         found = surface.last(key)
-        return default if found is None else self.number(*found[:1], 0, found[1], key, infinite)
+        return default if found is None else self.number(found[0], 0, found[1], key, infinite)
 
     def numbered(self, surface: SurfaceLines, key: str) -> dict[int, float]:
         """The values of `PARM` or `XDAT`, by their number."""
