@@ -28,8 +28,8 @@ pytest_plugins = ["small_headsets"]
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 LEFT_TO_THE_USER = re.compile(
-    "measured s|Optiland|(open3d|warp|warp-lang|newton|datasets|pyopenxr|monado-service|Blender) is not installed"
-    "|rattler-build|OpenCV has no structured_light|root may|user namespaces"
+    "measured s|Optiland|(open3d|warp|warp-lang|newton|datasets|pyopenxr|monado-service|bpy|Blender) is not installed"
+    "|rattler-build|opencv-contrib-python only|root may|user namespaces"
 )
 """Reasons of skips that `./wlr readers` does not remove: large libraries, data of others, rights of the user."""
 

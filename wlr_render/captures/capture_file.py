@@ -256,6 +256,8 @@ def _check_sizes(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
 
 def _check_plausible(path: str | Path, table: ObservationTable) -> None:
     """Refuse what no bench can have measured, such as lengths in millimetres."""
+    if not len(table):
+        raise BadInputError(f"{path}: there are no rows; write at least one reading.")
     for name in ("eye_box", "see_through_eye_box"):
         if (box := getattr(table, name)) is not None:
             require_eye_box(f"{path}: '{name}'", box.size)

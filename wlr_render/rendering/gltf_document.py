@@ -72,6 +72,8 @@ class GltfDocument:
         self._pictures: set[int] = set()
         if path.suffix.lower() == ".glb":
             # A GLB is a 12-byte header, then chunks of length, type, content: the JSON, and the first buffer.
+            if (container := int.from_bytes(content[4:8], "little")) != 2:
+                raise self.fail(f"is a GLB of version {container}; version 2 is read")
             size = int.from_bytes(content[12:16], "little")
             self._binary = content[28 + size :]
             content = content[20 : 20 + size]

@@ -15,7 +15,7 @@ from wlr_render.evaluation.code_quality import Lenses, find_planes, fit_planes
 from wlr_render.mappings import Panel
 
 
-@pytest.mark.skipif(not has_opencv_decoder(), reason="this OpenCV has no structured_light; docs/measured-data.md")
+@pytest.mark.skipif(not has_opencv_decoder(), reason="cv2.structured_light comes with opencv-contrib-python only")
 def test_opencv_reads_our_gray_code():
     panel = Panel(40, 48)  # as many bits on both axes: older OpenCV mixes them up
     pattern = GrayCode(panel)
