@@ -1,6 +1,7 @@
 """Calibrate the eyes of a headset from the photographs of a session: bench, captures in the device frame, models."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,8 +11,8 @@ from wlr_render.calibration.bench.bench_file import save_station
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.checks import refuse_contradictions
 from wlr_render.calibration.bench.common_errors import with_bench_errors
-from wlr_render.calibration.bench.faults import SINGLE
 from wlr_render.calibration.bench.half_turns import with_half_turns
+from wlr_render.calibration.bench.lenses import RefusedViewsError
 from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
 from wlr_render.calibration.photograph_captures import (
@@ -86,26 +87,21 @@ class SessionCalibration:
     @property
     def faults(self) -> tuple[str, ...]:
         """Names of what is not as session.toml says; the results were made without it."""
-        faulty = [each.name for each in self._excluded if each.fault]
-        return (*faulty, *(name for fault in self.bench.faults if fault.kind in SINGLE for name in fault.names))
+        return tuple(each.name for each in self.all_excluded if each.fault)
 
     @property
-    def all_excluded(self) -> tuple[tuple[str, str], ...]:
-        """Name and reason of every photograph that the results were made without, those of the bench first."""
-        worst = worst_first(self._excluded)
-        return (*self.bench.rejected.items(), *((each.name, each.reason) for each in worst))
-
-    @property
-    def _excluded(self) -> list[Excluded]:
-        return [*self.reading.excluded, *(each for eye in self.eyes.values() for each in eye.excluded)]
+    def all_excluded(self) -> list[Excluded]:
+        """Every photograph that the results were made without, the worst first."""
+        of_eyes = (each for eye in self.eyes.values() for each in eye.excluded)
+        return worst_first([*self.bench.rejected, *self.reading.excluded, *of_eyes])
 
 
 class RefusedCalibrationError(BadInputError):
     """A session from which too little could be read, or whose steps contradict each other.
 
     Attributes:
-        reading: what the photographs say, with everything that was excluded.
-        found: the bench; None where it could not be adjusted.
+        reading: what the photographs say; excluded in it is what `found` does not hold.
+        found: the bench and the eyes that were finished; None where the bench could not be adjusted.
     """
 
     reading: Reading = Reading()
@@ -130,39 +126,59 @@ def calibrate_session(
 
     Raises:
         RefusedCalibrationError: too little could be read, or the steps contradict each other.
+        BadInputError: a file cannot be written.
     """
-    bench: CalibratedBench | None = None
-    eyes: dict[str, EyeCalibration] = {}
-    excluded = list(reading.excluded)
-    try:
+    with _refusals(reading):
         reading = with_half_turns(session, reading)
+    with _refusals(reading):
         bench = calibrate_bench(session, reading)
-        for eye in session.eyes:
-            save_station(folder / f"station-{eye}.json", bench)
+    for eye in session.eyes:
+        save_station(folder / f"station-{eye}.json", bench)
+    eyes: dict[str, EyeCalibration] = {}
+    found = SessionCalibration(session, reading, bench, eyes)
+    with _refusals(reading, found):
         refuse_contradictions(bench.checks)
-        for eye in session.eyes:
-            own = session.for_eye(eye)
+    for eye in session.eyes:
+        own = session.for_eye(eye)
+        with _refusals(reading, found):
             captures, moved = sound_captures(own, reading, bench)
-            excluded += moved
-            save_captures(folder / f"captures-{eye}.npz", captures)
+        save_captures(folder / f"captures-{eye}.npz", captures)
+        with _refusals(reading, found, moved):
             eyes[eye] = _fitted(own, captures, moved, fit)
+    return found
+
+
+@contextmanager
+def _refusals(
+    reading: Reading, found: SessionCalibration | None = None, moved: Sequence[Excluded] = ()
+) -> Iterator[None]:
+    """Say with a refusal how far the calibration came, and what was excluded before.
+
+    Args:
+        reading, found: see `RefusedCalibrationError`.
+        moved: photographs that were excluded for the eye that is being fitted.
+    """
+    try:
+        yield
     except BadInputError as error:
+        rejected = error.rejected if isinstance(error, RefusedViewsError) else {}
+        of_bench = (Excluded(name, reason, fault=False) for name, reason in rejected.items())
+        reading = replace(reading, excluded=(*of_bench, *reading.excluded, *moved))
+        found = None if found is None else replace(found, reading=reading)
+        excluded = worst_first(reading.excluded) if found is None else found.all_excluded
         refused = RefusedCalibrationError(f"{error}{_excluded_before(excluded)}")
-        refused.reading = replace(reading, excluded=tuple(excluded))
-        refused.found = None if bench is None else SessionCalibration(session, refused.reading, bench, {})
+        refused.reading, refused.found = reading, found
         raise refused from error
-    return SessionCalibration(session, reading, bench, eyes)
 
 
 def _excluded_before(excluded: Sequence[Excluded]) -> str:
-    """What was excluded is the likely cause of what is missing now."""
-    ranked = worst_first(excluded)
-    reasons = [f"{each.name}: {each.reason}" for each in ranked]
-    if not reasons:
+    """What was excluded, the worst first, is the likely cause of what is missing now."""
+    if not excluded:
         return ""
-    worst = "the worst " if ranked[0].off_arcmin > 0.0 else ""
-    named = f", {worst}{_NAMED} of {len(reasons)}" if len(reasons) > _NAMED else ""
-    return f" Excluded before{named}: {'; '.join(reasons[:_NAMED])}."
+    reasons = [f"{each.name}: {each.reason}" for each in excluded[:_NAMED]]
+    worst = "the worst " if excluded[0].off_arcmin > 0.0 else ""
+    named = f", {worst}{_NAMED} of {len(excluded)}" if len(excluded) > _NAMED else ""
+    return f" Excluded before{named}: {'; '.join(reasons)}."
 
 
 def _fitted(

@@ -41,7 +41,7 @@ _MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pi
 
 @dataclass(frozen=True)
 class Excluded:
-    """A photograph, or a set, that nothing could be read from.
+    """A photograph, or a set, that could not be read, or that results are made without.
 
     Attributes:
         name: as reports give it.

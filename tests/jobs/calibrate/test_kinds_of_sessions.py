@@ -179,7 +179,7 @@ def test_a_camera_in_the_hand(tmp_path):
     made = simulated(stage="hand", target_depths_m=(0.3, 0.5))
     found, _ = calibrated(with_stated_lenses(made.session), made.reading, tmp_path)
     assert_poses(found, made.session.display, made.truth.display)
-    assert found.all_excluded == ()
+    assert found.all_excluded == []
 
 
 def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path):

@@ -67,7 +67,7 @@ def test_camera_and_target_are_where_they_are_found_within_their_sigmas(found, b
 
 def test_every_check_passes_and_nothing_is_left_unchecked(found):
     assert [check.sentence for check in found.bench.checks if not check.ok] == []
-    assert (found.bench.faults, found.bench.rejected, found.bench.unchecked) == ([], {}, [])
+    assert (found.bench.faults, found.bench.rejected, found.bench.unchecked) == ([], (), [])
 
 
 def test_lenses_are_found_within_their_sigmas(found, bench):

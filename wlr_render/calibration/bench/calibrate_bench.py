@@ -9,7 +9,7 @@ import numpy as np
 from wlr_render.calibration.bench.adjustment import Adjustment, UndeterminedError, adjust
 from wlr_render.calibration.bench.checks import Check, bench_checks
 from wlr_render.calibration.bench.faults import SINGLE, Fault, adjust_without_faults
-from wlr_render.calibration.bench.lenses import SoundViews, sound_views
+from wlr_render.calibration.bench.lenses import RefusedViewsError, SoundViews, sound_views
 from wlr_render.calibration.bench.observations import (
     APART,
     EYEBALL,
@@ -25,7 +25,7 @@ from wlr_render.calibration.bench.sweep_checks import RepeatedView, TargetChange
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
-from wlr_render.captures.session_reading import Reading
+from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
@@ -60,14 +60,15 @@ class CalibratedBench:
         return self.adjustment.state.lens[EYEBALL]
 
     @property
-    def rejected(self) -> dict[str, str]:
-        """Name and reason of every photograph that was left out."""
-        found = {name: reason for each in self.lenses.values() for name, reason in each.rejected.items()}
+    def rejected(self) -> tuple[Excluded, ...]:
+        """Every photograph that was left out."""
+        found = {name: Excluded(name, reason, fault=False) for name, reason in _rejected_by_lenses(self.lenses).items()}
         for fault in self.faults:
             if fault.kind in SINGLE:
                 reason = "its stage reading looks exchanged" if fault.kind == "exchange" else "it lies off its place"
-                found |= {name: f"{reason}, by the other photographs" for name in fault.names}
-        return found
+                reason = f"{reason}, by the other photographs"
+                found |= {name: Excluded(name, reason, fault=True) for name in fault.names}
+        return tuple(found.values())
 
     @property
     def targets(self) -> dict[int, Pose]:
@@ -103,17 +104,29 @@ def calibrate_bench(session: PhotoSession, reading: Reading) -> CalibratedBench:
     """Adjust everything that the session's photographs see directly, and check it.
 
     Raises:
-        BadInputError: photographs of a step are missing, or do not determine it.
+        BadInputError: photographs of a step are missing, or do not determine it; a RefusedViewsError where some were
+            rejected before.
     """
     observations = bench_observations(session, reading)
-    lenses = {}
+    lenses: dict[str, SoundViews] = {}
+    try:
+        return _calibrated(session, reading, observations, lenses)
+    except BadInputError as error:
+        own = error.rejected if isinstance(error, RefusedViewsError) else {}
+        raise RefusedViewsError(str(error), {**_rejected_by_lenses(lenses), **own}) from error
+
+
+def _calibrated(
+    session: PhotoSession, reading: Reading, observations: BenchObservations, lenses: dict[str, SoundViews]
+) -> CalibratedBench:
+    """The bench, and the sound views of each camera in `lenses` as soon as they are known."""
     for name, setup in observations.cameras.items():
         try:
             lenses[name] = sound_views(
                 [view for view in observations.views if view.camera == name], setup, observations
             )
-        except BadInputError as error:
-            raise BadInputError(f"[{name}_camera]: {error}") from error
+        except RefusedViewsError as error:
+            raise RefusedViewsError(f"[{name}_camera]: {error}", error.rejected) from error
     kept = {view.name: view for each in lenses.values() for view in each.views}
     views = [kept[view.name] for view in observations.views if view.name in kept]
     observations = replace(observations, views=views)
@@ -128,7 +141,7 @@ def calibrate_bench(session: PhotoSession, reading: Reading) -> CalibratedBench:
         ) from error
     bench = CalibratedBench(session, adjustment, faults, lenses, (), ())
     sweeps = _sweep_checks(bench, reading)
-    said = [_rejected_check(name, reason) for each in lenses.values() for name, reason in each.rejected.items()]
+    said = [_rejected_check(name, reason) for name, reason in _rejected_by_lenses(lenses).items()]
     checks = [*said, *bench_checks(adjustment, faults), *(check for check in sweeps.values() if check is not None)]
     return replace(bench, checks=checks, unchecked=_unchecked(session, adjustment, sweeps))
 
@@ -225,6 +238,11 @@ def _view(
 ) -> BoardView:
     view = _board_view(session, photo.name, seen, camera, photo.target_pose)
     return replace(view, target=photo.target_pose, place=place, board=board_name(session, photo.target_pose))
+
+
+def _rejected_by_lenses(lenses: Mapping[str, SoundViews]) -> dict[str, str]:
+    """Name -> reason, of the photographs that any camera's views were chosen without."""
+    return {name: reason for each in lenses.values() for name, reason in each.rejected.items()}
 
 
 def _rejected_check(name: str, reason: str) -> Check:

@@ -30,6 +30,18 @@ _MISREAD, _LENS_BENDS_PX = 10.0, 2.0  # times as far from a plane's image as usu
 _BETTER_SIGMAS = 2.0  # by which more terms must predict held-out views better
 
 
+class RefusedViewsError(BadInputError):
+    """Too little is left of the photographs, or what is left does not determine what it should.
+
+    Attributes:
+        rejected: name -> reason, of photographs that were left out before.
+    """
+
+    def __init__(self, sentence: str, rejected: Mapping[str, str]) -> None:
+        super().__init__(sentence)
+        self.rejected = rejected
+
+
 @dataclass(frozen=True, eq=False)
 class SoundViews:
     """Views of one camera without outliers, and its rough lens.
@@ -50,7 +62,7 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
     """Return a camera's views without outliers, and a rough lens.
 
     Raises:
-        BadInputError: fewer than three photographs can be used, or they do not determine the lens.
+        RefusedViewsError: fewer than three photographs can be used, or they do not determine the lens.
     """
     rejected = {view.name: reason for view in views if (reason := _too_few(view))}
     rejected |= _misread([view for view in views if view.name not in rejected])
@@ -58,13 +70,10 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
     tried: dict[str, float] = {}
     lens = setup.known
     if lens is None:
-        if len(usable) < _FEWEST_VIEWS:
-            why = "".join(f"; {name}: {reason}" for name, reason in rejected.items())
-            raise BadInputError(
-                f"a camera needs {_FEWEST_VIEWS} or more photographs of the board, tilted in different directions, and "
-                f"{len(usable)} can be used{why}."
-            )
-        lens, tried = _chosen_lens(usable, setup, observations)
+        try:
+            lens, tried = _chosen_lens(usable, setup, observations)
+        except BadInputError as error:
+            raise RefusedViewsError(str(error), rejected) from error
     kept: list[BoardView] = []
     scales: list[float] = []
     for view in (each.seen_by(lens) for each in usable):
@@ -147,6 +156,11 @@ def _chosen_lens(
     views: Sequence[BoardView], setup: CameraSetup, observations: BenchObservations
 ) -> tuple[Lens, dict[str, float]]:
     """The lens of the simplest kind that predicts held-out photographs as well as any; and rms by kind, pixels."""
+    if len(views) < _FEWEST_VIEWS:
+        raise BadInputError(
+            f"a camera needs {_FEWEST_VIEWS} or more photographs of the board, tilted in different directions, and "
+            f"{len(views)} can be used."
+        )
     some = np.unique(np.linspace(0, len(views) - 1, min(len(views), _CHOICE_VIEWS)).round().astype(int))
     few = _thinned([views[number] for number in some], _CHOICE_FEATURES)
     camera = few[0].camera

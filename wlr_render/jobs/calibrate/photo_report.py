@@ -12,7 +12,7 @@ from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCali
 from wlr_render.calibration.poses import Pose
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.photo_session import PhotoSession
-from wlr_render.captures.session_reading import Reading
+from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
@@ -54,7 +54,7 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
     """Tables, pictures (written into `folder`) and plots, in the order of the procedure."""
     blocks: list[Block] = [
         *reading_blocks(found.session, found.reading, found.all_excluded),
-        *(_coverage(folder, each, len(found.eyes) > 1) for each in found.eyes.values()),
+        *(_coverage(folder, each, len(found.session.eyes) > 1) for each in found.eyes.values()),
         *_decoding(folder, found),
         Section("The bench"),
         _lens_table(found),
@@ -68,14 +68,14 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
     if len(found.eyes) > 1:
         blocks += [Section("Both eyes"), binocular_table(found)]
     for eye, each in found.eyes.items():
-        blocks.append(Section("The models" if len(found.eyes) == 1 else f"The models of the {eye} eye"))
+        blocks.append(Section("The models" if len(found.session.eyes) == 1 else f"The models of the {eye} eye"))
         blocks += fit_blocks(each.kinds, each.captures, set_names(found, each))
         blocks += [primaries_table(each)] if each.primaries else []
     return blocks
 
 
-def reading_blocks(session: PhotoSession, reading: Reading, excluded: Iterable[tuple[str, str]]) -> list[Block]:
-    """Tables of what was read and, by name and reason, of what was excluded."""
+def reading_blocks(session: PhotoSession, reading: Reading, excluded: Iterable[Excluded]) -> list[Block]:
+    """Tables of what was read and of what was excluded."""
     tables = [_read_table(session, reading), _excluded_table(excluded), _decoded_table(session, reading)]
     return [Section("Photographs"), *(table for table in tables if table.rows)]
 
@@ -115,8 +115,8 @@ def _read_table(session: PhotoSession, reading: Reading) -> ReportTable:
     return ReportTable("What was read", columns, rows, notes)
 
 
-def _excluded_table(excluded: Iterable[tuple[str, str]]) -> ReportTable:
-    rows: list[list[Cell]] = [[name, reason] for name, reason in excluded]
+def _excluded_table(excluded: Iterable[Excluded]) -> ReportTable:
+    rows: list[list[Cell]] = [[each.name, each.reason] for each in excluded]
     return ReportTable("Excluded", ["photograph", "reason"], rows)
 
 

@@ -98,13 +98,14 @@ def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
 def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, options: CalibratePhotosOptions) -> None:
     """Write the report of a calibration that was refused: how far it came, and every exclusion."""
     folder, found, reading = output_folder(options.out), refused.found, refused.reading
-    excluded = [(each.name, each.reason) for each in worst_first(reading.excluded)]
     report = Report(
         f"Calibration of {session.device}, {' and '.join(session.eyes)} eye: refused",
         verdict=f"Refused: {refused}",
         advice=[] if found is None else advice(found),
         warnings=reading.notes,
-        blocks=reading_blocks(session, reading, excluded) if found is None else session_blocks(found, folder),
+        blocks=reading_blocks(session, reading, worst_first(reading.excluded))
+        if found is None
+        else session_blocks(found, folder),
         inputs=[options.session, *options.fit.inputs],
         record={"options": options, "device": session.device, "is_refused": True},
     )
