@@ -7,8 +7,8 @@ import numpy as np
 
 from benchmarks.boards.sets import PhotographSet
 from wlr_render.calibration.bench.adjustment import Adjustment, adjust
+from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, BoardView, CameraSetup
 from wlr_render.calibration.bench.lenses import sound_views
-from wlr_render.calibration.bench.observations import EYEBALL, BenchObservations, BoardView, CameraSetup
 from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.captures.boards.board import USUAL_TOLERANCES, BoardObservation
 from wlr_render.numerics.arrays import FloatArray

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.photographs.bench_trial import DEVICES
-from wlr_render.budget.errors import ErrorSizes, PerAxis, Truncation
-from wlr_render.budget.registration import covered_points, registration_covariance
+from wlr_render.budget.error_sizes import ErrorSizes, PerAxis, Truncation
+from wlr_render.budget.registration_budget import covered_points, registration_covariance
 from wlr_render.budget.statement import REGIONS, region_of, variance
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.half_turns import with_half_turns

@@ -28,6 +28,9 @@ from oracle.session_writer import write_run_time_session, write_session
 from benchmarks.diagnosis.conditions import Condition, nature_of
 from benchmarks.diagnosis.remainder import remainder
 from benchmarks.diagnosis.truths import truth_of
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.session_folder import load_session
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
@@ -37,9 +40,6 @@ from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.session_folder import load_session
-from wlr_render.simulation.simulate_session import simulate
 
 AnyPlan = Plan | RunTimePlan
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.exports.view import ExportedView
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.rendering.sampling import remap
 

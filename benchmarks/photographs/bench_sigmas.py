@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, CameraPlace
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, place_key
-from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, CameraPlace
 from wlr_render.calibration.poses import adjoint, motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens

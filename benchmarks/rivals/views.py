@@ -7,6 +7,8 @@ from functools import partial
 import numpy as np
 
 from benchmarks.rivals.held_out import COLUMNS, HeldOut, cells, held_out, rms_of
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.session_captures import see_through_captures
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs
@@ -25,8 +27,6 @@ from wlr_render.rivals.kernels import free_kernel_ridge, gaussian_process, kerne
 from wlr_render.rivals.map_tables import linear_table, principal_components, thin_plate_table
 from wlr_render.rivals.plane_and_polynomial import wientapper_see_through
 from wlr_render.rivals.samples import Fit, fit_structure
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.session_captures import see_through_captures
 
 REFERENCE = "plate and wedge"
 STRUCTURES = ("static", "volumetric", "planar")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.budget.errors import Drawing, ErrorSizes, EyeTracker, HeadTracker, Truncation
-from wlr_render.budget.registration import TRACKING_CAMERA, disparity_covariance, registration_covariance
+from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, Truncation
+from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.calibration.bench.common_errors import SOURCES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms

@@ -7,8 +7,8 @@ import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.budget.error_map import ErrorMap
-from wlr_render.budget.errors import ErrorSizes, EyeTracker, HeadTracker
-from wlr_render.budget.registration import registration_covariance
+from wlr_render.budget.error_sizes import ErrorSizes, EyeTracker, HeadTracker
+from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
 from wlr_render.mappings import FieldOfView
 

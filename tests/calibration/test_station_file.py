@@ -5,7 +5,7 @@ import json
 import pytest
 from corpus.base_texts import STATION
 
-from wlr_render.calibration.bench.bench_file import load_station
+from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.errors import BadInputError
 
 

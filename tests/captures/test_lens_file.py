@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from wlr_render.captures.lens_file import load_lens
+from wlr_render.captures.camera_lens_file import load_lens
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.splined_lens import SplinedLens

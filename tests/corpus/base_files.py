@@ -131,7 +131,7 @@ def _write_photographs(folder: Path) -> None:
 def _write_bench_session(folder: Path) -> None:
     from diagnosis.small_session import SIGMA_PX, measured, small_bench, small_plan
 
-    from wlr_render.simulation.session_folder import save_session
+    from wlr_render.bench.session_folder import save_session
 
     bench = small_bench()
     save_session(folder, bench, measured(bench, small_plan(bench), SIGMA_PX).session)

@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from corpus.base_files import make_bases
 from corpus.case import Case
 from corpus.running import made_once
-from wlr_render.calibration.bench.bench_file import load_station
+from wlr_render.bench.session_folder import load_session
+from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.captures.boards.board_file import load_board
+from wlr_render.captures.camera_lens_file import load_lens
 from wlr_render.captures.capture_file import load_observations
-from wlr_render.captures.lens_file import load_lens
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
@@ -29,7 +30,6 @@ from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, headset_of_lens
 from wlr_render.optics.lens_files.lens_file import read_lens_file
 from wlr_render.rendering.scene_file import load_scene
-from wlr_render.simulation.session_folder import load_session
 from wlr_render.toml_files import Table
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import (
     DisplayPlan,
     RunTimePlan,
@@ -23,8 +25,6 @@ from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.simulate_session import simulate
 
 SIGMA_PX = 0.1
 SECONDS = 60.0

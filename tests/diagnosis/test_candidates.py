@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 from small_session import fitted, weighed
 
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import times_between_captures
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
 from wlr_render.diagnosis.screening import screen
-from wlr_render.simulation.simulate_session import simulate
 
 
 @pytest.mark.parametrize("times", [1, 2])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_session import run_time_plan
 
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan, select_rows
 from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.causes import CAUSES
@@ -14,7 +15,6 @@ from wlr_render.optics.device import Path
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import save_device
 from wlr_render.optics.tracer import trace
-from wlr_render.simulation.simulate_session import simulate
 
 NAMES = {
     "combiner_tilt",

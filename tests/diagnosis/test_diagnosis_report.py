@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.diagnosis import plots
+from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis.report import diagnosis_report
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.report.blocks import Plot, Section, Text

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, diagnosed, measured, with_motions, with_moved_capture
 
+from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.calibration.fit_report import HeldOut
-from wlr_render.diagnosis import plots, tables
+from wlr_render.diagnosis import diagnosis_plots as plots
+from wlr_render.diagnosis import tables
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
 from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence
 from wlr_render.diagnosis.held_out import HeldOutImprovement
@@ -21,7 +23,6 @@ from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text
-from wlr_render.simulation.bench_file import load_bench, save_bench
 
 OTHER = "tracking_translation"
 

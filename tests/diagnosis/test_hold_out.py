@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, measured, small_bench, small_plan
 
+from wlr_render.bench.bench_file import save_bench
+from wlr_render.bench.session_captures import observations_of
+from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
 from wlr_render.jobs.hold_out import HoldOutOptions, hold_out
-from wlr_render.simulation.bench_file import save_bench
-from wlr_render.simulation.session_captures import observations_of
-from wlr_render.simulation.session_folder import save_session
 
 TILT = [0.15, -0.1, 0.05]
 

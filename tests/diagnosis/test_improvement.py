@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
 from wlr_render.diagnosis.improvement import improvement_in_use
 from wlr_render.geometry.transforms import rigid
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.simulate_session import simulate
 
 CAPTURES, ROWS = 36, 60
 SIGMA_PX = 0.1

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_noise
 
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.held_out import jackknife, left_out_changes
 from wlr_render.diagnosis.observations import observe
-from wlr_render.simulation.simulate_session import simulate
 
 REPEATABILITY_M = 30e-6
 DRAWS = 12

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_jitter
 
+from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.findings import detection_limits
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
-from wlr_render.diagnosis.search import Search
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, with_readings
 
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, CaptureName, observe
 from wlr_render.errors import BadInputError
-from wlr_render.simulation.simulate_session import simulate
 
 
 @pytest.fixture(scope="module")

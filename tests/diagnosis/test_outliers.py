@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, hypothesis, measured, weighed
 
+from wlr_render.bench.simulate_session import simulate
+from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName
 from wlr_render.diagnosis.outliers import moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
-from wlr_render.diagnosis.search import Search
-from wlr_render.simulation.simulate_session import simulate
 
 NEAR, FAR = CaptureName(SEE_THROUGH, 0, 3), CaptureName(SEE_THROUGH, 1, 5)
 

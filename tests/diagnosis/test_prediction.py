@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from small_session import explanation, hypothesis, measured
 
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.errors import BadInputError
-from wlr_render.simulation.simulate_session import simulate
 
 # One of every kind of change: of all surfaces, of media, of the panel, of the camera, of the target, of the readout.
 CHAIN = (

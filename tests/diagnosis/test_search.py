@@ -8,12 +8,12 @@ import pytest
 from small_session import SIGMA_PX, explanation, hypothesis, measured, weighed, with_jitter, with_noise
 
 from wlr_render.captures.session import SessionPlan
+from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import reduced_chi_squared
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.screening import best_fit, hypotheses, screen
-from wlr_render.diagnosis.search import Search
 from wlr_render.diagnosis.settings import Settings
 
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.exports.readers import has_mrcal, points_of_pixels, projected_by_mrcal
 from wlr_render.errors import BadInputError
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.mrcal import Mrcal
-from wlr_render.exports.view import ExportedView
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 

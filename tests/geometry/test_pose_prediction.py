@@ -3,7 +3,7 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.prediction import predicted_point, predicted_pose
+from wlr_render.geometry.pose_prediction import predicted_point, predicted_pose
 
 
 def turned(angle, x=0.0):

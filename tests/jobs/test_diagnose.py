@@ -11,6 +11,9 @@ from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
 
+from wlr_render.bench.bench_file import load_bench
+from wlr_render.bench.session_captures import observations_of
+from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.session import select_rows
 from wlr_render.cli import main
@@ -19,9 +22,6 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.observations import readings_of_rows
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.jobs import diagnose
-from wlr_render.simulation.bench_file import load_bench
-from wlr_render.simulation.session_captures import observations_of
-from wlr_render.simulation.session_folder import load_session, save_session
 
 SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}

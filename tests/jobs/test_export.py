@@ -19,7 +19,7 @@ from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.escapes import markdown_text
-from wlr_render.exports import view
+from wlr_render.exports import export_view as view
 from wlr_render.exports.formats import FORMATS, FormatName
 from wlr_render.extras import MissingExtraError, install_command
 from wlr_render.finished_files import FinishedFiles

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wlr_render.bench.session_folder import load_session
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, rigid, rotation_about
 from wlr_render.jobs import hold_out, import_session
-from wlr_render.simulation.session_folder import load_session
-from wlr_render.simulation.simulate_session import simulate
 
 DOTS = np.stack([*np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.4, 6)), np.zeros((6, 7))], axis=-1).reshape(
     -1, 3

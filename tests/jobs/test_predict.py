@@ -13,6 +13,10 @@ from oracle.effects import Effect
 from oracle.nature import BenchNature
 from oracle.session_writer import write_session
 
+from wlr_render.bench.bench import Mount, Target
+from wlr_render.bench.bench_file import load_bench, save_bench
+from wlr_render.bench.session_captures import observations_of
+from wlr_render.bench.session_folder import bench_for_session, load_session, save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
 from wlr_render.diagnosis.bench_prediction import predict_session
@@ -20,10 +24,6 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
-from wlr_render.simulation.bench import Mount, Target
-from wlr_render.simulation.bench_file import load_bench, save_bench
-from wlr_render.simulation.session_captures import observations_of
-from wlr_render.simulation.session_folder import bench_for_session, load_session, save_session
 
 PLAN = Plan(grid=(12, 10), dots=(11, 9), off_plane=6)
 EFFECTS = [

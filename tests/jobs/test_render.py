@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wlr_render.budget.registration import registration_covariance
+from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms

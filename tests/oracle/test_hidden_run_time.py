@@ -10,9 +10,9 @@ from oracle.devices import NAMES
 from oracle.effects import LISTED_AT_RUN_TIME, Effect, draw_effect
 from oracle.run_time import RunTimePlan, observe_run_time
 from oracle.session_writer import write_run_time_session
+from wlr_render.bench.session_folder import load_session
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.diagnosis.observations import observe
-from wlr_render.simulation.session_folder import load_session
-from wlr_render.simulation.simulate_session import simulate
 
 QUIET = RunTimePlan(recordings=6, moments=20, sigma_px=0.0)
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wlr_render.bench.simulate_session import ObservedPoints
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.simulate_session import ObservedPoints
 
 COUNT = 50
 

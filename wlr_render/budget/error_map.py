@@ -9,8 +9,8 @@ from functools import cached_property
 
 import numpy as np
 
-from wlr_render.budget.errors import ErrorSizes
-from wlr_render.budget.registration import registration_covariance
+from wlr_render.budget.error_sizes import ErrorSizes
+from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import radius_within, variance
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EyeMappings, Panel

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.calibration.bench.bench_file import save_station
+from wlr_render.calibration.bench.bench_checks import refuse_contradictions
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
-from wlr_render.calibration.bench.checks import refuse_contradictions
 from wlr_render.calibration.bench.common_errors import with_bench_errors
 from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.bench.lenses import RefusedViewsError
+from wlr_render.calibration.bench.station_file import save_station
 from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
 from wlr_render.calibration.fit_eye import EyeFit, KindComparison
 from wlr_render.calibration.photograph_captures import (

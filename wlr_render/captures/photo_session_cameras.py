@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.lens_file import load_lens, require_plausible_lens
+from wlr_render.captures.camera_lens_file import load_lens, require_plausible_lens
 from wlr_render.captures.photo_session import SessionCamera
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in

@@ -168,7 +168,7 @@ class Compositor:
                 named have a camera in this frame.
             time_s: when pose and viewpoint were measured, in seconds of any clock; for `predict_s`.
             predict_s: draw for the pose and viewpoint so much later, 0 to 0.1 s, predicted at constant velocity from
-                this and the last call with a time (`geometry/prediction.py`).
+                this and the last call with a time (`geometry/pose_prediction.py`).
 
         Returns:
             The camera to draw with, by eye: a mapping, and the handle that `submit` takes.

@@ -11,7 +11,7 @@ from wlr_render.compositing.checks import checked_number, nearest_in_reach
 from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.geometry.prediction import LONGEST_S, predicted_point, predicted_pose
+from wlr_render.geometry.pose_prediction import LONGEST_S, predicted_point, predicted_pose
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
 

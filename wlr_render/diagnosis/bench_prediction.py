@@ -7,19 +7,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
+from wlr_render.diagnosis.cause_selection import LOG10_ODDS
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums, best_scatter
-from wlr_render.diagnosis.search import LOG10_ODDS
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_session import simulate
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.bench import Bench
 
 Perturb = Callable[[Bench, FloatArray], Bench]
 """(bench, values of all parameters in their units) -> bench; the null values give the same bench back."""

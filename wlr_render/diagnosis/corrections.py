@@ -11,12 +11,12 @@ from itertools import product
 import numpy as np
 
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
+from wlr_render.diagnosis.cause_selection import LOG10_ODDS
 from wlr_render.diagnosis.diagnosis import Correction
 from wlr_render.diagnosis.fit import Fit, off_prior
 from wlr_render.diagnosis.held_out import held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.scatter import Scatter, best_scatter, cost, marginal, surprise
-from wlr_render.diagnosis.search import LOG10_ODDS
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.diagnosis.whitening import Whitening
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.noise import NoiseFloor
@@ -11,7 +12,6 @@ from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.html_summary import html_summary
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.simulation.bench import Bench
 
 NO_EFFECT, EXPLAINED, PARTLY, UNEXPLAINED = "no effect", "explained", "partly explained", "unexplained"
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.bench.bench_file import WRITTEN_FRAME, changed_keys
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
     NO_EFFECT,
@@ -24,7 +25,6 @@ from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
 from wlr_render.report.blocks import cell_text
-from wlr_render.simulation.bench_file import WRITTEN_FRAME, changed_keys
 
 _REMEDIES = {
     "device": "calibrate and render with the corrected device, or have the headset readjusted",

@@ -12,6 +12,8 @@ from typing import Generic
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.session_captures import display_captures, see_through_captures
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import AnyModel, HeldOut, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
@@ -26,8 +28,6 @@ from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.session_captures import display_captures, see_through_captures
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
 _ROWS = 6_000  # of a fit: five times more lower its error by a twentieth, and take three times as long

@@ -12,8 +12,8 @@ from itertools import product
 import numpy as np
 
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.residual_surfaces import Surface, surfaces
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.diagnosis.surfaces import Surface, surfaces
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 

@@ -10,12 +10,12 @@ from functools import cached_property
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.simulate_session import dot_geometry, panel_pixels, simulate
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_session import dot_geometry, panel_pixels, simulate
 
 DISPLAY, SEE_THROUGH, RUN_TIME = 0, 1, 2
 PART_NAMES = ("display", "see-through", "run-time")

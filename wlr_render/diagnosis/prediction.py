@@ -5,6 +5,8 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.simulate_session import DotViews, simulate, simulate_to_first_order
 from wlr_render.captures.session import Readings, Session, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.observations import (
@@ -20,8 +22,6 @@ from wlr_render.diagnosis.observations import (
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.optics.device import EyeOptics
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_session import DotViews, simulate, simulate_to_first_order
 
 _STEP = 2e-3  # of a parameter's prior sigma, for the differences
 _NOTHING = 1e-6  # sigma per prior sigma: the rounding of predictions that do not change

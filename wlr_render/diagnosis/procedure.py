@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.cause import Cause
+from wlr_render.diagnosis.cause_selection import CandidateRanking, Progress, Search, Selection
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.corrections import corrections, odds_beside
 from wlr_render.diagnosis.diagnosis import (
@@ -44,12 +46,10 @@ from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excl
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 from wlr_render.diagnosis.screening import hypotheses
-from wlr_render.diagnosis.search import CandidateRanking, Progress, Search, Selection
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.stability import instability
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
-from wlr_render.simulation.bench import Bench
 
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 _UNPREDICTED = {DISPLAY: "stage", SEE_THROUGH: "stage", RUN_TIME: "time"}

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wlr_render.diagnosis import explain, plots, tables
+from wlr_render.diagnosis import diagnosis_plots as plots
+from wlr_render.diagnosis import explain, tables
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.noise_sentences import bench_sentence

@@ -12,7 +12,7 @@ import numpy as np
 
 from wlr_render.diagnosis.noise import Noise
 from wlr_render.diagnosis.observations import Observations
-from wlr_render.diagnosis.surfaces import image_basis, photographs
+from wlr_render.diagnosis.residual_surfaces import image_basis, photographs
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NEGLIGIBLE = 1e-4  # variance over that of white noise

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from wlr_render.exports.view import ExportedView
+from wlr_render.exports.export_view import ExportedView
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.budget.errors import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
-from wlr_render.budget.registration import TRACKING_CAMERA, disparity_covariance, registration_covariance
+from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
+from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder

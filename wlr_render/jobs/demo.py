@@ -21,8 +21,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.budget.errors import Drawing, ErrorSizes, Truncation
-from wlr_render.budget.registration import registration_covariance
+from wlr_render.budget.error_sizes import Drawing, ErrorSizes, Truncation
+from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import EyeFit, fit_eye

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.session_folder import remove_session, save_session
 from wlr_render.captures.session import SeeThroughPlan, Session
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
@@ -21,8 +23,6 @@ from wlr_render.jobs.options import ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.session_folder import remove_session, save_session
 
 STEM = "diagnosis"
 

@@ -5,14 +5,14 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.measurements import load_measurements
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.input_files import naming
 from wlr_render.jobs.options import Options, Range, described
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.measurements import load_measurements
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from wlr_render.exports.check_pictures import CHECK_PANEL, CHECK_SOURCE
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.facts import depth_words, losses
 from wlr_render.exports.format import Format
-from wlr_render.exports.view import ExportedView
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import eyes_of
 from wlr_render.numerics.arrays import FloatArray

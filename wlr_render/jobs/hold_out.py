@@ -11,6 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.bench.session_folder import check_enough_captures
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.held_out import held_out_residual, jackknife
@@ -29,7 +30,6 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
-from wlr_render.simulation.session_folder import check_enough_captures
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
 from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs, read_itoh_seethrough
@@ -22,8 +24,6 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
-from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.session_folder import save_session
 
 _SMOOTH_DEGREE = 3  # of the surface that a view's dots are scattered about
 _BASELINE_AGREES = 5e-3  # of it: what the printed monitor and the camera model leave open

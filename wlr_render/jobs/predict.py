@@ -8,6 +8,10 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench_file import load_bench
+from wlr_render.bench.measurements import load_measurements
+from wlr_render.bench.session_folder import bench_for_session, load_session
 from wlr_render.diagnosis.bench_prediction import BenchPrediction, PredictedGroup, PredictedPart, predict_session
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.report import CORRECTED
@@ -21,10 +25,6 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
 from wlr_render.report.plots import arrow_map, axis
 from wlr_render.report.save import save_report
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.bench_file import load_bench
-from wlr_render.simulation.measurements import load_measurements
-from wlr_render.simulation.session_folder import bench_for_session, load_session
 
 _MOST_MAPS = 8
 _POSE_TOLERANCE_M = 1e-6

@@ -15,7 +15,7 @@ from benchmarks.budget.trial import (
     judged,
     loaded_outcome,
 )
-from wlr_render.budget.errors import ErrorSizes, Truncation
+from wlr_render.budget.error_sizes import ErrorSizes, Truncation
 from wlr_render.budget.statement import REGIONS
 from wlr_render.geometry import transforms
 from wlr_render.jobs.budget import BudgetOptions

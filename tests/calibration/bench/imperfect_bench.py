@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import adjust
-from wlr_render.calibration.bench.observations import (
+from wlr_render.calibration.bench.board_views import (
     EYEBALL,
     TRACKING,
     BenchObservations,

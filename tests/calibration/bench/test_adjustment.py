@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from imperfect_bench import PERFECT, Imperfections, TrueBench, adjusted, start_of, thinned
 
+from wlr_render.calibration.bench.bench_checks import bench_checks, prior_pulls, reading_pulls, significance
+from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
-from wlr_render.calibration.bench.checks import bench_checks, prior_pulls, reading_pulls, significance
 from wlr_render.calibration.bench.faults import adjust_without_faults
 from wlr_render.calibration.bench.lenses import sound_views
-from wlr_render.calibration.bench.observations import EYEBALL, BenchObservations
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from imperfect_bench import Imperfections, TrueBench, turned
 
+from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup
 from wlr_render.calibration.bench.normal_equations import residuals_of
-from wlr_render.calibration.bench.observations import EYEBALL, CameraSetup
 from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.bench.state import StageModel, smooth_orders
 from wlr_render.calibration.bench.unknowns import _lens_sizes, layout_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from imperfect_bench import TrueBench, adjusted, thinned, turned
 
-from wlr_render.calibration.bench.observations import (
+from wlr_render.calibration.bench.board_views import (
     EYEBALL,
     TRACKING,
     BenchObservations,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.calibration.bench.observations import EYEBALL, BoardView
+from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.sweep_checks import NEGLIGIBLE_ARCMIN, RepeatedView, sweep_check
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera

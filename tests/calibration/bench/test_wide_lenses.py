@@ -7,8 +7,8 @@ import pytest
 from wide_lens import CENTRE, SIZE, WideLens
 
 from wlr_render.calibration.bench.adjustment import adjust
+from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, CameraSetup
 from wlr_render.calibration.bench.lenses import sound_views
-from wlr_render.calibration.bench.observations import EYEBALL, BenchObservations, CameraSetup
 from wlr_render.calibration.bench.start import board_pose, start_state
 from wlr_render.captures.boards.board import USUAL_TOLERANCES
 from wlr_render.geometry.lens_camera import LensCamera

@@ -4,7 +4,7 @@ import numpy as np
 from imperfect_bench import turned
 from scipy.spatial.transform import Rotation
 
-from wlr_render.calibration.bench.observations import EYEBALL, BoardView
+from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.geometry import transforms
 
 SIZE = (1280, 1024)

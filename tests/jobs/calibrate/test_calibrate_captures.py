@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 from browser import needs_browser, open_page
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.bench_file import save_bench
+from wlr_render.bench.session_folder import save_session
+from wlr_render.bench.simulate_session import simulate as read_off
 from wlr_render.calibration.fit_eye import KindComparison, fit_eye
 from wlr_render.calibration.fit_report import FitReport, OneMore, Residuals
 from wlr_render.calibration.smooth_fit import CaptureMotion, MotionAgreement
@@ -17,8 +21,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.transforms import rigid
 from wlr_render.jobs.calibrate.captures import CalibrateCapturesOptions, calibrate_captures
-from wlr_render.jobs.calibrate.fit import FitOptions
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentence, fit_warnings, held_out_verdict
+from wlr_render.jobs.calibrate.fit_options import FitOptions
 from wlr_render.jobs.calibrate.simulate import (
     CalibrateSimulateOptions,
     TruthTests,
@@ -30,10 +34,6 @@ from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot
-from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.bench_file import save_bench
-from wlr_render.simulation.session_folder import save_session
-from wlr_render.simulation.simulate_session import simulate as read_off
 
 NORTHSTAR = load_device("northstar")
 SMALL = CalibrateSimulateOptions("birdbath28", viewpoints=12, noise_px=0.0, seed=4)

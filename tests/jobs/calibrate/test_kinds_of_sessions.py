@@ -14,7 +14,7 @@ from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.calibrate.fit import FitOptions
+from wlr_render.jobs.calibrate.fit_options import FitOptions
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, report_of
 from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.traced_mappings import traced_eye

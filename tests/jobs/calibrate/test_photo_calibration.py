@@ -9,7 +9,8 @@ from browser import needs_browser, open_page
 from scipy.stats import chi2
 from small_photo_session import VIEWPOINTS, small_plan
 
-from wlr_render.calibration.bench.bench_file import load_station
+from wlr_render.bench.measurements import load_measurements
+from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.calibration.poses import motion_between
 from wlr_render.captures.capture_file import load_captures
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
@@ -20,7 +21,6 @@ from wlr_render.models.model_file import load_eye_model
 from wlr_render.optics.device_writer import save_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot, Section
-from wlr_render.simulation.measurements import load_measurements
 from wlr_render.simulation.photographs.photo_plan import true_camera_poses
 from wlr_render.toml_files import read_toml
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from wlr_render.calibration.bench.bench_file import load_station
+from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError

@@ -7,10 +7,8 @@ from itertools import chain
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import Adjustment, UndeterminedError, adjust
-from wlr_render.calibration.bench.checks import Check, bench_checks
-from wlr_render.calibration.bench.faults import SINGLE, Fault, adjust_without_faults
-from wlr_render.calibration.bench.lenses import RefusedViewsError, SoundViews, sound_views
-from wlr_render.calibration.bench.observations import (
+from wlr_render.calibration.bench.bench_checks import Check, bench_checks
+from wlr_render.calibration.bench.board_views import (
     APART,
     EYEBALL,
     TRACKING,
@@ -20,6 +18,8 @@ from wlr_render.calibration.bench.observations import (
     CameraSetup,
     KnownPose,
 )
+from wlr_render.calibration.bench.faults import SINGLE, Fault, adjust_without_faults
+from wlr_render.calibration.bench.lenses import RefusedViewsError, SoundViews, sound_views
 from wlr_render.calibration.bench.start import start_state
 from wlr_render.calibration.bench.sweep_checks import RepeatedView, TargetChange, sweep_check
 from wlr_render.calibration.poses import Pose, adjoint

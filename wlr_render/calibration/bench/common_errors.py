@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from wlr_render.calibration.bench.board_views import EYEBALL
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, board_name, place_key
-from wlr_render.calibration.bench.observations import EYEBALL
 from wlr_render.calibration.bench.state import Key
 from wlr_render.calibration.poses import adjoint
 from wlr_render.calibration.posterior_spread import lower_root

@@ -12,8 +12,8 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import Adjustment
+from wlr_render.calibration.bench.board_views import APART, EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.bench.normal_equations import Normal
-from wlr_render.calibration.bench.observations import APART, EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.bench.state import BenchState, Key
 from wlr_render.calibration.bench.unknowns import Layout, layout_of, prior_of
 from wlr_render.calibration.poses import motion_between

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import UndeterminedError, adjust
-from wlr_render.calibration.bench.observations import (
+from wlr_render.calibration.bench.board_views import (
     FEWEST_FEATURES,
     BenchObservations,
     BoardView,

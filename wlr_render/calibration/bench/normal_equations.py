@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.bench.observations import EYEBALL, BoardView
+from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import BenchState, Key, stretch_terms
 from wlr_render.calibration.bench.unknowns import Layout, Sizes
 from wlr_render.geometry import transforms

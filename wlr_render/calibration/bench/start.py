@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from wlr_render.calibration.bench.observations import (
+from wlr_render.calibration.bench.board_views import (
     APART,
     EYEBALL,
     TRACKING,

@@ -17,7 +17,7 @@ from itertools import product
 import numpy as np
 from numpy.polynomial import legendre
 
-from wlr_render.calibration.bench.observations import EYEBALL, TRACKING, BenchObservations, BoardView
+from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.poses import adjoint, motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.errors import BadInputError

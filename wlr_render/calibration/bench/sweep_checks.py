@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import Adjustment
-from wlr_render.calibration.bench.checks import REFUSED_ARCMIN, REFUSED_MM, Check, significance
+from wlr_render.calibration.bench.bench_checks import REFUSED_ARCMIN, REFUSED_MM, Check, significance
+from wlr_render.calibration.bench.board_views import APART, BoardView
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, Fault
-from wlr_render.calibration.bench.observations import APART, BoardView
 from wlr_render.calibration.poses import motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN

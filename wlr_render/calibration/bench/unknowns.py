@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.calibration.bench.observations import TRACKING, CameraSetup, KnownPose
+from wlr_render.calibration.bench.board_views import TRACKING, CameraSetup, KnownPose
 from wlr_render.calibration.bench.state import AXIS_PARTS, BenchState, Key, smooth_orders, stated_twist
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry.lens import Lens

@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from wlr_render.captures.lens_file import check_nesting, require_plausible_lens
+from wlr_render.captures.camera_lens_file import check_nesting, require_plausible_lens
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera

@@ -1,7 +1,7 @@
 """All causes by name. A new cause is an entry in the tuple of its subject."""
 
-from wlr_render.diagnosis.causes.device import OPTICS, READOUT
 from wlr_render.diagnosis.causes.form import FORM
+from wlr_render.diagnosis.causes.optics import OPTICS, READOUT
 from wlr_render.diagnosis.causes.station import CAMERA, MOUNT, STAGE, TARGET
 from wlr_render.diagnosis.causes.tracking import RUN_TIME, TRACKING_CAMERA
 

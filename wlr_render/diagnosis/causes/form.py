@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
-from wlr_render.diagnosis.causes.device import of_optics, outward
+from wlr_render.diagnosis.causes.optics import of_optics, outward
 from wlr_render.geometry.transforms import rigid
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import combiner_middle

@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause import Cause, Parameter, Perturb, Role, changed, turn
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.bench import Bench
 
 SAG_DOTS = 10
 """The sag of a bowed target is stated at this many dots from its middle."""

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause import Cause, Parameter, changed, turn
 from wlr_render.geometry.transforms import rigid
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.bench import Bench
 
 
 def _turned(bench: Bench, turn_deg: FloatArray, pivot: FloatArray) -> Bench:

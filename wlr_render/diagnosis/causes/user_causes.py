@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause import PARTS, Cause, Perturb, Role, unknown_cause, with_priors
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.errors import BadInputError
@@ -20,7 +21,6 @@ from wlr_render.input_files import read_text, reason_of, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.simulation.bench import Bench
 
 ENTRY_POINTS = "wlr_render.causes"
 """Group of entry points by which an installed package adds causes: each names a `CAUSES`, an iterable of `Cause`."""

@@ -4,11 +4,14 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from wlr_render.bench.session_captures import captures_of
+from wlr_render.bench.session_folder import load_session
 from wlr_render.captures.capture_file import load_captures, place_warnings
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.input_files import naming
-from wlr_render.jobs.calibrate.fit import (
+from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
+from wlr_render.jobs.calibrate.fit_options import (
     DEFAULT_FIT,
     FitOptions,
     OutputFolder,
@@ -16,14 +19,11 @@ from wlr_render.jobs.calibrate.fit import (
     require_readable_models,
     save_models,
 )
-from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
-from wlr_render.simulation.session_captures import captures_of
-from wlr_render.simulation.session_folder import load_session
 
 
 @dataclass(frozen=True)

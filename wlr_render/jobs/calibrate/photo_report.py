@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.calibration.bench.checks import prior_pulls, reading_pulls
+from wlr_render.calibration.bench.bench_checks import prior_pulls, reading_pulls
 from wlr_render.calibration.bench.state import BOARD_SHAPE
 from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
 from wlr_render.calibration.poses import Pose

@@ -17,7 +17,8 @@ from wlr_render.captures.session_reading import read_session
 from wlr_render.errors import BadInputError
 from wlr_render.files import output_folder
 from wlr_render.input_files import naming
-from wlr_render.jobs.calibrate.fit import (
+from wlr_render.jobs.calibrate.fit_findings import fit_warnings
+from wlr_render.jobs.calibrate.fit_options import (
     DEFAULT_FIT,
     MODEL_FILE,
     MODELS_OF_PRIMARIES,
@@ -28,7 +29,6 @@ from wlr_render.jobs.calibrate.fit import (
     require_readable_models,
     save_models,
 )
-from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, reading_blocks, session_blocks, set_names
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, Scheduler, SpreadOptions, Workers, described

@@ -15,7 +15,8 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.files import output_folder
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.jobs import limits
-from wlr_render.jobs.calibrate.fit import (
+from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
+from wlr_render.jobs.calibrate.fit_options import (
     DEFAULT_FIT,
     FitOptions,
     OutputFolder,
@@ -23,7 +24,6 @@ from wlr_render.jobs.calibrate.fit import (
     require_readable_models,
     save_models,
 )
-from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Seed, described, eyes_of, seed_of
 from wlr_render.mappings import EyeMappings, FieldOfView

@@ -17,7 +17,7 @@ from wlr_render.jobs.plan.designs import offered, places_of
 from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan_report import error_map, places_table
 from wlr_render.jobs.plan.planned_bench import PlannedBench
-from wlr_render.jobs.plan.prediction import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
+from wlr_render.jobs.plan.planned_errors import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray

@@ -14,7 +14,7 @@ from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.readings import design_of
 from wlr_render.captures.correspondences import CaptureMotionPrior, DisplayCaptures, SeeThroughCaptures
 from wlr_render.geometry import rays
-from wlr_render.jobs.plan.prediction import FAR_M, NEAR_M, PlannedFit
+from wlr_render.jobs.plan.planned_errors import FAR_M, NEAR_M, PlannedFit
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import basis

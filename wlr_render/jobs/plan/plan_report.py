@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wlr_render.evaluation.metrics import Summary
-from wlr_render.jobs.plan.prediction import DesignErrors, EyeTests, place_variance
+from wlr_render.jobs.plan.planned_errors import DesignErrors, EyeTests, place_variance
 from wlr_render.jobs.plan.search import DesignSearch
 from wlr_render.mappings import EyeBox
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough

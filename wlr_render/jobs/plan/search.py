@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.jobs.plan.designs import CHOSEN, GRID, SPREAD, Design, grids, offered, spread
 from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.planned_bench import PlannedBench
-from wlr_render.jobs.plan.prediction import (
+from wlr_render.jobs.plan.planned_errors import (
     DesignErrors,
     DesignPredictor,
     EyeTests,

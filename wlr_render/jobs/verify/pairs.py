@@ -5,13 +5,13 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
-from wlr_render.calibration.bench.bench_file import load_station
+from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eye, Options, ProgressArgument, described
-from wlr_render.jobs.verify.misalignment import Judged, PairPosition, judge_pair, misalignment_report
+from wlr_render.jobs.verify.misalignment_tables import Judged, PairPosition, judge_pair, misalignment_report
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 

@@ -16,9 +16,9 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.bench.bench_file import SavedStation, load_station
-from wlr_render.calibration.bench.observations import TRACKING, BoardView
+from wlr_render.calibration.bench.board_views import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
+from wlr_render.calibration.bench.station_file import SavedStation, load_station
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
@@ -38,7 +38,7 @@ from wlr_render.jobs.options import (
     described,
 )
 from wlr_render.jobs.verify.drawn_target import target_scene, wholly_shown
-from wlr_render.jobs.verify.misalignment import Judged, by_the_same_dots, judge_pair, misalignment_report
+from wlr_render.jobs.verify.misalignment_tables import Judged, by_the_same_dots, judge_pair, misalignment_report
 from wlr_render.jobs.verify.session_photographs import (
     Frames,
     TargetPlace,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.photographs import read_photograph
-from wlr_render.jobs.verify.misalignment import PairPosition
+from wlr_render.jobs.verify.misalignment_tables import PairPosition
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import Spread, as_finished
 from wlr_render.progress import Progress

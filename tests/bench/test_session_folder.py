@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.session_folder import check_enough_captures, load_session, save_session
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import (
     DisplayPlan,
     Readings,
@@ -22,9 +25,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.session_folder import check_enough_captures, load_session, save_session
-from wlr_render.simulation.simulate_session import simulate
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "measured"
 CAPTURES, ROWS = 4, 20

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause import Cause, Parameter, Perturb, Role, changed
 from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.numerics.arrays import FloatArray
@@ -26,7 +27,6 @@ from wlr_render.optics.device import (
 from wlr_render.optics.glass_files import shipped_glasses
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Conic, Offset
-from wlr_render.simulation.bench import Bench
 
 _PLATE_AHEAD = 0.15  # metres before the eye: beyond all optics; where else a plane plate stands does not matter
 _PLATE_APART = 0.05  # metres from one added plate to the next

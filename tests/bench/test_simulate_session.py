@@ -5,10 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, SessionPlan
-from wlr_render.geometry.transforms import rigid, rotations_of_vectors
-from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.bench import (
+from wlr_render.bench.bench import (
     Bench,
     EyeballCamera,
     Mount,
@@ -17,13 +14,16 @@ from wlr_render.simulation.bench import (
     Target,
     Tracking,
 )
-from wlr_render.simulation.simulate_session import (
+from wlr_render.bench.simulate_session import (
     DotViews,
     decoded,
     simulate,
     simulate_to_first_order,
     undecoded,
 )
+from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, SessionPlan
+from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.optics.device_file import load_device
 
 FOCAL, CENTRE = np.array([1000.0, 1100.0]), np.array([640.0, 512.0])
 STRAIGHT = np.eye(3)

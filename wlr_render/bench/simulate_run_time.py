@@ -4,12 +4,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench
 from wlr_render.captures.session import RunTimePlan
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.simulation.bench import Bench
 
 _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
 

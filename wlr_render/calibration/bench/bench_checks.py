@@ -9,9 +9,9 @@ from scipy.special import gammaln
 from scipy.stats import chi2, norm
 
 from wlr_render.calibration.bench.adjustment import Adjustment
+from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
 from wlr_render.calibration.bench.normal_equations import residuals_of
-from wlr_render.calibration.bench.observations import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import Key
 from wlr_render.calibration.bench.unknowns import USUAL_DIFFER, USUAL_SIZES
 from wlr_render.errors import BadInputError

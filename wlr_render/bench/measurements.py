@@ -11,6 +11,10 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.bench_file import load_bench
+from wlr_render.bench.session_captures import LEAST_SIGMA_PX, session_of
+from wlr_render.bench.session_folder import load_session
 from wlr_render.captures.capture_file import load_observations
 from wlr_render.captures.correspondences import SeeThroughCaptures
 from wlr_render.captures.observation_table import ObservationTable
@@ -23,10 +27,6 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TRACED
-from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.bench_file import load_bench
-from wlr_render.simulation.session_captures import LEAST_SIGMA_PX, session_of
-from wlr_render.simulation.session_folder import load_session
 
 _MARGIN = 0.02  # of the directions on each side
 _LEAST_SPREAD_M = 1e-4  # of points that fix a target's pose

@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.simulate_run_time import run_time_readings
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
@@ -14,8 +16,6 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.optics.tracer import trace
-from wlr_render.simulation.bench import Bench
-from wlr_render.simulation.simulate_run_time import run_time_readings
 
 _TANGENT_STEP = 1e-5  # of the differences
 _TOLERANCE = 1e-10  # radians as seen from the camera: a millionth of a camera pixel

@@ -9,6 +9,10 @@ from oracle.captures import Plan
 from oracle.effects import Effect
 from oracle.session_writer import write_session
 
+from wlr_render.bench.measurements import load_measurements
+from wlr_render.bench.session_captures import observations_of
+from wlr_render.bench.session_folder import load_session, save_session
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.capture_file import load_observations, save_captures
 from wlr_render.captures.correspondences import Conditions
 from wlr_render.captures.observation_table import observation_table
@@ -19,11 +23,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rotation_about
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.measurements import load_measurements
-from wlr_render.simulation.session_captures import observations_of
-from wlr_render.simulation.session_folder import load_session, save_session
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
-from wlr_render.simulation.simulate_session import simulate
 
 SCALE_PERCENT = 0.4
 FEW = {name: CAUSES[name] for name in ("target_scale", "combiner_tilt", "camera_rotation")}

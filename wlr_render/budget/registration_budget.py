@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from wlr_render.budget.errors import ErrorSizes, variances
+from wlr_render.budget.error_sizes import ErrorSizes, variances
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN

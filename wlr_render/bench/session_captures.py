@@ -8,14 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
-from wlr_render.captures.observation_table import ObservationTable, observation_table
-from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
-from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
-from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.simulation.bench import Bench, EyeballCamera
-from wlr_render.simulation.simulate_session import (
+from wlr_render.bench.bench import Bench, EyeballCamera
+from wlr_render.bench.simulate_session import (
     camera_orientations,
     camera_positions,
     decoded,
@@ -26,6 +20,12 @@ from wlr_render.simulation.simulate_session import (
     stage_readings,
     undecoded,
 )
+from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.observation_table import ObservationTable, observation_table
+from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _GREEN = 1
 _DECIMALS = 12  # of metres and of rotations: rows of one photograph then have one setup, to the last digit

@@ -7,8 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench, Target
+from wlr_render.bench.bench_file import (
+    DEVICE_FILE,
+    WRITTEN_FRAME,
+    bench_of,
+    device_from_file,
+    load_bench,
+    save_bench,
+)
+from wlr_render.captures.camera_lens_file import require_plausible_view
 from wlr_render.captures.capture_file import require_on_panel
-from wlr_render.captures.lens_file import require_plausible_view
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan, select_rows
 from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
@@ -17,15 +26,6 @@ from wlr_render.files import resource
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.input_files import require_length
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.bench import Bench, Target
-from wlr_render.simulation.bench_file import (
-    DEVICE_FILE,
-    WRITTEN_FRAME,
-    bench_of,
-    device_from_file,
-    load_bench,
-    save_bench,
-)
 from wlr_render.toml_files import read_toml
 
 FEWEST_CAPTURES = 6

@@ -6,15 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.session_schema import MM
-from wlr_render.errors import BadInputError
-from wlr_render.files import shipped_names
-from wlr_render.geometry.transforms import FRAMES, rigid
-from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device import Device
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.device_writer import device_content, save_device
-from wlr_render.simulation.bench import (
+from wlr_render.bench.bench import (
     Bench,
     Clock,
     EyeballCamera,
@@ -25,7 +17,15 @@ from wlr_render.simulation.bench import (
     Target,
     Tracking,
 )
-from wlr_render.simulation.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
+from wlr_render.bench.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
+from wlr_render.captures.session_schema import MM
+from wlr_render.errors import BadInputError
+from wlr_render.files import shipped_names
+from wlr_render.geometry.transforms import FRAMES, rigid
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.device_writer import device_content, save_device
 from wlr_render.toml_files import Table, read_toml, write_toml
 
 _MOST_POSES = 10_000

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wlr_render.bench.bench import Bench, Clock, EyeballCamera, EyeTracking, Stage, Target
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import RunTimePlan, SessionPlan
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.bench import Bench, Clock, EyeballCamera, EyeTracking, Stage, Target
-from wlr_render.simulation.simulate_session import simulate
 
 ROWS = 40
 IMAGE = 0.08

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.session_captures import captures_of, observations_of, see_through_captures, session_of
+from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.correspondences import Conditions
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.errors import BadInputError
@@ -13,9 +16,6 @@ from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangen
 from wlr_render.geometry.transforms import rigid
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.simulation.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.simulation.session_captures import captures_of, observations_of, see_through_captures, session_of
-from wlr_render.simulation.simulate_session import simulate
 
 CAPTURES, ROWS = 4, 15
 TIME_S = 300.0 * np.arange(CAPTURES)

@@ -1,0 +1,1 @@
+"""The nominal bench and its forward model: what calibration starts from and diagnosis predicts with."""
