@@ -14,7 +14,7 @@ _CODE = re.compile(r"(?<!`)(`[^`\n]+`)(?!`)")
 
 
 def printable(text: str) -> str:
-    """One line of plain text: control, formatting and unencodable characters as Python escapes, e.g. ESC as `\\x1b`."""
+    r"""Escape control, formatting and unencodable characters for one line of plain text, e.g. ESC as `\x1b`."""
     if text.isprintable():
         return text
     return "".join(
