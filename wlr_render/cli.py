@@ -214,7 +214,7 @@ def _refuse_empty(tokens: Sequence[str]) -> None:
 
 
 def make_app() -> App:
-    """The parser of the command line; a verb's module is imported when the verb is used."""
+    """Return the parser of the command line; a verb's module is imported when the verb is used."""
     app = App(
         name=PROGRAM,
         help="World-locked rendering for augmented-reality glasses.",
@@ -267,7 +267,7 @@ def _run(app: App, tokens: Sequence[str], debug: bool) -> int:
 
 
 def _is_of_the_input(error: Exception) -> bool:
-    """Whether the user can do something about an exception; others are defects of the program.
+    """Return whether the user can do something about an exception; others are defects of the program.
 
     Of the errors of the operating system these are files and the disk, and not connections or processes, whose failures
     the program must foresee.

@@ -191,7 +191,7 @@ def _marked(folder: Path | None) -> Iterator[str]:
 
 @functools.cache
 def _versions() -> dict[str, str]:
-    """What has to be the same on all machines, so that results do not depend on which of them computes."""
+    """Return what has to be the same on all machines, so that results do not depend on which of them computes."""
     from importlib import metadata  # a tenth of the time in which the package is imported
 
     major, minor, _ = platform.python_version_tuple()
@@ -203,7 +203,7 @@ def _versions() -> dict[str, str]:
 
 
 def _as_completed(client: "Client", futures: "list[Future]", address: str) -> "Iterator[Future]":
-    """Futures in the order in which they are finished.
+    """Yield the futures in the order in which they are finished.
 
     Raises:
         BadInputError: no worker has been there for long, or the scheduler is gone.

@@ -13,7 +13,7 @@ STATED_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 
 
 def separator_of(row: str) -> str | None:
-    """The separator of a row or header: a semicolon, a tab or a comma; None for blanks, or for a single cell.
+    """Return the separator of a row or header: a semicolon, a tab or a comma; None for blanks, or for a single cell.
 
     A comma is no separator where blanks separate numbers with decimal commas, each after a digit.
     """
@@ -30,7 +30,7 @@ def separator_of(row: str) -> str | None:
 
 
 def cells_of(row: str, separator: str | None) -> tuple[str, ...]:
-    """Cells of a row, stripped and without quotes; decimal commas become points.
+    """Return the cells of a row, stripped and without quotes; decimal commas become points.
 
     A row whose quotes the format does not allow is split at every separator.
     """
@@ -44,7 +44,7 @@ def cells_of(row: str, separator: str | None) -> tuple[str, ...]:
 
 
 def with_commas(lines: Sequence[str]) -> list[str]:
-    """Lines of a table, header first, with commas between cells, decimal points and no quotes."""
+    """Return the lines of a table, header first, with commas between cells, decimal points and no quotes."""
     separator = separator_of(lines[0]) if lines else ","
     if separator == "," and not any('"' in line for line in lines):
         return [*lines]
@@ -52,7 +52,7 @@ def with_commas(lines: Sequence[str]) -> list[str]:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a decimal point."""
+    """Return whether a cell is a number, with a decimal point."""
     try:
         float(cell)
     except ValueError:

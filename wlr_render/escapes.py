@@ -28,13 +28,13 @@ def printable_lines(text: str) -> str:
 
 
 def markdown_text(text: str) -> str:
-    """Text as one line of Markdown without markup, but for code between single backticks."""
+    """Return the text as one line of Markdown without markup, but for code between single backticks."""
     parts = _CODE.split(printable_lines(text).replace("\n", " "))
     return "".join(part if index % 2 else re.sub(r"([\\<\[*])", r"\\\1", part) for index, part in enumerate(parts))
 
 
 def html_code(text: str) -> str:
-    """Text as HTML, with code between single backticks in an element of its own."""
+    """Return the text as HTML, with code between single backticks in an element of its own."""
     parts = _CODE.split(printable_lines(text))
     return "".join(
         f"<code>{html.escape(part[1:-1])}</code>" if index % 2 else html.escape(part)
@@ -43,7 +43,7 @@ def html_code(text: str) -> str:
 
 
 def html_text(value: object) -> object:
-    """A value of a page's template before it is escaped as HTML: browsers obey formatting characters, too."""
+    """Return a value of a page's template before it is escaped as HTML: browsers obey formatting characters, too."""
     return printable_lines(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 

@@ -20,7 +20,7 @@ _NO_EXTRA = {"blender": ("--no-deps", "bpy>=5.0", "OpenEXR>=3.3")}
 
 
 def install_command(extra: str) -> str:
-    """Command that installs an extra's libraries for the running interpreter.
+    """Return the command that installs an extra's libraries for the running interpreter.
 
     It names the libraries as `pyproject.toml` does, not `wlr_render[extra]`: the package is on no index, where others
     may use its name. It names the interpreter, because the shell's `pip` may be another one's.

@@ -42,7 +42,7 @@ _LOCK = ".wlr-render.lock"
 
 
 def _umask() -> int:
-    """Umask of the process. Reading it requires setting it, which is not safe with other threads."""
+    """Return the umask of the process. Reading it requires setting it, which is not safe with other threads."""
     umask = os.umask(0)
     os.umask(umask)
     return umask
@@ -52,7 +52,7 @@ _FILE_MODE = 0o666 & ~_umask()
 
 
 def resource(folder: str, name: str = "") -> Path:
-    """Path of a shipped file: `folder` is "devices", "docs", "scenes" or "shaders".
+    """Return the path of a shipped file: `folder` is "devices", "docs", "scenes" or "shaders".
 
     These folders are inside the package in a wheel, and beside it in a checkout.
     """
@@ -64,12 +64,12 @@ def resource(folder: str, name: str = "") -> Path:
 
 
 def shipped_names(folder: str, suffix: str) -> list[str]:
-    """Stems of the shipped files of one kind, sorted, e.g. shipped_names("devices", ".toml")."""
+    """Return the stems of the shipped files of one kind, sorted, e.g. shipped_names("devices", ".toml")."""
     return sorted(path.stem for path in resource(folder).glob(f"*{suffix}"))
 
 
 def named_or_path(folder: str, spec: str | Path) -> Path:
-    """Path of a shipped file by its name, or of any file by its path.
+    """Return the path of a shipped file by its name, or of any file by its path.
 
     Raises:
         BadInputError: there is no such file; the sentence lists the shipped names.

@@ -54,7 +54,7 @@ class FinishedFiles:
         return [path for path in self.not_whole(paths) if self._name(path) in self._listed and os.path.lexists(path)]
 
     def remark(self, path: Path) -> str:
-        """What was remarked on a file when it was listed, by this run or an earlier one; "" if nothing was."""
+        """Return what was remarked on a file when it was listed, by this run or an earlier one; "" if nothing was."""
         return self._remarks.get(self._name(path), "")
 
     def add(self, paths: Sequence[Path], remark: str = "") -> None:
@@ -132,7 +132,7 @@ def _has_signature(path: Path, signature: Signature) -> bool:
 
 
 def signature_of(path: Path) -> Signature:
-    """Length and SHA-256 of a file.
+    """Return the length and SHA-256 of a file.
 
     Raises:
         BadInputError: it cannot be read.
@@ -142,7 +142,7 @@ def signature_of(path: Path) -> Signature:
 
 
 def digest_of(*what: object) -> str:
-    """Digest of what decides the content of files: values that JSON has."""
+    """Return the digest of what decides the content of files: values that JSON has."""
     return hashlib.sha256(json.dumps(what).encode()).hexdigest()
 
 
@@ -151,7 +151,7 @@ def _open_no_detour(path: str, flags: int) -> int:
 
 
 def _entries(content: bytes) -> Iterator[tuple[str, Signature, str, str]]:
-    """Name, length and SHA-256, job, and remark of each line."""
+    """Yield the name, length and SHA-256, job, and remark of each line."""
     for line in content.splitlines():
         try:
             entry = json.loads(line)

@@ -28,7 +28,7 @@ class SummaryTable(NamedTuple):
 
 
 def html_summary(title: str, sentences: Sequence[str], tables: Sequence[SummaryTable]) -> str:
-    """An HTML fragment of plain text, all of it escaped."""
+    """Return an HTML fragment of plain text, all of it escaped."""
     return "\n".join(
         [
             "<div>",

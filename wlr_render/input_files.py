@@ -91,7 +91,7 @@ def hashes_of_inputs() -> Iterator[dict[str, str]]:
 
 
 def may_refer_outside() -> bool:
-    """Whether this is within `outside_references`."""
+    """Return whether this is within `outside_references`."""
     return _outside.get()
 
 
@@ -159,7 +159,7 @@ def reason_of(error: BaseException) -> str:
 
 
 def shown(value: object, quoted: bool = True) -> str:
-    """Any value as an error sentence shows it: one line of about 100 characters, control characters escaped.
+    """Return any value as an error sentence shows it: one line of about 100 characters, control characters escaped.
 
     Args:
         value: of a file or a caller; an array is described by its shape and type.
@@ -312,7 +312,7 @@ def require_pixels(
 
 
 def _stated_size(content: bytes) -> tuple[int, int]:
-    """Width and height that a picture's header states, before a decoder takes memory for them."""
+    """Return the width and height that a picture's header states, before a decoder takes memory for them."""
     from PIL import Image, UnidentifiedImageError
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
@@ -335,7 +335,7 @@ def _stated_size(content: bytes) -> tuple[int, int]:
 
 
 def inside_folder(folder: str | Path, name: str, where: str) -> Path:
-    """Path of a file that another file refers to.
+    """Return the path of a file that another file refers to.
 
     Args:
         folder: of the file that refers to it.

@@ -53,7 +53,7 @@ def _own_standard_error() -> Iterator[None]:
 
 
 def _descriptor(stream: object) -> int | None:
-    """File descriptor of a stream; None for one in memory, or for none."""
+    """Return the file descriptor of a stream; None for one in memory, or for none."""
     try:
         return stream.fileno() if isinstance(stream, io.TextIOBase) else None
     except OSError:

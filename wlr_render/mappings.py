@@ -44,7 +44,7 @@ class Status(IntEnum):
 
 
 def worst_status(*statuses: StatusArray) -> StatusArray:
-    """Element-wise worst of several broadcastable status arrays; the enumeration is ordered by severity."""
+    """Return the element-wise worst of several broadcastable status arrays; the enumeration is ordered by severity."""
     result = np.asarray(statuses[0], dtype=np.uint8)
     for status in statuses[1:]:
         result = np.maximum(result, status)
@@ -97,12 +97,12 @@ class Panel:
         return np.array([self.width_px, self.height_px], dtype=np.float64)
 
     def pixel_centres(self) -> FloatArray:
-        """Centres of all pixels, shape (height, width, 2)."""
+        """Return the centres of all pixels, shape (height, width, 2)."""
         u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
         return np.stack([u, v], axis=-1)
 
     def grid(self, columns: int, rows: int) -> FloatArray:
-        """A coarse grid of pixel positions, cell-centred over the panel, shape (rows, columns, 2)."""
+        """Return a coarse grid of pixel positions, cell-centred over the panel, shape (rows, columns, 2)."""
         u = (np.arange(columns) + 0.5) / columns * self.width_px
         v = (np.arange(rows) + 0.5) / rows * self.height_px
         return np.stack(np.meshgrid(u, v), axis=-1)
@@ -121,12 +121,12 @@ class EyeBox:
     size: FloatArray
 
     def contains(self, viewpoint: FloatArray, margin: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether viewpoints (..., 3) lie in the box (grown by `margin` metres), (...) bool."""
+        """Return whether viewpoints (..., 3) lie in the box (grown by `margin` metres), (...) bool."""
         inside = np.abs(viewpoint - self.centre) <= 0.5 * self.size + margin
         return np.asarray(np.all(inside, axis=-1))
 
     def at(self, unit: FloatArray) -> FloatArray:
-        """Points at box coordinates -1..1, (..., 3) -> (..., 3)."""
+        """Return the points at box coordinates -1..1, (..., 3) -> (..., 3)."""
         return self.centre + 0.5 * self.size * np.asarray(unit)
 
 
@@ -151,12 +151,12 @@ class FieldOfView:
         return f"{left:g} to {right:+g} x {down:g} to {up:+g} degrees"
 
     def contains(self, view_dir: FloatArray) -> NDArray[np.bool_]:
-        """Whether directions (..., 3) lie in the field of view, (...) bool."""
+        """Return whether directions (..., 3) lie in the field of view, (...) bool."""
         tangents = tangents_of_dir(view_dir)
         return np.asarray(np.all((tangents >= self.low) & (tangents <= self.high), axis=-1))
 
     def directions(self, columns: int, rows: int) -> FloatArray:
-        """A grid of unit directions from edge to edge, evenly spaced in tangents, (rows * columns, 3)."""
+        """Return a grid of unit directions from edge to edge, evenly spaced in tangents, (rows * columns, 3)."""
         tx, ty = (np.linspace(self.low[axis], self.high[axis], n) for axis, n in enumerate((columns, rows)))
         return dir_of_tangents(np.stack(np.meshgrid(tx, ty), axis=-1).reshape(-1, 2))
 
@@ -171,7 +171,7 @@ class DisplayMapping(Protocol):
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Forward query: the view direction of a pixel.
+        """Return the forward query: the view direction of a pixel.
 
         Args:
             pixel: (..., 2) panel pixels.
@@ -194,7 +194,7 @@ class SeeThroughMapping(Protocol):
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Forward query: the world ray behind the optics of a view direction.
+        """Return the forward query: the world ray behind the optics of a view direction.
 
         Returns:
             `value` (..., 6): a point of the ray (metres), then its unit direction, away from the eye. The point
@@ -257,7 +257,7 @@ _OfChannel = TypeVar("_OfChannel")
 
 
 def middle_channel(channels: Sequence[_OfChannel]) -> _OfChannel:
-    """The only or the green one of what each channel of an eye has."""
+    """Return the only or the green one of what each channel of an eye has."""
     return channels[len(channels) // 2]
 
 
@@ -307,7 +307,7 @@ class PlanarSeeThrough(Protocol):
 
 
 def require_planar(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrough]:
-    """Both planar models of an eye.
+    """Return both planar models of an eye.
 
     Raises:
         BadInputError: the mappings are not planar models.

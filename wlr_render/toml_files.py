@@ -41,11 +41,11 @@ class Table:
         self.where = where
 
     def fail(self, sentence: str) -> BadInputError:
-        """Exception for an error in this table; the caller raises it."""
+        """Return the exception for an error in this table; the caller raises it."""
         return BadInputError(f"{self.where}: {sentence}")
 
     def has(self, key: str) -> bool:
-        """Whether the key is present."""
+        """Return whether the key is present."""
         self._asked_for.add(key)
         return key in self._content
 
@@ -59,7 +59,7 @@ class Table:
         return self._content[key]
 
     def text(self, key: str, default: str | None = None, choices: Sequence[str] | None = None) -> str:
-        """A string, optionally one of `choices`."""
+        """Return a string, optionally one of `choices`."""
         if default is not None and not self.has(key):
             return default
         value = self._get(key)
@@ -72,7 +72,7 @@ class Table:
         return value
 
     def file_stem(self, key: str) -> str:
-        """A string that is safe in names of output files: no folder, hidden file or special character."""
+        """Return a string that is safe in names of output files: no folder, hidden file or special character."""
         value = self.text(key)
         if not re.fullmatch(r"\w[\w.-]{0,99}", value):
             raise self.fail(
@@ -86,14 +86,14 @@ class Table:
         return inside_folder(folder, self.text(key), f"{self.where}: '{key}'")
 
     def texts(self, key: str) -> list[str]:
-        """A list of strings, at least one."""
+        """Return a list of strings, at least one."""
         value = self._get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
             raise self.fail(f"'{key}' must be a list of texts in quotes, not {shown(value)}.")
         return value
 
     def flag(self, key: str, default: bool) -> bool:
-        """A boolean."""
+        """Return a boolean."""
         value = self._get(key) if self.has(key) else default
         if not isinstance(value, bool):
             raise self.fail(f"'{key}' must be true or false, not {shown(value)}.")
@@ -107,13 +107,13 @@ class Table:
         most: float = _LARGEST,
         above: float = -_LARGEST,
     ) -> float:
-        """A finite number from `least` to `most`, and greater than `above`."""
+        """Return a finite number from `least` to `most`, and greater than `above`."""
         if default is not None and not self.has(key):
             return default
         return self._number(self._get(key), key, least, most, above)
 
     def whole(self, key: str, least: int = 0, most: int = 10**9) -> int:
-        """A whole number from `least` to `most`."""
+        """Return a whole number from `least` to `most`."""
         value = self.number(key)
         if not least <= value <= most or value != int(value):
             raise self.fail(f"'{key}' must be a whole number from {least} to {most}, not {value:g}.")
@@ -141,7 +141,7 @@ class Table:
         most: float = _LARGEST,
         above: float = -_LARGEST,
     ) -> NDArray[np.float64]:
-        """A list of `size` finite numbers, shape (size,); each in the range of `number`."""
+        """Return a list of `size` finite numbers, shape (size,); each in the range of `number`."""
         value = self._list(key, size) if default is None or self.has(key) else list(default)
         return np.array([self._number(item, key, least, most, above) for item in value])
 
@@ -160,14 +160,14 @@ class Table:
         return value
 
     def numbers(self, key: str) -> NDArray[np.float64]:
-        """A list of any number of finite numbers, shape (n,)."""
+        """Return a list of any number of finite numbers, shape (n,)."""
         value = self._get(key)
         if not isinstance(value, list):
             raise self.fail(f"'{key}' must be a list of numbers, not {shown(value)}.")
         return np.array([self._number(item, key) for item in value])
 
     def vectors(self, key: str, size: int) -> NDArray[np.float64]:
-        """A list of lists of `size` finite numbers each, shape (n, size) with n >= 1."""
+        """Return a list of lists of `size` finite numbers each, shape (n, size) with n >= 1."""
         value = self._get(key)
         whole = isinstance(value, list) and value and all(isinstance(row, list) and len(row) == size for row in value)
         if not whole:
@@ -175,7 +175,7 @@ class Table:
         return np.array([[self._number(item, key) for item in row] for row in value])
 
     def whole_numbers(self, key: str, shape: tuple[int, int]) -> NDArray[np.int64]:
-        """A list of lists of whole numbers."""
+        """Return a list of lists of whole numbers."""
         value, (rows, columns) = self._get(key), shape
         whole = isinstance(value, list) and len(value) == rows
         # Types row by row: in a large table, faster than number by number.
@@ -189,14 +189,14 @@ class Table:
             raise self.fail(f"'{key}' has a number beyond 64 bits; write the file again.") from error
 
     def table(self, key: str) -> "Table":
-        """A sub-table `[key]`."""
+        """Return a sub-table `[key]`."""
         value = self._get(key)
         if not isinstance(value, dict):
             raise self.fail(f"'{key}' must be a table, written [{key}].")
         return Table(value, f"{self.where} [{key}]")
 
     def tables(self, key: str, required: bool = True, most: int = 100_000) -> list["Table"]:
-        """An array of at most `most` tables `[[key]]`, in file order."""
+        """Return an array of at most `most` tables `[[key]]`, in file order."""
         if not required and not self.has(key):
             return []
         value = self._get(key)
@@ -207,18 +207,18 @@ class Table:
         return [Table(item, f"{self.where} [[{key}]] number {i + 1}") for i, item in enumerate(value)]
 
     def unchecked(self, key: str) -> Any:
-        """A value of any type; None if it is absent."""
+        """Return a value of any type; None if it is absent."""
         return self._get(key) if self.has(key) else None
 
     def free(self, key: str) -> dict[str, Any]:
-        """A sub-table whose content is not checked; empty if it is absent."""
+        """Return a sub-table whose content is not checked; empty if it is absent."""
         value = self._get(key) if self.has(key) else {}
         if not isinstance(value, dict):
             raise self.fail(f"'{key}' must be an object.")
         return value
 
     def keys(self) -> list[str]:
-        """All keys present, in file order."""
+        """Return all keys present, in file order."""
         return list(self._content)
 
     def check_head(self, format_name: str, version: int, kind: str) -> None:
@@ -296,7 +296,7 @@ def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") ->
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """The text that `write_toml` writes.
+    """Return the text that `write_toml` writes.
 
     Raises:
         ValueError: a value is not finite or has no TOML type; the sentence names the key.

@@ -42,7 +42,7 @@ class EyeballCamera:
     pupil_offset: FloatArray = field(default_factory=partial(np.zeros, 3))
 
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of tangents (n, 2) in the camera frame, y up."""
+        """Return the pixels (n, 2) of tangents (n, 2) in the camera frame, y up."""
         square = np.sum(tangents * tangents, axis=-1, keepdims=True)
         k1, k2 = self.distortion
         distorted = tangents * (1.0 + square * (k1 + k2 * square))
@@ -76,11 +76,11 @@ class EyeballCamera:
         return float(np.sqrt(min([np.inf, *squares.real[(squares.imag == 0) & (squares.real > 0)]])))
 
     def view_dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Unit directions (n, 3) of pixels (n, 2) in the device frame, before any slip."""
+        """Return the unit directions (n, 3) of pixels (n, 2) in the device frame, before any slip."""
         return np.asarray(dir_of_tangents(self.tangents_of_pixel(pixel)) @ self.device_from_camera.T)
 
     def pixel_of_view_dir(self, view_dir: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of directions (n, 3) in the device frame, before any slip."""
+        """Return the pixels (n, 2) of directions (n, 3) in the device frame, before any slip."""
         return self.pixel_of_tangents(tangents_of_dir(view_dir @ self.device_from_camera))
 
 

@@ -54,7 +54,7 @@ def load_bench(path: str | Path) -> Bench:
 
 
 def device_from_file(file: Table) -> FloatArray:
-    """Rotation (3, 3) from the axes that an opened bench file states to the device frame's."""
+    """Return the rotation (3, 3) from the axes that an opened bench file states to the device frame's."""
     return FRAMES[file.text("frame", choices=sorted(FRAMES))]
 
 
@@ -106,7 +106,7 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
 
 
 def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
-    """The keys of a bench file, by table, that make the old bench the new one, in frame `WRITTEN_FRAME`."""
+    """Return the keys of a bench file, by table, that make the old bench the new one, in frame `WRITTEN_FRAME`."""
     before, after = (_sections(bench, FRAMES[WRITTEN_FRAME]) for bench in (old, new))
     changed: dict[str, dict[str, Any]] = {}
     for table, keys in after.items():
@@ -116,7 +116,7 @@ def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
 
 
 def _sections(bench: Bench, axes: FloatArray) -> dict[str, dict[str, Any]]:
-    """The tables of a bench file with their keys, but for device and target poses."""
+    """Return the tables of a bench file with their keys, but for device and target poses."""
     values = {name: bench if name == "light" else getattr(bench, name) for name in SECTIONS}
     sections = {name: section.written(values[name], axes) for name, section in SECTIONS.items()}
     reported = bench.tracking.true_from_reported
@@ -140,7 +140,7 @@ def _device_key(device: Device, folder: Path) -> str:
 
 
 def _section(file: Table, name: str, axes: FloatArray) -> dict[str, Any]:
-    """What the table states of its part; [camera] and [stage] must be there."""
+    """Return what the table states of its part; [camera] and [stage] must be there."""
     required = name in ("camera", "stage")
     return SECTIONS[name].read(file.table(name), axes) if required or file.has(name) else {}
 

@@ -71,13 +71,13 @@ class Entry:
     least: float = 0.0
 
     def read(self, table: Table, axes: FloatArray) -> FloatArray | float:
-        """The attribute from its keys, in the units and the frame of the bench."""
+        """Return the attribute from its keys, in the units and the frame of the bench."""
         values = [self._value(table, key) for key in self.keys]
         value: FloatArray = self.quantity.of_file(values[0] if len(values) == 1 else np.stack(values), axes)
         return value if value.ndim else float(value)
 
     def written(self, value: FloatArray | float, axes: FloatArray) -> dict[str, Any]:
-        """The inverse of `read`."""
+        """Return the inverse of `read`."""
         in_file: FloatArray = self.quantity.to_file(np.asarray(value), axes) + 0.0  # for -0.0 nobody would write
         if self.rule is COUNT:
             in_file = in_file.astype(np.int64)
@@ -118,7 +118,7 @@ class BenchSection:
     entries: tuple[Entry, ...]
 
     def read(self, table: Table, axes: FloatArray) -> dict[str, Any]:
-        """The attributes that the table states; others keep their defaults."""
+        """Return the attributes that the table states; others keep their defaults."""
         stated = {}
         for entry in self.entries:
             default = self.default(entry)
@@ -129,7 +129,7 @@ class BenchSection:
         return stated
 
     def written(self, value: Any, axes: FloatArray) -> dict[str, Any]:
-        """The keys that say what differs from the defaults."""
+        """Return the keys that say what differs from the defaults."""
         keys: dict[str, Any] = {}
         for entry in self.entries:
             attribute, default = getattr(value, entry.attribute), self.default(entry)
@@ -138,7 +138,7 @@ class BenchSection:
         return keys
 
     def default(self, entry: Entry) -> Any:
-        """What the attribute is where the file does not say; MISSING where it must say."""
+        """Return what the attribute is where the file does not say; MISSING where it must say."""
         field = next(each for each in fields(self.part) if each.name == entry.attribute)
         return field.default if field.default_factory is MISSING else field.default_factory()
 

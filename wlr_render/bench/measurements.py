@@ -109,7 +109,7 @@ def direction_bench(device: Device, table: ObservationTable, source: str | Path)
 
 
 def _captures_in(folder: Path, bench_file: str | Path | None) -> Path | None:
-    """The capture file in a calibration's output folder; None in another folder."""
+    """Return the capture file in a calibration's output folder; None in another folder."""
     found = sorted(folder.glob("captures-*.npz"))
     if (folder / "bench.toml").exists() or not found:
         return None
@@ -168,6 +168,6 @@ def _pose(point: FloatArray, on_target: FloatArray) -> FloatArray | None:
 
 
 def _pitch(point: FloatArray) -> float:
-    """Distance of neighbouring points."""
+    """Return the distance of neighbouring points."""
     places = np.unique(np.round(point, 6), axis=0)
     return float(np.median(KDTree(places).query(places, k=2)[0][:, 1]))

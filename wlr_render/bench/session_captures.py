@@ -46,7 +46,7 @@ def captures_of(bench: Bench, session: Session) -> EyeCaptures:
 
 
 def observations_of(bench: Bench, session: Session) -> ObservationTable:
-    """All observations of a session's panel and targets; `captures_of` takes those of one colour.
+    """Return all observations of a session's panel and targets; `captures_of` takes those of one colour.
 
     Raises:
         BadInputError: it has neither, or by this bench a dot lies behind the camera.
@@ -118,7 +118,7 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
 
 
 def session_of(bench: Bench, table: ObservationTable, name: str) -> Session:
-    """The session that `observations_of` makes this table of: its inverse, for any bench.
+    """Return the session that `observations_of` makes this table of: its inverse, for any bench.
 
     Conditions that are not recorded count as the first moment, a move towards +x, green light, and a camera that is
     turned as the bench says.
@@ -182,7 +182,7 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
 def _camera_readings(
     bench: Bench, plan: DisplayPlan | SeeThroughPlan, captures: DisplayCaptures | SeeThroughCaptures, name: str
 ) -> tuple[FloatArray, FloatArray | None, FloatArray]:
-    """Stage readings (n, 3), rotations (n, 3, 3) if there are any, and camera pixels (n, 2) of captures.
+    """Return the stage readings (n, 3), rotations (n, 3, 3) if there are any, and camera pixels (n, 2) of captures.
 
     Args:
         bench: what is believed.
@@ -220,24 +220,24 @@ def _recorded(captures: DisplayCaptures | SeeThroughCaptures) -> Conditions:
 
 
 def _moments(conditions: Conditions) -> tuple[FloatArray, FloatArray]:
-    """Times (n,) and directions of the last move (n,)."""
+    """Return the times (n,) and directions of the last move (n,)."""
     return np.nan_to_num(conditions.time_s), np.where(np.isfinite(conditions.travel), conditions.travel, 1.0)
 
 
 def _numbers(captures: DisplayCaptures | SeeThroughCaptures) -> IntArray:
-    """Numbers (n,) of the photographs: those of the camera places, unless the visits were recorded."""
+    """Return the numbers (n,) of the photographs: those of the camera places, unless the visits were recorded."""
     visit = _recorded(captures).visit
     return visit if np.all(visit >= 0) else captures.capture
 
 
 def _numbered_on(rows: SeeThroughPlan) -> IntArray:
-    """Numbers (n,) of the photographs: those of a session count from 0 for every pose of the target."""
+    """Return the numbers (n,) of the photographs: those of a session count from 0 for every pose of the target."""
     pairs = np.stack([rows.target_pose, rows.capture], axis=1)
     return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)
 
 
 def _sigma_px(camera: EyeballCamera, rows: DisplayPlan | SeeThroughPlan) -> FloatArray:
-    """Standard deviation of each reading per axis, camera pixels (n,)."""
+    """Return the standard deviation of each reading per axis, camera pixels (n,)."""
     return np.full(len(rows), camera.point_sigma_px) if rows.sigma_px is None else rows.sigma_px
 
 
@@ -252,6 +252,6 @@ def _sigmas(
 
 
 def _arcmin_per_px(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
-    """Angle of a camera pixel at each pixel (n, 2): the geometric mean of radially and across, (n,)."""
+    """Return the angle of a camera pixel at each pixel (n, 2): the geometric mean of radially and across, (n,)."""
     square = np.sum(camera.tangents_of_pixel(pixel) ** 2, axis=1)
     return np.asarray((1.0 + square) ** -0.75 / np.sqrt(np.prod(camera.focal_px)) / ARCMIN)

@@ -74,7 +74,7 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
 
 
 def bench_for_session(bench: Bench, own: Bench, path: str | Path, folder: str | Path) -> Bench:
-    """Another bench model with what belongs to a session: its target poses and the noise of its readings.
+    """Return another bench model with what belongs to a session: its target poses and the noise of its readings.
 
     All corrections, those of the target (scale, bow, tracking) included, are the bench's. A bow that differs from pose
     to pose goes with the pitch of the dots, which tells the targets apart. If the session has no target poses, the
@@ -102,7 +102,7 @@ def bench_for_session(bench: Bench, own: Bench, path: str | Path, folder: str | 
 
 
 def _bow_of(corrected: Target, own: Target, path: str | Path, folder: str | Path) -> FloatArray:
-    """Bow (1 or k, 2) by a corrected target at the k poses of a session's own."""
+    """Return the bow (1 or k, 2) by a corrected target at the k poses of a session's own."""
     bow = corrected.bow
     if np.ptp(bow, axis=0).max() == 0.0:
         return bow[:1]

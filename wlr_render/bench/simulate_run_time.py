@@ -15,7 +15,7 @@ _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
 
 
 def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
-    """Camera pixels (n, 4) of the virtual dot (2) and the real dot (2) as the true pupil sees them.
+    """Return the camera pixels (n, 4) of the virtual dot (2) and the real dot (2) as the true pupil sees them.
 
     The frame is drawn for the head pose and the tracked viewpoint of its row's time, with exact models of the headset.
     It is seen later by the clock's latency and, row by row of the panel, its scan-out, when the head has moved on, and
@@ -37,12 +37,12 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _display(optics: EyeOptics, wavelength_um: float) -> TracedDisplay:
-    """The display's mapping; its fitted first guess is worth keeping while only tracking and clock change."""
+    """Return the display's mapping; its fitted first guess is worth keeping while only tracking and clock change."""
     return TracedDisplay(optics, wavelength_um)
 
 
 def _dot_in_device(plan: RunTimePlan, later_s: FloatArray) -> FloatArray:
-    """Dots (n, 3) in the device frame, each `later_s` (n,) after its row's time, the head moving on evenly."""
+    """Return dots (n, 3) in the device frame, each `later_s` (n,) after its row's time, the head moving on evenly."""
     turn = rotations_of_vectors(plan.head_rate * later_s[:, None])
     world_from_device = turn @ plan.world_from_device[:, :3, :3]
     position = plan.world_from_device[:, :3, 3] + plan.head_velocity * later_s[:, None]

@@ -55,7 +55,7 @@ class ObservedPoints:
             return np.asarray(np.where(lost[:, None], np.nan, across / (viewpoint[:, 2] - point[:, 2])[:, None]))
 
     def tangents_from_miss(self, tangents: FloatArray) -> FloatArray:
-        """Inverse Jacobian (n, 2, 2) of the miss by the tangents; NaN where it is singular."""
+        """Return the inverse Jacobian (n, 2, 2) of the miss by the tangents; NaN where it is singular."""
         here = self.miss(tangents)
         columns = [(self.miss(tangents + shift) - here) / _TANGENT_STEP for shift in _TANGENT_STEP * np.eye(2)]
         (a, c), (b, d) = columns[0].T, columns[1].T
@@ -68,7 +68,7 @@ class ObservedPoints:
         return np.asarray(tangents - np.einsum("nij,nj->ni", tangents_from_miss, self.miss(tangents)))
 
     def solved_from(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Tangents (n, 2) by as many such steps as it takes; rows that do not settle are solved from cold.
+        """Return the tangents (n, 2) by as many such steps as it takes; rows that do not settle are solved from cold.
 
         A point that the neighbour sees and that has come to lie past the edge of an aperture keeps its tangents.
         """
@@ -117,7 +117,7 @@ class DotViews:
         return _observed_points(self.bench, self.plan).tangents_from_miss(self.tangents)
 
     def of_rows(self, plan: SeeThroughPlan, rows: BoolArray) -> "DotViews":
-        """The views of some rows (n,), which are all rows of `plan`."""
+        """Return the views of some rows (n,), which are all rows of `plan`."""
         some = DotViews(self.bench, plan)
         some.__dict__["tangents"] = self.tangents[rows]
         return some
@@ -167,7 +167,7 @@ def _observed_points(bench: Bench, plan: SeeThroughPlan) -> ObservedPoints:
 
 
 def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
-    """Decoded panel position (n, 2) for each display row: one trace."""
+    """Return the decoded panel position (n, 2) for each display row: one trace."""
     viewpoint, view_dir = camera_positions(bench, plan), display_dirs(bench, plan)
     pixel = np.full((len(plan), 2), np.nan)
     for channel in np.unique(plan.channel):
@@ -187,32 +187,32 @@ def decoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
 
 
 def undecoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
-    """The inverse of `decoded`."""
+    """Return the inverse of `decoded`."""
     centre, scale = _readout(bench, plan)
     return np.asarray(centre + (pixel - bench.readout.origin_px - centre) / scale + _creep_px(bench, plan))
 
 
 def _readout(bench: Bench, plan: DisplayPlan) -> tuple[FloatArray, FloatArray]:
-    """The panel's centre (2,) and the magnification about it for each row (n, 1)."""
+    """Return the panel's centre (2,) and the magnification about it for each row (n, 1)."""
     return 0.5 * bench.optics.panel.pixels.size_px, bench.readout.channel_scale[plan.channel][:, None]
 
 
 def _creep_px(bench: Bench, plan: DisplayPlan) -> FloatArray:
-    """How far the panel has crept at each row, (n, 2) panel pixels."""
+    """Return how far the panel has crept at each row, (n, 2) panel pixels."""
     panel, mount = bench.optics.panel, bench.mount
     warm = 1.0 - np.exp(-plan.time_s / mount.warm_up_s)
     return np.asarray(warm[:, None] * mount.panel_creep / panel.size * panel.pixels.size_px)
 
 
 def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> FloatArray:
-    """Camera pixel (n, 2) of each dot that is seen in the direction of its tangents (n, 2), device frame."""
+    """Return the camera pixel (n, 2) of each dot that is seen in the direction of its tangents (n, 2), device frame."""
     _, _, device_from_camera = dot_geometry(bench, plan)
     in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
     return bench.camera.pixel_of_tangents(tangents_of_dir(in_camera))
 
 
 def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Camera positions (n, 3), dots (n, 3) and camera orientations (n, 3, 3), device frame."""
+    """Return the camera positions (n, 3), dots (n, 3) and camera orientations (n, 3, 3), device frame."""
     viewpoint, device_from_camera = camera_positions(bench, plan), camera_orientations(bench, plan)
     point = _dots(bench, plan)
     if plan.bare_pixel is not None:
@@ -229,21 +229,21 @@ def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatA
 
 
 def stage_readings(bench: Bench, plan: DisplayPlan | SeeThroughPlan, position: FloatArray) -> FloatArray:
-    """The inverse of `camera_positions`: readings (n, 3) at camera positions (n, 3)."""
+    """Return the inverse of `camera_positions`: readings (n, 3) at camera positions (n, 3)."""
     origin = bench.stage.origin
     moved = position - _displacements(bench, plan) - origin
     return np.asarray(origin + moved @ np.linalg.inv(bench.stage.axes).T)
 
 
 def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
-    """Camera positions minus positions of the stage, (n, 3): pupil offset, backlash and slip."""
+    """Return the camera positions minus positions of the stage, (n, 3): pupil offset, backlash and slip."""
     moved = np.where((plan.time_s >= bench.mount.slip_time_s)[:, None], bench.mount.slip, 0.0)
     moved[:, 0] += np.where(plan.travel > 0, *bench.stage.backlash)
     return np.asarray(moved + bench.camera.pupil_offset)
 
 
 def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
-    """Rotations device_from_camera (n, 3, 3) of the camera as it truly looks."""
+    """Return the rotations device_from_camera (n, 3, 3) of the camera as it truly looks."""
     turned = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
     if plan.orientation is not None:
         turned = plan.orientation @ turned
@@ -251,13 +251,13 @@ def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> Flo
 
 
 def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
-    """Rotations (n, 3, 3) of the camera in the device frame by the slip, the identity before it."""
+    """Return the rotations (n, 3, 3) of the camera in the device frame by the slip, the identity before it."""
     slipped = (time_s >= bench.mount.slip_time_s)[:, None, None]
     return np.asarray(np.where(slipped, rotations_of_vectors(bench.mount.slip_rotation), np.eye(3)))
 
 
 def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
-    """Unit directions (n, 3) in which the camera truly looks in each display row, device frame."""
+    """Return the unit directions (n, 3) in which the camera truly looks in each display row, device frame."""
     if plan.orientation is None and not bench.mount.slip_rotation.any():
         return bench.camera.view_dir_of_pixel(plan.camera_pixel)
     in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(plan.camera_pixel))

@@ -191,7 +191,7 @@ def _check_values(file: Path, values: FloatArray, count: int, model: str) -> Non
 
 
 def _lens_camera(size_px: tuple[int, int], core: FloatArray, terms: FloatArray, kind: str) -> LensCamera:
-    """Camera from OpenCV's (fx, fy, cx, cy); terms that are left out are zero."""
+    """Return the camera from OpenCV's (fx, fy, cx, cy); terms that are left out are zero."""
     filled = np.zeros(len(LENS_KINDS[kind]))
     filled[: len(terms)] = terms
     return LensCamera(size_px, core[:2], core[2:] - OPENCV_PIXEL_SHIFT, filled, kind)
@@ -217,7 +217,7 @@ def _lens_of_keys(file: Path, text: str) -> LensCamera:
 
 
 def _camera_of(file: Path, content: dict[str, Any]) -> dict[str, Any]:
-    """The camera in a file of ROS, Kalibr or another program, with a camera matrix."""
+    """Return the camera in a file of ROS, Kalibr or another program, with a camera matrix."""
     program = next((program for key, program in _OTHER_PROGRAMS.items() if key in content), None)
     if program is not None:
         raise BadInputError(f"{file}: is a file of {program}, which is not read; {_AS_ROS}.")
@@ -244,7 +244,7 @@ def _refuse_other_programs(file: Path, text: str) -> None:
 
 
 def _opencv_content(file: Path, text: str) -> dict[str, Any]:
-    """Keys and values of a file of OpenCV, those of a lens only."""
+    """Return the keys and values of a file of OpenCV, those of a lens only."""
     with parsing(file, "a YAML, XML or JSON file of OpenCV", "save it with cv2.FileStorage"):
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid while the storage is
@@ -255,7 +255,7 @@ def _opencv_content(file: Path, text: str) -> dict[str, Any]:
 
 
 def _plain(node: Any) -> Any:
-    """Value of a node: a list for a matrix or a list, a number or text."""
+    """Return the value of a node: a list for a matrix or a list, a number or text."""
     if node.isMap():
         return _plain(node.getNode("data"))  # not `node.mat()`, which damaged files make write past its memory
     if node.isSeq():  # a node of many numbers takes time quadratic in them
@@ -264,7 +264,7 @@ def _plain(node: Any) -> Any:
 
 
 def _kalibr_camera(file: Path, content: dict[str, Any]) -> dict[str, Any]:
-    """A camera of Kalibr with a camera matrix from its intrinsics."""
+    """Return a camera of Kalibr with a camera matrix from its intrinsics."""
     model = content["camera_model"]
     if model != "pinhole":
         raise BadInputError(
@@ -320,7 +320,7 @@ def _lens_of_matrix(file: Path, matrix: FloatArray, terms: FloatArray, size: Flo
 
 
 def _kind(file: Path, content: Mapping[str, Any], terms: FloatArray) -> str:
-    """Kind of lens by the names that the file gives it and the number of its terms."""
+    """Return the kind of lens by the names that the file gives it and the number of its terms."""
     stated = _first(content, _MODEL_KEYS)
     model = re.sub(r"[ -]", "_", stated.lower()) if isinstance(stated, str) else ""
     flag = _values(file, content, _FISHEYE_KEYS)
@@ -349,12 +349,12 @@ def _kind(file: Path, content: Mapping[str, Any], terms: FloatArray) -> str:
 
 
 def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:
-    """Value of the first key that the file has, or None."""
+    """Return the value of the first key that the file has, or None."""
     return next((content[key] for key in keys if content.get(key) is not None), None)
 
 
 def _values(file: Path, content: Mapping[str, Any], keys: Sequence[str]) -> FloatArray:
-    """Numbers (n,) under the first key that the file has."""
+    """Return the numbers (n,) under the first key that the file has."""
     value = _first(content, keys)
     numbers = [] if value is None else _numbers(value)
     if len(numbers) > _LONGEST_LIST:

@@ -133,7 +133,7 @@ def load_observations(path: str | Path) -> ObservationTable:
 
 
 def place_warnings(captures: EyeCaptures) -> list[str]:
-    """A sentence where the camera places span little of the eye box, as with a unit that is off by ten."""
+    """Return a sentence where the camera places span little of the eye box, as with a unit that is off by ten."""
     warnings = []
     for name, side in (("display", captures.display), ("see-through", captures.see_through)):
         if side is None or len(np.unique(side.capture)) < 2:
@@ -173,7 +173,7 @@ def _table(header: Table, arrays: dict[str, NDArray[Any]], path: str | Path) -> 
 
 
 def _common_arrays(common: CommonErrors) -> list[tuple[str, NDArray[Any]]]:
-    """Arrays of common errors by their names in a file."""
+    """Return the arrays of common errors by their names in a file."""
     found: list[tuple[str, NDArray[Any]]] = [("capture", common.capture), ("motion", common.motion)]
     if len(common.target_pose):
         found += [(name, getattr(common, name)) for name in _OF_TARGETS]

@@ -49,7 +49,7 @@ class CodeFiles:
         return [number for number, files in enumerate(self.pictures) if not files]
 
     def end_of_scale(self, kind: PhotographFormat) -> float:
-        """Value from which a pixel of `read` is saturated."""
+        """Return the value from which a pixel of `read` is saturated."""
         return kind.end_of_scale * (max(self.exposures_s) / min(self.exposures_s) if self.exposures_s else 1.0)
 
     def read(self, kind: PhotographFormat) -> Iterator[CodeImage | None]:
@@ -137,7 +137,7 @@ def find_code_files(
 
 
 def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[str, float]]:
-    """Order of showing, role by file name, and exposure time in seconds by file or folder name."""
+    """Return the order of showing, role by file name, and exposure time in seconds by file or folder name."""
     if path.suffix == ".toml":
         table = read_toml(path)
         order = table.text("order", order, choices=CODE_ORDERS)
@@ -218,7 +218,7 @@ def _number_of_role(role: str, names: Sequence[str]) -> int | None:
 
 
 def _plain_role(role: str) -> str:
-    """A role as patterns name their pictures, e.g. "u bit 3" for "column_bit_3"."""
+    """Return a role as patterns name their pictures, e.g. "u bit 3" for "column_bit_3"."""
     words = role.lower().replace("_", " ").split()
     if words and words[0] in _AXES:
         words[0] = _AXES[words[0]]
@@ -226,7 +226,7 @@ def _plain_role(role: str) -> str:
 
 
 def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Path) -> tuple[tuple[Path, ...], ...]:
-    """Files of each picture, from their names alone."""
+    """Return the files of each picture, from their names alone."""
     found: list[tuple[Path, ...]] = [()] * len(names)
     stated = [re.sub(r"^\d+[_ -]", "", path.stem) for path in paths]
     roles = [_number_of_role(each, names) for each in stated]
@@ -287,7 +287,7 @@ def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:
 
 
 def _exposure_folders(folder: Path) -> list[Path]:
-    """Folders below one that holds no photographs itself, from the shortest name to the longest number."""
+    """Return the folders below one that holds no photographs itself, from the shortest name to the longest number."""
     if not folder.is_dir() or any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
         return []
     return sorted(

@@ -109,7 +109,7 @@ class CaptureMotionPrior:
 
 
 def point_terms(point: FloatArray) -> FloatArray:
-    """Terms 1, X, Y, Z, X^2, X Y, Y^2 (n, 7) of real points (n, 3), by which `CommonErrors.target` changes."""
+    """Return terms 1, X, Y, Z, X^2, X Y, Y^2 (n, 7) of real points (n, 3), by which `CommonErrors.target` changes."""
     (x, y, z), one = point.T, np.ones(len(point))
     return np.stack([one, x, y, z, x * x, x * y, y * y], axis=-1)
 
@@ -167,7 +167,7 @@ class CommonErrors:
             )
 
     def of(self, capture: IntArray) -> FloatArray:
-        """Motions (m, 6, k) of captures (m,), some of which may be the same.
+        """Return the motions (m, 6, k) of captures (m,), some of which may be the same.
 
         Raises:
             BadInputError: there is none for one of them.
@@ -175,7 +175,7 @@ class CommonErrors:
         return self.motion[_found(self.capture, capture, "the common errors have no motion", "capture")]
 
     def combined(self, root: FloatArray, sources: Sequence[str]) -> "CommonErrors":
-        """The errors by other variables (m,), of other sources: variables = root (k, m) @ others."""
+        """Return the errors by other variables (m,), of other sources: variables = root (k, m) @ others."""
         lens = self.lens
         if lens is not None:
             change = lens.coefficients.reshape(len(lens.orders), 2, -1) @ root
@@ -202,7 +202,7 @@ class CommonErrors:
     def _of_camera(
         self, captures: "DisplayCaptures | SeeThroughCaptures", rows: slice | IntArray, pose: IntArray | None
     ) -> FloatArray:
-        """Change (n, 2, k) of device tangents by lens and focus."""
+        """Return the change (n, 2, k) of device tangents by lens and focus."""
         if self.lens is None and not self.focus.any():
             return np.zeros((1, 2, 1))
         assert captures.conditions is not None
@@ -462,7 +462,7 @@ class EyeCaptures:
 
 
 def _summary(parts: "Sequence[_Rows]") -> str:
-    """What notebooks show of captures of one eye."""
+    """Return what notebooks show of captures of one eye."""
     columns = ("captures", "directions", "camera positions", "their range, x, y, z (mm)", "targets", "sigma (arcmin)")
     rows = []
     for part in parts:
@@ -519,13 +519,13 @@ def _joined(name: str, values: Sequence[Any], counts: Sequence[int]) -> Any:
 
 
 def _of_one_width(stages: Sequence[FloatArray]) -> list[FloatArray]:
-    """Stage readings (n, m), those without a reading filled up with NaN."""
+    """Return the stage readings (n, m), those without a reading filled up with NaN."""
     width = max(each.shape[1] for each in stages)
     return [np.pad(each, ((0, 0), (0, width - each.shape[1])), constant_values=np.nan) for each in stages]
 
 
 def _per_row(captures: DisplayCaptures | SeeThroughCaptures | Conditions) -> list[str]:
-    """Names of what has a row for each capture."""
+    """Return the names of what has a row for each capture."""
     return [f.name for f in fields(captures) if isinstance(getattr(captures, f.name), np.ndarray | Conditions)]
 
 

@@ -88,7 +88,7 @@ class Decoded:
         return np.asarray(self.rejection == Rejection.ACCEPTED)
 
     def counts(self) -> dict[Rejection, int]:
-        """Number of camera pixels per rejection, without zero counts."""
+        """Return the number of camera pixels per rejection, without zero counts."""
         number = np.bincount(self.rejection.ravel(), minlength=len(Rejection))
         return {reason: int(number[reason]) for reason in Rejection if number[reason]}
 
@@ -186,7 +186,7 @@ def coarse_variance(cell_px: NDArray[np.uint8]) -> FloatArray:
 
 
 def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray:
-    """(n,) variance of the panel's cells in the mean of a whole window over that in a smoothed pixel.
+    """Return (n,) variance of the panel's cells in the mean of a whole window over that in a smoothed pixel.
 
     Args:
         slope: (n, 2, 2) change of both panel axes along x (slope[:, 0]) and y, panel pixels per camera pixel.
@@ -198,7 +198,7 @@ def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray
 
 
 def mean_of_cell_errors(periods: FloatArray, width: int) -> FloatArray:
-    """(...) part of the variance of errors of counted cells that a mean over width x width camera pixels leaves.
+    """Return (...) part of the variance of errors of counted cells that a mean over width x width camera pixels leaves.
 
     The harmonics and their shares are those of a Gray code seen blurred.
 
@@ -211,7 +211,7 @@ def mean_of_cell_errors(periods: FloatArray, width: int) -> FloatArray:
 
 
 def left_of_wave(frequency: FloatArray, width: int) -> FloatArray:
-    """(...) part of a wave's variance that the mean over width x width camera pixels leaves.
+    """Return (...) part of a wave's variance that the mean over width x width camera pixels leaves.
 
     Args:
         frequency: (2, ...) periods per camera pixel in x and y.

@@ -134,7 +134,7 @@ class ObservationTable:
         return EyeCaptures(display, self.see_through())
 
     def _common(self, rows: BoolArray) -> dict[str, Any]:
-        """What both kinds of captures take."""
+        """Return what both kinds of captures take."""
         columns = {name: getattr(self, name)[rows] for name in ("viewpoint", "view_dir", "capture", "sigma_arcmin")}
         return columns | {"device": self.device, "eye": self.eye, "conditions": select(self.conditions, rows)}
 

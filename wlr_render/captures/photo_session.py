@@ -274,7 +274,7 @@ class PhotoSession:
         return int(str(self.gauge).removeprefix("target ")) if named else None
 
     def board_of(self, target_pose: int) -> Board:
-        """The board at a target pose."""
+        """Return the board at a target pose."""
         given = self.targets.get(target_pose)
         return self.board if given is None or given.board is None else given.board
 
@@ -290,5 +290,5 @@ class PhotoSession:
         )
 
     def name_of(self, path: Path) -> str:
-        """A photograph's or folder's name as reports give it."""
+        """Return a photograph's or folder's name as reports give it."""
         return str(path.relative_to(self.folder)) if path.is_relative_to(self.folder) else str(path)

@@ -82,7 +82,7 @@ def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray,
 
 
 def _sigma(table: Table, count: int) -> FloatArray | None:
-    """(count,) standard deviations of fx, fy, cx, cy and the distortion; None if the file states none."""
+    """Return (count,) standard deviations of fx, fy, cx, cy and the distortion; None if the file states none."""
     several = [key for key in ("focal_sigma_px", "centre_sigma_px") if table.has(key)]
     if table.has("sigma") and several:
         raise table.fail(f"give either 'sigma' or '{several[0]}', not both.")
@@ -101,7 +101,7 @@ def _sigma(table: Table, count: int) -> FloatArray | None:
 
 
 def written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
-    """The keys that `read_camera` reads as the same camera."""
+    """Return the keys that `read_camera` reads as the same camera."""
     keys: dict[str, Any] = {"width_px": camera.size_px[0], "height_px": camera.size_px[1]}
     keys |= camera.format.keys()
     if camera.known_sigma is not None:

@@ -193,7 +193,7 @@ def _reachable(session: PhotoSession) -> set[Node]:
 
 
 def _camera(session: PhotoSession, entry: Entry) -> Node:
-    """What fixes the camera: its orientation on the stage, or without a stage its place."""
+    """Return what fixes the camera: its orientation on the stage, or without a stage its place."""
     return ("camera", entry.place if session.stage is None else entry.orientation)
 
 

@@ -101,7 +101,7 @@ def _axis(table: Table, axes: FloatArray, in_camera: bool) -> StageAxis:
 
 
 def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
-    """The table [stage] that `read_stage` reads as the same; empty if the file needs none."""
+    """Return the table [stage] that `read_stage` reads as the same; empty if the file needs none."""
     if session.stage is None:
         return {"kind": "none"}
     keys: dict[str, Any] = {}
@@ -126,7 +126,7 @@ def _written_axis(axis: StageAxis, axes: FloatArray) -> dict[str, Any]:
 
 
 def _is_plain(stage: StageDescription) -> bool:
-    """Whether a file needs no axes for it: three linear ones about which nothing is known."""
+    """Return whether a file needs no axes for it: three linear ones about which nothing is known."""
     return len(stage.axes) == 3 and all(each.kind == "linear" and each.direction is None for each in stage.axes)
 
 
@@ -256,7 +256,7 @@ class EntryFormat:
 
 
 def stage_lists(session: PhotoSession) -> dict[str, Sequence[Entry]]:
-    """The lists of what the eyeball camera took, by their names in the file."""
+    """Return the lists of what the eyeball camera took, by their names in the file."""
     return {name: getattr(session, name) for name in ("bare", "beside", "see_through", "display")}
 
 
@@ -277,7 +277,7 @@ def with_places(session: PhotoSession, form: EntryFormat | None = None) -> Photo
 
 
 def place_groups(entries: Sequence[Entry], stage: StageDescription, tolerance_m: float) -> IntArray:
-    """Number the groups of entries of one orientation whose stage readings lie within the tolerance, (n,)."""
+    """Return number the groups of entries of one orientation whose stage readings lie within the tolerance, (n,)."""
     orientation = np.array([each.orientation for each in entries])
     lever = [1.0 if axis.kind == "linear" else _LEVER_M for axis in stage.axes]
     reading = np.array([each.stage for each in entries], dtype=np.float64).reshape(len(entries), -1) * lever
@@ -307,7 +307,7 @@ def place_names(entries: Sequence[Entry], form: EntryFormat, tolerance_m: float)
 
 
 def positive(table: Table, key: str, most: float) -> float:
-    """A number above 0 and not above `most`.
+    """Return a number above 0 and not above `most`.
 
     Raises:
         BadInputError: it is not.
@@ -319,5 +319,5 @@ def positive(table: Table, key: str, most: float) -> float:
 
 
 def rounded(value: Any) -> Any:
-    """A number or an array as a list, without the digits that only rounding makes."""
+    """Return a number or an array as a list, without the digits that only rounding makes."""
     return (np.round(value, 9) + 0.0).tolist()

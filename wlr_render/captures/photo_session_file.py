@@ -141,7 +141,7 @@ def _of_each_eye(
 def _panels(
     file: Table, root: Path, eyes: Sequence[str]
 ) -> tuple[dict[str, SessionPanel], dict[str, float], str, Path | None]:
-    """The panels, and of [code]: limits of decoding, order and manifest of the photographs."""
+    """Return the panels, and of [code]: limits of decoding, order and manifest of the photographs."""
     sizes = _of_each_eye(file, "panel", eyes, _panel)
     table = file.table("code")
     name = table.text("pattern", choices=list(PATTERNS))
@@ -206,7 +206,7 @@ def _pose(table: Table, axes: FloatArray, limits_mm: tuple[float, float]) -> Flo
 
 
 def _pose_sigma(table: Table) -> tuple[float, float]:
-    """Standard deviations of rotation and translation, radians and metres."""
+    """Return the standard deviations of rotation and translation, radians and metres."""
     return float(np.radians(positive(table, "sigma_deg", 180))), _MM * positive(table, "sigma_mm", _DEVICE_MM)
 
 
@@ -279,7 +279,7 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
 
 
 def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, list[dict[str, Any]]]:
-    """The lists of photographs; of places only those that do not follow from the stage readings."""
+    """Return the lists of photographs; of places only those that do not follow from the stage readings."""
     entries = [(name, each) for name, listed in stage_lists(session).items() for each in listed]
     unnamed = [each if session.stage is None else replace(each, place="") for _, each in entries]
     written: dict[str, list[dict[str, Any]]] = {name: [] for name in stage_lists(session)}

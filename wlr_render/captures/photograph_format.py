@@ -128,7 +128,7 @@ class PhotographFormat:
         )
 
     def keys(self) -> dict[str, Any]:
-        """Keys of a camera's table from which `from_table` reads the same format; defaults are left out."""
+        """Return the keys of a camera's table from which `from_table` reads the same format; defaults are left out."""
         found: dict[str, Any] = {"bits": self.bits}
         default = PhotographFormat(bits=self.bits)
         for name in ("saturation", "left_justified", "black_level", "gamma", "channel", "mosaic", "interpolate"):
@@ -173,7 +173,7 @@ class PhotographFormat:
         return linear
 
     def _right_justified(self, stored: StoredValues, name: str) -> tuple[StoredValues, float]:
-        """Values shifted down if they fill the upper bits, and the smallest saturated one."""
+        """Return the values shifted down if they fill the upper bits, and the smallest saturated one."""
         if 8 * stored.itemsize < self.bits:
             raise BadInputError(
                 f"{name}: has {8 * stored.itemsize} bits a pixel, too few for a camera with values up to "
@@ -217,7 +217,7 @@ class PhotographFormat:
         return np.asarray(np.rint(mean), dtype=linear.dtype), np.asarray(np.any([mask for *_, mask in chosen], axis=0))
 
     def _of_colours(self, linear: StoredValues) -> StoredValues:
-        """(h, w) the channel, of (h, w, 3) linear red, green and blue."""
+        """Return (h, w) the channel, of (h, w, 3) linear red, green and blue."""
         if self.channel != "grey":
             return np.ascontiguousarray(linear[..., CHANNELS.index(self.channel) - 1])
         return np.asarray(np.rint(linear @ _LUMA), dtype=linear.dtype)
@@ -227,20 +227,20 @@ _COLOUR_NAMES = {name[0]: name for name in CHANNELS[1:]}
 
 
 def is_left_justified(stored: StoredValues, bits: int) -> bool:
-    """Whether values of so many bits fill the upper bits of 16: all lower bits of the whole picture are zero."""
+    """Return whether values of so many bits fill the upper bits of 16: all lower bits of the whole picture are zero."""
     if stored.itemsize != 2 or not 8 <= bits < 16:
         return False
     return not int(np.bitwise_or.reduce(stored, axis=None)) & (2 ** (16 - bits) - 1)
 
 
 def _rounded(light: StoredValues, largest: int) -> StoredValues:
-    """A copy with no value above `largest`."""
+    """Return a copy with no value above `largest`."""
     return np.minimum(light, light.dtype.type(min(largest, np.iinfo(light.dtype).max)))
 
 
 @cache
 def _linear_table(kind: PhotographFormat) -> NDArray[np.uint16]:
-    """(65536,) uint16 light of each stored value: 0 at the black level, `full_scale` at saturation."""
+    """Return (65536,) uint16 light of each stored value: 0 at the black level, `full_scale` at saturation."""
     value = np.arange(65536.0)
     if kind.linearisation:
         stored, light = np.array(kind.linearisation).T
@@ -252,7 +252,7 @@ def _linear_table(kind: PhotographFormat) -> NDArray[np.uint16]:
 
 
 def _read_linearisation(path: Path) -> tuple[tuple[float, float], ...]:
-    """Pairs (stored value, light) of a text file: two columns, or one with the light of the values 0, 1, 2, ...
+    """Return pairs (stored value, light) of a text file: two columns, or one with the light of the values 0, 1, 2, ...
 
     Raises:
         BadInputError: there is no such file, it does not hold numbers, or they do not increase.

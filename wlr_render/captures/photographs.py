@@ -55,7 +55,7 @@ def _converted(stored: Photograph, path: str | Path, kind: PhotographFormat | No
 
 
 def file_note(path: Path, kind: PhotographFormat) -> str:
-    """Sentence about what was found out about a camera's files and not stated; empty if nothing was."""
+    """Return the sentence about what was found out about a camera's files and not stated; empty if nothing was."""
     if kind.left_justified is None and kind.bits < 16 and is_left_justified(_stored_values(path), kind.bits):
         return (
             f"{path.name}: values of {kind.bits} bits fill the upper bits of 16 and were shifted down; state "
@@ -65,7 +65,7 @@ def file_note(path: Path, kind: PhotographFormat) -> str:
 
 
 def _stored_values(path: Path) -> Photograph:
-    """(h, w) or (h, w, 3) red, green, blue as the file has them; uint8 or uint16."""
+    """Return (h, w) or (h, w, 3) red, green, blue as the file has them; uint8 or uint16."""
     content = read_bytes(path, LIMITS.picture_bytes, "take the photograph, or correct its name")
     if path.suffix.lower() == ".npy":
         stored = _numpy_array(path, content)
@@ -115,7 +115,7 @@ def _raw_picture(path: Path, content: bytes) -> Photograph:
 
 
 def exposure_of(path: Path) -> float | None:
-    """Exposure time in seconds that a JPEG or TIFF file states; None if it states none."""
+    """Return the exposure time in seconds that a JPEG or TIFF file states; None if it states none."""
     if path.suffix.lower() not in (".jpg", ".jpeg", ".tif", ".tiff"):
         return None
     from PIL import Image
@@ -175,7 +175,7 @@ def as_bytes(image: Photograph) -> NDArray[np.uint8]:
 
 
 def photographs_in(folder: str | Path) -> list[Path]:
-    """The photographs of a folder in the order of their names; numbers in names count as numbers.
+    """Return the photographs of a folder in the order of their names; numbers in names count as numbers.
 
     Raises:
         BadInputError: there is no such folder, or no photograph in it.
@@ -209,7 +209,7 @@ def read_each(paths: Sequence[Path], kind: PhotographFormat | None = None) -> It
 
 
 def describe_pixels(image: CodeImage) -> str:
-    """Size and depth, e.g. "1280 x 1024 pixels of 8 bits"."""
+    """Return the size and depth, e.g. "1280 x 1024 pixels of 8 bits"."""
     return f"{' x '.join(map(str, image.shape[::-1]))} pixels of {8 * image.itemsize} bits"
 
 

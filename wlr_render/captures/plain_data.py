@@ -39,7 +39,7 @@ def read_mapping(file: Path, text: str, kind: str, remedy: str) -> dict[str, Any
 
 
 def _first_document(text: str) -> Any:
-    """First YAML document of a text that is not empty, or None."""
+    """Return the first YAML document of a text that is not empty, or None."""
     try:
         return next((document for document in yaml.safe_load_all(text) if document is not None), None)
     except yaml.MarkedYAMLError as error:

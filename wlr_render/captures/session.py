@@ -166,7 +166,7 @@ class Session:
 
 
 def select_rows(plan: AnyPlan, rows: NDArray[Any]) -> AnyPlan:
-    """The rows of a plan that an index or mask names."""
+    """Return the rows of a plan that an index or mask names."""
     kept: dict[str, Any] = {}
     for field in fields(plan):
         value = getattr(plan, field.name)

@@ -149,7 +149,7 @@ def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
 
 
 def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
-    """Every photograph of the board once."""
+    """Yield every photograph of the board once."""
     taken = (*session.bare, *session.beside, *session.see_through)
     by_camera: list[tuple[SessionCamera, Sequence[BoardPhotograph]]] = [(session.eyeball_camera, taken)]
     if session.tracking_camera is not None:
@@ -270,7 +270,7 @@ def _do_task(work: tuple[_Task, Path]) -> Excluded | None:
 
 
 def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
-    """What was kept, if it was read from these very files in this very way; else None."""
+    """Return what was kept, if it was read from these very files in this very way; else None."""
     path = _kept_path(task, folder)
     try:
         kept = read_arrays(path, "a kept reading")
@@ -286,19 +286,19 @@ def _kept_path(task: _Task, folder: Path) -> Path:
 
 
 def _fingerprint(paths: Sequence[Path], how: object) -> str:
-    """SHA-256 of the names and contents of files, and of how they are read."""
+    """Return the SHA-256 of the names and contents of files, and of how they are read."""
     about = [(path.name, _sha256(path, path.stat().st_mtime_ns)) for path in paths]
     return hashlib.sha256(json.dumps([_VERSION, about, repr(how)]).encode()).hexdigest()
 
 
 @functools.cache
 def _sha256(path: Path, date_ns: int) -> str:
-    """SHA-256 of a file, calculated once in a run unless the file changes."""
+    """Return the SHA-256 of a file, calculated once in a run unless the file changes."""
     return hashlib.sha256(read_bytes(path, LIMITS.picture_bytes)).hexdigest()
 
 
 def _why_nothing(decoded: Decoded) -> str:
-    """What most of the camera's lit pixels were rejected for."""
+    """Return what most of the camera's lit pixels were rejected for."""
     counts = decoded.counts()
     counts.pop(Rejection.DARK, None)
     if not counts:

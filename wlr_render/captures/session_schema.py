@@ -140,7 +140,7 @@ class Field:
     columns: tuple[Column, ...]
 
     def stacked(self, columns: Columns) -> FloatArray:
-        """(n, k)."""
+        """Return (n, k)."""
         return np.stack([columns[column.name] for column in self.columns], axis=1)
 
 
@@ -175,7 +175,7 @@ class Schema:
         return tuple(column for field in self.fields for column in field.columns)
 
     def of_file(self, columns: Columns, device_from_file: FloatArray) -> tuple[Any, FloatArray]:
-        """The plan, and its readings."""
+        """Return the plan, and its readings."""
         values = {
             field.attribute: field.quantity.of_file(field.stacked(columns), device_from_file)
             for field in self.fields
@@ -185,7 +185,7 @@ class Schema:
         return self.plan_type(**values), reading
 
     def to_file(self, plan: Any, reading: FloatArray, device_from_file: FloatArray) -> Columns:
-        """The inverse of `of_file`."""
+        """Return the inverse of `of_file`."""
         columns: Columns = {}
         for field in self.fields:
             value = reading if field.attribute == self.reading else getattr(plan, field.attribute)

@@ -65,7 +65,7 @@ def _text(path: Path) -> str:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Lines that are not blank, with their numbers; cells are separated by commas, and decimals by points."""
+    """Return lines that are not blank, with their numbers; cells are separated by commas, and decimals by points."""
     lines = [(number, text) for number, text in enumerate(_text(path).split("\n"), 1) if text.strip()]
     if lines and STATED_SEPARATOR.fullmatch(lines[0][1].strip()):
         lines = lines[1:]
@@ -95,7 +95,7 @@ def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
 
 
 def _unknown(name: str, absent: Sequence[Column]) -> str:
-    """Message about a column that the schema does not have."""
+    """Return the message about a column that the schema does not have."""
     for column in absent:
         if _UNIT_SUFFIX.sub("", name) == _UNIT_SUFFIX.sub("", column.name):
             unit = column.unit or "a bare number"
@@ -105,7 +105,7 @@ def _unknown(name: str, absent: Sequence[Column]) -> str:
 
 
 def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> FloatArray:
-    """All cells, (n, columns)."""
+    """Return all cells, (n, columns)."""
     try:
         with parsing(path, "a table"):
             values = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
@@ -117,7 +117,7 @@ def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Seq
 
 
 def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> BadInputError:
-    """The error of the first row that is not a row of numbers."""
+    """Return the error of the first row that is not a row of numbers."""
     for number, row in zip(numbers, rows, strict=True):
         cells = row.split(",")
         if len(cells) != len(header):

@@ -63,7 +63,7 @@ class ExportedView:
     other_light: Mapping[str, EyeMappings] = field(default_factory=dict)
 
     def moved_to(self, viewpoint: FloatArray, stem: str, time_s: float | None) -> "ExportedView":
-        """The view of another pupil position, with its camera."""
+        """Return the view of another pupil position, with its camera."""
         source = replace(self.source, position_in_device=self.place_of(viewpoint))
         return replace(self, stem=stem, viewpoint=viewpoint, source=source, time_s=time_s)
 
@@ -94,7 +94,7 @@ class ExportedView:
         return middle_channel(self.colours)
 
     def mappings(self, colour: str) -> EyeMappings:
-        """Mappings of one colour."""
+        """Return the mappings of one colour."""
         return self.channels[self.colours.index(colour)]
 
     @property
@@ -103,7 +103,7 @@ class ExportedView:
         return tuple(self.stem if colour == ALL_COLOURS else f"{self.stem}-{colour}" for colour in self.colours)
 
     def slope_offset(self, colour: str) -> Float32Array:
-        """Rays (a, b, c, d) of all panel pixels, (4, height, width) float32; NaN where a pixel has no ray.
+        """Return the rays (a, b, c, d) of all panel pixels, (4, height, width) float32; NaN where a pixel has no ray.
 
         At depth Z from the camera a ray is at (a Z + c, b Z + d, -Z), in metres.
         """
@@ -116,7 +116,7 @@ class ExportedView:
         return tuple(self._at_camera(each, self.viewpoint).astype(np.float32) for each in rays)
 
     def rays_at(self, colour: str, pixel: FloatArray, viewpoint: FloatArray | None = None) -> FloatArray:
-        """Exact rays of panel pixels (..., 2), as `slope_offset` but (..., 4) float64.
+        """Return the exact rays of panel pixels (..., 2), as `slope_offset` but (..., 4) float64.
 
         Args:
             colour: of the map.
@@ -126,7 +126,7 @@ class ExportedView:
         return self.rays_of(self.mappings(colour), pixel, self.viewpoint if viewpoint is None else viewpoint)
 
     def rays_of(self, mappings: EyeMappings, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """The same of other mappings of this eye."""
+        """Return the same of other mappings of this eye."""
         solved = solve_pixels(mappings, self.source.device_from_camera, pixel, viewpoint)
         return np.moveaxis(self._at_camera(solved.slope_offset, viewpoint), 0, -1)
 
@@ -135,7 +135,7 @@ class ExportedView:
         return np.moveaxis(rays[:2] + rays[2:] / (self.depth_m if depth_m is None else depth_m), 0, -1)
 
     def source_px(self, colour: str) -> Float32Array:
-        """Position (u, v) in the source picture of each panel pixel, (height, width, 2) float32; NaN for none.
+        """Return position (u, v) in the source picture of each panel pixel, (height, width, 2) float32; NaN for none.
 
         (0, 0) is the outer corner of the top left pixel of the picture, v runs down. Positions may lie outside.
         """
@@ -143,19 +143,19 @@ class ExportedView:
         return self.source.camera.pixel_of_tangents(tangents).astype(np.float32)
 
     def _at_camera(self, rays: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Rays (..., 4) with their origin at a viewpoint -> (4, ...) with their origin at the camera."""
+        """Return the rays (..., 4) with their origin at a viewpoint -> (4, ...) with their origin at the camera."""
         x, y, z = self.source.device_from_camera.T @ (self.source.position_in_device - viewpoint)
         a, b, c, d = np.moveaxis(rays, -1, 0)
         return np.stack([a, b, c - a * z - x, d - b * z - y])
 
 
 def has_ray(position: FloatArray | Float32Array) -> BoolArray:
-    """Whether positions or tangents (..., 2) are those of a ray, and not NaN."""
+    """Return whether positions or tangents (..., 2) are those of a ray, and not NaN."""
     return np.asarray(np.isfinite(position).all(axis=-1))
 
 
 def ray_map_plans(channels: EyeChannels, device_from_camera: FloatArray) -> tuple[RayMapPlan, ...]:
-    """Plans of the ray maps of an eye's channels in the axes of a camera."""
+    """Return the plans of the ray maps of an eye's channels in the axes of a camera."""
     return tuple(
         RayMapPlan.with_nodes(each.display.panel, choose_plan(each).node_count, device_from_camera) for each in channels
     )

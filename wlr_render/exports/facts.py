@@ -55,7 +55,7 @@ def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
 
 
 def not_held(view: ExportedView, form: Format) -> list[str]:
-    """Properties of the headset that the files of a format lose, a sentence each."""
+    """Return the properties of the headset that the files of a format lose, a sentence each."""
     holds, name = form.holds, form.name
     lost = [f"{name} holds no moving pupil: a map is right for its own pupil position alone."]
     if not holds.every_depth:
@@ -78,7 +78,7 @@ def not_held(view: ExportedView, form: Format) -> list[str]:
 
 
 def _bends_all_light_alike(view: ExportedView) -> bool:
-    """Whether red and blue light go the way of green; False if it is not known."""
+    """Return whether red and blue light go the way of green; False if it is not known."""
     pixel, colour = _pixel_centres(view.panel_size_px), view.middle_colour
     green = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
     others = [np.moveaxis(view.rays_of(each, pixel, view.viewpoint), -1, 0) for each in view.other_light.values()]
@@ -87,7 +87,7 @@ def _bends_all_light_alike(view: ExportedView) -> bool:
 
 
 def _pixel_centres(size_px: tuple[int, int]) -> FloatArray:
-    """Centres (n, 2) of pixels all over a panel."""
+    """Return the centres (n, 2) of pixels all over a panel."""
     u, v = (np.floor(np.linspace(0, size - 1, _JUDGED_PIXELS)) + 0.5 for size in size_px)
     return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
@@ -111,7 +111,7 @@ def _loss(case: str, errors: list[FloatArray]) -> Loss:
 
 
 def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
-    """All that a receiver must know about one map, as plain JSON."""
+    """Return all that a receiver must know about one map, as plain JSON."""
     camera, (left, bottom), (right, top) = view.source.camera, *_borders(view)
     judged = colour if colour in view.colours else view.middle_colour  # of a file of all colours, the middle one
     return {
@@ -151,12 +151,12 @@ def _borders(view: ExportedView) -> tuple[list[float], list[float]]:
 
 
 def _depth_number(depth_m: float) -> float | str:
-    """A depth in metres, or "infinity", which JSON has no number for."""
+    """Return a depth in metres, or "infinity", which JSON has no number for."""
     return depth_m if math.isfinite(depth_m) else "infinity"
 
 
 def header_texts(record: dict[str, Any]) -> dict[str, str]:
-    """Facts as the texts of a header."""
+    """Return the facts as the texts of a header."""
     return {key: value if isinstance(value, str) else json.dumps(value) for key, value in record.items()}
 
 

@@ -77,7 +77,7 @@ class Format(Protocol):
     def use(self) -> Sequence[str]: ...  # noqa: D102
 
     def files(self, view: ExportedView) -> Sequence[str]:
-        """Names of the files that hold a view, in the order in which they are written."""
+        """Return the names of the files that hold a view, in the order in which they are written."""
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
         """Error of what a reader interpolates between the points of a file; of formats that hold every pixel, none."""
@@ -111,7 +111,7 @@ class FormatByColour(ABC):
     endings: tuple[str, ...]
 
     def files(self, view: ExportedView) -> list[str]:
-        """The files of one colour after the other."""
+        """Return the files of one colour after the other."""
         return [stem + ending for stem in view.stems for ending in self.endings]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:

@@ -14,5 +14,5 @@ FORMATS: tuple[Format, ...] = (StMap(), Rays(), *_FLOAT_MAPS, Ffmpeg(), Npz(), G
 
 
 def format_of(name: str) -> Format:
-    """The format of a name."""
+    """Return the format of a name."""
     return next(form for form in FORMATS if form.name == name)

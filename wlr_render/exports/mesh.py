@@ -53,11 +53,11 @@ class GltfMesh:
     )
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
-        """The tolerance of the mesh."""
+        """Return the tolerance of the mesh."""
         return Loss("between the points of the mesh, at most", None, TOLERANCE_ARCMIN)
 
     def files(self, view: ExportedView) -> list[str]:
-        """One file of all colours."""
+        """Return one file of all colours."""
         return [f"{view.stem}-mesh.gltf"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
@@ -90,7 +90,7 @@ class GltfMesh:
 
 
 def _grid(view: ExportedView) -> WarpGrid:
-    """The coarsest grid of points that is fine enough for all colours."""
+    """Return the coarsest grid of points that is fine enough for all colours."""
     axes = view.source.device_from_camera
     grids = [mesh_grid(each, axes, view.panel_size_px, TOLERANCE_ARCMIN) for each in view.channels]
     return min(grids, key=lambda each: float(each.step_px.min()))
@@ -99,7 +99,7 @@ def _grid(view: ExportedView) -> WarpGrid:
 def _gltf_of_mesh(
     attributes: dict[str, NDArray[np.float64]], triangles: NDArray[np.uint32], extras: dict[str, Any]
 ) -> dict[str, Any]:
-    """A glTF 2.0 file of one mesh, its buffer embedded."""
+    """Return a glTF 2.0 file of one mesh, its buffer embedded."""
     arrays: list[NDArray[Any]] = [*(values.astype("<f4") for values in attributes.values()), triangles.astype("<u4")]
     contents = [np.ascontiguousarray(values).tobytes() for values in arrays]
     starts = np.cumsum([0, *map(len, contents)]).tolist()

@@ -52,7 +52,7 @@ class Monado:
         return Loss("between the points of the grid", float(np.sqrt(np.mean(errors**2))), float(errors.max()))
 
     def files(self, view: ExportedView) -> list[str]:
-        """One file of both eyes."""
+        """Return one file of both eyes."""
         return ["monado-northstar.json"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
@@ -70,7 +70,7 @@ class Monado:
         yield write_text(folder / name, json.dumps(_config(grids, camera, places, about)) + "\n")
 
     def _about(self, view: ExportedView, grid: FloatArray, places: FloatArray) -> dict[str, Any]:
-        """Facts of one eye, and what this format loses beside what they say."""
+        """Return the facts of one eye, and what this format loses beside what they say."""
         head = places.mean(axis=0)
         placed = head + (places[1, 0] - places[0, 0]) * np.array([-0.5 if view.eye == "left" else 0.5, 0, 0])
         camera = view.source.camera
@@ -84,7 +84,7 @@ class Monado:
 
 
 def _tangents(view: ExportedView, columns: FloatArray = _EDGE_TO_EDGE, rows: FloatArray = _EDGE_TO_EDGE) -> FloatArray:
-    """Tangents (rows, columns, 2), x right, y up, from the source camera, of panel positions from 0 to 1.
+    """Return the tangents (rows, columns, 2), x right, y up, from the source camera, of panel positions from 0 to 1.
 
     Raises:
         BadInputError: another panel than the driver's, or positions without a ray.
@@ -107,7 +107,7 @@ def _tangents(view: ExportedView, columns: FloatArray = _EDGE_TO_EDGE, rows: Flo
 
 
 def _linear_errors(view: ExportedView, grid: FloatArray) -> FloatArray:
-    """Errors in arcmin of bilinear interpolation in the middle of the grid's cells, where they are largest."""
+    """Return errors in arcmin of bilinear interpolation in the middle of the grid's cells, where they are largest."""
     middle = (np.arange(_POINTS - 1) + 0.5) / (_POINTS - 1)
     bilinear = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
     exact = _tangents(view, middle, middle)

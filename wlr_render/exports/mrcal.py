@@ -59,7 +59,7 @@ class Mrcal(FormatByColour):
     )
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
-        """Error of the splines at pixels that were not fitted."""
+        """Return the error of the splines at pixels that were not fitted."""
         _, errors_px = _fitted_camera(view, colour)
         middle = 0.5 * np.array(view.panel_size_px) + np.array([[0.0, 0.0], [1.0, 0.0]])
         ray, neighbour = dir_of_tangents(view.tangents(np.moveaxis(view.rays_at(colour, middle), -1, 0)))
@@ -97,7 +97,7 @@ class _SplinedCamera:
     control: FloatArray
 
     def project(self, u: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of stereographic coordinates (n, 2)."""
+        """Return the pixels (n, 2) of stereographic coordinates (n, 2)."""
         spline = _spline_weights(u, self.field_x_deg, self.shape) @ self.control
         return np.asarray((u + spline) * self.focal_px + self.centre_px)
 
@@ -108,7 +108,7 @@ def _intervals_per_unit(field_x_deg: int, columns: int) -> float:
 
 
 def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> csr_array:
-    """Weights (n, control points) of the uniform cubic B-spline surface at stereographic coordinates (n, 2)."""
+    """Return weights (n, control points) of the uniform cubic B-spline surface at stereographic coordinates (n, 2)."""
     size = np.array(shape)
     place = u * _intervals_per_unit(field_x_deg, shape[0]) + (size - 1) / 2
     first = np.clip(np.floor(place).astype(np.int64), 1, size - 3) - 1
@@ -125,7 +125,7 @@ def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> 
 
 @functools.lru_cache(maxsize=3)
 def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, FloatArray]:
-    """The camera with as few control points as the wanted error allows, and its errors (n,) in pixels."""
+    """Return the camera with as few control points as the wanted error allows, and its errors (n,) in pixels."""
     u, pixel = _samples(view, colour, np.linspace(0.0, 1.0, _FITTED))
     step = 1.0 / _HELD_OUT
     judged_u, judged_pixel = _samples(view, colour, np.linspace(0.5 * step, 1.0 - 0.5 * step, _HELD_OUT))
@@ -171,7 +171,7 @@ def _fit(u: FloatArray, pixel: FloatArray, columns: int) -> _SplinedCamera:
 
 
 def _third_differences(shape: tuple[int, int]) -> csr_array:
-    """Third differences of neighbouring control points along both axes, (m, control points)."""
+    """Return the third differences of neighbouring control points along both axes, (m, control points)."""
     along = [
         diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(max(size - 3, 0), size)) for size in shape
     ]
@@ -204,7 +204,7 @@ def _cameramodel(view: ExportedView, fitted: tuple[_SplinedCamera, FloatArray], 
 
 
 def _camera_from_device(view: ExportedView) -> FloatArray:
-    """(6,) Rodrigues vector and translation from the device frame to the camera with OpenCV's axes."""
+    """Return (6,) Rodrigues vector and translation from the device frame to the camera with OpenCV's axes."""
     turned = view.source.device_from_camera @ transforms.OPENXR_FROM_OPENCV
     pose = transforms.inverse(transforms.rigid(turned, view.source.position_in_device))
     return np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3]])

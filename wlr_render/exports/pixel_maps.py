@@ -193,7 +193,7 @@ class Npz(EveryPixel):
     )
 
     def files(self, view: ExportedView) -> list[str]:
-        """One file of all colours."""
+        """Return one file of all colours."""
         return [f"{view.stem}-rays.npz"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:

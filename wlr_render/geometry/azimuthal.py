@@ -42,7 +42,7 @@ class Azimuthal:
 
     @np.errstate(divide="ignore", invalid="ignore")  # on the axis
     def by_point(self, point: FloatArray) -> FloatArray:
-        """Derivative (n, 2, 3) of `position`."""
+        """Return the derivative (n, 2, 3) of `position`."""
         from_axis, z = np.hypot(point[:, 0], point[:, 1]), point[:, 2]
         outwards = np.where((from_axis == 0)[:, None], [1.0, 0.0], point[:, :2] / from_axis[:, None])
         turn = np.concatenate([outwards * z[:, None], -from_axis[:, None]], axis=1)  # of the angle, times |point|^2

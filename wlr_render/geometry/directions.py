@@ -30,25 +30,25 @@ def dir_of_tangents(tangents: FloatArray) -> FloatArray:
 
 
 def angle_between(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angle in radians between unit directions (..., 3); accurate for small angles, unlike arccos."""
+    """Return the angle in radians between unit directions (..., 3); accurate for small angles, unlike arccos."""
     chord = np.linalg.norm(first - second, axis=-1)
     return np.asarray(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
 
 
 def arcmin_between(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Angle in arcminutes between unit directions (..., 3)."""
+    """Return the angle in arcminutes between unit directions (..., 3)."""
     return angle_between(first, second) / ARCMIN
 
 
 def tangents_by_turn(tangents: FloatArray) -> FloatArray:
-    """Derivative (n, 2, 3) of the tangents (n, 2) of a direction by a turn of it about x, y, z, radians."""
+    """Return the derivative (n, 2, 3) of the tangents (n, 2) of a direction by a turn of it about x, y, z, radians."""
     (tx, ty), one = tangents.T, np.ones(len(tangents))
     by_turn = [[tx * ty, -(one + tx**2), -ty], [one + ty**2, -tx * ty, tx]]
     return np.moveaxis(np.array(by_turn), -1, 0)
 
 
 def dir_by_tangents(tangents: FloatArray) -> FloatArray:
-    """Derivative (..., 3, 2) of the unit direction by its tangents (..., 2)."""
+    """Return the derivative (..., 3, 2) of the unit direction by its tangents (..., 2)."""
     direction = dir_of_tangents(tangents)
     length = np.sqrt(1.0 + np.sum(tangents**2, axis=-1))[..., None, None]
     return np.asarray((np.eye(3)[:, :2] - direction[..., :, None] * direction[..., None, :2]) / length)

@@ -57,14 +57,14 @@ class Lens(Protocol):
         """Project points (..., 3) to pixels (..., 2); NaN for points that the model cannot see."""
 
     def dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Unit directions (..., 3) of pixels (..., 2); NaN where there is none."""
+        """Return the unit directions (..., 3) of pixels (..., 2); NaN where there is none."""
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Tangents (..., 2), x / z and y / z, of pixels (..., 2); NaN where there are none."""
+        """Return the tangents (..., 2), x / z and y / z, of pixels (..., 2); NaN where there are none."""
 
 
 def radians_per_pixel(lens: Lens, direction: FloatArray) -> FloatArray:
-    """Angle (n,) that one pixel spans at unit directions (n, 3), geometric mean of the two transverse axes."""
+    """Return angle (n,) that one pixel spans at unit directions (n, 3), geometric mean of the two transverse axes."""
     slope = lens.project(direction).by_point
     # The derivative along the direction itself is zero: what is left maps the two transverse angles to pixels.
     return np.asarray(np.linalg.det(slope @ np.swapaxes(slope, 1, 2)) ** -0.25)

@@ -134,7 +134,7 @@ class LensCamera:
         return self._plane.direction(self._position_of_pixel(pixel))
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Undistorted tangents (..., 2) of pixels (..., 2); NaN where the distortion has no inverse.
+        """Return the undistorted tangents (..., 2) of pixels (..., 2); NaN where the distortion has no inverse.
 
         NaN also for directions at 90 degrees and more from the optical axis.
         """
@@ -144,7 +144,7 @@ class LensCamera:
         return GNOMONIC.position(direction.reshape(-1, 3)).reshape(*direction.shape[:-1], 2)
 
     def _position_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Undistorted positions (..., 2) in the plane of the projection."""
+        """Return the undistorted positions (..., 2) in the plane of the projection."""
         seen = (np.asarray(pixel, dtype=np.float64) - self.centre_px) / self.focal_px
         if not np.any(self.distortion):
             inside = np.linalg.norm(seen, axis=-1, keepdims=True) < self._distortion.limit
@@ -177,7 +177,7 @@ class LensCamera:
 
 
 def _filled(rows: FloatArray, chosen: BoolArray) -> FloatArray:
-    """Array with `rows` at the chosen places and NaN elsewhere."""
+    """Return the array with `rows` at the chosen places and NaN elsewhere."""
     result = np.full((len(chosen), *rows.shape[1:]), np.nan)
     result[chosen] = rows
     return result
@@ -214,13 +214,13 @@ class _Distortion:
         return float(min([self.largest_radius, *roots.real[(roots.imag == 0) & (roots.real > 0)]]))
 
     def radial(self, r2: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Factor (n,) of positions at squared radii (n,), and its denominator."""
+        """Return the factor (n,) of positions at squared radii (n,), and its denominator."""
         k1, k2, _, _, k3, k4, k5, k6 = self.terms[:8]
         below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
         return (1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * self.terms[12])))) / below, below
 
     def image(self, position: FloatArray) -> FloatArray:
-        """Distorted positions (n, 2) of positions (n, 2); NaN from `limit` on."""
+        """Return the distorted positions (n, 2) of positions (n, 2); NaN from `limit` on."""
         _, _, p1, p2 = self.terms[:4]
         s1, s2, s3, s4 = self.terms[8:12]
         x, y = position.T
@@ -229,7 +229,7 @@ class _Distortion:
         return np.stack([x * factor + r2 * (p2 + s1 + r2 * s2), y * factor + r2 * (p1 + s3 + r2 * s4)], axis=1)
 
     def image_and_slope(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The same as `image`, and its Jacobian (n, 2, 2)."""
+        """Return the same as `image`, and its Jacobian (n, 2, 2)."""
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4, ninth = self.terms
         x, y = position.T
         r2 = self._squared(position)
@@ -250,12 +250,12 @@ class _Distortion:
         return image, slope
 
     def _squared(self, position: FloatArray) -> FloatArray:
-        """Squared radii (n,); NaN from `limit` on."""
+        """Return the squared radii (n,); NaN from `limit` on."""
         r2 = position[:, 0] ** 2 + position[:, 1] ** 2
         return np.where(r2 < self.limit**2, r2, np.nan)
 
     def by_terms(self, position: FloatArray) -> FloatArray:
-        """Derivative (n, 2, 13) of `image` by `terms`."""
+        """Return the derivative (n, 2, 13) of `image` by `terms`."""
         x, y = position.T
         r2 = self._squared(position)
         radial, below = self.radial(r2)

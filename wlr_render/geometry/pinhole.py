@@ -24,7 +24,7 @@ class Pinhole:
 
     @classmethod
     def covering(cls, tangents: FloatArray, pixels_per_tangent: float, margin_px: int = 2) -> "Pinhole":
-        """The smallest camera that contains all finite `tangents` (..., 2) at a given resolution."""
+        """Return the smallest camera that contains all finite `tangents` (..., 2) at a given resolution."""
         flat = tangents.reshape(-1, 2)
         flat = flat[np.isfinite(flat).all(axis=1)]
         low, high = flat.min(axis=0), flat.max(axis=0)
@@ -62,25 +62,25 @@ class Pinhole:
         return np.array([[1 / focal_u, 0, -centre_u / focal_u], [0, -1 / focal_v, centre_v / focal_v], [0, 0, -1]])
 
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of tangents (..., 2); v runs down, ty up."""
+        """Return the pixels (..., 2) of tangents (..., 2); v runs down, ty up."""
         return np.asarray(tangents * (self.focal_px * [1, -1]) + self.centre_px)
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Tangents (..., 2) of pixels (..., 2); the inverse of `pixel_of_tangents`."""
+        """Return the tangents (..., 2) of pixels (..., 2); the inverse of `pixel_of_tangents`."""
         return np.asarray((pixel - self.centre_px) / (self.focal_px * [1, -1]))
 
     def contains(self, pixel: FloatArray | Float32Array) -> BoolArray:
-        """Whether pixels (..., 2) lie in the image; NaN does not."""
+        """Return whether pixels (..., 2) lie in the image; NaN does not."""
         return np.asarray(((pixel >= 0) & (pixel <= self.size_px)).all(axis=-1))
 
     def pixel_centre_tangents(self) -> FloatArray:
-        """Tangents at all pixel centres, (height, width, 2)."""
+        """Return the tangents at all pixel centres, (height, width, 2)."""
         u, v = np.meshgrid(np.arange(self.width_px) + 0.5, np.arange(self.height_px) + 0.5)
         return self.tangents_of_pixel(np.stack([u, v], axis=-1))
 
 
 def pixels_from(source: Pinhole, target: Pinhole) -> tuple[float, float, float, float]:
-    """Pixels of one camera from those of another in the same frame: scale (u, v), then offset (u, v)."""
+    """Return the pixels of one camera from those of another in the same frame: scale (u, v), then offset (u, v)."""
     scale_u, scale_v = target.focal_px / source.focal_px
     offset_u, offset_v = target.centre_px - [scale_u, scale_v] * source.centre_px
     return float(scale_u), float(scale_v), float(offset_u), float(offset_v)

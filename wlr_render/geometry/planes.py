@@ -30,7 +30,7 @@ class BasePlane:
         return np.asarray(-self.depth_of(point) / (1.0 + tangents @ np.array(self.slope)))
 
     def depth_by_tangents(self, depth: FloatArray, tangents: FloatArray) -> FloatArray:
-        """Derivative of `depth_along` by the tangents, -s slope / (1 + slope . t): (..., 2)."""
+        """Return the derivative of `depth_along` by the tangents, -s slope / (1 + slope . t): (..., 2)."""
         slope = np.array(self.slope)
         return np.asarray((-depth / (1.0 + tangents @ slope))[..., None] * slope)
 
@@ -48,18 +48,18 @@ class BasePlane:
         return np.asarray(depth[..., None, None] * np.eye(2) + by_depth)
 
     def carry_by_point(self, tangents: FloatArray) -> FloatArray:
-        """Derivative of `carry` by the point: (..., 2, 3)."""
+        """Return the derivative of `carry` by the point: (..., 2, 3)."""
         along_z = (tangents / (1.0 + tangents @ np.array(self.slope))[..., None])[..., None]
         return np.concatenate([np.eye(2) - along_z * np.array(self.slope), along_z], axis=-1)
 
     def depth_of(self, point: FloatArray) -> FloatArray:
-        """Distance of points (..., 3) in front of the plane along -z, (...) metres."""
+        """Return the distance of points (..., 3) in front of the plane along -z, (...) metres."""
         return np.asarray(self.z_at(point[..., :2]) - point[..., 2])
 
     def z_at(self, point_in_plane: FloatArray) -> FloatArray:
-        """The z (...) of plane coordinates (..., 2), metres."""
+        """Return the z (...) of plane coordinates (..., 2), metres."""
         return np.asarray(self.z + point_in_plane @ np.array(self.slope))
 
     def lift(self, point_in_plane: FloatArray) -> FloatArray:
-        """Points (..., 3) in the device frame of plane coordinates (..., 2)."""
+        """Return the points (..., 3) in the device frame of plane coordinates (..., 2)."""
         return np.concatenate([point_in_plane, self.z_at(point_in_plane)[..., None]], axis=-1)

@@ -24,7 +24,7 @@ def check_prediction(between_s: float, ahead_s: float) -> None:
 
 
 def predicted_pose(before: FloatArray, last: FloatArray, between_s: float, ahead_s: float) -> FloatArray:
-    """Pose (4, 4) at `ahead_s` after `last`, turning and moving on as from `before` to `last`, each (4, 4).
+    """Return the pose (4, 4) at `ahead_s` after `last`, turning and moving on as from `before` to `last`, each (4, 4).
 
     Args:
         before, last: rigid transforms, e.g. world_from_device.
@@ -40,7 +40,7 @@ def predicted_pose(before: FloatArray, last: FloatArray, between_s: float, ahead
 
 
 def predicted_point(before: FloatArray, last: FloatArray, between_s: float, ahead_s: float) -> FloatArray:
-    """Position (3,) at `ahead_s` after `last`, moving on as from `before` to `last`, e.g. of a pupil.
+    """Return the position (3,) at `ahead_s` after `last`, moving on as from `before` to `last`, e.g. of a pupil.
 
     Raises:
         BadInputError: as `check_prediction`.

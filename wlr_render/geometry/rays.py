@@ -12,7 +12,7 @@ def pack(origin: FloatArray, direction: FloatArray) -> FloatArray:
 
 
 def split(ray: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Origins (..., 3) and directions (..., 3) of rays (..., 6)."""
+    """Return the origins (..., 3) and directions (..., 3) of rays (..., 6)."""
     return ray[..., :3], ray[..., 3:]
 
 
@@ -24,7 +24,7 @@ def at_z(ray: FloatArray, z: float | FloatArray) -> FloatArray:
 
 
 def distance_to_point(ray: FloatArray, point: FloatArray) -> FloatArray:
-    """Distance (...) between the lines of rays (..., 6) and points (..., 3)."""
+    """Return the distance (...) between the lines of rays (..., 6) and points (..., 3)."""
     origin, direction = split(ray)
     offset = point - origin
     along = np.sum(offset * direction, axis=-1, keepdims=True)

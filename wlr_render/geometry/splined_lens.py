@@ -83,7 +83,7 @@ class SplinedLens:
         return self.pixel_of_point(np.concatenate([tangents, np.ones((*tangents.shape[:-1], 1))], axis=-1))
 
     def dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Unit directions (..., 3) of pixels (..., 2) in the camera frame; NaN where the model has none."""
+        """Return the unit directions (..., 3) of pixels (..., 2) in the camera frame; NaN where the model has none."""
         seen = (np.asarray(pixel, dtype=np.float64) - self.centre_px) / self.focal_px
         flat = seen.reshape(-1, 2)
         finite = np.isfinite(flat).all(axis=1)

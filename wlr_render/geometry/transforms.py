@@ -15,7 +15,7 @@ FRAMES = {"openxr": np.eye(3), "opencv": OPENXR_FROM_OPENCV}
 
 
 def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """Rigid transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
+    """Return the rigid transforms (..., 4, 4) of rotations (..., 3, 3) and translations (..., 3)."""
     rotation, translation = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
     shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
     matrix = np.zeros((*shape, 4, 4))
@@ -26,12 +26,12 @@ def rigid(rotation: FloatArray, translation: FloatArray) -> FloatArray:
 
 
 def is_rotation(matrix: FloatArray) -> bool:
-    """Whether a matrix (3, 3) is orthogonal to 1e-6 with determinant +1."""
+    """Return whether a matrix (3, 3) is orthogonal to 1e-6 with determinant +1."""
     return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6 and np.linalg.det(matrix) > 0)
 
 
 def inverse(b_from_a: FloatArray) -> FloatArray:
-    """Inverse (..., 4, 4) of rigid transforms."""
+    """Return the inverse (..., 4, 4) of rigid transforms."""
     a_from_b_rotation = np.swapaxes(b_from_a[..., :3, :3], -1, -2)
     return rigid(a_from_b_rotation, -np.einsum("...ij,...j->...i", a_from_b_rotation, b_from_a[..., :3, 3]))
 
@@ -47,7 +47,7 @@ def rotate(b_from_a: FloatArray, direction_in_a: FloatArray) -> FloatArray:
 
 
 def rotation_about(axis: str, angle: float) -> FloatArray:
-    """Right-handed rotation (3, 3) about "x", "y" or "z" by `angle` radians."""
+    """Return the right-handed rotation (3, 3) about "x", "y" or "z" by `angle` radians."""
     c, s = np.cos(angle), np.sin(angle)
     i = "xyz".index(axis)
     j, k = (i + 1) % 3, (i + 2) % 3
@@ -58,7 +58,7 @@ def rotation_about(axis: str, angle: float) -> FloatArray:
 
 
 def cross_matrix(vector: FloatArray) -> FloatArray:
-    """Matrices (..., 3, 3) that take w to vector x w, of vectors (..., 3)."""
+    """Return the matrices (..., 3, 3) that take w to vector x w, of vectors (..., 3)."""
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
@@ -66,13 +66,13 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 
 
 def rotations_of_vectors(vector: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians."""
+    """Return the rotation matrices (..., 3, 3) of rotation vectors (..., 3) in radians."""
     vector = np.asarray(vector, dtype=np.float64)
     return _matrices(Rotation.from_rotvec(vector.reshape(-1, 3)), vector.shape[:-1])
 
 
 def rotation_of_quaternion(xyzw: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3) of quaternions xyzw (..., 4)."""
+    """Return the rotation matrices (..., 3, 3) of quaternions xyzw (..., 4)."""
     xyzw = np.asarray(xyzw, dtype=np.float64)
     return _matrices(Rotation.from_quat(xyzw.reshape(-1, 4)), xyzw.shape[:-1])
 

@@ -95,7 +95,7 @@ def solve_see_through(
 
 
 def _deviation_at(deviation: Regressor, plane: BasePlane, tangents: FloatArray, viewpoint: FloatArray) -> Deviation:
-    """The deviation at view tangents (m, 2) of viewpoints (m, 3); p~ moves with the tangents."""
+    """Return the deviation at view tangents (m, 2) of viewpoints (m, 3); p~ moves with the tangents."""
     depth = plane.depth_along(viewpoint, tangents)
     in_plane = viewpoint[:, :2] + depth[:, None] * tangents
     value, jacobian = deviation.with_jacobian(joined(in_plane, tangents))

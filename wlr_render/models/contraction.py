@@ -43,7 +43,7 @@ def see_through_contraction(
     eye_box: EyeBox,
     directions: Box,
 ) -> float:
-    """Largest norm of the derivative of t -> straight - (apparent displacement of the point at t).
+    """Return the largest norm of the derivative of t -> straight - (apparent displacement of the point at t).
 
     Real points are `NEAREST_POINT_M` away or farther. The displacement is linear in the point's inverse depth, so its
     two ends suffice; directions and viewpoints are taken on a grid.
@@ -86,17 +86,17 @@ def require_unique(contraction: float, kind: str, side: str) -> float:
 
 
 def _grown(eye_box: EyeBox) -> Box:
-    """All viewpoints that count as inside."""
+    """Return all viewpoints that count as inside."""
     half = 0.5 * eye_box.size + EYE_BOX_MARGIN
     return Box(eye_box.centre - half, eye_box.centre + half)
 
 
 def _grid(box: Box, levels: list[int]) -> FloatArray:
-    """Grid over a box from edge to edge: (product of levels, variables)."""
+    """Return the grid over a box from edge to edge: (product of levels, variables)."""
     axes = [np.linspace(low, high, n) for low, high, n in zip(box.low, box.high, levels, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(levels))
 
 
 def _largest_norm(matrices: FloatArray) -> float:
-    """Largest spectral norm of matrices (n, 2, 2); 0 for none."""
+    """Return the largest spectral norm of matrices (n, 2, 2); 0 for none."""
     return float(np.linalg.norm(matrices, ord=2, axis=(-2, -1)).max(initial=0.0))

@@ -185,7 +185,7 @@ class FittedModel(ABC):
         return 0.0
 
     def with_spread(self, spread: Covariance) -> Self:
-        """The same model with another covariance."""
+        """Return the same model with another covariance."""
         model: Any = self  # a dataclass, as every subclass is
         changed: Self = replace(model, spread=spread)
         return changed
@@ -199,15 +199,15 @@ class FittedModel(ABC):
         """Display: view tangents (m, 2) -> pixels. See-through: points (m, 3) -> view tangents."""
 
     def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
-        """How the view tangents (m, 2) of a pixel (m, 2) or a real point (m, 3) follow the first polynomial."""
+        """Return how the view tangents (m, 2) of a pixel (m, 2) or a real point (m, 3) follow the first polynomial."""
         raise BadInputError("this model has no covariance: only models fitted by maximum evidence have one.")
 
     @abstractmethod
     def view_dir(self, subject: FloatArray, viewpoint: FloatArray) -> QueryResult:
-        """Unit view directions (..., 3) of pixels (..., 2) or real points (..., 3), from viewpoints (..., 3)."""
+        """Return unit view directions (..., 3) of pixels (..., 2) or real points (..., 3), from viewpoints (..., 3)."""
 
     def direction_errors(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> DirectionErrors:
-        """Errors to be expected of the answer (..., 3) of `view_dir`; NaN where there is no answer.
+        """Return the errors to be expected of the answer (..., 3) of `view_dir`; NaN where there is no answer.
 
         Raises:
             BadInputError: the model has no covariance.
@@ -222,7 +222,7 @@ class FittedModel(ABC):
         return DirectionErrors(own.reshape(*lead, 3, 3), shared.reshape(*lead, *shared.shape[1:]), spread.sources)
 
     def direction_changes(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
-        """Changes (n, 3, k) of finite answers (n, 3) of `view_dir` by each variable of the model's covariance.
+        """Return changes (n, 3, k) of finite answers (n, 3) of `view_dir` by each variable of the model's covariance.
 
         The variables are independent and standard normal, those that the eye's other model shares first, so that the
         products of changes are the covariance between different answers, too.
@@ -244,7 +244,7 @@ class FittedModel(ABC):
         return at.inputs, dir_by_tangents(tangents) @ at.by_polynomial, self.spread
 
     def sigma(self, subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Standard error (...) of `view_dir` in arcminutes: the rms angle that the fit expects of itself.
+        """Return the standard error (...) of `view_dir` in arcminutes: the rms angle that the fit expects of itself.
 
         Over both axes; NaN where there is no answer. Where the answer is OUTSIDE_FIT, it is an extrapolation, too.
 

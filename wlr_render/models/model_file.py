@@ -125,7 +125,7 @@ class EyeModel:
         )
 
     def _fitted(self, name: str, mapping: object, kinds: dict[str, type[Any]]) -> list[str]:
-        """Cells of one mapping; a dash where the report, which may be of another program, has no such number."""
+        """Return cells of one mapping; a dash where the report, which may be of another program, has no such number."""
         kind = next((kind for kind, model in kinds.items() if isinstance(mapping, model)), "")
         if not kind:
             return ["not calibrated", "-", "-", "-", "-"]
@@ -294,7 +294,7 @@ def _part_names(model: type[Any]) -> list[str]:
 
 
 def _modelled(model: type[Any]) -> str:
-    """Name of the polynomial that the spread is of."""
+    """Return the name of the polynomial that the spread is of."""
     forms: Forms = model.FORMS
     return next(iter(forms))
 
@@ -307,7 +307,7 @@ def _spread_record(spread: Covariance, polynomial: Polynomial) -> dict[str, Any]
 
 
 def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, Any]:
-    """Whole numbers, each factor's in units of a power of ten of which the largest has `_DIGITS` digits."""
+    """Return the whole numbers, each factor's in units of a power of ten of which the largest has `_DIGITS` digits."""
     if not (
         np.array_equal(factors.box.low, polynomial.box.low) and np.array_equal(factors.box.high, polynomial.box.high)
     ):
@@ -364,7 +364,7 @@ def _spread(table: Table, polynomial: Polynomial) -> Covariance:
 
 
 def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> Polynomial:
-    """Factors of a spread, `outputs` of each variable."""
+    """Return the factors of a spread, `outputs` of each variable."""
     orders, box = polynomial.orders, polynomial.box
     if not parent.has(name):
         return Polynomial(orders, box, np.zeros((len(orders), 0)))

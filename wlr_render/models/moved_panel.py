@@ -14,7 +14,7 @@ from wlr_render.numerics.regressor import Regressor
 def pixel_at_calibration(
     pixel: FloatArray, panel: Panel, shift_px: FloatArray, growth: FloatArray | float
 ) -> FloatArray:
-    """Pixels (..., 2) that at calibration were where pixels (..., 2) of the moved panel are now."""
+    """Return the pixels (..., 2) that at calibration were where pixels (..., 2) of the moved panel are now."""
     return np.asarray(pixel + shift_px + growth * (pixel - 0.5 * panel.size_px))
 
 
@@ -72,6 +72,6 @@ class MovedPanelDisplay:
         return replace(found, value=self._back(found.value))
 
     def _back(self, pixel: FloatArray) -> FloatArray:
-        """Pixels (..., 2) now, from those at calibration."""
+        """Return the pixels (..., 2) now, from those at calibration."""
         middle = 0.5 * self.panel.size_px
         return np.asarray(middle + (pixel - middle - self.shift_px) / (1.0 + self.growth))

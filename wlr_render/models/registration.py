@@ -16,7 +16,7 @@ OWN = "noise and stage"
 def model_registration_covariance(
     display: FittedDisplay, see_through: FittedSeeThrough, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
 ) -> dict[str, FloatArray]:
-    """Covariance, by source, of the angle from a real point's direction to a pixel's, as both models expect it.
+    """Return covariance, by source, of the angle from a real point's direction to a pixel's, as both models expect it.
 
     Both directions are seen from the viewpoint. What both models share, such as an error of the camera that measured
     both, counts by its difference: it cancels as far as it displaces both alike.
@@ -80,7 +80,7 @@ def registration_changes(
 
 
 def right_and_up(direction: FloatArray) -> FloatArray:
-    """Axes (..., 2, 3) perpendicular to unit directions (..., 3): horizontal to the right, and up.
+    """Return the axes (..., 2, 3) perpendicular to unit directions (..., 3): horizontal to the right, and up.
 
     Device frame, where y is up; the direction must not be vertical.
     """
@@ -97,6 +97,6 @@ def _check_one_fit(of_display: tuple[str, ...], of_see_through: tuple[str, ...])
 
 
 def _from(difference: FloatArray, sources: Sequence[str], name: str) -> FloatArray:
-    """Covariance (..., 2, 2) by the variables of one source, of changes (..., 2, k)."""
+    """Return the covariance (..., 2, 2) by the variables of one source, of changes (..., 2, k)."""
     own = difference[..., [source == name for source in sources]]
     return np.asarray(own @ np.swapaxes(own, -1, -2))

@@ -42,7 +42,7 @@ class Covariance:
         return len(self.sources)
 
     def covariance(self, inputs: FloatArray) -> FloatArray:
-        """Covariance (n, outputs, outputs) of the values at inputs (n, variables), in their units squared."""
+        """Return covariance (n, outputs, outputs) of the values at inputs (n, variables), in their units squared."""
         own, shared = self.own_and_shared(inputs)
         return own + shared @ shared.transpose(0, 2, 1) if self.sources else own
 
@@ -76,7 +76,7 @@ class Covariance:
         return covariance, shared
 
     def changes(self, inputs: FloatArray) -> FloatArray:
-        """Changes (n, outputs, k) of the values at inputs (n, variables) by each independent variable.
+        """Return the changes (n, outputs, k) of the values at inputs (n, variables) by each independent variable.
 
         The shared ones first. The covariance between the values at two inputs is the sum of the products.
         """

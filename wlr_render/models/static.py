@@ -82,7 +82,7 @@ class StaticSeeThrough(FittedSeeThrough):
 
 
 def _nowhere(rows: FloatArray) -> FloatArray:
-    """The place (m, 0) of a model that ignores the viewpoint."""
+    """Return the place (m, 0) of a model that ignores the viewpoint."""
     return np.empty((len(rows), 0))
 
 

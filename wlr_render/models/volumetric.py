@@ -93,7 +93,7 @@ class VolumetricSeeThrough(FittedSeeThrough):
 
 
 def deviated_contraction(forward: Regressor, eye_box: EyeBox, place_of: Callable[[FloatArray], FloatArray]) -> float:
-    """Contraction of `deviated_view`, for the places (m, any) of viewpoints (m, 3)."""
+    """Return the contraction of `deviated_view`, for the places (m, any) of viewpoints (m, 3)."""
     box = Box(forward.box.low[-2:], forward.box.high[-2:])
 
     def contains(tangents: FloatArray, viewpoint: FloatArray) -> BoolArray:
@@ -121,7 +121,7 @@ def deviated_ray(forward: Regressor, place: FloatArray, tangents: FloatArray, vi
 def deviated_view(
     forward: Regressor, place: FloatArray, point: FloatArray, viewpoint: FloatArray, start: FloatArray | None
 ) -> Answer:
-    """The view direction whose `deviated_ray` passes through the point."""
+    """Return the view direction whose `deviated_ray` passes through the point."""
     forward_at = forward.held(range(place.shape[1]), place)
 
     def deviation_at(tangents: FloatArray, index: IntArray) -> Deviation:
@@ -135,6 +135,6 @@ def deviated_view(
 def deviated_sensitivity(
     forward: Regressor, place: FloatArray, point: FloatArray, viewpoint: FloatArray, tangents: FloatArray
 ) -> Sensitivity:
-    """How `deviated_view` follows the polynomial."""
+    """Return how `deviated_view` follows the polynomial."""
     by_value = _deviation(forward, place, tangents).view_by_value(1.0 / (viewpoint[:, 2] - point[:, 2]))
     return Sensitivity(joined(place, tangents), by_value)

@@ -15,14 +15,14 @@ _SHOWN_VALUES = 4  # the most values of an array that an error shows; of more, i
 
 
 def rows_by_label(labels: IntArray) -> tuple[IntArray, list[IntArray]]:
-    """The different labels of rows (n,), ascending, and the rows of each."""
+    """Return the different labels of rows (n,), ascending, and the rows of each."""
     order = np.argsort(labels, kind="stable")
     names, first = np.unique(labels[order], return_index=True)
     return names, np.split(order, first[1:])
 
 
 def finite_array(value: object, shape: tuple[int, ...], what: str, wanted: str) -> FloatArray:
-    """A copy of finite numbers as float64.
+    """Return a copy of finite numbers as float64.
 
     Args:
         value: what a caller gave, of any type. Text and truth values are not numbers, although NumPy converts them.

@@ -134,7 +134,7 @@ class Sums:
             cross[which] += columns[:, output].T @ design
 
     def with_side(self, mixed: int, groups: int, own: int) -> "Sums":
-        """Sums over the same readings with other side unknowns, none of which are added yet; see `add_side`."""
+        """Return sums over the same readings with other side unknowns, none of which are added yet; see `add_side`."""
         other = Sums(len(self.gram), len(self.moment), mixed, groups, own)
         other.count, other.square, other.log_weight = self.count, self.square, self.log_weight
         other.gram, other.moment = self.gram.copy(), self.moment.copy()
@@ -153,7 +153,7 @@ class Sums:
         return reduced
 
     def __sub__(self, other: "Sums") -> "Sums":
-        """Sums without the readings of other sums."""
+        """Return the sums without the readings of other sums."""
         rest = Sums(self.gram.shape[0], len(self.moment), self.mixed, self.groups, self.own)
         for name, value in vars(self).items():
             if name not in ("mixed", "groups", "own"):
@@ -188,12 +188,12 @@ class Prior:
         return self.names.index("noise")
 
     def surprise(self, hyper: FloatArray) -> tuple[float, FloatArray]:
-        """Half the squared distance of hyperparameters from what is expected, and its slope."""
+        """Return the half the squared distance of hyperparameters from what is expected, and its slope."""
         off = (hyper - self.expected[:, 0]) / self.expected[:, 1]
         return 0.5 * float(off @ off), off / self.expected[:, 1]
 
     def side(self, groups: int) -> tuple[FloatArray, FloatArray]:
-        """Features (side, hyperparameters) and offset (side,) of the side unknowns."""
+        """Return the features (side, hyperparameters) and offset (side,) of the side unknowns."""
         own = np.broadcast_to(self.own_offset, (groups, len(self.own_features))).ravel()
         features = [self.mixed_features, np.tile(self.own_features, (groups, 1))]
         return np.concatenate(features), np.concatenate([np.zeros(len(self.mixed_features)), own])
@@ -268,7 +268,7 @@ class Posterior:
 
 
 def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True) -> Posterior:
-    """Posterior and evidence at given hyperparameters (hyperparameters,).
+    """Return the posterior and evidence at given hyperparameters (hyperparameters,).
 
     Args:
         sums: over the readings.
@@ -338,14 +338,14 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
 
 
 def _normal(gram: FloatArray, width: FloatArray) -> FloatArray:
-    """Normal matrix of unknowns in units of their prior sizes."""
+    """Return the normal matrix of unknowns in units of their prior sizes."""
     normal = width[:, None] * gram * width
     normal[np.diag_indices_from(normal)] += 1.0
     return np.asarray(normal)
 
 
 def _cholesky(normal: FloatArray) -> FloatArray:
-    """Lower triangular factor of a positive definite matrix."""
+    """Return the lower triangular factor of a positive definite matrix."""
     if len(normal) == 0:
         return normal
     factor, failed = lapack.dpotrf(normal, lower=1, clean=1)
@@ -362,7 +362,7 @@ def _solved(lower: FloatArray, columns: FloatArray, transposed: bool = False) ->
 
 
 def _inverse(lower: FloatArray) -> FloatArray:
-    """Inverse of the matrix with this Cholesky factor."""
+    """Return the inverse of the matrix with this Cholesky factor."""
     if len(lower) == 0:
         return lower
     half, _ = lapack.dpotri(lower, lower=1)
@@ -370,7 +370,7 @@ def _inverse(lower: FloatArray) -> FloatArray:
 
 
 def _in_place(inverse: FloatArray, scale: FloatArray, used: BoolArray) -> FloatArray:
-    """Covariance of all unknowns from that of the used ones in units of their prior sizes."""
+    """Return the covariance of all unknowns from that of the used ones in units of their prior sizes."""
     covariance = np.diag(scale**2)
     covariance[np.ix_(used, used)] = scale[used][:, None] * inverse * scale[used]
     return covariance

@@ -37,20 +37,20 @@ _SLOW = 12  # time of an element-wise multiplication, in multiplications within 
 
 
 def term_count(variables: int, degree: int) -> int:
-    """Number of terms of total degree up to `degree`: C(variables + degree, degree)."""
+    """Return the number of terms of total degree up to `degree`: C(variables + degree, degree)."""
     return comb(variables + degree, degree)
 
 
 @lru_cache(maxsize=64)
 def total_degree(variables: int, degree: int) -> IntArray:
-    """(terms, variables) orders of all terms of total order <= `degree`, ordered by it; read-only."""
+    """Return (terms, variables) orders of all terms of total order <= `degree`, ordered by it; read-only."""
     rows = itertools.product(range(degree + 1), repeat=variables)
     return _order_table((row for row in rows if sum(row) <= degree), variables)
 
 
 @lru_cache(maxsize=64)
 def limited_orders(first: int, first_limit: int, second: int, second_limit: int, total: int) -> IntArray:
-    """(terms, first + second) orders limited apart, ordered as those of `total_degree`; read-only.
+    """Return (terms, first + second) orders limited apart, ordered as those of `total_degree`; read-only.
 
     Args:
         first, second: numbers of variables.
@@ -83,7 +83,7 @@ class Box:
 
     @classmethod
     def around(cls, inputs: FloatArray) -> "Box":
-        """Bounding box of samples (n, variables); an axis without extent gets a width of one unit."""
+        """Return the bounding box of samples (n, variables); an axis without extent gets a width of one unit."""
         low, high = inputs.min(axis=0), inputs.max(axis=0)
         flat = high - low <= 1e-12 * np.maximum(1.0, np.abs(high))
         return cls(np.where(flat, low - 0.5, low), np.where(flat, high + 0.5, high))
@@ -98,11 +98,11 @@ class Box:
         return np.asarray((2.0 * inputs - self.low - self.high) / (self.high - self.low))
 
     def contains(self, inputs: FloatArray, slack: float = BOX_SLACK) -> NDArray[np.bool_]:
-        """Whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
+        """Return whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
         return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
 
     def of(self, axes: Sequence[int]) -> "Box":
-        """The box of some of the variables."""
+        """Return the box of some of the variables."""
         return Box(self.low[list(axes)], self.high[list(axes)])
 
 
@@ -198,7 +198,7 @@ def basis(inputs: FloatArray, orders: IntArray, box: Box) -> FloatArray:
 
 
 def _distinct(orders: IntArray) -> tuple[IntArray, IntArray]:
-    """The distinct rows of (terms, variables), and for each term the index of its row."""
+    """Return the distinct rows of (terms, variables), and for each term the index of its row."""
     if orders.shape[1] == 0:
         return np.zeros((1, 0), np.int64), np.zeros(len(orders), np.int64)
     rows, index = np.unique(orders, axis=0, return_inverse=True)
@@ -254,7 +254,7 @@ class HeldPolynomial:
         self._here = (split.table @ (factors.value + factors.excess)).reshape(shape) if beyond else self._border
 
     def __call__(self, inputs: FloatArray, index: IntArray | None = None) -> FloatArray:
-        """Values (m, outputs) at the free variables (m, axes ascending).
+        """Return the values (m, outputs) at the free variables (m, axes ascending).
 
         Args:
             inputs: (m, free variables).
@@ -267,7 +267,7 @@ class HeldPolynomial:
         return value.T
 
     def with_jacobian(self, inputs: FloatArray, index: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Value (m, outputs) and Jacobian (m, outputs, free variables), see `__call__`."""
+        """Return the value (m, outputs) and Jacobian (m, outputs, free variables), see `__call__`."""
         factors = _Products.of(self._orders, self._box, inputs, slopes=True)
         border = _rows(self._border, index)
         here = border if self._here is self._border else _rows(self._here, index)
@@ -292,7 +292,7 @@ def _rows(coefficients: FloatArray, index: IntArray | None) -> FloatArray:
 
 
 def _summed(coefficients: FloatArray, factors: FloatArray) -> FloatArray:
-    """(outputs, n) sums over the factors of coefficients (outputs, factors, n) x factors (factors, n)."""
+    """Return (outputs, n) sums over the factors of coefficients (outputs, factors, n) x factors (factors, n)."""
     return np.asarray(np.einsum("ofn,fn->on", coefficients, factors))
 
 
@@ -326,7 +326,7 @@ class Polynomial:
         return 0.0
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Values (..., outputs) at inputs (..., variables)."""
+        """Return the values (..., outputs) at inputs (..., variables)."""
         split = self._cheapest()
 
         def value(rows: FloatArray) -> tuple[FloatArray]:
@@ -335,7 +335,7 @@ class Polynomial:
         return _in_blocks(value, inputs)[0]
 
     def with_jacobian(self, inputs: FloatArray, axes: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Value (..., outputs) and Jacobian (..., outputs, axes) of (..., variables), in the inputs' units.
+        """Return the value (..., outputs) and Jacobian (..., outputs, axes) of (..., variables), in the inputs' units.
 
         Args:
             inputs: (..., variables).
@@ -357,7 +357,7 @@ class Polynomial:
         return value, jacobian
 
     def plus(self, other: "Polynomial") -> "Polynomial":
-        """The sum with a polynomial over the same box, whose terms may be others."""
+        """Return the sum with a polynomial over the same box, whose terms may be others."""
         orders, index = _distinct(np.concatenate([self.orders, other.orders]))
         coefficients = np.zeros((len(orders), self.coefficients.shape[1]))
         np.add.at(coefficients, index, np.concatenate([self.coefficients, other.coefficients]))
@@ -384,7 +384,7 @@ class Polynomial:
 
 
 def _in_blocks(function: Callable[[FloatArray], tuple[FloatArray, ...]], inputs: FloatArray) -> tuple[FloatArray, ...]:
-    """The results of a function of (n, variables), block by block, for (..., variables)."""
+    """Return the results of a function of (n, variables), block by block, for (..., variables)."""
     flat = inputs.reshape(-1, inputs.shape[-1])
     starts = range(0, max(len(flat), 1), _CHUNK)
     parts = zip(*(function(flat[start : start + _CHUNK]) for start in starts), strict=True)

@@ -20,7 +20,7 @@ class HeldRegressor(Protocol):
         """Values (m, outputs) at the free variables (m, axes ascending) of the held rows `index`; None for all."""
 
     def with_jacobian(self, inputs: FloatArray, index: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Values (m, outputs) and Jacobian (m, outputs, free variables)."""
+        """Return the values (m, outputs) and Jacobian (m, outputs, free variables)."""
 
 
 class Regressor(Protocol):
@@ -43,10 +43,10 @@ class Regressor(Protocol):
         """Size of what is rounding in its values: solves do not ask for less."""
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Values (..., outputs) at inputs (..., variables)."""
+        """Return the values (..., outputs) at inputs (..., variables)."""
 
     def with_jacobian(self, inputs: FloatArray, axes: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Values (..., outputs) and Jacobian (..., outputs, axes)."""
+        """Return the values (..., outputs) and Jacobian (..., outputs, axes)."""
 
     def held(self, axes: Sequence[int], inputs: FloatArray) -> HeldRegressor:
         """Hold the variables `axes` at (n, axes)."""
@@ -71,14 +71,14 @@ class NumericRegressor:
     rounding: float = 1e-12
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Values (..., outputs) at inputs (..., variables)."""
+        """Return the values (..., outputs) at inputs (..., variables)."""
         flat = inputs.reshape(-1, inputs.shape[-1])
         starts = range(0, max(len(flat), 1), _CHUNK)
         values = np.concatenate([self.function(flat[start : start + _CHUNK]) for start in starts])
         return values.reshape(*inputs.shape[:-1], self.outputs)
 
     def with_jacobian(self, inputs: FloatArray, axes: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Values (..., outputs) and Jacobian (..., outputs, axes) in the inputs' units."""
+        """Return the values (..., outputs) and Jacobian (..., outputs, axes) in the inputs' units."""
         by = range(inputs.shape[-1]) if axes is None else axes
         steps = _STEP * (self.box.high - self.box.low)
         slopes = []

@@ -67,23 +67,23 @@ def combiner_middle(optics: EyeOptics) -> FloatArray:
 
 
 def combiner_turned(optics: EyeOptics, tilt_deg: FloatArray) -> EyeOptics:
-    """All surfaces turned together about the combiner's middle by angles (3,) about x, y and z."""
+    """Return all surfaces turned together about the combiner's middle by angles (3,) about x, y and z."""
     rotation, pivot = rotations_of_vectors(np.deg2rad(tilt_deg)), combiner_middle(optics)
     return _surfaces_moved(optics, rigid(rotation, pivot - rotation @ pivot))
 
 
 def combiner_shifted(optics: EyeOptics, shift_mm: FloatArray) -> EyeOptics:
-    """All surfaces shifted together along x, y and z (3,)."""
+    """Return all surfaces shifted together along x, y and z (3,)."""
     return _surfaces_moved(optics, rigid(np.eye(3), 1e-3 * shift_mm))
 
 
 def panel_shifted(optics: EyeOptics, shift_mm: FloatArray) -> EyeOptics:
-    """The panel shifted along its u axis, its v axis and its normal (3,)."""
+    """Return the panel shifted along its u axis, its v axis and its normal (3,)."""
     return _panel_moved(optics, rigid(np.eye(3), 1e-3 * shift_mm))
 
 
 def panel_turned(optics: EyeOptics, rotation_deg: FloatArray) -> EyeOptics:
-    """The panel turned about its centre by angles (3,) about its u axis, its v axis and its normal."""
+    """Return the panel turned about its centre by angles (3,) about its u axis, its v axis and its normal."""
     return _panel_moved(optics, rigid(rotations_of_vectors(np.deg2rad(rotation_deg)), np.zeros(3)))
 
 

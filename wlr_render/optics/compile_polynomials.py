@@ -123,19 +123,19 @@ class _Rays(Protocol):
         """Of the inputs."""
 
     def lattice(self, limits: Limits) -> tuple[FloatArray, FloatArray]:
-        """Places and tangents, (n, 2) each, enough for these orders."""
+        """Return the places and tangents, (n, 2) each, enough for these orders."""
 
     def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Places and tangents, (n, 2) each."""
+        """Return the places and tangents, (n, 2) each."""
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
         """Trace rays, and keep those that pass, in the box grown by `border` of its size."""
 
     def by_values(self, samples: _Samples) -> FloatArray:
-        """(n, outputs, 12) derivatives of the outputs by the assembly errors, at constant inputs."""
+        """Return (n, outputs, 12) derivatives of the outputs by the assembly errors, at constant inputs."""
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
-        """Angles (n,) of differences (n, outputs) of the outputs."""
+        """Return the angles (n,) of differences (n, outputs) of the outputs."""
 
 
 def _compiled(rays: _Rays, ladder: tuple[Limits, ...]) -> CompiledMap:
@@ -157,7 +157,7 @@ def _compiled(rays: _Rays, ladder: tuple[Limits, ...]) -> CompiledMap:
 
 
 def _ridge_regression(inputs: FloatArray, orders: IntArray, box: Box) -> Callable[[FloatArray], FloatArray]:
-    """Function from outputs (n, k) to coefficients (terms, k)."""
+    """Return the function from outputs (n, k) to coefficients (terms, k)."""
     design = basis(inputs, orders, box)
     ridge = _RIDGE * len(design) * (1.0 + orders.sum(axis=1)) ** 2
     factor = cho_factor(design.T @ design + np.diag(ridge), lower=True, overwrite_a=True)
@@ -190,7 +190,7 @@ class _DisplayRays:
         return self.box.of((0, 1)).contains(pixel, border)
 
     def _bounds(self, place: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest tangents (n, 2) that reach the box from places (n, 2), of a grid `axes` (m, 2)."""
+        """Return lowest and highest tangents (n, 2) that reach the box from places (n, 2), of a grid `axes` (m, 2)."""
         grid = _grid(axes[:, 0], axes[:, 1])
         pixel, passes = self._traced(self.values, np.repeat(place, len(grid), axis=0), np.tile(grid, (len(place), 1)))
         found = (self._in_box(pixel, _BORDER) & passes).reshape(len(place), -1, 1)
@@ -199,7 +199,7 @@ class _DisplayRays:
         return low, np.where(found, grid, -np.inf).max(axis=1) + step
 
     def _reach(self) -> FloatArray:
-        """(m, 2) tangents per axis in which the box of pixels is seen from anywhere."""
+        """Return (m, 2) tangents per axis in which the box of pixels is seen from anywhere."""
         low, high = self._bounds(_nodes_2d(self.box, (2, 3), 3), np.stack([_SEARCH, _SEARCH], axis=1))
         if not np.isfinite(low).any():
             raise BadInputError(_NOT_REACHED)
@@ -254,7 +254,7 @@ class _SeeThroughRays:
     wavelength_um: float
 
     def _traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Deviations (n, 4), and which rays pass."""
+        """Return the deviations (n, 4), and which rays pass."""
         start, path = self.plane.lift(place), assembled(self.optics, values).see_through
         seen = trace(path, start, dir_of_tangents(tangents), self.wavelength_um)
         beyond = tangents_of_dir(seen.direction)
@@ -290,7 +290,7 @@ class _SeeThroughRays:
 
 
 def _stepped(values: FloatArray) -> FloatArray:
-    """(12, 12) values with one of them changed by `_VALUE_STEP`."""
+    """Return (12, 12) values with one of them changed by `_VALUE_STEP`."""
     return np.asarray(values + _VALUE_STEP * np.eye(len(values)))
 
 
@@ -309,14 +309,14 @@ def _nodes(count: int) -> FloatArray:
 
 
 def _nodes_2d(box: Box, axes: tuple[int, int], count: int) -> FloatArray:
-    """(count^2, 2) Chebyshev points over two axes of a box."""
+    """Return (count^2, 2) Chebyshev points over two axes of a box."""
     low, high = box.low[list(axes)], box.high[list(axes)]
     unit = _grid(_nodes(count), _nodes(count))
     return np.asarray(0.5 * (low + high) + 0.5 * unit * (high - low))
 
 
 def _angle_arcmin(tangents: FloatArray, change: FloatArray) -> FloatArray:
-    """Angles (n,) by which directions turn when their tangents (n, 2) change a little."""
+    """Return the angles (n,) by which directions turn when their tangents (n, 2) change a little."""
     square = 1.0 + np.sum(tangents**2, axis=-1)
     along = np.sum(tangents * change, axis=-1)
     return np.asarray(np.sqrt(np.sum(change**2, axis=-1) / square - (along / square) ** 2) / ARCMIN)

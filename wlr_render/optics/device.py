@@ -100,17 +100,17 @@ class PlacedPanel:
         return inverse(self.device_from_panel)
 
     def pixel_of_local(self, point_in_panel: FloatArray) -> FloatArray:
-        """Pixels (..., 2) of points (..., 2) in the panel's frame, metres."""
+        """Return the pixels (..., 2) of points (..., 2) in the panel's frame, metres."""
         return np.asarray((point_in_panel / self.size + 0.5) * self.pixels.size_px)
 
     def point_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Points (..., 3) of pixels (..., 2), metres, device frame."""
+        """Return the points (..., 3) of pixels (..., 2), metres, device frame."""
         flat = (pixel / self.pixels.size_px - 0.5) * self.size
         local = np.concatenate([flat, 0.5 * (flat * flat @ self.curvature)[..., None]], axis=-1)
         return np.asarray(local @ self.device_from_panel[:3, :3].T + self.device_from_panel[:3, 3])
 
     def pixel_of_ray(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
-        """Pixels (..., 2) where rays (..., 3), (..., 3) in the device frame meet the panel or its continuation.
+        """Return pixels (..., 2) where rays (..., 3), (..., 3) in the device frame meet the panel or its continuation.
 
         NaN where a ray meets it nowhere ahead. Of two places, the one near to where the ray meets the plane z = 0.
         """
@@ -146,17 +146,17 @@ class EyeOptics:
     field: FieldOfView | None = None
 
     def surfaces(self) -> tuple[PlacedSurface, ...]:
-        """All surfaces of both paths, each once, in the order of the first intersection."""
+        """Return all surfaces of both paths, each once, in the order of the first intersection."""
         steps = self.display.steps + self.see_through.steps
         return tuple({step.surface.name: step.surface for step in steps}.values())
 
     def with_surfaces(self, change: Callable[[PlacedSurface], PlacedSurface]) -> "EyeOptics":
-        """A copy with every surface changed in both paths."""
+        """Return a copy with every surface changed in both paths."""
         changed = {surface.name: change(surface) for surface in self.surfaces()}
         return self._with_steps(lambda step: replace(step, surface=changed[step.surface.name]))
 
     def with_media(self, change: Callable[[Medium], Medium]) -> "EyeOptics":
-        """A copy with every medium except air changed in both paths."""
+        """Return a copy with every medium except air changed in both paths."""
         return self._with_steps(lambda step: step if step.medium == AIR else replace(step, medium=change(step.medium)))
 
     def _with_steps(self, change: Callable[[Step], Step]) -> "EyeOptics":
@@ -197,7 +197,7 @@ class Device:
 
 
 def mirrored(eye: EyeOptics) -> EyeOptics:
-    """The optics of the other eye: mirrored in x = 0.
+    """Return the optics of the other eye: mirrored in x = 0.
 
     u of the panel still runs to the wearer's right, so pixel (u, v) of one eye is (width - u, v) of the other.
     """

@@ -105,7 +105,7 @@ def _require_smooth(table: Table, shape: SagSurface, aperture: ClearAperture) ->
 
 
 def _form_error(table: Table, frame: FloatArray, base: PlacedSurface) -> FormError:
-    """One [[eye.surface.error]], a shape z(x, y) with its pose."""
+    """Return one [[eye.surface.error]], a shape z(x, y) with its pose."""
     sag = _SAG_SHAPES[table.text("shape", choices=sorted(_SAG_SHAPES))](table)
     error = FormError(sag, base.surface_from_device @ _pose(table, frame))
     table.finish()
@@ -134,7 +134,7 @@ def _pose(table: Table, frame: FloatArray) -> FloatArray:
 
 
 def axes(table: Table, first: str, second: str) -> FloatArray:
-    """Right-handed unit axes in columns: `first`, `second` made orthogonal to it, and their product."""
+    """Return the right-handed unit axes in columns: `first`, `second` made orthogonal to it, and their product."""
     a, b = table.vector(first, 3), table.vector(second, 3)
     lengths = np.linalg.norm(a) * np.linalg.norm(b)
     if lengths == 0 or abs(a @ b) > 1e-3 * lengths:
@@ -166,7 +166,7 @@ def _xy_polynomial(table: Table) -> XYPolynomial:
 
 
 def _powers(sag: Table, key: str) -> tuple[int, int]:
-    """Powers of x and y that a key such as "x2y", "y3" stands for."""
+    """Return the powers of x and y that a key such as "x2y", "y3" stands for."""
     match = re.fullmatch(r"(?:x(\d*))?(?:y(\d*))?", key)
     if not key or match is None:
         raise sag.fail(f"{shown(key)} is no term in x and y; write x2, xy3, y4 and so on.")
@@ -196,7 +196,7 @@ def _power_of_r(sag: Table, key: str) -> int:
 
 
 def _biconic(table: Table) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Curvatures in 1/m and conics along x and y; a profile without a radius is straight."""
+    """Return the curvatures in 1/m and conics along x and y; a profile without a radius is straight."""
     keys = "radius_x_mm", "radius_y_mm"
     if not any(map(table.has, keys)):
         raise table.fail(f"neither {' nor '.join(keys)} is there; write at least one.")
@@ -233,12 +233,12 @@ _SHAPES: dict[str, Callable[[Table], Shape]] = {
 
 
 def base_chain(shape: Shape) -> list[Shape]:
-    """The shape itself and, if it is displaced from a base, its base, and so on."""
+    """Return the shape itself and, if it is displaced from a base, its base, and so on."""
     return [shape, *base_chain(shape.base)] if isinstance(shape, Offset | Raised | RaisedSag) else [shape]
 
 
 def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] | dict[str, Medium]) -> str:
-    """A key that refers to something defined in the file by its name."""
+    """Return a key that refers to something defined in the file by its name."""
     name = entry.text(key)
     if name not in choices:
         raise entry.fail(
@@ -249,7 +249,7 @@ def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] |
 
 
 def positive(table: Table, key: str) -> float:
-    """A number above 0."""
+    """Return a number above 0."""
     value = table.number(key)
     if value <= 0:
         raise table.fail(f"'{key}' must be positive, not {value}.")
@@ -257,7 +257,7 @@ def positive(table: Table, key: str) -> float:
 
 
 def _length(table: Table, key: str, at_most_mm: float = _FAR_MM) -> float:
-    """A length other than 0, in metres; `key` is in millimetres."""
+    """Return a length other than 0, in metres; `key` is in millimetres."""
     value = table.number(key)
     if value == 0:
         raise table.fail(f"'{key}' must not be 0.")
@@ -266,7 +266,7 @@ def _length(table: Table, key: str, at_most_mm: float = _FAR_MM) -> float:
 
 
 def _lengths(table: Table, key: str, size: int, at_most_mm: float = _FAR_MM) -> FloatArray:
-    """(size,) lengths in metres; `key` is in millimetres."""
+    """Return (size,) lengths in metres; `key` is in millimetres."""
     values = table.vector(key, size)
     require_length(f"{table.where}: '{key}'", values, at_most_mm, "mm")
     return MM * values
@@ -282,7 +282,7 @@ def load_device(spec: str | FilePath) -> Device:
 
 
 def device_path(spec: str | FilePath) -> FilePath:
-    """Path of a device file, given a shipped device's name or a path.
+    """Return the path of a device file, given a shipped device's name or a path.
 
     Raises:
         BadInputError: there is no such device, or the file holds JSON, as fitted models do.
@@ -415,7 +415,7 @@ def _eye(table: Table, frame: FloatArray, media: dict[str, Medium]) -> EyeOptics
 
 
 def _path(entries: list[Table], surfaces: dict[str, PlacedSurface], media: dict[str, Medium]) -> Path:
-    """Steps written as { at = surface, do = interaction, into = medium }; `into` belongs to refractions only."""
+    """Return steps written as { at = surface, do = interaction, into = medium }; `into` belongs to refractions only."""
     medium = AIR
     steps = []
     for entry in entries:
@@ -447,7 +447,7 @@ def _panel(table: Table, frame: FloatArray) -> PlacedPanel:
 
 
 def _field(table: Table) -> FieldOfView | None:
-    """Angles as the wearer has them, right and up positive, whatever the file's axes."""
+    """Return the angles as the wearer has them, right and up positive, whatever the file's axes."""
     if not table.has("field_deg"):
         return None
     angles = table.vector("field_deg", 4)

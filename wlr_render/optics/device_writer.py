@@ -48,7 +48,7 @@ def save_device(device: Device, path: str | FilePath) -> FilePath:
 
 
 def device_content(device: Device) -> Content:
-    """What `save_device` writes: two devices are the same if it is."""
+    """Return what `save_device` writes: two devices are the same if it is."""
     names = _medium_names(device)
     head = {"name": device.name, "source": device.source, "frame": "openxr"}
     media = [_medium(name, medium) for medium, name in names.items() if medium != AIR]
@@ -57,7 +57,7 @@ def device_content(device: Device) -> Content:
 
 
 def _medium_names(device: Device) -> dict[Medium, str]:
-    """A name for each medium in use, its own one where no other medium has it."""
+    """Return a name for each medium in use, its own one where no other medium has it."""
     names = {AIR: AIR.name}
     for side, eye in device.eyes.items():
         for step in eye.display.steps + eye.see_through.steps:
@@ -87,7 +87,7 @@ def _medium(name: str, medium: Medium) -> Content:
 
 
 def _eyes(device: Device, names: dict[Medium, str]) -> list[Content]:
-    """One table for both eyes where one is the mirror image of the other, else one for each."""
+    """Return one table for both eyes where one is the mirror image of the other, else one for each."""
     first, *others = device.eyes
     tables = {side: _eye(eye, names) for side, eye in device.eyes.items()}
     if others and tables[others[0]] == _eye(mirrored(device.eyes[first]), names):
@@ -131,7 +131,7 @@ def _panel(panel: PlacedPanel) -> Content:
 
 
 def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
-    """All surfaces and the bases that displaced ones need besides, each base before what is stated by it."""
+    """Return all surfaces and the bases that displaced ones need besides, each base before what is stated by it."""
     placed, bases = list(surfaces), dict[str, str]()
     for surface in placed:  # grows by the bases, which may be displaced too
         if not isinstance(surface.shape, Offset | Raised | RaisedSag):
@@ -145,7 +145,7 @@ def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
 
 
 def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> PlacedSurface:
-    """Base of a displaced surface: a surface of the base's shape that stands in its place, or a new one."""
+    """Return the base of a displaced surface: a surface of the base's shape that stands in its place, or a new one."""
     for other in placed:
         if other.shape is shape and np.array_equal(other.device_from_surface, surface.device_from_surface):
             return other
@@ -200,7 +200,7 @@ def _base_conic(shape: Conic | Asphere | XYPolynomial) -> Content:
 
 
 def _polynomial(coefficients: FloatArray) -> Content:
-    """Terms by keys such as x2y3, without those that are zero unless all are."""
+    """Return the terms by keys such as x2y3, without those that are zero unless all are."""
     powers = [(int(m), int(n)) for m, n in np.argwhere(coefficients)] or [(0, 0)]
     return {_term_key(m, n): float(coefficients[m, n]) / MM ** (1 - m - n) for m, n in powers}
 
@@ -211,7 +211,7 @@ def _term_key(m: int, n: int) -> str:
 
 
 def _biconic(shape: AnamorphicAsphere | SumOfProfiles) -> Content:
-    """Radii of the profiles that have one, and conics."""
+    """Return the radii of the profiles that have one, and conics."""
     radii = {
         f"radius_{axis}_mm": 1.0 / curvature / MM
         for axis, curvature in zip("xy", shape.curvature, strict=True)
@@ -240,7 +240,7 @@ def _pose(device_from_surface: FloatArray) -> Content:
 
 
 def _aperture(aperture: ClearAperture) -> Content:
-    """A pair for each axis along which the aperture is not open."""
+    """Return a pair for each axis along which the aperture is not open."""
     sides = zip("xyz", aperture.low, aperture.high, strict=True)
     return {f"aperture_{axis}_mm": _mm(np.array(side)) for axis, *side in sides if np.isfinite(side).any()}
 

@@ -42,11 +42,11 @@ class DrawingView:
     label: str
 
     def in_mm(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Forward and upward coordinates in millimetres, (...) each, of points (..., 3) in metres."""
+        """Return the forward and upward coordinates in millimetres, (...) each, of points (..., 3) in metres."""
         return -1e3 * point[..., 2], 1e3 * point[..., self.up]
 
     def directions(self, angle: FloatArray) -> FloatArray:
-        """Unit directions in the plane of the view, measured from straight ahead, (n, 3)."""
+        """Return the unit directions in the plane of the view, measured from straight ahead, (n, 3)."""
         result = np.zeros((len(angle), 3))
         result[:, self.up], result[:, 2] = np.sin(angle), -np.cos(angle)
         return result
@@ -138,7 +138,7 @@ def _draw_eye_box(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
 
 
 def cut_surface(surface: PlacedSurface, centre: FloatArray, view: DrawingView) -> FloatArray:
-    """Points of a surface in the plane of the view through `centre`, (n, 3); NaN separates pieces.
+    """Return the points of a surface in the plane of the view through `centre`, (n, 3); NaN separates pieces.
 
     They are found by a fan of straight rays, whatever the shape.
     """

@@ -92,7 +92,7 @@ def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
 
 
 def _place(optics: EyeOptics, tangents: FloatArray, viewpoint: FloatArray, wavelength_um: float) -> FloatArray:
-    """Places on the panel (n, 2) in metres from its middle; NaN for rays that are lost."""
+    """Return the places on the panel (n, 2) in metres from its middle; NaN for rays that are lost."""
     traced = trace(optics.display, viewpoint, dir_of_tangents(tangents), wavelength_um)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
     local = (pixel / optics.panel.pixels.size_px - 0.5) * optics.panel.size

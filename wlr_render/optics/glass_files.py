@@ -43,7 +43,7 @@ class GlassEntry:
     range_um: Sequence[str] = field(default_factory=list)
 
     def medium(self) -> Medium:
-        """The glass.
+        """Return the glass.
 
         Raises:
             BadInputError: its formula or coefficients are faulty, or it has no index of a glass in visible light.
@@ -97,30 +97,30 @@ def read_glass_file(path: Path) -> dict[str, GlassEntry]:
 
 @functools.cache
 def shipped_entries() -> dict[str, GlassEntry]:
-    """Glasses of this package by name in capitals."""
+    """Return the glasses of this package by name in capitals."""
     return read_glass_file(SHIPPED)
 
 
 @functools.cache
 def shipped_glasses() -> dict[str, Medium]:
-    """Glasses of this package by name."""
+    """Return the glasses of this package by name."""
     return {entry.name: entry.medium() for entry in shipped_entries().values()}
 
 
 def sellmeier(name: str, coefficients: Sequence[float]) -> Medium:
-    """A medium of n^2 = 1 + sum of K L^2 / (L^2 - pole), from K, pole, K, pole and so on."""
+    """Return a medium of n^2 = 1 + sum of K L^2 / (L^2 - pole), from K, pole, K, pole and so on."""
     return Medium.squared(name, zip(coefficients[::2], coefficients[1::2], strict=True), [(1.0, 0.0)])
 
 
 def fraction(strength: float, pole: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-    """Terms and powers, for `Medium.squared`, of strength / (L^2 - pole)."""
+    """Return the terms and powers, for `Medium.squared`, of strength / (L^2 - pole)."""
     if not pole:
         return [], [(strength, -2.0)]
     return [(strength / pole, pole)], [(-strength / pole, 0.0)]
 
 
 def herzberger(name: str, coefficients: Sequence[float]) -> Medium:
-    """A medium of n = A + B M + C M^2 + D L^2 + E L^4 + F L^6 with M = 1 / (L^2 - 0.028).
+    """Return a medium of n = A + B M + C M^2 + D L^2 + E L^4 + F L^6 with M = 1 / (L^2 - 0.028).
 
     M is expanded in powers of 0.028 / L^2 up to L^-20: from 0.4 micrometres on, n is met to 1e-7.
     """

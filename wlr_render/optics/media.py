@@ -34,14 +34,14 @@ class Medium:
 
     @classmethod
     def constant(cls, name: str, index: float) -> "Medium":
-        """A medium without dispersion."""
+        """Return a medium without dispersion."""
         return cls(name, ((index * index - 1.0, 0.0),))
 
     @classmethod
     def squared(
         cls, name: str, terms: Iterable[tuple[float, float]] = (), powers: Iterable[tuple[float, float]] = ()
     ) -> "Medium":
-        """A medium of n^2 = sum of strength L^2 / (L^2 - pole) + sum of factor L^power; all constants in one."""
+        """Return a medium of n^2 = sum of strength L^2 / (L^2 - pole) + sum of factor L^power; all constants in one."""
         terms, powers = list(terms), list(powers)
         constant = sum(factor for factor, power in powers if power == 0.0) - 1.0
         constant += sum(strength for strength, pole in terms if pole == 0.0)
@@ -52,7 +52,7 @@ class Medium:
 
     @classmethod
     def cauchy(cls, name: str, factors: tuple[tuple[float, float], ...]) -> "Medium":
-        """A medium of n = sum of factor L^power, from pairs (factor, power)."""
+        """Return a medium of n = sum of factor L^power, from pairs (factor, power)."""
         squared: dict[float, float] = {0.0: -1.0}
         for first, p in factors:
             for second, q in factors:
@@ -61,7 +61,7 @@ class Medium:
 
     @classmethod
     def abbe(cls, name: str, index: float, number: float, deviation: float = 0.0) -> "Medium":
-        """A medium by its index n_d and its Abbe number V_d = (n_d - 1) / (n_F - n_C).
+        """Return a medium by its index n_d and its Abbe number V_d = (n_d - 1) / (n_F - n_C).
 
         Both are met exactly, by three terms of Cauchy. The third follows from the partial dispersion
         P_gF = (n_g - n_F) / (n_F - n_C), which is `deviation` above Schott's normal line 0.6438 - 0.001682 V_d.
@@ -74,15 +74,15 @@ class Medium:
         return cls.cauchy(name, tuple(zip(factors.tolist(), (0.0, -2.0, -4.0), strict=True)))
 
     def shifted(self, delta: float) -> "Medium":
-        """The same medium with `delta` added to its index at every wavelength."""
+        """Return the same medium with `delta` added to its index at every wavelength."""
         return replace(self, index_shift=self.index_shift + delta)
 
     def renamed(self, name: str) -> "Medium":
-        """The same medium by another name."""
+        """Return the same medium by another name."""
         return replace(self, name=name)
 
     def index(self, wavelength_um: float) -> float:
-        """Refractive index at a vacuum wavelength in micrometres."""
+        """Return the refractive index at a vacuum wavelength in micrometres."""
         square = wavelength_um * wavelength_um
         if any(square == pole for _, pole in self.terms):
             return np.nan
@@ -92,7 +92,7 @@ class Medium:
         return float(n_squared**0.5) + self.index_shift if n_squared >= 0.0 else np.nan
 
     def fault(self) -> str | None:
-        """Sentence on an index that no transparent medium has in visible light; None if all is plausible."""
+        """Return the sentence on an index that no transparent medium has in visible light; None if all is plausible."""
         low, high = INDICES
         for wavelength_um in _DISPLAYED_UM:
             if not low <= (index := self.index(wavelength_um)) <= high:

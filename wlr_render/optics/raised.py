@@ -31,7 +31,7 @@ class FormError:
         return inverse(self.surface_from_error)
 
     def height_and_gradient(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Height (n,) in metres at points (3, n) in the surface's axes, and its gradient (3, n) there."""
+        """Return the height (n,) in metres at points (3, n) in the surface's axes, and its gradient (3, n) there."""
         pose = self.error_from_surface
         x, y = pose[:2, :3] @ point + pose[:2, 3:]
         height, slope_x, slope_y = self.sag.sag_and_slopes(x, y)
@@ -44,7 +44,7 @@ class _WithErrors:
     errors: tuple[FormError, ...]
 
     def height_and_gradient(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sum of the errors' heights (n,) at points (3, n), and its gradient (3, n)."""
+        """Return the sum of the errors' heights (n,) at points (3, n), and its gradient (3, n)."""
         heights, gradients = zip(*(error.height_and_gradient(point) for error in self.errors), strict=True)
         return np.sum(heights, axis=0), np.sum(gradients, axis=0)
 
@@ -109,7 +109,7 @@ class RaisedSag(_WithErrors, LevelSurface):
 
 
 def raised(shape: Shape, *errors: FormError) -> Shape:
-    """A shape with form errors, in addition to those that it has."""
+    """Return a shape with form errors, in addition to those that it has."""
     match shape:
         case Raised() | RaisedSag():
             return replace(shape, errors=(*shape.errors, *errors))

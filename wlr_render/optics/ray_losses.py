@@ -47,12 +47,12 @@ class SurfaceLosses:
         return self.reached - self.passed
 
     def sentence(self) -> str:
-        """Why rays are lost here, as a part of a sentence."""
+        """Return why rays are lost here, as a part of a sentence."""
         return ", ".join(f"{count} {reason}" for reason, count in self.reasons.items() if count)
 
 
 def judged_directions(optics: EyeOptics) -> FloatArray:
-    """Directions (n, 3) over the nominal field, or within 22 degrees of straight ahead if none is stated."""
+    """Return the directions (n, 3) over the nominal field, or within 22 degrees of straight ahead if none is stated."""
     if optics.field is not None:
         return np.asarray(optics.field.directions(_COLUMNS, _ROWS)).reshape(-1, 3)
     side = np.linspace(-_CONE_TANGENT, _CONE_TANGENT, _COLUMNS)
@@ -89,14 +89,14 @@ def display_losses(optics: EyeOptics, wavelength_um: float) -> tuple[SurfaceLoss
 
 
 def on_panel(optics: EyeOptics, pixel: FloatArray) -> BoolArray:
-    """Which pixels (..., 2) lie on the panel's lit area; not those that are NaN."""
+    """Return which pixels (..., 2) lie on the panel's lit area; not those that are NaN."""
     return np.asarray(np.all((pixel >= 0.0) & (pixel <= optics.panel.pixels.size_px), axis=-1))
 
 
 def _reasons(
     path: Path, start: FloatArray, view_dir: FloatArray, wavelength_um: float, lost: BoolArray
 ) -> dict[str, int]:
-    """Why rays are lost at the last step of a path."""
+    """Return why rays are lost at the last step of a path."""
     *before, last = path.steps
     status = trace(path, start, view_dir, wavelength_um).status
     # A total reflection that fails counts as clipped; as a plain mirror, only the aperture clips.
@@ -115,7 +115,7 @@ def _reasons(
 
 
 def _lies_behind(step: Step, arriving: Trace) -> BoolArray:
-    """Which rays would meet a surface if they ran backwards, (n,)."""
+    """Return which rays would meet a surface if they ran backwards, (n,)."""
     back = trace(
         Path((replace(step, interaction=Interaction.REFLECT),)), arriving.origin, -arriving.direction, GREEN_UM
     )
@@ -123,14 +123,14 @@ def _lies_behind(step: Step, arriving: Trace) -> BoolArray:
 
 
 def reach_panel(optics: EyeOptics, wavelength_um: float) -> int:
-    """How many of the judged rays end on the panel."""
+    """Return how many of the judged rays end on the panel."""
     traced = trace(optics.display, optics.eye_box.centre, judged_directions(optics), wavelength_um)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
     return int(np.sum((traced.status == Status.OK) & on_panel(optics, pixel)))
 
 
 def turned_round(surface: PlacedSurface) -> PlacedSurface:
-    """The surface bent to the other side: as if the sign of its radius and of all terms were changed."""
+    """Return the surface bent to the other side: as if the sign of its radius and of all terms were changed."""
     aperture = surface.aperture
     low, high = aperture.low.copy(), aperture.high.copy()
     low[2], high[2] = -aperture.high[2], -aperture.low[2]
@@ -157,7 +157,7 @@ class TriedChange:
 
 
 def curvature_changes(optics: EyeOptics) -> Iterator[TriedChange]:
-    """Each curved surface of the display path bent to the other side, and each one of its two radii alone."""
+    """Yield each curved surface of the display path bent to the other side, and each one of its two radii alone."""
     for surface in _surfaces_of_display(optics):
         if surface.shape == Conic(0.0):
             continue
@@ -175,7 +175,7 @@ def curvature_changes(optics: EyeOptics) -> Iterator[TriedChange]:
 
 
 def path_changes(optics: EyeOptics) -> Iterator[TriedChange]:
-    """Each two neighbouring steps of the display path exchanged, and each plane mirror turned the other way."""
+    """Yield each two neighbouring steps of the display path exchanged, and each plane mirror turned the other way."""
     steps = optics.display.steps
     for place, (first, second) in enumerate(pairwise(steps)):
         if first.surface.name != second.surface.name:
@@ -199,7 +199,7 @@ def path_changes(optics: EyeOptics) -> Iterator[TriedChange]:
 
 
 def _surfaces_of_display(optics: EyeOptics) -> list[PlacedSurface]:
-    """The surfaces of the display path, each once."""
+    """Return the surfaces of the display path, each once."""
     return list({step.surface.name: step.surface for step in optics.display.steps}.values())
 
 
@@ -221,7 +221,7 @@ def _one_radius_reversed(shape: Shape) -> Iterator[tuple[str, Shape]]:
 
 
 def helpful_changes(optics: EyeOptics, wavelength_um: float) -> list[tuple[TriedChange, int]]:
-    """Changes with which most rays would reach the panel, and how many would; the best first."""
+    """Return the changes with which most rays would reach the panel, and how many would; the best first."""
     total, now = len(judged_directions(optics)), reach_panel(optics, wavelength_um)
     changes = [*curvature_changes(optics), *path_changes(optics)]
     counted = [(change, reach_panel(change.optics, wavelength_um)) for change in changes]

@@ -49,7 +49,7 @@ class SagSurface(LevelSurface):
     """A shape by its height over x and y."""
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
+        """Return the height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
         raise NotImplementedError
 
     def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -89,7 +89,7 @@ class Toroid(SagSurface):
 def _conicoid(
     x: FloatArray, y: FloatArray, curvature: tuple[float, float], conic: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Biconic sag (cx x^2 + cy y^2) / (1 + sqrt(1 - (1 + kx) cx^2 x^2 - (1 + ky) cy^2 y^2)) and its slopes."""
+    """Return biconic sag (cx x^2 + cy y^2) / (1 + sqrt(1 - (1 + kx) cx^2 x^2 - (1 + ky) cy^2 y^2)) and its slopes."""
     (cx, cy), (kx, ky) = curvature, conic
     px, py = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
     root = np.sqrt(1.0 - px * x * x - py * y * y)
@@ -181,7 +181,7 @@ class XYPolynomial(SagSurface):
 
 
 def _horner(coefficients: Sequence[float], x: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
-    """Value and derivative of a polynomial, lowest power first; plain numbers where it is constant."""
+    """Return the value and derivative of a polynomial, lowest power first; plain numbers where it is constant."""
     if not coefficients:
         return 0.0, 0.0
     value: FloatArray | float = coefficients[-1]

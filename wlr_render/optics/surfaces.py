@@ -29,26 +29,26 @@ class Shape(Protocol):
     """A surface without edges, in its own frame."""
 
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """All distances at which rays (3, n) with unit directions (3, n) may meet the surface."""
+        """Return all distances at which rays (3, n) with unit directions (3, n) may meet the surface."""
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """Unit normals (3, n) at points (3, n) of the surface."""
+        """Return the unit normals (3, n) at points (3, n) of the surface."""
 
 
 def unit(vector: FloatArray) -> FloatArray:
-    """Columns (3, n) scaled to unit length."""
+    """Return the columns (3, n) scaled to unit length."""
     x, y, z = vector
     return np.asarray(vector / np.sqrt(x * x + y * y + z * z))
 
 
 def dot(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Scalar products of the columns of two (3, n) arrays, (n,)."""
+    """Return the scalar products of the columns of two (3, n) arrays, (n,)."""
     return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
 
 
 @np.errstate(invalid="ignore", divide="ignore")  # what has no root becomes NaN
 def _quadratic_roots(a: FloatArray, half_b: FloatArray, c: FloatArray) -> FloatArray:
-    """Both roots of a t^2 + 2 half_b t + c, ascending, (2, n); without cancellation, also where a is 0."""
+    """Return both roots of a t^2 + 2 half_b t + c, ascending, (2, n); without cancellation, also where a is 0."""
     q = -(half_b + np.copysign(np.sqrt(half_b * half_b - a * c), half_b))
     first, second = q / a, c / q
     first[~np.isfinite(first)] = np.nan
@@ -125,7 +125,7 @@ class DisplacedShape:
         return self.base
 
     def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """Displacement (3, n) of points (3, n) from their feet, at which the unit normals are (3, n)."""
+        """Return the displacement (3, n) of points (3, n) from their feet, at which the unit normals are (3, n)."""
         raise NotImplementedError
 
     @property
@@ -162,7 +162,7 @@ class DisplacedShape:
         return distance, ~moving
 
     def foot_normal(self, point: FloatArray) -> FloatArray:
-        """Unit normals (3, n) at the feet of points (3, n), found by the same contraction."""
+        """Return the unit normals (3, n) at the feet of points (3, n), found by the same contraction."""
         shift = np.zeros_like(point)
         for _ in range(_MAX_TURNS):
             normal = self.footing.normal(point - shift)

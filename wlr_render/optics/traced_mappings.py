@@ -77,18 +77,18 @@ def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
 
 
 def _guessed(guess: Polynomial, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
+    """Return pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
     return guess(np.clip(np.concatenate([pixel, viewpoint], axis=-1), guess.box.low, guess.box.high))
 
 
 def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np.bool_]:
-    """Which rays end on the panel or just outside; those outside steady the fit at the panel's edge."""
+    """Return which rays end on the panel or just outside; those outside steady the fit at the panel's edge."""
     inside = np.all(np.abs(pixel / panel.size_px - 0.5) <= 0.55, axis=-1)
     return np.asarray(inside & (status == Status.OK))
 
 
 def _spread(count: int) -> FloatArray:
-    """Points spread evenly over -1..1 in three axes, (count, 3): multiples of the powers of a root, modulo 1.
+    """Return points spread evenly over -1..1 in three axes, (count, 3): multiples of the powers of a root, modulo 1.
 
     The root solves g^4 = g + 1, the generalised golden ratio for three axes.
     """
@@ -101,7 +101,7 @@ Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
 
 
 def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_UM) -> EyeMappings:
-    """Mappings of one eye of a device at one vacuum wavelength in micrometres.
+    """Return the mappings of one eye of a device at one vacuum wavelength in micrometres.
 
     Raises:
         BadInputError: the device has no such eye, its see-through path loses every ray, or a wavelength that is not
@@ -183,7 +183,7 @@ class TracedDisplay:
     def _solve(
         self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3), and where they were found."""
+        """Return the tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3), and where they were found."""
 
         def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
             return self.plane_pixel(dir_of_tangents(tangents), viewpoint[index])[0] - pixel[index]
@@ -255,7 +255,7 @@ class TracedSeeThrough:
     def _passing(
         self, view_dir: FloatArray, viewpoint: FloatArray, point: FloatArray
     ) -> tuple[FloatArray, FloatArray, StatusArray]:
-        """How the world rays pass points: offset of the nearest place from the point, distance to it, status."""
+        """Return how the world rays pass points: offset of the nearest place from the point, distance to it, status."""
         traced = trace(self.optics.see_through, viewpoint, view_dir, self.wavelength_um)
         gap = traced.origin - point
         along = -np.sum(gap * traced.direction, axis=-1)
@@ -263,7 +263,7 @@ class TracedSeeThrough:
 
 
 def _across(direction: FloatArray) -> FloatArray:
-    """Two unit vectors across each direction (n, 3) that looks forward, z < 0: (n, 2, 3)."""
+    """Return two unit vectors across each direction (n, 3) that looks forward, z < 0: (n, 2, 3)."""
     x, _, z = np.moveaxis(direction, -1, 0)
     first = normalised(np.stack([-z, np.zeros_like(x), x], axis=-1))
     return np.stack([first, np.cross(first, direction)], axis=-2)
@@ -274,7 +274,7 @@ def _flat(array: FloatArray, lead: tuple[int, ...]) -> FloatArray:
 
 
 def _start(warm_start: FloatArray | None, cold: FloatArray) -> FloatArray:
-    """The caller's warm start where there is one, else the cold start, (n, 2)."""
+    """Return the caller's warm start where there is one, else the cold start, (n, 2)."""
     if warm_start is None:
         return cold
     warm = warm_start.reshape(cold.shape)
@@ -283,7 +283,7 @@ def _start(warm_start: FloatArray | None, cold: FloatArray) -> FloatArray:
 
 
 def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Tangents (n, 2) for which `miss` vanishes, and where that was reached, block by block."""
+    """Return the tangents (n, 2) for which `miss` vanishes, and where that was reached, block by block."""
     tangents, converged = np.empty_like(start), np.empty(len(start), dtype=bool)
     shifts = _TANGENT_STEP * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
     for first in range(0, len(start), _BLOCK):

@@ -96,14 +96,14 @@ def _keep_first(status: StatusArray, found: NDArray[np.integer]) -> None:
 
 @np.errstate(invalid="ignore")
 def _refracted(direction: FloatArray, normal: FloatArray, ratio: float) -> FloatArray:
-    """Snell's law in vector form, `ratio` = n before / n after; NaN where the ray is totally reflected."""
+    """Return the Snell's law in vector form, `ratio` = n before / n after; NaN where the ray is totally reflected."""
     cosine = dot(direction, normal)
     root = np.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine))
     return np.asarray(ratio * direction + (np.copysign(root, cosine) - ratio * cosine) * normal)
 
 
 def _is_total(direction: FloatArray, normal: FloatArray, index: float) -> BoolArray:
-    """Whether rays are totally internally reflected against air.
+    """Return whether rays are totally internally reflected against air.
 
     Below the critical angle most of the light leaves, so the surface is not a mirror for this step, and the ray is
     CLIPPED.
@@ -157,6 +157,6 @@ def _choose(
 
 
 def _excess(aperture: ClearAperture, point: FloatArray) -> FloatArray:
-    """Distance of points (3, n) outside the aperture's box, along its worst axis; at most 0 inside."""
+    """Return the distance of points (3, n) outside the aperture's box, along its worst axis; at most 0 inside."""
     outside = np.maximum(aperture.low[:, None] - point, point - aperture.high[:, None])
     return np.asarray(outside.max(axis=0))

@@ -44,7 +44,7 @@ def wrong_headset(
 
 
 def misshapen(shape: Shape, relative: float) -> Shape:
-    """A surface with an error of its shape; see `wrong_headset`. Planes stay planes."""
+    """Return a surface with an error of its shape; see `wrong_headset`. Planes stay planes."""
     if relative == 0.0:
         return shape
     if isinstance(shape, Offset):

@@ -113,7 +113,7 @@ class CaptureSetup:
         return FieldOfView(np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0))
 
     def camera_dirs(self) -> FloatArray:
-        """Directions of the camera pixels that are decoded, (n, 3), from edge to edge of the field."""
+        """Return the directions of the camera pixels that are decoded, (n, 3), from edge to edge of the field."""
         return self.field.directions(*self.grid)
 
     def dots(self, depth_m: float, viewpoint: FloatArray) -> FloatArray:
@@ -168,7 +168,7 @@ class _Visits:
         return view_dir if self.turned is None else np.asarray(view_dir @ self.turned)
 
     def true(self, measured: FloatArray) -> FloatArray:
-        """True directions (m, n, 3) of measured directions (1, n, 3)."""
+        """Return the true directions (m, n, 3) of measured directions (1, n, 3)."""
         return measured if self.turned is None else np.asarray(measured @ np.swapaxes(self.turned, -1, -2))
 
 
@@ -188,7 +188,7 @@ def _visited(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generato
 
 
 def _decoded(setup: CaptureSetup, visits: _Visits) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Which position (n,) saw which panel pixel (n, 2) in which measured direction (n, 3)."""
+    """Return which position (n,) saw which panel pixel (n, 2) in which measured direction (n, 3)."""
     if setup.camera_field is None:
         pixel = setup.truth.display.panel.grid(*setup.grid).reshape(-1, 2)
         seen = setup.truth.display.view_dir_of_pixel(pixel[None], visits.position[:, None])
@@ -234,7 +234,7 @@ def _one_target(
 
 
 def _seen_dots(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visits: _Visits) -> _Readings:
-    """Directions of the dots of a target, solved for."""
+    """Return the directions of the dots of a target, solved for."""
     dot = setup.dots(depth_m, viewpoint)
     seen = setup.truth.see_through.view_dir_of_real_point(dot[None], visits.position[:, None])
     view_dir = visits.measured(seen.value)

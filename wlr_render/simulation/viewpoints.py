@@ -36,7 +36,7 @@ def planar(eye_box: EyeBox, reach: FloatArray, count: int) -> FloatArray:
 
 
 def volumetric(eye_box: EyeBox, count: int) -> FloatArray:
-    """Viewpoints in the whole eye box: the first points of Sobol's sequence, Chebyshev-spaced; (count, 3)."""
+    """Return viewpoints in the whole eye box: the first points of Sobol's sequence, Chebyshev-spaced; (count, 3)."""
     from scipy.stats import qmc
 
     power = int(np.ceil(np.log2(_at_least_one(count))))
@@ -45,7 +45,7 @@ def volumetric(eye_box: EyeBox, count: int) -> FloatArray:
 
 
 def nominal(eye_box: EyeBox) -> FloatArray:
-    """The centre of the eye box alone, (1, 3): all that a static map is fitted on."""
+    """Return the centre of the eye box alone, (1, 3): all that a static map is fitted on."""
     return np.array(eye_box.centre, dtype=np.float64)[None]
 
 

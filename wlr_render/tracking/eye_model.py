@@ -28,9 +28,9 @@ class RotatingEye:
 
     @classmethod
     def looking_ahead_from(cls, viewpoint_in_device: FloatArray) -> "RotatingEye":
-        """Eye with its entrance pupil at a viewpoint (3,) when it looks straight ahead, along -z."""
+        """Return the eye with its entrance pupil at a viewpoint (3,) when it looks straight ahead, along -z."""
         return cls(np.asarray(viewpoint_in_device, dtype=np.float64) + [0.0, 0.0, PUPIL_DISTANCE_M])
 
     def viewpoint_of_gaze(self, gaze_dir: FloatArray) -> FloatArray:
-        """Entrance pupils (..., 3) of unit gaze directions (..., 3), device frame, metres."""
+        """Return the entrance pupils (..., 3) of unit gaze directions (..., 3), device frame, metres."""
         return np.asarray(self.rotation_centre_in_device + self.pupil_distance_m * np.asarray(gaze_dir))

@@ -97,7 +97,7 @@ def _viewpoints(name: str, rows: Sequence[Row], content: FloatArray, column: int
 
 
 def _needed(table: TextTable) -> tuple[str, ...]:
-    """Roles that the table's columns need: those of the eyes that it names, or of one eye in each row."""
+    """Return the roles that the table's columns need: those of the eyes that it names, or of one eye in each row."""
     roles = {role_of(name, _ROLES) for cells in (table.header or (), *table.headers) for name in cells}
     eyes = [eye for eye in EYES if roles & {f"{eye}_{axis}" for axis in "xyz"}]
     if not eyes:
@@ -106,7 +106,7 @@ def _needed(table: TextTable) -> tuple[str, ...]:
 
 
 def _of_named_columns(table: TextTable, columns: dict[str, NamedColumn]) -> EyeTrajectory:
-    """Entrance pupils of a table whose columns are named; an eye without numbers in a row was lost there."""
+    """Return the entrance pupils of a table whose columns are named; an eye without numbers in a row was lost there."""
     count = len(table.rows[0].fields if table.header is None else table.header)
     for role, column in columns.items():
         if column.unit == "" and role != "eye":
@@ -140,7 +140,7 @@ def _of_named_columns(table: TextTable, columns: dict[str, NamedColumn]) -> EyeT
 
 
 def _eyes_of(row: Row, columns: dict[str, NamedColumn]) -> dict[str, list[NamedColumn]]:
-    """The columns of the position of each eye that a row may have."""
+    """Return the columns of the position of each eye that a row may have."""
     if "eye" not in columns:
         eyes = [eye for eye in EYES if f"{eye}_x" in columns]
         return {eye: [columns[f"{eye}_{axis}"] for axis in "xyz"] for eye in eyes}
@@ -185,7 +185,7 @@ class _Header:
         self.text("units", ("s m",))
 
     def text(self, key: str, choices: tuple[str, ...]) -> str:
-        """Value of a header key, one of `choices`."""
+        """Return the value of a header key, one of `choices`."""
         value = self._values.get(key)
         if value not in choices:
             found = "is missing" if value is None else f"is {shown(value)}"
@@ -195,7 +195,7 @@ class _Header:
         return value
 
     def numbers(self, key: str, count: int) -> list[float]:
-        """Value of a header key: `count` finite numbers."""
+        """Return the value of a header key: `count` finite numbers."""
         try:
             values = [float(item) for item in self._values.get(key, "").split()]
         except ValueError:
@@ -205,7 +205,7 @@ class _Header:
         return values
 
     def eye_model(self, eye: str) -> RotatingEye:
-        """Eye model that the header states."""
+        """Return the eye model that the header states."""
         key = f"rotation_centre_{eye}_m"
         centre = np.array(self.numbers(key, 3))
         require_length(f"{self._path}: header '# {key}:'", centre, _FAR_M)
@@ -242,5 +242,5 @@ def write_eye_trajectory(path: str | Path, trajectory: EyeTrajectory) -> Path:
 
 
 def _xyz(track: EyeTrack) -> FloatArray:
-    """Numbers of a track's rows, (n, 3)."""
+    """Return the numbers of a track's rows, (n, 3)."""
     return track.gaze_dir if isinstance(track, GazeTrack) else track.viewpoint_at(track.time_s)

@@ -70,7 +70,7 @@ def read_head_trajectory(path: str | Path) -> HeadTrajectory:
 
 
 def _named_row(row: Row, columns: dict[str, NamedColumn], count: int) -> list[float]:
-    """Time, position and quaternion xyzw of a row whose columns are named."""
+    """Return the time, position and quaternion xyzw of a row whose columns are named."""
     row.require_columns((count,), "as its header names")
     position = [columns[axis].metres(row) for axis in "xyz"]
     quaternion = [columns[f"q{axis}"].index for axis in "xyzw"]
@@ -78,13 +78,13 @@ def _named_row(row: Row, columns: dict[str, NamedColumn], count: int) -> list[fl
 
 
 def _tum_row(row: Row) -> list[float]:
-    """Time, position and quaternion xyzw of a TUM row."""
+    """Return the time, position and quaternion xyzw of a TUM row."""
     row.require_columns((8,), "TUM: time tx ty tz qx qy qz qw")
     return row.numbers(0, 4) + row.unit_vector(range(4, 8), "quaternion")
 
 
 def _euroc_row(row: Row) -> list[float]:
-    """Time, position and quaternion xyzw of an EuRoC row."""
+    """Return the time, position and quaternion xyzw of an EuRoC row."""
     row.require_columns((8, 17), "EuRoC: time[ns], p x y z, q w x y z, and possibly velocity and biases")
     row.number(0)
     try:

@@ -55,12 +55,12 @@ class _Located:
     invalid_s: FloatArray
 
     def poses(self) -> FloatArray:
-        """(n, 4, 4)."""
+        """Return (n, 4, 4)."""
         return transforms.rigid(Rotation.from_quat(self.xyzw).as_matrix(), self.position)
 
 
 def read_openxr_head(path: str | Path) -> HeadTrajectory:
-    """Head trajectory of a recording, poses of the device frame.
+    """Return the head trajectory of a recording, poses of the device frame.
 
     Raises:
         BadInputError: unreadable file, a line that is no location, no pose of the head, base spaces that change, times
@@ -79,7 +79,7 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
 
 
 def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
-    """Eye trajectories of a recording: from the gaze where there is one, else the places of the views.
+    """Return the eye trajectories of a recording: from the gaze where there is one, else the places of the views.
 
     The views' places are where the pupils are that look ahead. With gaze each eye turns about the point behind its
     place (`RotatingEye`) towards the point 1 m along the gaze.
@@ -154,7 +154,7 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
 
 
 def _numbers(row: Table) -> list[float]:
-    """Time in seconds, position and quaternion xyzw of a line."""
+    """Return the time in seconds, position and quaternion xyzw of a line."""
     pose = row.table("pose")
     place, turn = pose.table("position"), pose.table("orientation")
     xyzw = [turn.number(axis) for axis in "xyzw"]

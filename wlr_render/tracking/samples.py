@@ -22,11 +22,11 @@ class Bracket:
     fraction: FloatArray
 
     def pair(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Values (..., k) of the samples before and after each time stamp, from values (n, k)."""
+        """Return the values (..., k) of the samples before and after each time stamp, from values (n, k)."""
         return values[self.before], values[self.before + 1]
 
     def linear(self, values: FloatArray) -> FloatArray:
-        """Linearly interpolated values (..., k), from values (n, k); exact at the samples."""
+        """Return the linearly interpolated values (..., k), from values (n, k); exact at the samples."""
         first, second = self.pair(values)
         weight = self.fraction[..., None]
         return np.asarray((1.0 - weight) * first + weight * second)

@@ -18,7 +18,7 @@ _GAZE_SPREAD_DEG = np.array([9.0, 6.0])
 
 
 def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> HeadTrajectory:
-    """Smooth head motion around the world's origin: a few centimetres and degrees, at most about 40 deg/s.
+    """Return the smooth head motion around the world's origin: a few centimetres and degrees, at most about 40 deg/s.
 
     Args:
         seed: of the random phases.
@@ -37,7 +37,7 @@ def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> H
 def eye_motion(
     viewpoints_in_device: dict[str, FloatArray], seed: int, duration_s: float = 10.0, rate_hz: float = 500.0
 ) -> EyeTrajectory:
-    """Fixations of random points 0.4 m to 3 m ahead, with saccades between them.
+    """Return the fixations of random points 0.4 m to 3 m ahead, with saccades between them.
 
     A saccade of A degrees lasts 21 ms + 2.2 ms * A (Carpenter 1988) and follows a minimum-jerk course.
 
@@ -63,7 +63,7 @@ def _sample_times(duration_s: float, rate_hz: float) -> FloatArray:
 
 
 def _slow_waves(rng: Generator, time_s: FloatArray) -> FloatArray:
-    """Six sums of three slow sine waves, (n, 6), each within -1..1."""
+    """Return six sums of three slow sine waves, (n, 6), each within -1..1."""
     phase = rng.uniform(0, 2 * np.pi, (6, _FREQUENCY_HZ.size))
     weight = rng.dirichlet(np.ones(_FREQUENCY_HZ.size), 6)
     angle = 2 * np.pi * _FREQUENCY_HZ * time_s[:, None, None] + phase

@@ -35,7 +35,7 @@ class Row:
     fields: tuple[str, ...]
 
     def fail(self, sentence: str) -> BadInputError:
-        """Exception for an error in this line; the caller raises it."""
+        """Return the exception for an error in this line; the caller raises it."""
         return BadInputError(f"{self.path} line {self.line}: {sentence}")
 
     def require_columns(self, counts: tuple[int, ...], layout: str) -> None:
@@ -45,7 +45,7 @@ class Row:
             raise self.fail(f"{len(self.fields)} columns where {allowed} are expected ({layout}); correct it.")
 
     def number(self, column: int) -> float:
-        """A finite number."""
+        """Return a finite number."""
         text = self.fields[column]
         try:
             value = float(text)
@@ -62,7 +62,7 @@ class Row:
         return [self.number(column) for column in range(start, start + count)]
 
     def unit_vector(self, columns: Iterable[int], what: str) -> list[float]:
-        """Numbers of unit length up to rounding, normalised."""
+        """Return the numbers of unit length up to rounding, normalised."""
         values = [self.number(column) for column in columns]
         length = math.hypot(*values)
         if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -79,7 +79,7 @@ class NamedColumn:
     unit: str
 
     def seconds(self, row: Row) -> float:
-        """Time of a row in seconds; nanoseconds must be whole, and are read exactly."""
+        """Return the time of a row in seconds; nanoseconds must be whole, and are read exactly."""
         text, number = row.fields[self.index], row.number(self.index)
         digits = _TIME_UNITS.get(self.unit, 0)
         if self.unit == "" and abs(number) >= _NANOSECONDS:
@@ -93,7 +93,7 @@ class NamedColumn:
         return float(number / 10**digits)
 
     def metres(self, row: Row) -> float:
-        """Length of a row in metres."""
+        """Return the length of a row in metres."""
         return float(row.number(self.index) / 10 ** _LENGTH_UNITS[self.unit or "m"])
 
 
@@ -119,7 +119,7 @@ class TextTable:
     separated: bool
 
     def unread(self, columns: Mapping[str, NamedColumn]) -> tuple[str, ...]:
-        """Names that the header has beside these columns, except those of EuRoC's velocity and biases."""
+        """Return the names that the header has beside these columns, except those of EuRoC's velocity and biases."""
         read = {column.index: column.name for column in columns.values()}
         named = (cells for cells in self.headers if len(cells) == len(self.rows[0].fields))
         fitting = (cells for cells in named if all(cells[at] == name for at, name in read.items()))
@@ -129,7 +129,7 @@ class TextTable:
         )
 
     def columns(self, roles: Mapping[str, str], needed: Sequence[str]) -> dict[str, NamedColumn] | None:
-        """The columns that a header names, by role; None where no header names any, or a comment less than half.
+        """Return the columns that a header names, by role; None where no header names any, or a comment less than half.
 
         Args:
             roles: pattern of a role's name without its unit -> role; it may refer to groups of the pattern.
@@ -189,7 +189,7 @@ class TextTable:
         return found
 
     def _found(self, cells: Sequence[str], roles: Mapping[str, str]) -> tuple[dict[str, NamedColumn], str]:
-        """Columns by role, and a sentence about two of one role; of two times the better one."""
+        """Return the columns by role, and a sentence about two of one role; of two times the better one."""
         found: dict[str, NamedColumn] = {}
         twice = ""
         for index, name in enumerate(cells):
@@ -240,7 +240,7 @@ _UNIT = re.compile(
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:
-    """A column's name without its unit, and the unit: of `time [s]`, `time(s)` or `time_s`."""
+    """Return a column's name without its unit, and the unit: of `time [s]`, `time(s)` or `time_s`."""
     plain = re.sub(r"\s+(?![\[(])", "_", name.strip().strip("#% \"'").lower())
     if plain in _TIME_UNITS and len(plain) > 2:
         return "time", plain
@@ -252,7 +252,7 @@ def _base_and_unit(name: str) -> tuple[str, str]:
 
 
 def role_of(name: str, roles: Mapping[str, str]) -> str:
-    """The role of a column by its name; "" for none."""
+    """Return the role of a column by its name; "" for none."""
     base = _base_and_unit(name)[0]
     for pattern, role in roles.items():
         if match := re.fullmatch(pattern, base):
@@ -310,12 +310,12 @@ def _comment_cells(text: str, separator: str | None, count: int) -> tuple[str, .
 
 
 def _with_units(text: str) -> str:
-    """Text without the blanks between a name and its unit in brackets."""
+    """Return the text without the blanks between a name and its unit in brackets."""
     return re.sub(r"\s+(?=[\[(][^\s,;]*[\])])", "", text)
 
 
 def _split(text: str, separator: str | None, count: int = 0) -> tuple[str, ...]:
-    """Cells of a row, without an empty one at the end that is beyond the `count` columns."""
+    """Return the cells of a row, without an empty one at the end that is beyond the `count` columns."""
     fields = cells_of(text, separator)
     return fields[:-1] if len(fields) > max(count, 1) and fields[-1] == "" else fields
 
@@ -360,5 +360,5 @@ def require_plausible_motion(where: str, time_s: FloatArray, position_m: FloatAr
 
 
 def shortest(values: Iterable[float]) -> str:
-    """Numbers separated by blanks, in the shortest decimals that are read back exactly."""
+    """Return the numbers separated by blanks, in the shortest decimals that are read back exactly."""
     return " ".join(repr(float(value)) for value in values)

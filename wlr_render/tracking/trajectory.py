@@ -28,7 +28,7 @@ class _Sampled:
     invalid_s: FloatArray
 
     def gaps_at(self, time_s: ArrayLike) -> Gaps:
-        """Gaps between the samples at times (...)."""
+        """Return the gaps between the samples at times (...)."""
         return gaps_at(self.time_s, time_s, self.invalid_s)
 
 
@@ -60,7 +60,7 @@ class HeadTrajectory(_Sampled):
         require_ascending(self.time_s, self.name)
 
     def at(self, time_s: ArrayLike) -> FloatArray:
-        """Poses `world_from_device` (..., 4, 4) at times (...): linear in position, slerp in rotation.
+        """Return the poses `world_from_device` (..., 4, 4) at times (...): linear in position, slerp in rotation.
 
         Raises:
             BadInputError: a time outside the trajectory.
@@ -82,10 +82,10 @@ class EyeTrack(Protocol):
         """(n,) ascending sample times."""
 
     def gaps_at(self, time_s: ArrayLike) -> Gaps:
-        """Gaps between the samples at times (...)."""
+        """Return the gaps between the samples at times (...)."""
 
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
-        """Entrance pupils (..., 3) at times (...), device frame, metres."""
+        """Return the entrance pupils (..., 3) at times (...), device frame, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class ViewpointTrack(_Sampled):
         require_ascending(self.time_s, self.name)
 
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
-        """Entrance pupils (..., 3) at times (...), device frame, linear between samples."""
+        """Return the entrance pupils (..., 3) at times (...), device frame, linear between samples."""
         return bracket(self.time_s, time_s, self.name).linear(self.viewpoint_in_device)
 
 
@@ -134,17 +134,17 @@ class GazeTrack(_Sampled):
         require_ascending(self.time_s, self.name)
 
     def gaze_at(self, time_s: ArrayLike) -> FloatArray:
-        """Unit gaze directions (..., 3) at times (...), rotating at a constant rate between samples."""
+        """Return the unit gaze directions (..., 3) at times (...), rotating at a constant rate between samples."""
         between = bracket(self.time_s, time_s, self.name)
         return _slerp_directions(*between.pair(self.gaze_dir), between.fraction)
 
     def viewpoint_at(self, time_s: ArrayLike) -> FloatArray:
-        """Entrance pupils (..., 3) at times (...), device frame."""
+        """Return the entrance pupils (..., 3) at times (...), device frame."""
         return self.eye_model.viewpoint_of_gaze(self.gaze_at(time_s))
 
 
 def _slerp_directions(first: FloatArray, second: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Spherical interpolation between unit directions (..., 3) that are not opposite."""
+    """Return the spherical interpolation between unit directions (..., 3) that are not opposite."""
     angle = directions.angle_between(first, second)
     sine = np.sin(angle)
     small = sine < 1e-9
@@ -169,7 +169,7 @@ class EyeTrajectory:
     unread: tuple[str, ...] = ()
 
     def viewpoint_at(self, eye: str, time_s: ArrayLike) -> FloatArray:
-        """Entrance pupils (..., 3) of one eye at times (...), device frame, metres.
+        """Return the entrance pupils (..., 3) of one eye at times (...), device frame, metres.
 
         Raises:
             BadInputError: an eye that was not tracked, or a time outside its track.
@@ -177,7 +177,7 @@ class EyeTrajectory:
         return self._track(eye).viewpoint_at(time_s)
 
     def gaps_at(self, eye: str, time_s: ArrayLike) -> Gaps:
-        """Gaps between the samples of one eye at times (...).
+        """Return the gaps between the samples of one eye at times (...).
 
         Raises:
             BadInputError: an eye that was not tracked.

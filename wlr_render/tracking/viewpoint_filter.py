@@ -215,7 +215,7 @@ class _TrustedSamples:
             self._recent.popleft()
 
     def before_loss(self, loss_s: float) -> _Point | None:
-        """Median of each coordinate before the lid closed; without samples there, the previous result."""
+        """Return the median of each coordinate before the lid closed; without samples there, the previous result."""
         samples = [sample for time_s, sample in self._recent if time_s <= loss_s - LID_S]
         if samples:
             x, y, z = (median(values) for values in zip(*samples, strict=True))

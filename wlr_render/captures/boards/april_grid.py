@@ -95,11 +95,11 @@ class AprilGrid(CellBoard):
         return min(self.tag_m / self._bits, self.gap_m)
 
     def indices(self) -> IntArray:
-        """(column, row) of all tag corners, row by row: two of each for every tag."""
+        """Return (column, row) of all tag corners, row by row: two of each for every tag."""
         return grid_indices(2 * self.tag_columns, 2 * self.tag_rows)
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Corners (..., 3), board frame, by (column, row), (..., 2)."""
+        """Return the corners (..., 3), board frame, by (column, row), (..., 2)."""
         tag, side = np.divmod(np.asarray(index), 2)
         tags = np.array([self.tag_columns, self.tag_rows])
         extent = tags * self.tag_m + (tags - 1) * self.gap_m
@@ -111,7 +111,7 @@ class AprilGrid(CellBoard):
         return int(dictionary_of(DICTIONARY).markerSize + 2 * self.border_bits)
 
     def _tag_of(self, number: IntArray) -> IntArray:
-        """(n, 2) column and row of tags, from the top left, by number."""
+        """Return (n, 2) column and row of tags, from the top left, by number."""
         row, column = np.divmod(number - self.first_id, self.tag_columns)
         return np.stack([column, self.tag_rows - 1 - row if self.first_at_bottom else row], axis=-1)
 
@@ -159,7 +159,7 @@ class AprilGrid(CellBoard):
         return replace(found, unidentified=4 * foreign)
 
     def _has(self, numbers: IntArray) -> BoolArray:
-        """Which tags (n,) are of this board, by number."""
+        """Return which tags (n,) are of this board, by number."""
         return np.asarray((numbers >= self.first_id) & (numbers <= self._last_id))
 
     @property
@@ -167,7 +167,7 @@ class AprilGrid(CellBoard):
         return self.first_id + self.tag_columns * self.tag_rows - 1
 
     def _detect(self, grey: NDArray[np.uint8], family: str = DICTIONARY) -> tuple[FloatArray, IntArray]:
-        """Corners (n, 4, 2) and numbers (n,) of the tags seen; a number seen twice is dropped."""
+        """Return the corners (n, 4, 2) and numbers (n,) of the tags seen; a number seen twice is dropped."""
         how = cv2.aruco.DetectorParameters()
         how.markerBorderBits = self.border_bits
         corners, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(family), how).detectMarkers(grey)
@@ -177,11 +177,11 @@ class AprilGrid(CellBoard):
         return pixel[once], numbers[once]
 
     def _corner_indices(self, number: IntArray, turn: int) -> IntArray:
-        """(4 n, 2) column and row of the corners of tags (n,), printed by so many quarter turns."""
+        """Return (4 n, 2) column and row of the corners of tags (n,), printed by so many quarter turns."""
         return np.asarray(2 * self._tag_of(number)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)).reshape(-1, 2)
 
     def _places(self, number: IntArray, turn: int) -> FloatArray:
-        """(4 n, 2) their places, in sides of a tag."""
+        """Return (4 n, 2) their places, in sides of a tag."""
         return self.point_of(self._corner_indices(number, turn))[:, :2] / self.tag_m
 
     def _turned(self, number: IntArray, corners: FloatArray) -> tuple[int, float]:
@@ -223,7 +223,7 @@ class AprilGrid(CellBoard):
         return None
 
     def _other_layout(self, numbers: IntArray, corners: FloatArray, error: float) -> str | None:
-        """Sentence about the arrangement that fits the tags clearly better than this board's; None if none does.
+        """Return sentence about the arrangement that fits the tags clearly better than this board's; None if none does.
 
         Args:
             numbers, corners: (n,) and (n, 4, 2), of the tags seen.
@@ -258,7 +258,7 @@ class AprilGrid(CellBoard):
     def _further_tags(
         self, foreign: tuple[FloatArray, IntArray], numbers: IntArray, corners: FloatArray, turn: int
     ) -> str | None:
-        """Sentence about tags with foreign numbers that continue the board's order; None if there are none.
+        """Return the sentence about tags with foreign numbers that continue the board's order; None if there are none.
 
         Args:
             foreign: corners (m, 4, 2) and numbers (m,) of tags that this board does not have.
@@ -277,7 +277,7 @@ class AprilGrid(CellBoard):
         )
 
     def _other_spacing(self, found: BoardObservation) -> str | None:
-        """Sentence about gaps between the tags that are clearly others than `spacing`; None if these fit."""
+        """Return the sentence about gaps between the tags that are clearly others than `spacing`; None if these fit."""
         seen = _spacings_seen(found)
         if len(seen) < _LEAST_SPACINGS:
             return None
@@ -311,7 +311,7 @@ class AprilGrid(CellBoard):
 
 
 def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[FloatArray]:
-    """Guesses (4 n, 2) of the corners' pixels: as detected, grown, and refined by OpenCV.
+    """Return the guesses (4 n, 2) of the corners' pixels: as detected, grown, and refined by OpenCV.
 
     Args:
         grey: the picture.

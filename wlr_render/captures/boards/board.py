@@ -71,12 +71,12 @@ class BoardObservation:
     discs: Discs | None = None
 
     def only(self, rows: NDArray[np.bool_]) -> "BoardObservation":
-        """Some of the features, by mask (n,)."""
+        """Return some of the features, by mask (n,)."""
         discs = None if self.discs is None else self.discs.only(rows)
         return replace(self, index=self.index[rows], pixel=self.pixel[rows], sigma_px=self.sigma_px[rows], discs=discs)
 
     def half_turned(self, board: "Board") -> "BoardObservation":
-        """The same features, numbered as on the board turned by 180 degrees."""
+        """Return the same features, numbered as on the board turned by 180 degrees."""
         all_indices = board.indices()
         return replace(self, index=all_indices.min(axis=0) + all_indices.max(axis=0) - self.index)
 
@@ -108,13 +108,13 @@ class Board(Protocol):
         """Whether the board looks the same turned by 180 degrees."""
 
     def indices(self) -> IntArray:
-        """(column, row) of all features, (n, 2), row by row."""
+        """Return (column, row) of all features, (n, 2), row by row."""
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Places (..., 3), metres in the board frame, of features by (column, row), (..., 2)."""
+        """Return the places (..., 3), metres in the board frame, of features by (column, row), (..., 2)."""
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """How bright the board is at places (..., 2), x and y: 1 white, 0 black, NaN beyond its edge.
+        """Return how bright the board is at places (..., 2), x and y: 1 white, 0 black, NaN beyond its edge.
 
         Args:
             in_board: (..., 2) metres, board frame.
@@ -122,7 +122,7 @@ class Board(Protocol):
         """
 
     def svg_shapes(self) -> list[str]:
-        """SVG elements of what is black, in millimetres from the board's top left corner."""
+        """Return the SVG elements of what is black, in millimetres from the board's top left corner."""
 
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """Find and identify the board's features in a photograph.

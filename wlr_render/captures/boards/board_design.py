@@ -107,7 +107,7 @@ def _choose_sizes(columns: int, rows: int, seed: int) -> BoolArray:
 
 
 def _window_ending_at(large: BoolArray, dot: int) -> BoolArray:
-    """The window that a dot, counted row by row, is the last of; empty for a dot that completes none."""
+    """Return the window that a dot, counted row by row, is the last of; empty for a dot that completes none."""
     row, column = divmod(dot, large.shape[1])
     if min(row, column) < WINDOW - 1:
         return large[:0, :0]
@@ -115,7 +115,7 @@ def _window_ending_at(large: BoolArray, dot: int) -> BoolArray:
 
 
 def _random_bits(number: int, seed: int) -> BoolArray:
-    """(number,) bits that do not depend on any library's version."""
+    """Return (number,) bits that do not depend on any library's version."""
     stream = hashlib.shake_256(f"two-size dot board {seed}".encode()).digest(number // 8 + 1)
     return np.unpackbits(np.frombuffer(stream, np.uint8))[:number].astype(bool)
 

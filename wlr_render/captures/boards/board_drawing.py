@@ -115,12 +115,12 @@ def _sheet(board: Board) -> _Sheet:
 
 
 def _text_mm(sheet: _Sheet, board: Board) -> float:
-    """Height of the title's letters, so that it fits the width; letters are about half as wide as high."""
+    """Return the height of the title's letters, so that it fits the width; letters are about half as wide as high."""
     return min(_TEXT_MM, (sheet.width - 2 * _EDGE_MM) / (0.55 * len(board.title)))
 
 
 def _raster(board: Board, width: int, height: int, pixel_mm: float) -> NDArray[np.uint8]:
-    """(h, w) the board and white below it, a strip of rows at a time to save memory."""
+    """Return (h, w) the board and white below it, a strip of rows at a time to save memory."""
     picture = np.empty((height, width), np.uint8)
     x = 1e-3 * pixel_mm * (np.arange(width) + 0.5) - 0.5 * board.size_m[0]
     for top in range(0, height, 256):

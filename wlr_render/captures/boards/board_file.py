@@ -57,7 +57,7 @@ def board_table(board: Board) -> dict[str, Any]:
 
 
 def _design_keys(board: Board) -> dict[str, Any]:
-    """A key for each attribute of a board, in their order; lengths in millimetres."""
+    """Return a key for each attribute of a board, in their order; lengths in millimetres."""
     if not isinstance(board, _CLASSES):
         raise TypeError(f"a {type(board).__name__} has no board file")
     kind = KINDS[_CLASSES.index(type(board))]
@@ -175,7 +175,7 @@ class _Lengths:
         return f"{name}_{self.unit}"
 
     def number(self, name: str, default_m: float | None = None) -> float:
-        """A length; above zero unless there is a default, which is for margins."""
+        """Return a length; above zero unless there is a default, which is for margins."""
         default = None if default_m is None else default_m / self.unit_m
         value = self.table.number(self.key(name), default)
         if value < 0 or (value == 0 and default is None):

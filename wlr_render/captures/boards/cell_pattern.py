@@ -66,7 +66,7 @@ class CellPattern:
         return np.where(inside, np.where(softness > 0, mean, sharp), np.nan).astype(in_board.dtype)
 
     def svg_shapes(self) -> list[str]:
-        """One SVG path of all black cells, millimetres from the top left corner."""
+        """Return one SVG path of all black cells, millimetres from the top left corner."""
         x, y = 1e3 * (self.x - self.x[0]), 1e3 * (self.y - self.y[0])
         runs = []
         for row, line in enumerate(~self.white):
@@ -101,12 +101,12 @@ class CellBoard(ABC):
         return self._pattern.reflectance(in_board, softness_m)
 
     def svg_shapes(self) -> list[str]:
-        """One path of all black cells."""
+        """Return one path of all black cells."""
         return self._pattern.svg_shapes()
 
 
 def _lines(places: FloatArray, half: float) -> FloatArray:
-    """Different places within the board, rising; what lies within a nanometre is one line."""
+    """Return the different places within the board, rising; what lies within a nanometre is one line."""
     rising = np.unique(np.clip(places, -half, half))
     return np.asarray(rising[np.concatenate([[True], np.diff(rising) > 1e-9])])
 
@@ -116,7 +116,7 @@ def _nearest(lines: FloatArray, places: FloatArray) -> IntArray:
 
 
 def _between(lines: FloatArray, place: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The line before each place, and how far towards the next it lies; NaN counts as the first line."""
+    """Return the line before each place, and how far towards the next it lies; NaN counts as the first line."""
     place = np.where(np.isfinite(place), _clipped(place, lines), lines[0])
     before = np.clip(np.searchsorted(lines, place, side="right") - 1, 0, len(lines) - 2).astype(np.int64)
     return before, (place - lines[before]) / (lines[before + 1] - lines[before])

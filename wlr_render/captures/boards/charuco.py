@@ -72,11 +72,11 @@ class CharucoBoard(CellBoard):
         return self.marker_m / (dictionary_of(self.dictionary).markerSize + 2)
 
     def indices(self) -> IntArray:
-        """(column, row) of all inner corners, row by row."""
+        """Return (column, row) of all inner corners, row by row."""
         return grid_indices(self.square_columns - 1, self.square_rows - 1)
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Corners (..., 3), board frame, by (column, row), (..., 2)."""
+        """Return the corners (..., 3), board frame, by (column, row), (..., 2)."""
         return grid_points(index, self.square_columns - 1, self.square_rows - 1, self.square_m)
 
     @property
@@ -135,7 +135,7 @@ class CharucoBoard(CellBoard):
         return _Seen(np.stack([column, row], axis=-1), pixel, marker, numbers)
 
     def _lie_as_here(self, marker: FloatArray, numbers: IntArray) -> bool:
-        """Whether the homography of this board's places of the markers fits their corners (m, 4, 2)."""
+        """Return whether the homography of this board's places of the markers fits their corners (m, 4, 2)."""
         known = numbers < len(self._opencv.getIds())
         if known.sum() < _LEAST_MARKERS:
             return False
@@ -232,6 +232,6 @@ class _Seen:
 
 
 def _markers_of(dictionary: str, grey: NDArray[np.uint8]) -> IntArray:
-    """Numbers (n,) of the markers of a dictionary in a picture."""
+    """Return the numbers (n,) of the markers of a dictionary in a picture."""
     _, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(dictionary)).detectMarkers(grey)
     return np.zeros(0, dtype=np.int64) if ids is None else np.asarray(ids, np.int64).ravel()

@@ -70,11 +70,11 @@ class Chessboard(CellBoard):
         return (self.columns + self.rows) % 2 == 0
 
     def indices(self) -> IntArray:
-        """(column, row) of all inner corners, row by row."""
+        """Return (column, row) of all inner corners, row by row."""
         return grid_indices(self.columns, self.rows)
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Corners (..., 3), board frame, by (column, row), (..., 2)."""
+        """Return the corners (..., 3), board frame, by (column, row), (..., 2)."""
         return grid_points(index, self.columns, self.rows, self.square_m)
 
     @cached_property
@@ -115,7 +115,7 @@ class Chessboard(CellBoard):
         return replace(found, ambiguous_half_turn=self.half_turn_symmetric)
 
     def _grid(self, image: Photograph, name: str) -> FloatArray:
-        """(rows, columns, 2) pixels, in OpenCV's order.
+        """Return (rows, columns, 2) pixels, in OpenCV's order.
 
         Raises:
             BoardNotFoundError: nothing is found, or only what is not a chessboard of this size.
@@ -137,7 +137,7 @@ class Chessboard(CellBoard):
         )
 
     def _detect(self, grey: NDArray[np.uint8]) -> Iterator[FloatArray]:
-        """(rows, columns, 2) pixels, from outer corners, by one detector after the other."""
+        """Yield (rows, columns, 2) pixels, from outer corners, by one detector after the other."""
         shape = (self.columns, self.rows)
         # Pictures of wide lenses, and blurred ones, may only be read at half their size.
         for scale in (1, 2):
@@ -162,7 +162,7 @@ def _cross(grid: FloatArray) -> float:
 
 
 def _cells(image: Photograph, grid: FloatArray) -> FloatArray:
-    """(rows - 1, columns - 1, 9) grey values on each square between four corners."""
+    """Return (rows - 1, columns - 1, 9) grey values on each square between four corners."""
     samples = []
     for down in _WITHIN:
         for right in _WITHIN:
@@ -180,7 +180,7 @@ def _first_is_light(image: Photograph, grid: FloatArray) -> bool:
 
 
 def _alternates(image: Photograph, grid: FloatArray) -> bool:
-    """Whether the squares between the corners are of one colour each, and black and white in turn."""
+    """Return whether the squares between the corners are of one colour each, and black and white in turn."""
     cells = _cells(image, grid)
     middle = np.median(cells, axis=-1)
     # A window of three squares across has black and white nearly in balance; mirrored at the edges too.
@@ -192,13 +192,13 @@ def _alternates(image: Photograph, grid: FloatArray) -> bool:
 
 
 def _sides_with_more(image: Photograph, grid: FloatArray) -> list[str]:
-    """Sides of the corners' grid beyond whose outermost squares the pattern of black and white goes on."""
+    """Return the sides of the corners' grid beyond whose outermost squares the pattern of black and white goes on."""
     turned = {"top": grid, "bottom": grid[::-1], "left": grid.swapaxes(0, 1), "right": grid.swapaxes(0, 1)[::-1]}
     return [side for side, lines in turned.items() if _goes_on(image, lines)]
 
 
 def _goes_on(image: Photograph, grid: FloatArray) -> bool:
-    """Whether squares alternate before the first line of a grid (lines, along, 2) as they do behind it.
+    """Return whether squares alternate before the first line of a grid (lines, along, 2) as they do behind it.
 
     Around each corner of the line, the step from one side of it to the other is looked at: within the outermost
     squares, and one square farther out, where a board of the right size is plain.
@@ -214,7 +214,7 @@ def _goes_on(image: Photograph, grid: FloatArray) -> bool:
 
 
 def _extended(grid: FloatArray, at: float) -> FloatArray:
-    """Pixels (along, 2) at `at` lines from the first, on the parabola through the first three."""
+    """Return the pixels (along, 2) at `at` lines from the first, on the parabola through the first three."""
     first, second, third = grid[0], grid[1], grid[2]
     return np.asarray(first + at * (-1.5 * first + 2 * second - 0.5 * third) + at**2 * (0.5 * (first + third) - second))
 
@@ -228,6 +228,6 @@ def _steps(image: Photograph, line: FloatArray) -> FloatArray:
 
 
 def _grey(image: Photograph, pixel: FloatArray) -> FloatArray:
-    """Grey values (...) at pixels (..., 2); NaN beyond the picture."""
+    """Return the grey values (...) at pixels (..., 2); NaN beyond the picture."""
     place = np.moveaxis(pixel[..., ::-1] - 0.5, -1, 0)
     return np.asarray(map_coordinates(image, place, np.float64, order=1, mode="constant", cval=np.nan))

@@ -82,18 +82,18 @@ class CircleGrid:
         return not self.staggered or self.rows % 2 == 0
 
     def indices(self) -> IntArray:
-        """(column, row) of all circles, row by row."""
+        """Return (column, row) of all circles, row by row."""
         return grid_indices(self.columns, self.rows)
 
     def _pitches(self, index: NDArray[np.integer]) -> IntArray:
-        """(..., 2) places in pitches from the top left."""
+        """Return (..., 2) places in pitches from the top left."""
         index = np.asarray(index, dtype=np.int64)
         if not self.staggered:
             return np.asarray(index, dtype=np.int64)
         return np.asarray(np.stack([2 * index[..., 0] + index[..., 1] % 2, index[..., 1]], axis=-1), dtype=np.int64)
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Centres (..., 3), board frame, by (column, row), (..., 2)."""
+        """Return the centres (..., 3), board frame, by (column, row), (..., 2)."""
         return flat_points((self._pitches(index) - 0.5 * self._extent) * self.pitch_m)
 
     @property
@@ -117,7 +117,7 @@ class CircleGrid:
         return np.where(inside, white, np.nan).astype(in_board.dtype)
 
     def svg_shapes(self) -> list[str]:
-        """The circles."""
+        """Return the circles."""
         centre_mm = 1e3 * (self.point_of(self.indices())[:, :2] + 0.5 * self.size_m)
         return [f'<circle cx="{x:.4f}" cy="{y:.4f}" r="{500.0 * self.diameter_m:.4f}"/>' for x, y in centre_mm]
 
@@ -202,7 +202,7 @@ class CircleGrid:
 
 
 def _occupied(place: IntArray) -> FloatArray:
-    """(m, n) 1 where a lattice's place is taken."""
+    """Return (m, n) 1 where a lattice's place is taken."""
     taken: BoolArray = np.zeros(place.max(axis=0) + 1, dtype=bool)
     taken[place[:, 0], place[:, 1]] = True
     return taken.astype(np.float64)

@@ -63,7 +63,7 @@ def observe_corners(
 
 
 def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
-    """Rows of corners that lie where their neighbours expect them.
+    """Return the rows of corners that lie where their neighbours expect them.
 
     Over few, large cells perspective is more than a smooth map of third order: then the corners are compared with the
     best homography, and what it leaves must be smooth. Of a very wide lens the picture has none.
@@ -79,7 +79,7 @@ def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
 
 
 def _departure(place: FloatArray, pixel: FloatArray) -> float:
-    """Median distance of corners from where their neighbours expect them, over the side of a cell.
+    """Return the median distance of corners from where their neighbours expect them, over the side of a cell.
 
     Neighbours are mapped smoothly, or, where few corners are seen, by a homography: lenses bend the picture of a plane.
     """

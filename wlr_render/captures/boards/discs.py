@@ -34,11 +34,11 @@ class Discs:
     radius_m: FloatArray
 
     def only(self, rows: NDArray[np.generic]) -> "Discs":
-        """Some of the discs, by mask (n,) or by number."""
+        """Return some of the discs, by mask (n,) or by number."""
         return Discs(self.centroid[rows], self.radius_m[rows])
 
     def centres(self, lens: Lens, point: FloatArray, pixel: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of the centres of the discs.
+        """Return the pixels (n, 2) of the centres of the discs.
 
         Args:
             lens: of the camera, at least roughly.
@@ -56,7 +56,7 @@ class Discs:
 
 
 def _centroid_shift(lens: Lens, place: FloatArray, direction: FloatArray, radius: FloatArray) -> FloatArray:
-    """(n, 2) centre of area of each disc's picture less the picture of its centre, pixels.
+    """Return (n, 2) centre of area of each disc's picture less the picture of its centre, pixels.
 
     The centre of area is the mean over the disc, weighted by the area of the picture.
 
@@ -88,7 +88,7 @@ def _forward(tangents: FloatArray) -> FloatArray:
 
 
 def _looking_along(direction: FloatArray) -> FloatArray:
-    """(3, 3) rotation that turns a direction into z."""
+    """Return (3, 3) rotation that turns a direction into z."""
     z = normalised(direction)
     x = normalised(np.cross(np.eye(3)[np.argmin(np.abs(z))], z))
     return np.stack([x, np.cross(z, x), z])

@@ -67,7 +67,7 @@ class DotBoard:
         return (np.array([self.columns, self.rows]) - 1) * self.pitch_m + 2 * self.margin_m
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Centres (..., 3), board frame, of dots by (column, row), (..., 2)."""
+        """Return the centres (..., 3), board frame, of dots by (column, row), (..., 2)."""
         return grid_points(index, self.columns, self.rows, self.pitch_m)
 
     @property
@@ -89,16 +89,16 @@ class DotBoard:
         return False
 
     def diameter_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Diameters (...) of dots by (column, row), (..., 2)."""
+        """Return the diameters (...) of dots by (column, row), (..., 2)."""
         index = np.asarray(index)
         return np.where(self.large[index[..., 1], index[..., 0]], self.large_m, self.small_m)
 
     def indices(self) -> IntArray:
-        """(column, row) of all dots, (rows * columns, 2), row by row."""
+        """Return (column, row) of all dots, (rows * columns, 2), row by row."""
         return grid_indices(self.columns, self.rows)
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """How bright the board is at places (..., 2), x and y: 1 white, 0 dot, NaN beyond its edge.
+        """Return how bright the board is at places (..., 2), x and y: 1 white, 0 dot, NaN beyond its edge.
 
         Args:
             in_board: (..., 2) metres, board frame.
@@ -186,7 +186,7 @@ def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) ->
 
 
 def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattice, LatticeShape]:
-    """The dots that lie where their neighbours expect them, the worst taken out first.
+    """Return the dots that lie where their neighbours expect them, the worst taken out first.
 
     Raises:
         BoardNotFoundError: too few are left.
@@ -199,7 +199,7 @@ def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattic
 
 
 def _large(measured: MeasuredDots, dot: IntArray, shape: LatticeShape, board: DotBoard) -> BoolArray:
-    """(k,) which dots are large: by area over the area of a lattice cell, which no view of the board changes."""
+    """Return (k,) which dots are large: by area over the area of a lattice cell, which no view of the board changes."""
     contrast = measured.contrast[dot]
     nearby = np.concatenate([contrast[:, None], contrast[shape.neighbour]], axis=1)
     area: FloatArray = measured.darkness_px2[dot] / np.percentile(nearby, _LARGE_ARE_DARKEST, axis=1)

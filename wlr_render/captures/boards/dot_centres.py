@@ -50,7 +50,7 @@ class _Patches:
 def _patches_around(
     grey: FloatArray, dots: Dots, which: IntArray, near_px: FloatArray, reach_px: FloatArray
 ) -> Iterator[_Patches]:
-    """Patches of those dots that have a place in the picture.
+    """Yield the patches of those dots that have a place in the picture.
 
     Args:
         grey: (h, w).
@@ -95,7 +95,7 @@ def _of_one_size(
 
 
 def _owners(grey: FloatArray, dots: Dots, near_px: FloatArray, which: IntArray) -> NDArray[np.int32]:
-    """(h, w) which dot, counted from 1, a pixel is in or near; 0 for ground."""
+    """Return (h, w) which dot, counted from 1, a pixel is in or near; 0 for ground."""
     owner = np.zeros(grey.shape, np.int32)
     squares, axes = np.linalg.eigh(dots.spread[which])
     angle = np.rad2deg(np.arctan2(axes[:, 1, 0], axes[:, 0, 0])).tolist()
@@ -154,7 +154,7 @@ class _Ground:
 
 
 def measure_dots(image: NDArray[np.generic], dots: Dots, which: IntArray) -> MeasuredDots:
-    """Centres, areas and their noise for dots known to about a pixel.
+    """Return the centres, areas and their noise for dots known to about a pixel.
 
     Args:
         image: (h, w) grey.
@@ -187,7 +187,7 @@ def _updated(dots: Dots, measured: Dots, which: IntArray, blur: float) -> Dots:
 
 
 def _measured_once(grey: FloatArray, dots: Dots, which: IntArray, band: FloatArray) -> MeasuredDots:
-    """One pass with the windows where the dots were believed to be."""
+    """Return one pass with the windows where the dots were believed to be."""
     number = len(dots)
     centre, spread = np.full((number, 2), np.nan), np.full((number, 2, 2), np.nan)
     darkness, contrast, sigma, blur = np.full((4, number), np.nan)
@@ -237,7 +237,7 @@ def _regions(patches: _Patches, dots: Dots, band: FloatArray) -> _Regions:
 
 
 def _beyond_edge(patches: _Patches, spread: FloatArray) -> FloatArray:
-    """(m, p) distance of pixels from an ellipse, negative inside, to first order of a cone through it."""
+    """Return (m, p) distance of pixels from an ellipse, negative inside, to first order of a cone through it."""
     inverse = np.linalg.inv(spread)[..., None]
     steep_x = inverse[:, 0, 0] * patches.x + inverse[:, 0, 1] * patches.y
     steep_y = inverse[:, 1, 0] * patches.x + inverse[:, 1, 1] * patches.y
@@ -271,7 +271,7 @@ def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatA
 
 
 def _noise_variance(deficit: FloatArray, regions: _Regions) -> FloatArray:
-    """(m,) of a pixel of the edge: the mean of the ground's and, where a dot has an inside, the dot's."""
+    """Return (m,) of a pixel of the edge: the mean of the ground's and, where a dot has an inside, the dot's."""
     ground_px, inside_px = regions.ring.sum(axis=1), regions.inside.sum(axis=1)
     ground = _dot(np.where(regions.ring, deficit, 0.0), deficit) / np.maximum(ground_px - 3, 1)
     off = np.where(regions.inside, deficit - _mean(deficit, regions.inside)[:, None], 0.0)
@@ -287,7 +287,7 @@ def _blur(depth: FloatArray, edge: BoolArray, variance: FloatArray, dots: Dots) 
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(m, p), (m, p) -> (m,)."""
+    """Return (m, p), (m, p) -> (m,)."""
     return np.asarray((a[:, None, :] @ b[:, :, None])[:, 0, 0])
 
 

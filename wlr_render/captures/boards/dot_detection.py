@@ -57,7 +57,7 @@ class Dots:
 
 
 def find_dots(image: NDArray[np.generic]) -> Dots:
-    """All dark ellipses that are closed in by lighter ground, to about half a pixel; clutter among them.
+    """Return all dark ellipses that are closed in by lighter ground, to about half a pixel; clutter among them.
 
     Args:
         image: (h, w) grey, of any type.
@@ -80,7 +80,7 @@ def find_dots(image: NDArray[np.generic]) -> Dots:
 
 
 def _dots_of_level(level: FloatImage, least_area: float) -> tuple[Dots, FloatArray]:
-    """Dots of up to the kernel's size and the mean depth of each below the ground."""
+    """Return the dots of up to the kernel's size and the mean depth of each below the ground."""
     smooth = cv2.GaussianBlur(level, (3, 3), 0)
     square = np.ones((_KERNEL_PX, _KERNEL_PX), np.uint8)
     below = cv2.morphologyEx(smooth, cv2.MORPH_CLOSE, square) - smooth
@@ -100,7 +100,7 @@ def _dots_of_level(level: FloatImage, least_area: float) -> tuple[Dots, FloatArr
 def _as_ellipses(
     label: NDArray[np.int32], number: int, u: NDArray[np.int64], v: NDArray[np.int64], below: FloatImage
 ) -> tuple[Dots, FloatArray]:
-    """Components by their moments, without those that are no ellipses."""
+    """Return the components by their moments, without those that are no ellipses."""
 
     def total(of: NDArray[np.generic]) -> FloatArray:
         return np.asarray(np.bincount(label, of, number), dtype=np.float64)
@@ -123,7 +123,7 @@ def _as_ellipses(
 
 
 def _deepest_of_each_place(dots: Dots, depth: FloatArray) -> NDArray[np.bool_]:
-    """(n,) of dots that lie within one another, as levels and noise give them, only the deepest."""
+    """Return (n,) of dots that lie within one another, as levels and noise give them, only the deepest."""
     keep = np.ones(len(dots), dtype=bool)
     if len(dots) < 2:
         return keep

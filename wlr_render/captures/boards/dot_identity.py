@@ -81,7 +81,7 @@ def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: I
 
 
 def _share_as_good(disagreeing: int, seen: int) -> float:
-    """Part of all size patterns of so many dots with as many disagreeing or fewer."""
+    """Return the part of all size patterns of so many dots with as many disagreeing or fewer."""
     as_good = sum(math.comb(seen, wrong) for wrong in range(disagreeing + 1))
     # Whole numbers: a float overflows at a thousand dots.
     share: float = as_good / 2**seen

@@ -40,7 +40,7 @@ class DotLattice:
     index: IntArray
 
     def only(self, rows: NDArray[np.generic]) -> "DotLattice":
-        """Some of the dots, by mask (k,) or by position."""
+        """Return some of the dots, by mask (k,) or by position."""
         return DotLattice(self.dot[rows], self.index[rows])
 
     def __len__(self) -> int:
@@ -48,7 +48,7 @@ class DotLattice:
 
 
 def link_lattices(dots: Dots) -> list[DotLattice]:
-    """All lattices of 9 dots or more, the largest first; no dot is in two."""
+    """Return all lattices of 9 dots or more, the largest first; no dot is in two."""
     if len(dots) < LEAST_DOTS:
         return []
     tree = cKDTree(dots.centre)
@@ -67,7 +67,7 @@ def link_lattices(dots: Dots) -> list[DotLattice]:
 
 
 def _crosses(dots: Dots, tree: cKDTree) -> tuple[IntArray, FloatArray]:
-    """Dots with four neighbours in a cross, the clearest first, and their two steps (m, 2, 2), pixels."""
+    """Return the dots with four neighbours in a cross, the clearest first, and their two steps (m, 2, 2), pixels."""
     count = min(_NEIGHBOURS + 1, len(dots))
     near = tree.query(dots.centre, count)[1][:, 1:]
     to_near = dots.centre[near] - dots.centre[:, None, :]
@@ -91,7 +91,7 @@ def _crosses(dots: Dots, tree: cKDTree) -> tuple[IntArray, FloatArray]:
 
 
 def _straightening(dots: Dots, near: IntArray) -> FloatArray:
-    """(n, 2, 2) maps of unit determinant that make the ellipses near a dot round again."""
+    """Return (n, 2, 2) maps of unit determinant that make the ellipses near a dot round again."""
     flat = dots.spread / np.sqrt(np.linalg.det(dots.spread))[:, None, None]
     usual = np.median(np.concatenate([flat[:, None], flat[near[:, : _SHAPE_NEIGHBOURS - 1]]], axis=1), axis=1)
     squares, axes = np.linalg.eigh(usual)
@@ -99,7 +99,7 @@ def _straightening(dots: Dots, near: IntArray) -> FloatArray:
 
 
 def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free: NDArray[np.bool_]) -> DotLattice:
-    """All that hangs together with a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
+    """Return all that hangs together with a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
     at = {(0, 0): seed}
     index_of = {seed: (0, 0)}
     steps_of = {seed: step}

@@ -49,7 +49,7 @@ class LatticeShape:
         return np.asarray(np.abs(np.linalg.det(self.slope)))
 
     def centroid_shift(self, radius: FloatArray) -> FloatArray:
-        """(n, 2) centre of area of a disc's picture less the picture of its centre, pixels.
+        """Return (n, 2) centre of area of a disc's picture less the picture of its centre, pixels.
 
         With f the map, J its slope and the disc's second moments radius^2 / 4 per axis: the integral of f |J| over the
         integral of |J|, to second order. For a plane seen in perspective it is what J. Heikkila, "Geometric camera

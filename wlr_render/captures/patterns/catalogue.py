@@ -36,7 +36,7 @@ def make_pattern(name: str, panel: Panel, **numbers: int) -> Pattern:
 
 
 def pattern_keys(name: str) -> tuple[str, ...]:
-    """Names of the parameters of a pattern.
+    """Return the names of the parameters of a pattern.
 
     Raises:
         BadInputError: there is no such code.

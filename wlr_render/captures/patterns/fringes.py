@@ -47,7 +47,7 @@ class Fringes(Pattern):
         check_fringe(self.period_px, self.steps)
 
     def axis(self, name: str, length_px: int) -> AxisCode:
-        """Steps of the fringes from long to short."""
+        """Return the steps of the fringes from long to short."""
         longest = max(_LONGEST * length_px, self.period_px)
         count = math.ceil(math.log(longest / self.period_px, _RATIO))
         periods = np.geomspace(longest, self.period_px, count + 1)

@@ -68,11 +68,11 @@ class GrayAxis:
         return (self.cells - 1).bit_length()
 
     def names(self) -> list[str]:
-        """Names of its pictures: bits from coarse to fine, each followed by its inverse."""
+        """Return the names of its pictures: bits from coarse to fine, each followed by its inverse."""
         return [f"{self.axis} bit {bit}{inverse}" for bit in reversed(range(self.bits)) for inverse in ("", INVERSE)]
 
     def line(self, index: int) -> NDArray[np.uint8]:
-        """(cells,) 0 or 255: what picture `index` of `names` shows in each cell."""
+        """Return (cells,) 0 or 255: what picture `index` of `names` shows in each cell."""
         bit, inverse = self.bits - 1 - index // 2, index % 2
         cell = np.arange(self.cells)
         return np.asarray((((cell ^ (cell >> 1)) >> bit) & 1 ^ inverse) * 255, dtype=np.uint8)
@@ -200,7 +200,7 @@ def _check_unread(missing: bool, levels: int, coarsest: int, bits: int, reader: 
 
 
 def _better(found: GrayReading, best: GrayReading) -> GrayReading:
-    """The finer reading where it can be used, or is at least better than the coarser."""
+    """Return the finer reading where it can be used, or is at least better than the coarser."""
     finer = (found.evidence >= _READABLE) | (found.evidence > best.evidence)
     if finer.all():
         return found
@@ -215,7 +215,7 @@ def _better(found: GrayReading, best: GrayReading) -> GrayReading:
 
 
 def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
-    """(h, w) 0 to 1: whether single cells are resolved, from the sum of the strengths of both borders of a cell.
+    """Return (h, w) 0 to 1: whether single cells are resolved, from the sum of the strengths of both borders of a cell.
 
     A pixel w cells wide never lies so close to both borders that the sum falls below 2 / w; where blur takes the finest
     bit, it does at every other border. 1 up to two cells, 0 from four on.
@@ -224,7 +224,7 @@ def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
 
 
 def _mean_around(value: Grey, lit: NDArray[np.bool_], width: int) -> Grey:
-    """(h, w) mean over the lit pixels of a window."""
+    """Return (h, w) mean over the lit pixels of a window."""
     total = cv2.boxFilter(value * lit, -1, (width, width), normalize=False)
     number = cv2.boxFilter(lit.astype(np.float32), -1, (width, width), normalize=False)
     return np.asarray(total / np.maximum(number, 1), dtype=np.float32)
@@ -291,7 +291,7 @@ def check_photograph_order(
 
 
 def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tuple[Codes, NDArray[np.int64]]:
-    """Distinct pairs of Gray codes of neighbours, (n, 2), and their counts, (n,)."""
+    """Return the distinct pairs of Gray codes of neighbours, (n, 2), and their counts, (n,)."""
     found = []
     for (dx, dy), length in (((1, 0), gray.shape[0]), ((0, 1), gray.shape[1])):
         every = max(1, length // _LINES)
@@ -305,7 +305,7 @@ def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tupl
 
 
 def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
-    """Gray codes with one bit inverted or two bits exchanged, and the bits."""
+    """Yield the Gray codes with one bit inverted or two bits exchanged, and the bits."""
     codes = np.arange(1 << bits)
     for bit in range(bits):
         yield codes ^ (1 << bit), (bit,)
@@ -315,7 +315,7 @@ def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
 
 
 def _roughness(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) -> float:
-    """Sum of squared steps between neighbours; a cell beyond the last counts as a step over the whole panel.
+    """Return the sum of squared steps between neighbours; a cell beyond the last counts as a step over the whole panel.
 
     Args:
         gray: (2**bits,) true Gray code of each that was read.

@@ -24,7 +24,7 @@ class GrayCode(Pattern):
     """
 
     def axis(self, name: str, length_px: int) -> AxisCode:
-        """Bits from coarse to fine, each followed by its inverse."""
+        """Return the bits from coarse to fine, each followed by its inverse."""
         return _GrayPixels(name, length_px)
 
 

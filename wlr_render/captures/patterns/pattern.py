@@ -19,10 +19,10 @@ class AxisCode(Protocol):
     """Code of one axis: images that vary along it, and their decoding."""
 
     def names(self) -> list[str]:
-        """Names of its pictures in the order of showing."""
+        """Return the names of its pictures in the order of showing."""
 
     def line(self, index: int) -> NDArray[np.uint8]:
-        """(length of the axis in panel pixels,) what picture `index` of `names` shows."""
+        """Return (length of the axis in panel pixels,) what picture `index` of `names` shows."""
 
     def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
         """Decode one photograph per picture; `noise` is updated from them.
@@ -46,14 +46,14 @@ class Pattern(ABC):
 
     @abstractmethod
     def axis(self, name: str, length_px: int) -> AxisCode:
-        """The code of the axis "u" or "v" of so many panel pixels."""
+        """Return the code of the axis "u" or "v" of so many panel pixels."""
 
     def names(self) -> tuple[str, ...]:
         """Names of the pictures, e.g. "white", "black", "u bit 10", "u bit 10 inverse", in the order of showing."""
         return "white", "black", *self._u.names(), *self._v.names()
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """(panel height, panel width) grey picture number `index`."""
+        """Return (panel height, panel width) grey picture number `index`."""
         size = self.panel.height_px, self.panel.width_px
         if index < 2:
             return np.full(size, 255 * (1 - index), dtype=np.uint8)
@@ -62,7 +62,7 @@ class Pattern(ABC):
         return np.array(np.broadcast_to(line, size))
 
     def decode(self, photographs: Iterable[CodeImage | None], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
-        """Panel positions from one photograph per picture, in the order of showing.
+        """Return the panel positions from one photograph per picture, in the order of showing.
 
         Photographs are taken one at a time and not kept, so that the iterable may read them from disk. None stands for
         a missing one: decoding does without a bit or its inverse, one step of a fringe, and white or black if a bit and

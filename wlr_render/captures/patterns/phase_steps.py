@@ -46,11 +46,11 @@ class FringeAxis:
     steps: int
 
     def names(self) -> list[str]:
-        """Names of its pictures."""
+        """Return the names of its pictures."""
         return [f"{self.axis} fringe {self.period_px:.4g} px step {step}" for step in range(self.steps)]
 
     def line(self, step: int) -> NDArray[np.uint8]:
-        """(length_px,) 0 to 255: what one picture shows in each panel pixel."""
+        """Return (length_px,) 0 to 255: what one picture shows in each panel pixel."""
         phase = 2 * np.pi * ((np.arange(self.length_px) + 0.5) / self.period_px - step / self.steps)
         return np.asarray(np.round(127.5 + 127.5 * np.cos(phase)), dtype=np.uint8)
 
@@ -147,7 +147,7 @@ def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: Photogr
 
 
 def noise_gain(axis: FringeAxis, reading: FringeReading) -> Grey:
-    """(h, w) as in `AxisReading`.
+    """Return (h, w) as in `AxisReading`.
 
     The variance of an N-step phase is 2 / N of that of a photograph over the amplitude squared; the amplitude is half
     of the contrast at full evidence, and a photograph has half the variance of a difference.
@@ -157,7 +157,7 @@ def noise_gain(axis: FringeAxis, reading: FringeReading) -> Grey:
 
 
 def nearest(axis: FringeAxis, reading: FringeReading, about: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(h, w) the position with the fringe's phase that lies nearest to another, panel pixels."""
+    """Return (h, w) the position with the fringe's phase that lies nearest to another, panel pixels."""
     return about + axis.period_px * ((reading.turns - about / axis.period_px + 0.5) % 1 - 0.5)
 
 

@@ -45,11 +45,11 @@ class PhotographReader:
         return self._peak
 
     def label(self, index: int) -> str:
-        """Name of a photograph in messages: photograph 12 ('u bit 5')."""
+        """Return the name of a photograph in messages: photograph 12 ('u bit 5')."""
         return f"photograph {index} ('{self._names[index]}')"
 
     def take(self) -> Grey | None:
-        """The next photograph, (h, w) float32 grey values; None where the set has a gap.
+        """Return the next photograph, (h, w) float32 grey values; None where the set has a gap.
 
         Raises:
             BadInputError: there is none left, or it has another size or depth than those before.
@@ -191,7 +191,7 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelContras
 
 
 def _noise_of_dark(contrast: Grey) -> float:
-    """Standard deviation of what the panel does not light: only noise makes it negative."""
+    """Return the standard deviation of what the panel does not light: only noise makes it negative."""
     negative = contrast[contrast < 0]
     return float(np.sqrt(np.mean(negative**2))) if negative.size else 0.0
 
@@ -225,7 +225,7 @@ class NoiseMeter:
         self._square += value * value
 
     def variance(self) -> Grey:
-        """(h, w) variance of the difference of two photographs around each pixel, grey values squared.
+        """Return (h, w) variance of the difference of two photographs around each pixel, grey values squared.
 
         Never below that of two rounded values; just that where too few sums were added.
         """

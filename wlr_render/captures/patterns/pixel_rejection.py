@@ -81,7 +81,7 @@ def fit_planes(position: FloatArray, valid: NDArray[np.bool_]) -> LocalFit:
 
 
 def _inverse_moments(weight: FloatArray) -> tuple[FloatArray, ...]:
-    """Upper triangle, row by row, of the inverse of the matrix of moments of (1, x, y)."""
+    """Return the upper triangle, row by row, of the inverse of the matrix of moments of (1, x, y)."""
     square = _RAMP * _RAMP
     n, x, y = (_sum(weight, *kernels) for kernels in ((_FLAT, _FLAT), (_RAMP, _FLAT), (_FLAT, _RAMP)))
     xx, yy = _sum(weight, square, _FLAT) + _RIDGE, _sum(weight, _FLAT, square) + _RIDGE
@@ -184,7 +184,7 @@ def _rejected_alone(
     options: DecodeOptions,
     panel: Panel,
 ) -> NDArray[np.uint8]:
-    """(h, w) the first rejection that applies to each pixel by itself; `noise` as a part of the contrast."""
+    """Return (h, w) the first rejection that applies to each pixel by itself; `noise` as a part of the contrast."""
     u, v = readings
     reasons: tuple[tuple[Mask, Any], ...] = (
         (peak >= light.end_of_scale, Rejection.SATURATED),
@@ -199,7 +199,7 @@ def _rejected_alone(
 
 
 def _partly_lit(contrast: Grey) -> Mask:
-    """(h, w) where light is missing: the mean of what is seen is then not what lies in the pixel's middle."""
+    """Return (h, w) where light is missing: the mean of what is seen is then not what lies in the pixel's middle."""
     around = np.ones((3, 3), dtype=np.uint8)
     brightest, darkest = cv2.dilate(contrast, around), cv2.erode(contrast, around)
     return np.asarray((contrast < _EDGE * brightest) | (darkest < _BESIDE_EDGE * contrast))
@@ -211,7 +211,7 @@ def _outside(reading: AxisReading, length_px: int) -> Mask:
 
 
 def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
-    """(h, w) variance that the panel's cells leave in a mean over the window, panel pixels squared.
+    """Return (h, w) variance that the panel's cells leave in a mean over the window, panel pixels squared.
 
     The cell number of a point is its position plus a saw-tooth of period 1, whose harmonic n has the amplitude
     1 / (pi n). The light that a pixel gathers reduces it, here by a Gaussian, and so does the mean over the window. A
@@ -241,7 +241,7 @@ def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
 
 
 def neighbour_slices(dx: int, dy: int) -> tuple[Slices, Slices]:
-    """Slices of a picture and of the neighbours at (dx, dy) of its pixels; dx is -1, 0 or 1, dy is 0 or 1."""
+    """Return slices of a picture and of the neighbours at (dx, dy) of its pixels; dx is -1, 0 or 1, dy is 0 or 1."""
     here, there = {0: (slice(None), slice(None)), 1: (slice(None, -1), slice(1, None))}[abs(dx)][
         :: 1 if dx >= 0 else -1
     ]

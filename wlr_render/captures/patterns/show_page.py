@@ -46,7 +46,7 @@ def write_show_page(folder: str | Path, pattern: Pattern, channel: str | None = 
 
 
 def _in_primary(image: NDArray[np.uint8], channel: str | None) -> NDArray[np.uint8]:
-    """(h, w) as it is for white, else (h, w, 3) in OpenCV's order blue, green, red."""
+    """Return (h, w) as it is for white, else (h, w, 3) in OpenCV's order blue, green, red."""
     if channel is None:
         return image
     coloured = np.zeros((*image.shape, 3), np.uint8)

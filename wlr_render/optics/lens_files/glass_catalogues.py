@@ -112,7 +112,7 @@ class GlassCatalogue:
         return Glass(medium, text, True)
 
     def _in_order(self, manufacturers: tuple[str, ...]) -> list[dict[str, GlassEntry]]:
-        """Glasses of the files: first of those named as a manufacturer, in the order of the manufacturers."""
+        """Return glasses of the files: first of those named as a manufacturer, in the order of the manufacturers."""
         places = {maker: place for place, maker in enumerate(manufacturers)}
         ordered = sorted(self.files, key=lambda path: places.get(path.stem.lower(), len(places)))
         return [self._entries[path] for path in ordered]
@@ -129,7 +129,7 @@ def _letters(name: str) -> str:
 
 
 def _by_name(entries: dict[str, GlassEntry], name: str) -> GlassEntry | None:
-    """The glass of a name, or of the same letters and digits with other spaces and dashes."""
+    """Return the glass of a name, or of the same letters and digits with other spaces and dashes."""
     if name.upper() in entries:
         return entries[name.upper()]
     return next((entry for each, entry in entries.items() if _letters(each) == _letters(name)), None)
@@ -151,7 +151,7 @@ def _note_on(entry: GlassEntry, name: str, note: str) -> tuple[str, bool]:
 
 
 def model_glass(index: float, abbe: float, where: str, name: str = "", deviation: float = 0.0) -> Medium:
-    """A glass by n_d and V_d, without dispersion if V_d is not positive, and its deviation from the normal line.
+    """Return a glass by n_d and V_d, without dispersion if V_d is not positive, and its deviation from the normal line.
 
     Raises:
         BadInputError: no glass has such numbers; `where` begins the sentence.
@@ -169,7 +169,7 @@ def require_glass(medium: Medium, where: str) -> Medium:
 
 
 def unknown_glass_remedy() -> str:
-    """Sentence that says how to give a glass that no catalogue has."""
+    """Return the sentence that says how to give a glass that no catalogue has."""
     return (
         "Name Zemax's catalogue file with --glasses FILE.agf, or install the database of refractiveindex.info "
         f"(1.3 GB): {install_command('glasses')}"
@@ -177,7 +177,7 @@ def unknown_glass_remedy() -> str:
 
 
 def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | None:
-    """A glass of the database in Optiland; None if it is not there, or Optiland is not installed."""
+    """Return a glass of the database in Optiland; None if it is not there, or Optiland is not installed."""
     try:
         with installed_by("glasses", f"glass {shown(name)}"):
             from optiland.materials import Material
@@ -196,7 +196,7 @@ def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | No
 
 
 def _of_database_file(path: str, name: str) -> Medium:
-    """A medium of a refractiveindex.info file: its first formula."""
+    """Return a medium of a refractiveindex.info file: its first formula."""
     text = read_text(path, "a file of refractiveindex.info")
     match = re.search(r"type:\s*formula (\d+)\s.*?coefficients:\s*([-+.\deE ]+)", text, re.DOTALL)
     if match is None:

@@ -138,7 +138,7 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
 
 
 def _unread_types(lens: LensFile) -> str:
-    """Clause on surfaces that bend rays and are of a type that is not read; may be empty."""
+    """Return the clause on surfaces that bend rays and are of a type that is not read; may be empty."""
     unread = [f"surface {note.surface} ({note.value})" for note in lens.ignored if note.part == "shape"]
     return f" and the types that are not read: {', '.join(unread[:5])}" if unread else ""
 
@@ -167,7 +167,7 @@ def _place(path: Path, places: dict[int, int], number: int, option: str) -> int:
 def _pupil(
     path: Path, lens: LensFile, choices: HeadsetChoices, places: dict[int, int], bending: list[int]
 ) -> tuple[FloatArray, str]:
-    """Frame of the pupil in the file, the eye looking along its z, and where it was put."""
+    """Return the frame of the pupil in the file, the eye looking along its z, and where it was put."""
     from_eye = choices.starts_at == "eye"
     nearest = bending[0] if from_eye else bending[-1]
     mirrors = sum(lens.surfaces[place].reflects for place in bending)
@@ -199,7 +199,7 @@ def _pupil(
 
 
 def _device_from_pupil(choices: HeadsetChoices) -> FloatArray:
-    """The eye looks along -z of the device and along z of the pupil's frame; y is up in both."""
+    """Return the eye looks along -z of the device and along z of the pupil's frame; y is up in both."""
     return rigid(np.diag([-1.0, 1.0, -1.0]), np.array(choices.eye_centre))
 
 
@@ -237,7 +237,7 @@ def _panel(
 
 
 def _bowed(panel: PlacedPanel, surface: LensSurface, device_from_file: FloatArray) -> tuple[PlacedPanel, list[Ignored]]:
-    """The panel with the curvature of its surface, which a device file has as a paraboloid."""
+    """Return the panel with the curvature of its surface, which a device file has as a paraboloid."""
     shape = surface.shape
     if not isinstance(shape, Conic):
         note = Ignored(

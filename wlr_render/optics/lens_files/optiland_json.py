@@ -76,7 +76,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
 
 
 def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
-    """A frame by its place and its turns about the axes x, y, z of the frame it is stated in, in this order."""
+    """Return a frame by its place and its turns about the axes x, y, z of the frame it is stated in, in this order."""
     if depth > _DEEPEST:
         raise frame.fail(f"frames are stated in one another more than {_DEEPEST} deep; write them in the global frame.")
     x, y, z = (number_of(frame, key, 0.0, infinite and key == "z") for key in "xyz")
@@ -226,6 +226,6 @@ _SHAPES: dict[str, Callable[[Table, int, Notes], Shape]] = {
 
 
 def is_optiland(content: Table) -> bool:
-    """Whether a JSON file is one of Optiland."""
+    """Return whether a JSON file is one of Optiland."""
     group = content.unchecked("surface_group")
     return isinstance(group, dict) and "surfaces" in group

@@ -45,7 +45,7 @@ _POWERS_OF_MAKERS = {
 
 
 def is_rayoptics(content: Table) -> bool:
-    """Whether a JSON file is one of rayoptics."""
+    """Return whether a JSON file is one of rayoptics."""
     return isinstance(content.unchecked("optical_model"), dict)
 
 
@@ -111,12 +111,12 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
 
 
 def _class_of(entry: Table) -> str:
-    """Name of an object's class, which stands behind that of its module."""
+    """Return the name of an object's class, which stands behind that of its module."""
     return entry.texts("__instance_type__")[-1]
 
 
 def _array(table: Table, key: str, size: int | None = None) -> list[float]:
-    """Numbers, as a list or as rayoptics writes an array; zeros where they are missing."""
+    """Return the numbers, as a list or as rayoptics writes an array; zeros where they are missing."""
     value: Any = table.unchecked(key)
     value = value.get("__ndarray__") if isinstance(value, dict) else value
     value = [0.0] * (size or 0) if value is None else value

@@ -108,11 +108,11 @@ class LensFile:
     ignored: tuple[Ignored, ...]
 
     def medium_before(self, place: int) -> Medium:
-        """The medium before the surface at a place of `surfaces`."""
+        """Return the medium before the surface at a place of `surfaces`."""
         return self.surfaces[place - 1].medium if place else AIR
 
     def bends_rays(self, place: int) -> bool:
-        """Whether the surface at a place of `surfaces` is a mirror or has different media on its two sides."""
+        """Return whether the surface at a place of `surfaces` is a mirror or has different media on its two sides."""
         surface = self.surfaces[place]
         return surface.reflects or surface.medium != self.medium_before(place)
 
@@ -127,7 +127,7 @@ def require_surfaces(path: object, count: int) -> None:
 
 
 def finite(value: object, where: str, infinite: bool = False) -> float:
-    """A number of a lens file; `infinite` admits infinity.
+    """Return a number of a lens file; `infinite` admits infinity.
 
     Raises:
         BadInputError: the value is no number, or none of a lens; `where` begins the sentence.
@@ -142,7 +142,7 @@ def finite(value: object, where: str, infinite: bool = False) -> float:
 
 
 def number_of(table: Table, key: str, default: float | None = None, infinite: bool = False) -> float:
-    """A number of a JSON file; `default` stands for one that is missing or null, and `infinite` admits infinity.
+    """Return a number of a JSON file; `default` stands for one that is missing or null, and `infinite` admits infinity.
 
     Raises:
         BadInputError: the value is no number, or none of a lens.
@@ -154,12 +154,12 @@ def number_of(table: Table, key: str, default: float | None = None, infinite: bo
 
 
 def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> FloatArray:
-    """Translation, (4, 4), metres."""
+    """Return the translation, (4, 4), metres."""
     return rigid(np.eye(3), np.array([x, y, z]))
 
 
 def conic_or_asphere(curvature: float, conic: float, terms: Sequence[float], unit: float) -> Shape:
-    """A conicoid, with `terms` an asphere.
+    """Return a conicoid, with `terms` an asphere.
 
     Args:
         curvature: in 1 / file unit.
@@ -175,5 +175,5 @@ def conic_or_asphere(curvature: float, conic: float, terms: Sequence[float], uni
 
 
 def box_aperture(low: Sequence[float], high: Sequence[float]) -> ClearAperture:
-    """A clear aperture of two sides in x and y, metres; open along z."""
+    """Return a clear aperture of two sides in x and y, metres; open along z."""
     return ClearAperture(np.array([*low, -np.inf]), np.array([*high, np.inf]))

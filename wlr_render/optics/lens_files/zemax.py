@@ -93,7 +93,7 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
 
 
 def _split(path: Path, text: str) -> tuple[dict[str, tuple[list[str], int]], list[SurfaceLines]]:
-    """Keys of the head, and the lines of each surface."""
+    """Return the keys of the head, and the lines of each surface."""
     header: dict[str, tuple[list[str], int]] = {}
     surfaces: list[SurfaceLines] = []
     within = False
@@ -194,7 +194,7 @@ def _glass(reading: ZemaxReading, surface: SurfaceLines, before: Medium) -> tupl
 def _stated_glass(
     reading: ZemaxReading, surface: SurfaceLines, words: list[str], line: int, model: bool
 ) -> Medium | None:
-    """The glass by the index and Abbe number in its line, or by a name of six digits; None without them."""
+    """Return the glass by the index and Abbe number in its line, or by a name of six digits; None without them."""
     name, where = words[0], f"{reading.path}: line {line}: glass {shown(words[0])}"
     if len(words) > 4:
         index, abbe = (reading.number(words, place, line, "GLAS") for place in (3, 4))
@@ -222,7 +222,7 @@ def _refuse_unknown_glasses(reading: ZemaxReading) -> None:
 
 
 def _aperture(reading: ZemaxReading, surface: SurfaceLines) -> ClearAperture:
-    """The aperture that stops rays: circles by the square around them."""
+    """Return the aperture that stops rays: circles by the square around them."""
     x, y = 0.0, 0.0
     if found := surface.last("OBDC"):
         x, y = (reading.number(found[0], place, found[1], "OBDC") for place in (0, 1))

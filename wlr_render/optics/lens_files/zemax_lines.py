@@ -19,7 +19,7 @@ class SurfaceLines:
     lines: list[tuple[str, list[str], int]] = field(default_factory=list)
 
     def last(self, key: str) -> tuple[list[str], int] | None:
-        """Words and line number of the last line with a key."""
+        """Return the words and line number of the last line with a key."""
         found = [(words, line) for each, words, line in self.lines if each == key]
         return found[-1] if found else None
 
@@ -36,18 +36,18 @@ class ZemaxReading:
     unknown_glasses: dict[str, list[int]] = field(default_factory=dict)
 
     def number(self, words: list[str], place: int, line: int, key: str, infinite: bool = False) -> float:
-        """A number of a line, with a point or a comma."""
+        """Return a number of a line, with a point or a comma."""
         word = words[place].replace(",", ".") if place < len(words) else ""
         word = "inf" if infinite and word.upper() == "INFINITY" else word
         return finite(word, f"{self.path}: line {line}: value {place + 1} of {key}", infinite)
 
     def value(self, surface: SurfaceLines, key: str, default: float = 0.0, infinite: bool = False) -> float:
-        """The first number of a surface's key."""
+        """Return the first number of a surface's key."""
         found = surface.last(key)
         return default if found is None else self.number(found[0], 0, found[1], key, infinite)
 
     def numbered(self, surface: SurfaceLines, key: str) -> dict[int, float]:
-        """The values of `PARM` or `XDAT`, by their number."""
+        """Return the values of `PARM` or `XDAT`, by their number."""
         values = {}
         for each, words, line in surface.lines:
             if each == key:

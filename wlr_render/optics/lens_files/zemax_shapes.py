@@ -49,7 +49,7 @@ def _odd_asphere(reading: ZemaxReading, surface: SurfaceLines, base: Conic) -> S
 
 
 def _extended_asphere(reading: ZemaxReading, surface: SurfaceLines, base: Conic) -> Shape:
-    """Terms of (r / normalisation)^2, ^4, ... from `XDAT`, added to the terms of an even asphere."""
+    """Return the terms of (r / normalisation)^2, ^4, ... from `XDAT`, added to the terms of an even asphere."""
     values = reading.numbered(surface, "XDAT")
     count, norm = _terms_and_norm(reading, surface, values)
     low = reading.numbered(surface, "PARM")
@@ -63,7 +63,7 @@ def _extended_asphere(reading: ZemaxReading, surface: SurfaceLines, base: Conic)
 
 
 def _terms_and_norm(reading: ZemaxReading, surface: SurfaceLines, values: dict[int, float]) -> tuple[int, float]:
-    """Number of terms in `XDAT`, and the length that divides their coordinates."""
+    """Return the number of terms in `XDAT`, and the length that divides their coordinates."""
     norm = values.get(2, 1.0) or 1.0
     if not _NORMS[0] <= abs(norm) <= _NORMS[1]:
         raise BadInputError(
@@ -108,7 +108,7 @@ def _toroid(reading: ZemaxReading, surface: SurfaceLines, base: Conic) -> Shape:
 
 
 def _extended_polynomial(reading: ZemaxReading, surface: SurfaceLines, base: Conic) -> Shape:
-    """Terms x, y, x^2, xy, y^2, ... of coordinates over the normalisation, from the third `XDAT` on."""
+    """Return the terms x, y, x^2, xy, y^2, ... of coordinates over the normalisation, from the third `XDAT` on."""
     values = reading.numbered(surface, "XDAT")
     count, norm = _terms_and_norm(reading, surface, values)
     coefficients = np.zeros((_MOST_POWER + 1, _MOST_POWER + 1))

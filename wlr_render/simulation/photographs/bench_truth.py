@@ -85,7 +85,7 @@ def _poses_of(visits: Sequence[Visit]) -> FloatArray:
 
 
 def known_number(number: int, numbers: range, kind: str) -> int:
-    """The number, if a session has it.
+    """Return the number, if a session has it.
 
     Raises:
         BadInputError: it has not.

@@ -85,6 +85,6 @@ def _on_plane(origin: Float32Array, direction: Float32Array, depth: Float32Array
 
 
 def _footprint(place: Float32Array) -> Float32Array:
-    """Width (h, w) of a camera pixel on the board, metres, from places (h, w, 2): the root of its area."""
+    """Return the width (h, w) of a camera pixel on the board, metres, from places (h, w, 2): the root of its area."""
     (x_down, x_right), (y_down, y_right) = np.gradient(place[..., 0]), np.gradient(place[..., 1])
     return np.asarray(np.sqrt(np.abs(x_right * y_down - y_right * x_down)))

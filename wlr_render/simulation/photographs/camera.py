@@ -44,7 +44,7 @@ class SimulatedLens:
             )
 
     def ray_of_pixel(self, pixel: FloatArray, pupil_point: FloatArray) -> FloatArray:
-        """The ray by which image points see, (..., 6), camera frame, from the pupil outwards.
+        """Return the ray by which image points see, (..., 6), camera frame, from the pupil outwards.
 
         All rays of an image point meet where the ray through the middle of the pupil crosses the plane in focus.
 
@@ -70,7 +70,7 @@ class SimulatedLens:
 
 @lru_cache
 def _even_samples(count: int) -> FloatArray:
-    """Points (count, 4) of the cube -0.5..0.5, symmetric about 0, every axis stratified.
+    """Return the points (count, 4) of the cube -0.5..0.5, symmetric about 0, every axis stratified.
 
     Of many such Latin hypercubes the one of least centred discrepancy: F. J. Hickernell, "A generalized discrepancy
     and quadrature error bound", Math. Comp. 67 (1998) 299.
@@ -87,7 +87,7 @@ def _even_samples(count: int) -> FloatArray:
 
 
 def _discrepancy(points: FloatArray) -> float:
-    """Squared centred L2 discrepancy of points (n, 4) in -0.5..0.5, less its constant part."""
+    """Return the squared centred L2 discrepancy of points (n, 4) in -0.5..0.5, less its constant part."""
     from_middle = np.abs(points)
     apart = np.abs(points[:, None] - points)
     single = np.prod(1.0 + 0.5 * from_middle - 0.5 * from_middle**2, axis=-1)
@@ -149,7 +149,7 @@ class Sensor:
     def with_snr(
         cls, snr: float, bits: int = 8, exposure: float = 1.0, read_noise_e: float = 5.0, vignetting: float = 0.0
     ) -> "Sensor":
-        """The sensor whose full well gives light 1 in the middle of the picture this ratio of signal to noise.
+        """Return the sensor whose full well gives light 1 in the middle of the picture this ratio of signal to noise.
 
         The signal of N electrons has the noise sqrt(N + read noise^2); quantisation is not counted.
         """
@@ -168,7 +168,7 @@ class Sensor:
         return np.asarray(np.rint(grey), dtype=np.uint8 if self.bits <= 8 else np.uint16)
 
     def _falloff(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """What is left of the light in each pixel, (h, w)."""
+        """Return what is left of the light in each pixel, (h, w)."""
         height, width = shape
         x = (np.arange(width, dtype=np.float32) + 0.5) / width - 0.5
         y = (np.arange(height, dtype=np.float32) + 0.5) / height - 0.5

@@ -63,7 +63,7 @@ class CameraView:
         device_from_camera: FloatArray,
         samples: int = 16,
     ) -> "CameraView":
-        """The lens in the place of an eye; its rays are traced exactly at 0.55 micrometres."""
+        """Return the lens in the place of an eye; its rays are traced exactly at 0.55 micrometres."""
         display, see_through = TracedDisplay(optics, WAVELENGTH_UM), TracedSeeThrough(optics, WAVELENGTH_UM)
         camera_from_device = inverse(device_from_camera)
 
@@ -86,7 +86,7 @@ class CameraView:
 
     @classmethod
     def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray, samples: int = 16) -> "CameraView":
-        """The lens in free air: an eyeball camera on the bare stage, or a headset's own tracking camera."""
+        """Return the lens in free air: an eyeball camera on the bare stage, or a headset's own tracking camera."""
 
         def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
             return _offset_and_slope(lens.ray_of_pixel(pixel, pupil_point))
@@ -94,7 +94,7 @@ class CameraView:
         return cls(lens, frame_from_camera, None, (), _maps(lens, samples, in_world, _WORLD_TOLERANCE))
 
     def panel_light(self, image: NDArray[np.uint8], gamma: float = PANEL_GAMMA) -> Float32Array:
-        """Light from the panel, (h, w), 1 where a white panel fills the pixel; dark without a headset.
+        """Return the light from the panel, (h, w), 1 where a white panel fills the pixel; dark without a headset.
 
         Panel pixels are uniform squares side by side that shine by (value / 255)^gamma.
 
@@ -116,7 +116,7 @@ class CameraView:
         return total / np.float32(len(self.on_panel))
 
     def world_light(self, radiance: Radiance) -> Float32Array:
-        """Light from the world, (h, w); dark where no ray comes in or `radiance` is NaN."""
+        """Return the light from the world, (h, w); dark where no ray comes in or `radiance` is NaN."""
         width, height = self.lens.camera.size_px
         total = np.zeros((height, width), dtype=np.float32)
         for field in self.in_world:
@@ -128,7 +128,7 @@ class CameraView:
         return total / np.float32(len(self.in_world))
 
     def _rays(self, offset_and_slope: Float32Array) -> Float32Array:
-        """Rays (h, w, 6) in the view's frame from offsets and slopes in the camera's frame, (4, h, w)."""
+        """Return the rays (h, w, 6) in the view's frame from offsets and slopes in the camera's frame, (4, h, w)."""
         x, y, tx, ty = offset_and_slope
         rotation, origin = self.frame_from_camera[:3, :3].astype(np.float32), self.frame_from_camera[:3, 3]
         scale = 1.0 / np.sqrt(1.0 + tx * tx + ty * ty)
@@ -163,7 +163,7 @@ def _maps(
 
 
 def _offset_and_slope(ray_in_camera: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Rays (n, 6) as x, y in the plane z = 0 and their tangents there (n, 4), and which of them lead forward."""
+    """Return rays (n, 6) as x, y in the plane z = 0 and their tangents there (n, 4), and which of them lead forward."""
     forward = ray_in_camera[:, 5] > 0.0
     ray = rays.at_z(np.where(forward[:, None], ray_in_camera, np.nan), 0.0)
     return np.concatenate([ray[:, :2], ray[:, 3:5] / ray[:, 5:]], axis=-1), forward
@@ -198,7 +198,7 @@ def panel_position(
     device_from_camera: FloatArray,
     pixel: FloatArray,
 ) -> QueryResult:
-    """Which place on the panel camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
+    """Return which place on the panel camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
     direction = rotate(device_from_camera, camera.dir_of_pixel(pixel))
     return TracedDisplay(optics, WAVELENGTH_UM).pixel_of_view_dir(direction, device_from_camera[:3, 3])
 

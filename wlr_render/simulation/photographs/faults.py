@@ -21,7 +21,7 @@ class Shift:
     deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def moved(self, pose: FloatArray) -> FloatArray:
-        """The pose (4, 4) after the motion."""
+        """Return the pose (4, 4) after the motion."""
         turn = transforms.rotations_of_vectors(np.deg2rad(self.deg))
         return transforms.rigid(turn @ pose[:3, :3], pose[:3, 3] + 1e-3 * np.array(self.mm))
 

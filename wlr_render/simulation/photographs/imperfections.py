@@ -77,7 +77,7 @@ class BenchImperfections:
 
     @classmethod
     def none(cls) -> "BenchImperfections":
-        """The perfect bench with lenses of five Brown terms."""
+        """Return the perfect bench with lenses of five Brown terms."""
         return cls().scaled(0.0)
 
     def scaled(self, factor: float) -> "BenchImperfections":

@@ -188,7 +188,7 @@ def _looking(forward: FloatArray) -> FloatArray:
 
 
 def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = PhotoBenchOptions()) -> PhotoBench:
-    """A bench on which the display's whole field is photographed, with the small errors that a real one has.
+    """Return a bench on which the display's whole field is photographed, with the small errors that a real one has.
 
     Raises:
         BadInputError: the device has no such eye, its panel is not seen from the eye box, or the options cannot be.
@@ -246,18 +246,18 @@ def passes_optics(
 
 
 def _half_travel(truth: EyeMappings) -> FloatArray:
-    """(3,) the farthest that a session's readings reach from the middle."""
+    """Return (3,) the farthest that a session's readings reach from the middle."""
     size, reach = truth.eye_box.size, CaptureSetup(truth).field.reach
     return np.asarray(0.5 * size + [*(0.5 * size[2] * reach), 0.0])
 
 
 def _skewed(skew_mrad: float, rng: np.random.Generator) -> FloatArray:
-    """(3, 3) axes of unit length to first order, each pair off a right angle by `skew_mrad`."""
+    """Return (3, 3) axes of unit length to first order, each pair off a right angle by `skew_mrad`."""
     return np.asarray(np.eye(3) + 1e-3 * skew_mrad * np.triu(rng.choice([-1.0, 1.0], (3, 3)), 1))
 
 
 def _misstated(true: FloatArray, sizes: BenchImperfections, rng: np.random.Generator) -> FloatArray:
-    """The pose (4, 4) with random errors of its place and of its rotation about its own origin."""
+    """Return the pose (4, 4) with random errors of its place and of its rotation about its own origin."""
     turn, shift = rng.standard_normal((2, 3))
     rotation = transforms.rotations_of_vectors(np.deg2rad(sizes.extrinsics_deg) * turn) @ true[:3, :3]
     return transforms.rigid(rotation, true[:3, 3] + 1e-3 * sizes.extrinsics_mm * shift)

@@ -57,7 +57,7 @@ class PhotoPlan:
 
 
 def stage_axis_count(bench: PhotoBench) -> int:
-    """Number of axes of the bench's stage; 0 for a camera in the hand."""
+    """Return the number of axes of the bench's stage; 0 for a camera in the hand."""
     return 0 if bench.options.stage == "hand" else len(bench.options.stage)
 
 
@@ -106,7 +106,7 @@ def unreadable_targets(bench: PhotoBench) -> list[str]:
 
 
 def bare_steps(axes: int, in_depth: bool) -> FloatArray:
-    """Stage positions (n, 3) of photographs without the headset, between -1 and 1 along each axis.
+    """Return the stage positions (n, 3) of photographs without the headset, between -1 and 1 along each axis.
 
     Args:
         axes: number of axes of the stage.
@@ -164,7 +164,7 @@ class SessionVisits:
 
 
 def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
-    """The visits of a session, from the bench's seed.
+    """Return the visits of a session, from the bench's seed.
 
     The stage travels through the bare positions of the first target pose, the sweep of each target pose with a return
     to its first position, and the bare positions of the other bare target pose. It creeps in this order. A hand holds
@@ -226,13 +226,13 @@ def _visits_by_hand(bench: PhotoBench, count: int) -> SessionVisits:
 
 
 def _whole_creep(bench: PhotoBench) -> FloatArray:
-    """(3,) displacement of the stage by temperature, metres, from the first photograph to the last."""
+    """Return (3,) displacement of the stage by temperature, metres, from the first photograph to the last."""
     direction = np.random.default_rng([bench.options.seed, _CREEP, int(bench.eye == "left")]).standard_normal(3)
     return np.asarray(1e-6 * bench.options.imperfections.creep_um * direction / np.linalg.norm(direction))
 
 
 def _creep(taken: FloatArray) -> FloatArray:
-    """(n,) part of the whole creep at the photographs number `taken` (n,)."""
+    """Return (n,) part of the whole creep at the photographs number `taken` (n,)."""
     part = 1.0 - np.exp(-taken / (_CREEP_TIME * max(1, len(taken) - 1)))
     return np.asarray(part / (1.0 - np.exp(-1.0 / _CREEP_TIME)))
 

@@ -64,7 +64,7 @@ class PixelMap:
         return cls(nodes, rows.to_pixel, columns.to_pixel, lit, alone, alone_value.astype(np.float32))
 
     def planes(self) -> Float32Array:
-        """The quantity in all pixels, (k, height, width); what it holds outside `lit` means nothing."""
+        """Return the quantity in all pixels, (k, height, width); what it holds outside `lit` means nothing."""
         value = np.asarray(self.from_rows @ self.nodes @ self.from_columns.T, dtype=np.float32)
         value[:, self.alone[:, 0], self.alone[:, 1]] = self.alone_value.T
         return value
@@ -96,7 +96,7 @@ class _Axis:
 
 
 def _lagrange(nodes: int, place: FloatArray) -> Float32Array:
-    """(n, nodes): values at 0, 1, ... -> values at places (n,), by the polynomial through the nearest six."""
+    """Return (n, nodes): values at 0, 1, ... -> values at places (n,), by the polynomial through the nearest six."""
     start = np.clip(place.astype(np.int64) - _STENCIL // 2 + 1, 0, nodes - _STENCIL)
     local = place - start
     matrix = np.zeros((len(place), nodes), dtype=np.float32)
@@ -108,7 +108,7 @@ def _lagrange(nodes: int, place: FloatArray) -> Float32Array:
 
 
 def _on_grid(exact: Exact, u: FloatArray, v: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """The quantity (k, rows, columns) and where there is light (rows, columns)."""
+    """Return the quantity (k, rows, columns) and where there is light (rows, columns)."""
     place = np.stack(np.meshgrid(u, v), axis=-1)
     value, lit = exact(place.reshape(-1, 2))
     return np.moveaxis(value.reshape(*place.shape[:-1], -1), -1, 0), lit.reshape(place.shape[:-1])

@@ -43,7 +43,7 @@ class PrintedBoard:
 
     @classmethod
     def draw(cls, design: Board, sizes: BenchImperfections, rng: np.random.Generator) -> "PrintedBoard":
-        """A print of the sizes given, with random signs."""
+        """Return a print of the sizes given, with random signs."""
         larger, longer, bow, twist = rng.choice([-1.0, 1.0], 4)
         along_x = float(rng.uniform(0.2, 0.8))
         return cls(
@@ -67,14 +67,14 @@ class PrintedBoard:
         return np.concatenate([place, self.height(place)[:, None]], axis=-1)
 
     def point_of(self, index: IntArray) -> FloatArray:
-        """True places (..., 3), board frame, of features by (column, row), (..., 2)."""
+        """Return the true places (..., 3), board frame, of features by (column, row), (..., 2)."""
         all_indices = self.design.indices()
         number = np.zeros(all_indices.max(axis=0) + 1, dtype=np.int64)
         number[tuple(all_indices.T)] = np.arange(len(all_indices))
         return np.asarray(self.points[number[index[..., 0], index[..., 1]]])
 
     def height(self, on_sheet: RealArray) -> RealArray:
-        """Height z (...) of the sheet at places (..., 2) on it, metres."""
+        """Return the height z (...) of the sheet at places (..., 2) on it, metres."""
         shape = self._shape(on_sheet / self._half_size.astype(on_sheet.dtype))
         return np.asarray(shape - np.asarray(self._mean_height, dtype=on_sheet.dtype))
 

@@ -49,7 +49,7 @@ class SimulationRecipe:
     bench: PhotoBenchOptions = field(default_factory=PhotoBenchOptions)
 
     def build(self) -> PhotoBench:
-        """The bench itself."""
+        """Return the bench itself."""
         return design_photo_bench(load_device(self.device), self.eye, self.bench)
 
 

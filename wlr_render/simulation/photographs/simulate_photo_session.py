@@ -106,7 +106,7 @@ def _take(task: tuple[CameraPose, Sequence[Path]]) -> dict[Path, Signature]:
 def camera_poses(
     session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits
 ) -> Iterator[CameraPose]:
-    """All photographs; those that the eyeball camera takes from one pose with one lens are traced together."""
+    """Yield all photographs; those that the eyeball camera takes from one pose with one lens are traced together."""
     pose = poses_on(bench, bench.options.seed)
     eyeball = partial(pose, bench.eyeball, bench.eyeball_sensor)
     tracking = partial(pose, bench.tracking, bench.tracking_sensor, optics=None)

@@ -156,7 +156,7 @@ class _Reader:
         )
 
     def _free(self, path: Path, lens: LensCamera, camera_from_target: FloatArray) -> BoardObservation:
-        """The board without the optics."""
+        """Return the board without the optics."""
         rng = self._rng(path)
         pixel = lens.pixel_of_point(transforms.apply(camera_from_target, self.truth.bench.printed.points))
         number = self._chosen(_inside(pixel, lens.size_px, _EDGE_PX), rng)
@@ -165,7 +165,7 @@ class _Reader:
     def _through(
         self, path: Path, camera: LensCamera, device_from_camera: FloatArray, device_from_target: FloatArray
     ) -> BoardObservation:
-        """The board through the optics."""
+        """Return the board through the optics."""
         rng = self._rng(path)
         point = transforms.apply(device_from_target, self.truth.bench.printed.points)
         straight = camera.pixel_of_point(transforms.apply(transforms.inverse(device_from_camera), point))
@@ -178,7 +178,7 @@ class _Reader:
     def _beside(
         self, path: Path, camera: LensCamera, device_from_camera: FloatArray, device_from_target: FloatArray
     ) -> BoardObservation:
-        """The part of the board that is seen past the optics, with some distance from their edge."""
+        """Return the part of the board that is seen past the optics, with some distance from their edge."""
         rng = self._rng(path)
         in_camera = transforms.apply(
             transforms.inverse(device_from_camera) @ device_from_target, self.truth.bench.printed.points
@@ -226,18 +226,18 @@ class _Reader:
         return panel_position(self.truth.bench.optics, self.truth.bench.eyeball.camera, device_from_camera, pixel).value
 
     def _rng(self, path: Path) -> np.random.Generator:
-        """Noise of one photograph, whatever others there are."""
+        """Return the noise of one photograph, whatever others there are."""
         bench = self.truth.bench
         name = zlib.crc32(self.session.name_of(path).encode())
         return np.random.default_rng([bench.options.seed, 23, name, int(bench.eye == "left")])
 
 
 def _inside(pixel: FloatArray, size_px: tuple[int, int], edge_px: float) -> BoolArray:
-    """Which pixels (..., 2) lie in a picture, by more than `edge_px` from its edge; not those that are NaN."""
+    """Return which pixels (..., 2) lie in a picture, by more than `edge_px` from its edge; not those that are NaN."""
     return np.asarray(np.all((pixel > edge_px) & (pixel < np.array(size_px) - edge_px), axis=-1))
 
 
 def _grid(size_px: tuple[int, int], every: float) -> FloatArray:
-    """Centres (rows, columns, 2) of pixels on a grid of this step."""
+    """Return the centres (rows, columns, 2) of pixels on a grid of this step."""
     u, v = (np.floor(np.arange(0.5 * every, length, every)) + 0.5 for length in size_px)
     return np.stack(np.meshgrid(u, v), axis=-1)

@@ -30,7 +30,7 @@ class StageErrors:
 
     @classmethod
     def draw(cls, sizes: BenchImperfections, half_travel_m: FloatArray, rng: np.random.Generator) -> "StageErrors":
-        """Curves of random signs and the rms sizes of `turn_urad` and `straightness_um`."""
+        """Return the curves of random signs and the rms sizes of `turn_urad` and `straightness_um`."""
         signs = rng.choice([-1.0, 1.0], (2, 3, 3, 3))
         return cls(
             half_travel_m,
@@ -52,5 +52,5 @@ def _of_unit_rms(parts: FloatArray) -> FloatArray:
 
 
 def _legendre(unit: FloatArray) -> FloatArray:
-    """(3,) -> (3, 3): P1, P2 and P3 of each."""
+    """Return (3,) -> (3, 3): P1, P2 and P3 of each."""
     return np.stack([unit, 1.5 * unit**2 - 0.5, 2.5 * unit**3 - 1.5 * unit], axis=-1)

@@ -42,10 +42,10 @@ class Pictures(Protocol):
     """Pictures that a panel shows one after the other: a `Pattern`, or any others."""
 
     def names(self) -> tuple[str, ...]:
-        """What they show, in the order of showing."""
+        """Return what they show, in the order of showing."""
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """(panel height, panel width) grey picture number `index`."""
+        """Return (panel height, panel width) grey picture number `index`."""
 
 
 @dataclass(frozen=True, eq=False)

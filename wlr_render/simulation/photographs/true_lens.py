@@ -48,7 +48,7 @@ def true_lens(brown: LensCamera, sizes: BenchImperfections, rng: np.random.Gener
 
 
 def _rational(brown: LensCamera, tangential: FloatArray, sizes: BenchImperfections, tangents: FloatArray) -> LensCamera:
-    """A "rational" or "thin-prism" lens that leaves `sizes.lens_px` at these tangents (n, 2)."""
+    """Return a "rational" or "thin-prism" lens that leaves `sizes.lens_px` at these tangents (n, 2)."""
     square = np.sum(tangents**2, axis=-1)
     powers = float(square.max()) ** np.array([1.0, 2.0, 3.0])
     k1, k2 = brown.distortion[:2]
@@ -67,7 +67,7 @@ def _rational(brown: LensCamera, tangential: FloatArray, sizes: BenchImperfectio
 
 
 def _left_px(shift: FloatArray, tangents: FloatArray, focal_px: FloatArray) -> float:
-    """Pixels rms, per axis, that a fit of the Brown terms leaves of a shift (n, 2) of tangents (n, 2)."""
+    """Return the pixels rms, per axis, that a fit of the Brown terms leaves of a shift (n, 2) of tangents (n, 2)."""
     x, y = tangents.T
     square, none, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)
     columns = [(x, none), (none, y), (one, none), (none, one)]
