@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.diagnosis.explain import advice, verdict_sentence
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.report import diagnosis_report
-from wlr_render.files import output_folder
 from wlr_render.report.save import save_report
 
 # bench.toml describes the nominal bench; one of its values is wrong (data/README.md says which).

@@ -5,9 +5,9 @@ Needs the extra `wgpu` and a Vulkan, Metal or Direct3D device; lavapipe (mesa-vu
 
 import numpy as np
 
+from wlr_render.atomic_files import resource
 from wlr_render.compositing import Compositor, DepthKind, StoredDepth, WarpMesh
 from wlr_render.extras import script_needs
-from wlr_render.files import resource
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye

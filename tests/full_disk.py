@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from test_files import WRITERS
+from test_atomic_files import WRITERS
 
 from wlr_render.errors import BadInputError
 

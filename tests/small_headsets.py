@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed.workload import bench_model
-from wlr_render.files import resource
+from wlr_render.atomic_files import resource
 from wlr_render.mappings import Panel, Status
 from wlr_render.models.model_file import EyeModel, save_eye_models
 

@@ -18,9 +18,9 @@ from command_line import refused
 from cyclopts import Parameter
 
 from wlr_render import __version__
+from wlr_render.atomic_files import resource
 from wlr_render.cli import FOLDERS_OF_VERBS, VERBS, main, make_app
 from wlr_render.errors import MissingGlError
-from wlr_render.files import resource
 from wlr_render.jobs.compare import CompareOptions
 from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of

@@ -23,7 +23,7 @@ from jobs.test_render import still_head
 
 from benchmarks.diagnosis.study import DiagnosisOptions
 from benchmarks.diagnosis.study import run as run_diagnosis
-from wlr_render import cluster, files
+from wlr_render import atomic_files, cluster
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
 from wlr_render.finished_files import LIST
@@ -91,10 +91,10 @@ def test_a_task_runs_in_the_current_folder_with_one_thread(address, tmp_path, mo
 
 def test_the_temporary_files_of_other_machines_are_left(address, tmp_path):
     (tmp_path / ".wlr-part-of-another.png").touch()
-    done(address, files.output_folder, [tmp_path], tmp_path)
+    done(address, atomic_files.output_folder, [tmp_path], tmp_path)
     assert len(list(tmp_path.iterdir())) == 1
-    files.remove_abandoned.cache_clear()
-    files.output_folder(tmp_path)
+    atomic_files.remove_abandoned.cache_clear()
+    atomic_files.output_folder(tmp_path)
     assert not list(tmp_path.iterdir())
 
 

@@ -15,8 +15,8 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_text
 from wlr_render.input_files import LIMITS, inside_folder, parsing, read_text, shown
 
 _LARGEST = 1e18

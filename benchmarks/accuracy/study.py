@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 from benchmarks.accuracy.measurements import display, prescribed, see_through, stage, stuck, time
-from wlr_render.files import write_text
+from wlr_render.atomic_files import write_text
 from wlr_render.jobs.evaluate.study import Experiment, StudyOptions, run_study
 from wlr_render.jobs.options import OnlyWith, ProgressArgument, Range, described
 from wlr_render.progress import SILENT

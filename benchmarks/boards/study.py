@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.boards.adjusted import adjusted_row
 from benchmarks.boards.sets import SETS, PhotographSet
+from wlr_render.atomic_files import output_folder
 from wlr_render.captures.boards.board import BoardNotFoundError, BoardObservation
 from wlr_render.captures.boards.charuco import CharucoBoard
 from wlr_render.captures.boards.markers import dictionary_of
 from wlr_render.captures.photographs import Photograph, as_bytes, read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray, IntArray

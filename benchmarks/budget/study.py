@@ -19,8 +19,8 @@ from benchmarks.budget.trial import (
 )
 from benchmarks.intervals import ratio_interval
 from benchmarks.photographs.bench_trial import DEVICES
+from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.budget.statement import REGIONS
-from wlr_render.files import output_folder, write_text
 from wlr_render.jobs.kept_trials import finished_trials
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.progress import SILENT

@@ -13,10 +13,10 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.cluster import LIBRARY_THREADS, OPENGL_THREADS
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
-from wlr_render.files import output_folder
 from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.jobs.render import render

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.decoders.opencv_decoder import MISSING, OpencvCodes, has_opencv_decoder, opencv_codes
+from wlr_render.atomic_files import output_folder
 from wlr_render.captures.decoded import Decoded
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.code_quality import Lenses, PlaneSurvey, distance_to_planes, find_planes, fit_planes
-from wlr_render.files import output_folder
 from wlr_render.jobs.decode import DecodeVerbOptions, code_photographs
 from wlr_render.jobs.options import ProgressArgument, described
 from wlr_render.progress import SILENT

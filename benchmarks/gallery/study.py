@@ -17,8 +17,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from wlr_render.atomic_files import output_folder, write_bytes, write_text
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder, write_bytes, write_text
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb

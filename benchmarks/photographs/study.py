@@ -16,7 +16,7 @@ from benchmarks.photographs.bench_trial import (
 )
 from benchmarks.photographs.codes import code_table, code_trials
 from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
-from wlr_render.files import output_folder, write_text
+from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
 from wlr_render.jobs.kept_trials import finished_trials
 from wlr_render.jobs.options import (

@@ -13,7 +13,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render import files
+from wlr_render import atomic_files
 from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.processes import usable_cores
@@ -124,7 +124,7 @@ def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) ->
     For a scene of one textured mesh under directional lights.
     """
     context = _context()
-    for path in files.resource("shaders").glob("*.glsl"):
+    for path in atomic_files.resource("shaders").glob("*.glsl"):
         context.includes[path.name] = path.read_text(encoding="utf-8")
     (instance,), suns = scene.instances, [light for light in scene.lights if light.kind == "directional"]
     mesh = scene.mesh_of(instance)

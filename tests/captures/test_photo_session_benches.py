@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
+from wlr_render.atomic_files import resource
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import board_table, save_board
@@ -28,7 +29,6 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
-from wlr_render.files import resource
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.mappings import EyeBox, Panel

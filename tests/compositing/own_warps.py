@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from composing import HEAD
 
+from wlr_render.atomic_files import resource
 from wlr_render.compositing import StoredDepth
-from wlr_render.files import resource
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import Panel

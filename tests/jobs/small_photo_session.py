@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from wlr_render.atomic_files import resource
 from wlr_render.captures import session_reading
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.files import resource
 from wlr_render.jobs.calibrate.photos import READ, CalibratePhotosOptions, calibrated, report_of
 from wlr_render.jobs.verify import session_photographs
 from wlr_render.simulation.photographs import recipe, simulate_photo_session

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.files import shipped_names
+from wlr_render.atomic_files import shipped_names
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
 from wlr_render.mappings import Status

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from wlr_render.atomic_files import resource, shipped_names
 from wlr_render.errors import BadInputError
-from wlr_render.files import resource, shipped_names
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.transforms import apply

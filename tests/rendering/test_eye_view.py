@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gl_scenes import at, lit, unlit
 
-from wlr_render.files import resource
+from wlr_render.atomic_files import resource
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel, QueryResult, Status

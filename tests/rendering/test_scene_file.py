@@ -5,8 +5,8 @@ import pytest
 from glb_writer import save_glb
 from test_mesh_file import gltf, obj
 
+from wlr_render.atomic_files import shipped_names
 from wlr_render.errors import BadInputError
-from wlr_render.files import shipped_names
 from wlr_render.geometry import transforms
 from wlr_render.rendering import scene_file
 from wlr_render.rendering.painters import saturation_warnings

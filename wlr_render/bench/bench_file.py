@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.atomic_files import shipped_names
 from wlr_render.bench.bench import (
     Bench,
     Clock,
@@ -20,7 +21,6 @@ from wlr_render.bench.bench import (
 from wlr_render.bench.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
 from wlr_render.captures.session_schema import MM
 from wlr_render.errors import BadInputError
-from wlr_render.files import shipped_names
 from wlr_render.geometry.transforms import FRAMES, rigid
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.atomic_files import resource
 from wlr_render.bench.bench import Bench, Target
 from wlr_render.bench.bench_file import (
     DEVICE_FILE,
@@ -22,7 +23,6 @@ from wlr_render.captures.session import Readings, SeeThroughPlan, Session, Sessi
 from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
-from wlr_render.files import resource
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.input_files import require_length
 from wlr_render.numerics.arrays import FloatArray

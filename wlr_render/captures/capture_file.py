@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wlr_render.atomic_files import write_arrays
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
     CommonErrors,
@@ -35,7 +36,6 @@ from wlr_render.captures.observation_table import (
     observation_table,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_arrays
 from wlr_render.input_files import LIMITS, naming, read_arrays, require_eye_box, require_length, require_pixels
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray

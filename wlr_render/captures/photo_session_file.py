@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from wlr_render.atomic_files import resource
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, pattern_keys
@@ -32,7 +33,6 @@ from wlr_render.captures.photo_session_entries import (
     written_stage,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.files import resource
 from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
 from wlr_render.input_files import LIMITS, require_eye_box, require_pixels, shown
 from wlr_render.mappings import EyeBox, Panel

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import write_image
 from wlr_render.captures.photograph_format import PhotographFormat, is_left_justified
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_image
 from wlr_render.input_files import LIMITS, decode_image, parsing, read_bytes, require_pixels
 
 Photograph = NDArray[np.unsignedinteger[Any]]

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import write_arrays
 from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.boards.board_file import board_table
 from wlr_render.captures.boards.discs import Discs
@@ -29,7 +30,6 @@ from wlr_render.captures.photographs import (
     read_photograph,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_arrays
 from wlr_render.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import THIS_MACHINE, Spread, as_finished
 from wlr_render.progress import SILENT, Progress

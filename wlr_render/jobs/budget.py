@@ -7,11 +7,11 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
 from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.input_files import naming
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import headset_path, is_model, open_eye

@@ -7,12 +7,12 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import output_folder, write_figure
 from wlr_render.compositing.raster_painter import raster_painter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.raster_error import RasterError, raster_error
-from wlr_render.files import output_folder, write_figure
 from wlr_render.geometry import transforms
 from wlr_render.jobs.headset import headset_path, open_eye, require_in_eye_box
 from wlr_render.jobs.job import job

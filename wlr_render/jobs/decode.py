@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import output_folder, write_arrays, write_figure
 from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
 from wlr_render.captures.importers.procam_graycode import read_procam_graycode
@@ -25,7 +26,6 @@ from wlr_render.evaluation.code_quality import (
     find_planes,
     fit_planes,
 )
-from wlr_render.files import output_folder, write_arrays, write_figure
 from wlr_render.input_files import naming
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job

@@ -21,6 +21,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, Truncation
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
@@ -31,7 +32,6 @@ from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
-from wlr_render.files import output_folder
 from wlr_render.geometry import directions
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.budget import BudgetOptions

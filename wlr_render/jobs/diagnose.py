@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_folder import remove_session, save_session
 from wlr_render.captures.session import SeeThroughPlan, Session
@@ -15,7 +16,6 @@ from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, diagnosis_report
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder, write_text
 from wlr_render.input_files import naming
 from wlr_render.jobs.diagnosis_options import DiagnosisOptions
 from wlr_render.jobs.job import job

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render import __version__
+from wlr_render.atomic_files import output_folder
 from wlr_render.exports.check_pictures import write_check
 from wlr_render.exports.export_view import ALL_COLOURS, ExportedView, Origin, has_ray, ray_map_plans
 from wlr_render.exports.facts import not_held
 from wlr_render.exports.formats import format_of
-from wlr_render.files import output_folder
 from wlr_render.finished_files import LIST, FinishedFiles, digest_of
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import hashes_of_inputs

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import disk_errors, write_text, written_whole
 from wlr_render.budget.error_map import PredictedError
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
-from wlr_render.files import disk_errors, write_text, written_whole
 from wlr_render.geometry import transforms
 from wlr_render.input_files import LIMITS, read_text, shown
 from wlr_render.jobs.frame_plan import PlannedFrame

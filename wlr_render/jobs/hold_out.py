@@ -11,6 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_folder import check_enough_captures
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import fit
@@ -21,7 +22,6 @@ from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.input_files import naming
 from wlr_render.jobs.diagnosis_options import DiagnosisOptions
 from wlr_render.jobs.job import job

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, described, described_size

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
@@ -15,7 +16,6 @@ from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs, read_
 from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
 from wlr_render.captures.importers.osvr_hdk13 import PIXEL_MM, read_osvr_captures
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan
-from wlr_render.files import output_folder
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray

@@ -5,8 +5,8 @@ import inspect
 from collections.abc import Callable
 from typing import ParamSpec
 
+from wlr_render.atomic_files import locked_folder
 from wlr_render.errors import BadInputError
-from wlr_render.files import locked_folder
 from wlr_render.finished_files import LIST
 from wlr_render.report.blocks import Report
 

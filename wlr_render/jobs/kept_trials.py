@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder, write_text
 from wlr_render.input_files import parsing, read_text
 from wlr_render.processes import Spread, as_finished
 from wlr_render.toml_files import parse_json

@@ -16,8 +16,8 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Annotated, Any, Literal
 
+from wlr_render.atomic_files import disk_errors, output_folder, write_bytes, written_whole
 from wlr_render.errors import BadInputError
-from wlr_render.files import disk_errors, output_folder, write_bytes, written_whole
 from wlr_render.finished_files import LIST, FinishedFiles
 from wlr_render.input_files import LIMITS, read_bytes, shown
 from wlr_render.jobs.frame_labels import labels_file, layers_file, read_labels

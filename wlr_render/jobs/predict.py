@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.measurements import load_measurements
@@ -17,7 +18,6 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.report import CORRECTED
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.input_files import naming
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.compositing.raster_painter import traced_instead
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder, write_text
 from wlr_render.finished_files import LIST, FinishedFiles
 from wlr_render.jobs.frame_drawing import (
     FrameDrawing,

@@ -4,13 +4,13 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png, write_board_svg
 from wlr_render.captures.boards.board_file import board_of_table, save_board
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import PAGE, write_show_page
-from wlr_render.files import output_folder
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, described, described_size

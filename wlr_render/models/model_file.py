@@ -59,8 +59,8 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_text
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.input_files import parsing, require_pixels

@@ -7,8 +7,8 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from wlr_render.atomic_files import named_or_path
 from wlr_render.errors import BadInputError
-from wlr_render.files import named_or_path
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import FRAMES, rigid, rotation_about
 from wlr_render.input_files import require_eye_box, require_length, require_pixels, shown

@@ -11,7 +11,7 @@ import moderngl
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from wlr_render import files
+from wlr_render import atomic_files
 from wlr_render.errors import BadInputError
 from wlr_render.rendering.context_ownership import ContextOwner
 from wlr_render.rendering.gl_programs import forget_textures, shader_source
@@ -78,7 +78,7 @@ class GlContext:
         with owner.entered(third_party=False):
             self.renderer = str(ctx.info["GL_RENDERER"])
             self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
-        for path in files.resource("shaders").glob("*.glsl"):
+        for path in atomic_files.resource("shaders").glob("*.glsl"):
             self._ctx.includes[path.name] = path.read_text(encoding="utf-8")
 
     def __enter__(self) -> "GlContext":

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render import files
+from wlr_render import atomic_files
 
 GLSL_VERSION = 410
 """Version of all shaders, that of OpenGL 4.1, which macOS has; it replaces the one that a file states for editors."""
@@ -14,7 +14,7 @@ GLSL_VERSION = 410
 
 def shader_source(name: str, constants: dict[str, float], functions: str = "") -> str:
     """Text of a file in shaders/, with `#define NAME value` for each constant, and functions before its own text."""
-    _, text = files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
+    _, text = atomic_files.resource("shaders", name).read_text(encoding="utf-8").split("\n", 1)
     defines = (f"#define {key} {value}" for key, value in constants.items())
     return "\n".join([f"#version {GLSL_VERSION}", *defines, functions, "#line 2", text])
 

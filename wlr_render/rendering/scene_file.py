@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render import files
+from wlr_render import atomic_files
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
@@ -50,7 +50,7 @@ def scene_path(spec: str | Path) -> Path:
     Raises:
         BadInputError: there is no such scene.
     """
-    return Path(spec) if Path(spec).suffix.lower() in SUFFIXES else files.named_or_path("scenes", spec)
+    return Path(spec) if Path(spec).suffix.lower() in SUFFIXES else atomic_files.named_or_path("scenes", spec)
 
 
 def load_scene(spec: str | Path) -> Scene:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.files import write_text
+from wlr_render.atomic_files import write_text
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render import files
+from wlr_render import atomic_files
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import require_length, shown
 from wlr_render.numerics.arrays import FloatArray
@@ -238,7 +238,7 @@ def write_eye_trajectory(path: str | Path, trajectory: EyeTrajectory) -> Path:
     rows = [(t, eye, xyz) for eye, track in tracks.items() for t, xyz in zip(track.time_s, _xyz(track), strict=True)]
     rows.sort(key=lambda row: (row[0], row[1]))
     lines += [f"{shortest([time])} {eye} {shortest(xyz)}" for time, eye, xyz in rows]
-    return files.write_text(path, "\n".join(lines) + "\n")
+    return atomic_files.write_text(path, "\n".join(lines) + "\n")
 
 
 def _xyz(track: EyeTrack) -> FloatArray:

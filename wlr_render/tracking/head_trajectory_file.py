@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render import files
+from wlr_render import atomic_files
 from wlr_render.input_files import shown
 from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_head
 from wlr_render.tracking.text_rows import (
@@ -103,4 +103,4 @@ def write_head_trajectory_tum(path: str | Path, trajectory: HeadTrajectory) -> P
     lines = ["# time_s tx_m ty_m tz_m qx qy qz qw; world_from_device, OpenXR axes (x right, y up, looking along -z)"]
     content = zip(trajectory.time_s, trajectory.position_in_world, trajectory.world_from_device_xyzw, strict=True)
     lines += [shortest([time, *position, *xyzw]) for time, position, xyzw in content]
-    return files.write_text(path, "\n".join(lines) + "\n")
+    return atomic_files.write_text(path, "\n".join(lines) + "\n")

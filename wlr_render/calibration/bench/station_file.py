@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from wlr_render.atomic_files import write_text
 from wlr_render.calibration.bench.bench_checks import Pull, prior_pulls, reading_pulls
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
@@ -19,7 +20,6 @@ from wlr_render.calibration.bench.state import BOARD_SHAPE, BoardShape, StageMod
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.captures.camera_lens_file import require_plausible_lens
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_text
 from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.splined_lens import SplinedLens

@@ -4,11 +4,11 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session
 from wlr_render.captures.capture_file import load_captures, place_warnings
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.input_files import naming
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.calibrate.fit_options import (

@@ -5,6 +5,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.calibrate_session import (
     RefusedCalibrationError,
     SessionCalibration,
@@ -15,7 +16,6 @@ from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.input_files import naming
 from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.fit_options import (

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.fit_eye import EyeFit
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.files import output_folder
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.jobs import limits
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings

@@ -7,8 +7,8 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.jobs.evaluate.trials import (
     TEST_RAYS,
     TEST_VIEWPOINTS,

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import output_folder, write_figure
 from wlr_render.captures.boards.board import Board
 from wlr_render.captures.photographs import Photograph, describe_pixels, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
-from wlr_render.files import output_folder, write_figure
 from wlr_render.geometry.lens import Lens
 from wlr_render.jobs.options import Options
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, cell_text

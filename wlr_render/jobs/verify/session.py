@@ -16,13 +16,13 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.bench.board_views import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
 from wlr_render.calibration.bench.station_file import SavedStation, load_station
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.compositing.raster_painter import raster_painter, traced_instead
 from wlr_render.errors import BadInputError
-from wlr_render.files import output_folder
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (

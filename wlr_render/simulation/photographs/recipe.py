@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
+from wlr_render.atomic_files import write_bytes
 from wlr_render.errors import BadInputError
-from wlr_render.files import write_bytes
 from wlr_render.input_files import LIMITS, read_bytes
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind

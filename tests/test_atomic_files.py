@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from wlr_render import files, toml_files
+from wlr_render import atomic_files, toml_files
 from wlr_render.captures.boards.board_drawing import write_board_svg
 from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.photographs import write_photograph
@@ -34,10 +34,10 @@ def table(tmp_path, text):
 
 def test_output_appears_whole_or_not_at_all(tmp_path):
     target = tmp_path / "deep" / "result.txt"
-    files.write_text(target, "old")
+    atomic_files.write_text(target, "old")
 
     def fail_half_way():
-        with files.written_whole(target) as temporary:
+        with atomic_files.written_whole(target) as temporary:
             temporary.write_text("half")
             raise RuntimeError
 
@@ -50,28 +50,28 @@ def test_output_appears_whole_or_not_at_all(tmp_path):
 def test_an_output_folder_that_is_a_file_is_refused_by_name(tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(BadInputError, match=r"taken.*choose another"):
-        files.output_folder(tmp_path / "taken")
+        atomic_files.output_folder(tmp_path / "taken")
 
 
 def test_unknown_name_lists_what_is_shipped(tmp_path):
     with pytest.raises(BadInputError, match=r"neither a file nor one of the shipped devices"):
-        files.named_or_path("devices", "northstart")
+        atomic_files.named_or_path("devices", "northstart")
     for name in ("none.toml", "a\0.toml", 300 * "a" + ".toml"):
         with pytest.raises(BadInputError, match="no such file"):
-            files.named_or_path("devices", tmp_path / name)
+            atomic_files.named_or_path("devices", tmp_path / name)
     with pytest.raises(BadInputError, match=r": is a folder; name a file in it"):
-        files.named_or_path("devices", tmp_path)
+        atomic_files.named_or_path("devices", tmp_path)
     (tmp_path / "model.json").write_text("{}")
     with pytest.raises(BadInputError, match=r": is a folder; name .*model\.json\."):
-        files.named_or_path("devices", tmp_path)
+        atomic_files.named_or_path("devices", tmp_path)
 
 
 def test_a_file_of_the_current_folder_is_found_whatever_its_suffix(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine").write_text("")
-    assert files.named_or_path("devices", "mine") == Path("mine")
+    assert atomic_files.named_or_path("devices", "mine") == Path("mine")
     (tmp_path / "northstar").write_text("")
-    assert files.named_or_path("devices", "northstar").is_absolute()  # a shipped name comes first
+    assert atomic_files.named_or_path("devices", "northstar").is_absolute()  # a shipped name comes first
 
 
 @pytest.mark.parametrize(
@@ -204,18 +204,18 @@ def _figure():
 
 
 WRITERS = {
-    "a.txt": lambda path: files.write_text(path, "x" * 5000),
-    "a.npz": lambda path: files.write_arrays(path, {"noise": _NOISE}),
-    "figure.png": lambda path: files.write_figure(path, _figure()),
+    "a.txt": lambda path: atomic_files.write_text(path, "x" * 5000),
+    "a.npz": lambda path: atomic_files.write_arrays(path, {"noise": _NOISE}),
+    "figure.png": lambda path: atomic_files.write_figure(path, _figure()),
     "a.png": lambda path: image_files.write_png(path, _NOISE),
     "a.tiff": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
     "a.pfm": lambda path: image_files.write_map(path, _NOISE.astype(np.float32)),
     "a.tif": lambda path: write_photograph(path, _NOISE[..., 0]),
-    "a.json": lambda path: files.write_text(path, json_text({"values": _NOISE.ravel().tolist()})),
+    "a.json": lambda path: atomic_files.write_text(path, json_text({"values": _NOISE.ravel().tolist()})),
     "a.toml": lambda path: toml_files.write_toml(path, {"rows": _NOISE[:9].tolist()}),
-    "report.html": lambda path: files.write_text(path, html_page(_REPORT, _ORIGIN)),
+    "report.html": lambda path: atomic_files.write_text(path, html_page(_REPORT, _ORIGIN)),
     "board.svg": lambda path: write_board_svg(_BOARD, path),
-    "drawing.pdf": lambda path: files.write_figure(path, _figure()),
+    "drawing.pdf": lambda path: atomic_files.write_figure(path, _figure()),
     "a.csv.gz": lambda path: write_table(path, DISPLAY, _COLUMNS),
     "a.mp4": lambda path: image_files.write_video(path, [_NOISE, _NOISE[::-1].copy()], 30.0),
 }
@@ -236,7 +236,7 @@ def test_outputs_have_the_permissions_that_the_umask_gives_and_leave_the_umask_a
     plain = tmp_path / "plain"
     plain.write_text("")
     monkeypatch.setattr(os, "umask", lambda mask: pytest.fail("another thread's files would get this umask"))
-    assert files.write_text(tmp_path / "ours", "").stat().st_mode == plain.stat().st_mode
+    assert atomic_files.write_text(tmp_path / "ours", "").stat().st_mode == plain.stat().st_mode
 
 
 def test_on_a_disk_of_any_size_an_output_is_whole_or_the_old_one_stays(tmp_path):
@@ -256,8 +256,8 @@ def test_on_a_disk_of_any_size_an_output_is_whole_or_the_old_one_stays(tmp_path)
 
 ABANDONED = """
 import os, signal, sys
-from wlr_render import files
-with files.locked_folder(sys.argv[1], "a killed run"), files.written_whole(sys.argv[1] + "/a.png"):
+from wlr_render import atomic_files
+with atomic_files.locked_folder(sys.argv[1], "a killed run"), atomic_files.written_whole(sys.argv[1] + "/a.png"):
     print("ready", flush=True)
     signal.pause()
 """
@@ -277,15 +277,15 @@ def other_run(tmp_path):
 def test_a_second_run_is_refused_at_once_and_takes_over_from_a_killed_one(tmp_path, other_run):
     folder = tmp_path
     with pytest.raises(BadInputError, match=rf"a killed run \(process {other_run.pid}\) is writing"):
-        files.locked_folder(folder, "ours").__enter__()
-    files.write_text(folder / "b.txt", "b")
+        atomic_files.locked_folder(folder, "ours").__enter__()
+    atomic_files.write_text(folder / "b.txt", "b")
     assert len([path for path in folder.iterdir() if path.name.startswith(".wlr-")]) == 2, "of the run that goes on"
     other_run.kill()
     other_run.wait()
-    files.remove_abandoned.cache_clear()  # as in a new process
-    with files.locked_folder(folder, "ours"):
+    atomic_files.remove_abandoned.cache_clear()  # as in a new process
+    with atomic_files.locked_folder(folder, "ours"):
         assert (folder / ".wlr-render.lock").read_text() == f"ours (process {os.getpid()})"
-        files.write_text(folder / "b.txt", "b")
+        atomic_files.write_text(folder / "b.txt", "b")
     assert [path.name for path in folder.iterdir()] == ["b.txt"]
 
 
@@ -297,15 +297,15 @@ def test_a_lock_that_is_a_link_or_a_pipe_changes_no_other_file_and_is_not_waited
     lock = folder / ".wlr-render.lock"
     lock.symlink_to(victim)
     with pytest.raises(BadInputError, match=r"wlr-render\.lock: cannot be written"):
-        files.locked_folder(folder, "ours").__enter__()
+        atomic_files.locked_folder(folder, "ours").__enter__()
     assert victim.read_text() == "mine"
     lock.unlink()
     os.mkfifo(lock)
-    with files.locked_folder(folder, "ours"):
+    with atomic_files.locked_folder(folder, "ours"):
         pass
 
 
 def test_a_folder_that_a_refused_run_made_is_removed(tmp_path):
-    with pytest.raises(RuntimeError), files.locked_folder(tmp_path / "deep" / "out", "ours"):
+    with pytest.raises(RuntimeError), atomic_files.locked_folder(tmp_path / "deep" / "out", "ours"):
         raise RuntimeError
     assert not list(tmp_path.iterdir())
