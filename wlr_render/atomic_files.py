@@ -64,7 +64,7 @@ def resource(folder: str, name: str = "") -> Path:
 
 
 def shipped_names(folder: str, suffix: str) -> list[str]:
-    """Return the stems of the shipped files of one kind, sorted, e.g. shipped_names("devices", ".toml")."""
+    """Return the stems of the shipped files of one kind, sorted."""
     return sorted(path.stem for path in resource(folder).glob(f"*{suffix}"))
 
 
