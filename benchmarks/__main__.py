@@ -16,7 +16,7 @@ BENCHMARKS = {
     "kills": "Jobs that are killed at random moments and resumed, compared with undisturbed ones.",
     "cluster": "Two workers of a Dask cluster beside one, and what a million frames and fits cost.",
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
-    "photographs": "Readings of simulated photographs, compared with exact traces.",
+    "simulated-lab": "Simulated photographs: readings, calibrations and corrected displays, compared with the truth.",
     "budget": "Predicted covariance of registration against true errors of simulated sessions.",
     "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
     "boards": "Detectors of boards on published photographs, beside OpenCV's.",

@@ -120,6 +120,23 @@ def measured_data() -> Callable[[str], Path]:
 
 
 @pytest.fixture(scope="session")
+def calibrated_session(tmp_path_factory):
+    """A small session of photographs, simulated, and its calibration; nobody writes there."""
+    from small_photo_session import made_session
+
+    return made_session(tmp_path_factory.mktemp("photographs"))
+
+
+@pytest.fixture
+def photo_session(calibrated_session, tmp_path, monkeypatch):
+    """A copy of it to spoil; whatever is simulated or read meanwhile is small and in this process."""
+    from small_photo_session import copied, make_small
+
+    make_small(monkeypatch)
+    return copied(calibrated_session[0], tmp_path)
+
+
+@pytest.fixture(scope="session")
 def mitsuba():
     """The library, which few machines have; tests that need it are skipped elsewhere."""
     library = pytest.importorskip("mitsuba", reason="Mitsuba is not installed: pip install '.[mitsuba]'.")

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from jobs.small_photo_session import far_panel_device, small_plan
 from jobs.test_render import still_head
+from small_photo_session import far_panel_device, small_plan
 
 from benchmarks.diagnosis.study import DiagnosisOptions
 from benchmarks.diagnosis.study import run as run_diagnosis

@@ -18,7 +18,7 @@ from benchmarks.budget.trial import (
     run_trial,
 )
 from benchmarks.intervals import ratio_interval
-from benchmarks.photographs.bench_trial import DEVICES
+from benchmarks.simulated_lab.bench_trial import DEVICES
 from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.budget.statement import REGIONS
 from wlr_render.jobs.kept_trials import finished_trials

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.photographs.bench_trial import DEVICES
+from benchmarks.simulated_lab.bench_trial import DEVICES
 from wlr_render.budget.error_sizes import ErrorSizes, PerAxis, Truncation
 from wlr_render.budget.registration_budget import covered_points, registration_covariance
 from wlr_render.budget.statement import REGIONS, region_of, variance

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.photographs import bench_trial
-from benchmarks.photographs.bench_sigmas import SquaredErrors
-from benchmarks.photographs.bench_tables import bench_tables
-from benchmarks.photographs.bench_trial import BenchOutcome, BenchTrial, BenchTrialKind, FailedCheck, loaded_outcome
-from benchmarks.photographs.study import PhotographsOptions, bench_trials
+from benchmarks.simulated_lab import bench_trial
+from benchmarks.simulated_lab.bench_sigmas import SquaredErrors
+from benchmarks.simulated_lab.bench_tables import bench_tables
+from benchmarks.simulated_lab.bench_trial import BenchOutcome, BenchTrial, BenchTrialKind, FailedCheck, loaded_outcome
+from benchmarks.simulated_lab.study import SimulatedLabOptions, bench_trials
 from wlr_render.jobs.kept_trials import kept_outcome
 
 _EXCHANGED = BenchTrial(BenchTrialKind.BARE_EXCHANGED, 0)
@@ -57,10 +57,10 @@ def test_an_outcome_that_is_kept_is_read_and_not_made_again(tmp_path):
 
 
 def test_trials_are_mixed_and_each_kind_has_its_count():
-    trials = bench_trials(PhotographsOptions(part=("bench", "faults"), benches=8, faults=2))
+    trials = bench_trials(SimulatedLabOptions(part=("bench", "faults"), benches=8, faults=2))
     assert len(trials) == len(set(trials)) == 8 + 2 * len(bench_trial.FAULTY)
     assert {trial.kind for trial in trials[: len(trials) // 2]} == {BenchTrialKind.CLEAN, *bench_trial.FAULTY}
-    assert not bench_trials(PhotographsOptions())
+    assert not bench_trials(SimulatedLabOptions())
 
 
 def test_tables_count_sessions_and_take_the_rms_over_them():

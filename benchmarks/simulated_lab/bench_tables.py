@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.intervals import INTERVAL, interval_percent, ratio_interval
-from benchmarks.photographs.bench_models import CALIBRATED, EXACT, NOMINAL
-from benchmarks.photographs.bench_trial import DEVICES, FAULTY, BenchOutcome, BenchTrialKind
+from benchmarks.simulated_lab.bench_models import CALIBRATED, EXACT, NOMINAL
+from benchmarks.simulated_lab.bench_trial import DEVICES, FAULTY, BenchOutcome, BenchTrialKind
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 

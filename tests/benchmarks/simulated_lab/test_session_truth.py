@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_photo_session import small_plan
 
-from benchmarks.photographs import session_truth
+from benchmarks.simulated_lab import session_truth
 from wlr_render.jobs.calibrate.simulate import TruthTests
 from wlr_render.optics.traced_mappings import traced_eye
 

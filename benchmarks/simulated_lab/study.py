@@ -5,8 +5,8 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from benchmarks.photographs.bench_tables import bench_tables
-from benchmarks.photographs.bench_trial import (
+from benchmarks.simulated_lab.bench_tables import bench_tables
+from benchmarks.simulated_lab.bench_trial import (
     FAULTY,
     BenchOutcome,
     BenchTrial,
@@ -14,8 +14,8 @@ from benchmarks.photographs.bench_trial import (
     loaded_outcome,
     run_bench_trial,
 )
-from benchmarks.photographs.codes import code_table, code_trials
-from benchmarks.photographs.session_truth import compare_with_truth, truth_tables
+from benchmarks.simulated_lab.codes import code_table, code_trials
+from benchmarks.simulated_lab.session_truth import compare_with_truth, truth_tables
 from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
 from wlr_render.jobs.kept_trials import finished_trials
@@ -43,8 +43,8 @@ _TRIALS = "trials"
 
 
 @dataclass(frozen=True)
-class PhotographsOptions(SpreadOptions):
-    """Options of `photographs`."""
+class SimulatedLabOptions(SpreadOptions):
+    """Options of `simulated-lab`."""
 
     _: KW_ONLY
     part: Annotated[
@@ -66,21 +66,21 @@ class PhotographsOptions(SpreadOptions):
     ] = False
     workers: Workers = None
     scheduler: Scheduler = None
-    record: Annotated[Path | None, described("Folder in which photographs-PARTS.md is kept, too.")] = None
+    record: Annotated[Path | None, described("Folder in which simulated-lab-PARTS.md is kept, too.")] = None
     session: Annotated[
         Path | None, described("Also compare the calibration of this simulated session with the truth.")
     ] = None
     calibration: Annotated[Path, described("Folder of that session's calibration.")] = Path("out/calibrate")
     snr: Annotated[float, described("Signal-to-noise ratio of a white panel."), Range(above=0)] = 20.0
     seed: Seed = 1
-    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/photographs")
+    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/simulated-lab")
 
 
-_DEFAULTS = PhotographsOptions()
+_DEFAULTS = SimulatedLabOptions()
 
 
-def run(options: PhotographsOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
-    """Photograph, read, compare; writes photographs.html, .md and .json.
+def run(options: SimulatedLabOptions = _DEFAULTS, *, progress: ProgressArgument = SILENT) -> Report:
+    """Photograph, read and compare; writes simulated-lab.html, .md and .json.
 
     Raises:
         BadInputError: the session is not a simulated one, or cannot be calibrated.
@@ -108,14 +108,14 @@ def run(options: PhotographsOptions = _DEFAULTS, *, progress: ProgressArgument =
         title = "Photographs compared with the truth"
         title += f": {len(outcomes)} of {len(tasks)} benches" if tasks else ""
         report = Report(title, blocks=blocks, inputs=inputs, record=record)
-        report = save_report(report, folder, "photographs")
+        report = save_report(report, folder, "simulated-lab")
         if options.record is not None:
-            name = f"photographs-{'-'.join(options.part)}.md"
+            name = f"simulated-lab-{'-'.join(options.part)}.md"
             write_text(options.record / name, markdown(report, options.record))
     return report
 
 
-def bench_trials(options: PhotographsOptions) -> list[BenchTrial]:
+def bench_trials(options: SimulatedLabOptions) -> list[BenchTrial]:
     """Trials of benches, mixed so that an interrupted study has some of each."""
     counts: dict[BenchTrialKind, int] = {}
     if "bench" in options.part:
@@ -129,7 +129,7 @@ def bench_trials(options: PhotographsOptions) -> list[BenchTrial]:
 
 
 def _outcomes(
-    tasks: Sequence[BenchTrial], options: PhotographsOptions, folder: Path, progress: Progress
+    tasks: Sequence[BenchTrial], options: SimulatedLabOptions, folder: Path, progress: Progress
 ) -> Iterable[BenchOutcome]:
     if not tasks:
         return ()

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.photographs.bench_models import model_errors
-from benchmarks.photographs.bench_sigmas import SquaredErrors, errors_over_sigma
+from benchmarks.simulated_lab.bench_models import model_errors
+from benchmarks.simulated_lab.bench_sigmas import SquaredErrors, errors_over_sigma
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.errors import BadInputError

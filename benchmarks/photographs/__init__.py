@@ -1,1 +1,0 @@
-"""Benchmark of reading simulated photographs: codes, boards, whole sessions."""

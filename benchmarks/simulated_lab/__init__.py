@@ -1,0 +1,1 @@
+"""Benchmark of a lab in software: codes, calibrations of benches, whole sessions, corrected displays."""
