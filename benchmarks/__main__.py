@@ -18,7 +18,7 @@ BENCHMARKS = {
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
     "simulated-lab": "Simulated photographs: readings, calibrations and corrected displays, compared with the truth.",
     "budget": "Predicted covariance of registration against true errors of simulated sessions.",
-    "decoders": "Our decoder of Gray code against OpenCV's, which its contrib build has.",
+    "published-data": "Published data sets as bench sessions and capture files, or decoded.",
     "boards": "Detectors of boards on published photographs, beside OpenCV's.",
     "accuracy": "Errors of fitted models over random draws, beside what the models predict of themselves.",
     "design": "Errors of simulated sessions by the design of their camera places.",

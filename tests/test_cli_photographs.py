@@ -81,7 +81,7 @@ def test_pictures_at_the_end_of_the_scale_are_refused_as_over_exposed(tmp_path, 
 PHOTOGRAPH_FAULTS = {
     "no session": (lambda f: ["calibrate", "photos", str(f)], "has no session.toml"),
     "no simulated session": (lambda f: ["verify", "session", str(f)], "has no simulation.toml"),
-    "no panel": (lambda f: ["decode", str(f)], "--panel is missing"),
+    "no panel": (lambda f: ["decode", str(f)], "decode needs --panel"),
     "no photographs": (lambda f: ["decode", str(f), "--panel", "64x40"], "holds no photographs"),
     "no folder": (lambda f: ["decode", str(f / "none"), "--panel", "64x40"], "there is no such folder"),
     "no dots": (lambda f: ["board", "--columns", "1", "--rows", "1"], "take at least 5 x 5"),
@@ -113,8 +113,7 @@ def test_sizes_that_make_no_sense_are_refused(size, tmp_path, capsys):
         (["simulate", "--stated-axes-deg", "9"], "--stated-axes-deg is 9.0; it must be between 0 and 5."),
         (["verify", "session", "--poses", "upright"], "Invalid value"),
         (["verify", "session", "--viewpoints", "0"], "--viewpoints is 0; it must be between 1 and 1000."),
-        (["decode", "--bits", "7"], "--bits is 7; it must be between 8 and 16."),
-        (["decode", "--from", "procam-graycode", "--panel", "64x40"], "--panel is used with --from own only"),
+        (["decode", "--panel", "64x40", "--bits", "7"], "--bits is 7; it must be between 8 and 16."),
         (["calibrate", "photos", "--workers", "0"], "--workers is 0; it must be between 1 and 256."),
     ],
 )

@@ -4,6 +4,7 @@ import json
 
 from memo import memoised
 
+from benchmarks.__main__ import main as benchmark
 from wlr_render.cli import main
 from wlr_render.diagnosis.procedure import diagnose
 
@@ -23,7 +24,7 @@ def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp
     monkeypatch.setattr("wlr_render.jobs.hold_out.diagnose", diagnose_once)
     session = tmp_path / "itoh"
     source = measured_data("itoh_seethrough") / "data"
-    assert main(["import", "itoh-seethrough", str(source), "--out", str(session)]) == 0
+    assert benchmark(["published-data", "itoh-seethrough", str(source), "--out", str(session)]) == 0
     assert main(["diagnose", str(session), "--out", str(tmp_path / "found")]) == 0
     record = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     (cause,) = record["causes"]

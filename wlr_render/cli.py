@@ -125,12 +125,6 @@ VERBS = (
         "session.",
     ),
     Verb(
-        "import",
-        DATA,
-        "import_session:import_session",
-        "Convert a third-party data set into a bench session or capture files (lens files: import-optics).",
-    ),
-    Verb(
         "import-optics",
         DATA,
         "import_optics:import_optics",

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from benchmarks.published_data.itoh_alignments import read_itoh_alignments
+from benchmarks.published_data.itoh_seethrough import read_itoh_seethrough
+from benchmarks.published_data.northstar_vcam import read_northstar_vcam
+from benchmarks.published_data.osvr_hdk13 import read_osvr_captures
 from benchmarks.rivals.alignments import alignment_tables
 from benchmarks.rivals.reliefs import relief_table
 from benchmarks.rivals.viewpoints import viewpoint_table
 from benchmarks.rivals.views import view_table
 from wlr_render.atomic_files import output_folder
-from wlr_render.captures.importers.itoh_seethrough import read_itoh_seethrough
-from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
-from wlr_render.captures.importers.osvr_hdk13 import read_osvr_captures
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT

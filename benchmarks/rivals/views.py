@@ -6,12 +6,12 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.published_data.itoh_seethrough import SeeThroughPairs, see_through_session
 from benchmarks.rivals.held_out import COLUMNS, HeldOut, cells, held_out, rms_of
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_captures import see_through_captures
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
-from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.held_out import held_out_residual
@@ -19,7 +19,6 @@ from wlr_render.diagnosis.observations import SEE_THROUGH as SEE_THROUGH_PART
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised
-from wlr_render.jobs.import_session import see_through_session
 from wlr_render.mappings import EyeBox, SeeThroughMapping
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.report.blocks import Cell, ReportTable

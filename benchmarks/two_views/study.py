@@ -4,10 +4,10 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
 
+from benchmarks.published_data.northstar_vcam import read_northstar_vcam
 from benchmarks.two_views.evidence import viewpoint_evidence
 from benchmarks.two_views.tables import tables, verdict
 from wlr_render.atomic_files import output_folder
-from wlr_render.captures.importers.northstar_vcam import read_northstar_vcam
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report

@@ -1,7 +1,7 @@
 """Decode photographs of a panel or projector that shows a code, and assess the result."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,28 +11,20 @@ from numpy.typing import NDArray
 from wlr_render.atomic_files import output_folder, write_arrays, write_figure
 from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
-from wlr_render.captures.importers.procam_graycode import read_procam_graycode
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength, bit_strengths
-from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
-from wlr_render.captures.photographs import file_note, read_photograph
+from wlr_render.captures.photographs import file_note
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.code_quality import (
-    TOLERANCE_PX,
-    Lenses,
-    PlaneSurvey,
-    find_planes,
-    fit_planes,
-)
+from wlr_render.evaluation.code_quality import NO_LENSES, TOLERANCE_PX, Lenses, PlaneSurvey, find_planes, fit_planes
 from wlr_render.input_files import naming
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.options import Options, ProgressArgument, Range, described, described_size
 from wlr_render.jobs.targets import Code
 from wlr_render.mappings import Panel
-from wlr_render.progress import SILENT
+from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
 from wlr_render.report.save import save_report
 from wlr_render.toml_files import read_toml
@@ -44,7 +36,6 @@ if TYPE_CHECKING:
 _ACCEPTED, _DARK = "#e4ebdd", "#202020"
 _BLOCK_PX = 4  # camera pixels that one point of the residual picture averages
 _RANGE_PX = 0.75  # panel pixels at the ends of its colour scale
-_OWN = OnlyWith("source", ("own",))
 
 
 @dataclass(frozen=True)
@@ -54,29 +45,18 @@ class DecodeVerbOptions(Options):
     folder: Annotated[Path, described("Folder of photographs, one for each picture shown, in the order of showing.")]
     _: KW_ONLY
     panel: Annotated[
-        tuple[int, int] | None,
-        described_size("Pixels of the panel or projector, e.g. 1920x1080.", optional=True),
-        _OWN,
-        limits.PIXELS,
-    ] = None
-    pattern: Annotated[Code, described("Code that was shown."), _OWN] = "gray-fringes"
-    bits: Annotated[int, described("Bits of the camera."), Range(8, 16), _OWN] = 8
+        tuple[int, int], described_size("Pixels of the panel or projector, e.g. 1920x1080."), limits.PIXELS
+    ]
+    pattern: Annotated[Code, described("Code that was shown.")] = "gray-fringes"
+    bits: Annotated[int, described("Bits of the camera."), Range(8, 16)] = 8
     camera: Annotated[
         Path | None,
         described("TOML file with the format of the camera's files (docs/photo-session.md), in place of --bits."),
-        _OWN,
     ] = None
     order: Annotated[
         Literal["as shown", "opencv"],
         described("Order of the photographs: white and black first, or last as in OpenCV's Gray code."),
-        _OWN,
     ] = "as shown"
-    source: Annotated[
-        Literal["own", "procam-graycode"],
-        described(
-            "Data set: own photographs, or a published capture whose projector and lenses are known.", name="--from"
-        ),
-    ] = "own"
     out: Annotated[Path, described("Output folder.")] = Path("out/decode")
 
     def __post_init__(self) -> None:
@@ -87,22 +67,17 @@ class DecodeVerbOptions(Options):
 
 @dataclass(frozen=True, eq=False)
 class CodePhotographs:
-    """Photographs of one pattern, how to decode them, and the lenses that are known."""
+    """Photographs of one pattern, and how to decode them."""
 
-    name: str
+    folder: Path
     files: CodeFiles
     pattern: Pattern
     kind: PhotographFormat
-    lenses: Lenses = field(default_factory=Lenses)
 
     @property
     def options(self) -> DecodeOptions:
         """Limits of the camera."""
         return DecodeOptions(self.kind.full_scale, end_of_scale=self.files.end_of_scale(self.kind))
-
-    def decoded(self) -> Decoded:
-        """Panel positions of the camera's pixels."""
-        return self.pattern.decode(self.files.read(self.kind), self.options)
 
 
 @job
@@ -112,31 +87,40 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     Raises:
         BadInputError: photographs are missing or do not decode (see `Pattern.decode`).
     """
-    codes = code_photographs(options)
+    pattern = make_pattern(options.pattern, Panel(*options.panel))
+    files = find_code_files(options.folder, pattern.names(), options.order)
+    codes = CodePhotographs(options.folder, files, pattern, _camera_format(options))
+    report, *_ = decode_and_assess(codes, options.out, progress)
+    return save_report(replace(report, record=options), options.out)
+
+
+def decode_and_assess(
+    codes: CodePhotographs, out: Path, progress: Progress, lenses: Lenses = NO_LENSES
+) -> tuple[Report, Decoded, PlaneSurvey]:
+    """Decode photographs, and write decoded.npz and pictures; flat surfaces are fitted with `lenses` undistorted.
+
+    Raises:
+        BadInputError: the photographs do not decode, or the folder cannot be written.
+    """
     progress.say("decoding")
-    with naming(options.folder):
-        decoded = codes.decoded()
-    folder = output_folder(options.out)
+    with naming(codes.folder):
+        decoded = codes.pattern.decode(codes.files.read(codes.kind), codes.options)
+    folder = output_folder(out)
     names = ("pixel", "sigma_px", "confidence", "rejection", "noise_px", "cell_px")
     arrays = write_arrays(folder / "decoded.npz", {name: getattr(decoded, name) for name in names})
     progress.say("fitting flat surfaces")
-    camera_only = Lenses(codes.lenses.camera)
-    label = find_planes(decoded, camera_only)
-    surveys = {_lens_names(lenses): fit_planes(decoded, label, lenses) for lenses in _variants(codes.lenses)}
-    survey = surveys[_lens_names(camera_only)]
+    survey = fit_planes(decoded, find_planes(decoded, lenses), lenses)
     strengths = bit_strengths(codes.files.read(codes.kind), codes.pattern, codes.options)
-    heading = f"Residual of flat surfaces, distortion corrected: {_lens_names(camera_only)}"
     pictures = [
         Picture("Decoded positions", _draw_positions(folder / "positions.png", decoded), "Panel position u and v."),
         Picture("Rejections", _draw_rejections(folder / "rejections.png", decoded), "Reason for each camera pixel."),
-        Picture(heading, _draw_residuals(folder / "residuals.png", survey), "Decoded minus predicted, in u and v."),
+        Picture(
+            "Residual of flat surfaces",
+            _draw_residuals(folder / "residuals.png", survey),
+            "Decoded minus predicted, in u and v.",
+        ),
     ]
-    blocks: list[Block] = [
-        _rejection_table(decoded),
-        _strength_table(strengths),
-        _flatness_table(surveys),
-        *pictures,
-    ]
+    blocks: list[Block] = [_rejection_table(decoded), _strength_table(strengths), flatness_table(survey), *pictures]
     weak = [bit.name for bit in strengths if bit.weak]
     warnings = [f"Weak bits: {', '.join(weak)}; use the pattern gray-fringes, or more light."] if weak else []
     if missing := [codes.pattern.names()[number] for number in codes.files.missing]:
@@ -144,35 +128,14 @@ def decode(options: DecodeVerbOptions, *, progress: ProgressArgument = SILENT) -
     if note := file_note(codes.files.paths[0], codes.kind):
         warnings.append(note)
     report = Report(
-        f"Decoded photographs of {codes.name}",
+        f"Decoded photographs of {codes.folder.name}",
         verdict=f"{np.mean(decoded.accepted):.1%} of the camera's pixels show a panel position.",
         warnings=warnings,
         blocks=blocks,
-        inputs=[options.folder],
+        inputs=[codes.folder],
         files=[arrays, *(picture.path for picture in pictures)],
-        record=options,
     )
-    return save_report(report, folder)
-
-
-def code_photographs(options: DecodeVerbOptions) -> CodePhotographs:
-    """The photographs that the options name.
-
-    Raises:
-        BadInputError: photographs or the size of the panel are missing.
-    """
-    folder = options.folder
-    if options.source == "procam-graycode":
-        capture = read_procam_graycode(folder)
-        kind = PhotographFormat(bits=8 * read_photograph(capture.photographs[0]).itemsize)
-        lenses = Lenses(capture.camera, capture.projector)
-        files = CodeFiles(tuple((path,) for path in capture.photographs))
-        return CodePhotographs(folder.name, files, GrayCode(capture.panel), kind, lenses)
-    if options.panel is None:
-        raise BadInputError("--panel is missing: how many pixels has the panel, e.g. 1920x1080?")
-    pattern = make_pattern(options.pattern, Panel(*options.panel))
-    files = find_code_files(folder, pattern.names(), options.order)
-    return CodePhotographs(folder.name, files, pattern, _camera_format(options))
+    return report, decoded, survey
 
 
 def _camera_format(options: DecodeVerbOptions) -> PhotographFormat:
@@ -182,21 +145,6 @@ def _camera_format(options: DecodeVerbOptions) -> PhotographFormat:
     form = PhotographFormat.from_table(table, options.camera.parent)
     table.finish()
     return form
-
-
-def _variants(known: Lenses) -> list[Lenses]:
-    """Which lenses to take away: none, then one after the other of those that are known."""
-    variants = [Lenses()]
-    if known.camera is not None:
-        variants.append(Lenses(known.camera))
-    if known.projector is not None:
-        variants.append(known)
-    return variants
-
-
-def _lens_names(lenses: Lenses) -> str:
-    names = [name for name in ("camera", "projector") if getattr(lenses, name) is not None]
-    return " and ".join(names) or "none"
 
 
 def _rejection_table(decoded: Decoded) -> ReportTable:
@@ -221,27 +169,23 @@ def _strength_table(strengths: Sequence[BitStrength]) -> ReportTable:
     return ReportTable("Strength of the bits", columns, rows, notes)
 
 
-def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
-    """Residuals of homographies of flat surfaces, with the distortions corrected that the keys of `surveys` name."""
+def flatness_table(survey: PlaneSurvey, title: str = "Homographies of flat surfaces") -> ReportTable:
+    """Return the residuals of the homographies of flat surfaces, in panel pixels."""
     rows: list[list[Cell]] = [
         [
-            number + 1,
+            number,
             100.0 * plane.share,
-            distortion,
             plane.rms_per_axis,
             plane.residual.median,
             plane.residual.p95,
             plane.smooth_per_axis,
             plane.scatter_per_axis,
         ]
-        for number in range(max(len(survey.planes) for survey in surveys.values()))
-        for distortion, survey in surveys.items()
-        for plane in survey.planes[number : number + 1]
+        for number, plane in enumerate(survey.planes, 1)
     ]
     columns = (
         "surface",
         "of accepted (%)",
-        "distortion corrected",
         "rms per axis (px)",
         "median (px)",
         "95 % (px)",
@@ -253,7 +197,7 @@ def _flatness_table(surveys: Mapping[str, PlaneSurvey]) -> ReportTable:
         "Smooth part: rms per axis of means over 16 x 16 camera pixels, from lenses and bent surfaces; scatter: "
         "about these means. Whole panel pixels would scatter by 0.29 px.",
     )
-    return ReportTable("Homographies of flat surfaces", columns, rows, notes)
+    return ReportTable(title, columns, rows, notes)
 
 
 def _draw_positions(path: Path, decoded: Decoded) -> Path:

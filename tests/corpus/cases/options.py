@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from corpus.case import Case, nothing, several, written
+from corpus.case import Case, nothing
 
 SMALL = ("lens.zmx", "glasses.agf", "device.toml", "scene.toml", "box.obj")
 RENDER = ("render", "device.toml", "scene.toml", "--backend", "cpu", "--out", "out")
@@ -241,7 +241,6 @@ OUTPUTS = {
     "diagnose": DIAGNOSE,
     "hold-out": HOLD_OUT,
     "predict": ("predict", "bench", "bench", "--out", "out"),
-    "import": ("import", "osvr-hdk13", "data", "--out", "out"),
     "decode": DECODE,
     "board": BOARD,
     "pattern": PATTERN,
@@ -249,7 +248,6 @@ OUTPUTS = {
     "capture": CAPTURE,
 }
 ALL = ("device.toml", "scene.toml", "box.obj", "model.json", "captures.npz", "bench", "photos", "calibration", "pairs", "board.toml", "codes")  # fmt: skip
-_LENS_TABLE = "\n".join(f"{x}\t{y}\t{0.7 * x}\t{0.7 * y}" for x in range(-20, 21, 8) for y in range(-20, 21, 8)) + "\n"
 
 
 def cases() -> Iterator[Case]:
@@ -274,7 +272,6 @@ def cases() -> Iterator[Case]:
     for title, arguments in NOWHERE.items():
         out = () if arguments[0] == "simulate" else ("--out", "out")
         yield Case(f"option nowhere: {title}", (*arguments, *out), ALL, nothing, ("nowhere",))
-    table = several(written(f"data/{relief}_mm_Eye_Relief_trimmed.txt", _LENS_TABLE) for relief in (9, 11))
     for title, arguments in OUTPUTS.items():
         files = tuple(name for name in ALL if name in arguments or name in ("scene.toml", "box.obj"))
         for where, place in (
@@ -284,7 +281,7 @@ def cases() -> Iterator[Case]:
             ("too long", "x" * 300),
         ):
             given = tuple(place if each == "out" else each for each in arguments)
-            yield Case(f"output {title}: is {where}", given, tuple({*files, "device.toml"}), table, (place[:40],))
+            yield Case(f"output {title}: is {where}", given, tuple({*files, "device.toml"}), nothing, (place[:40],))
     yield from _words()
 
 

@@ -225,7 +225,6 @@ def cases() -> Iterator[Case]:
         arguments = (*DIAGNOSE, "--add-causes", "causes.py")
         yield Case(f"causes: {title}", arguments, ("bench",), written("causes.py", text), ("causes.py",))
     yield from _codes()
-    yield from _imports()
 
 
 def _lens_stated(name: str) -> Change:
@@ -269,55 +268,3 @@ def _codes() -> Iterator[Case]:
         ("codes|photograph",),
     )
     yield Case("decode: an empty folder", DECODE, (), lambda f: (f / "codes").mkdir(), ("codes",))
-
-
-def _imports() -> Iterator[Case]:
-    for form in ("itoh-seethrough", "northstar-vcam", "osvr-hdk13"):
-        command = ("import", form, "data", "--out", "out")
-        yield Case(f"import {form}: nothing there", command, (), names=("data",))
-        yield Case(f"import {form}: an empty folder", command, (), lambda f: (f / "data").mkdir(), ("data",))
-        yield Case(f"import {form}: a file", command, (), written("data", "x"), ("data",))
-        yield Case(
-            f"import {form}: a folder in a circle", command, (), lambda f: (f / "data").symlink_to("data"), ("data",)
-        )
-    osvr, name = ("import", "osvr-hdk13", "data", "--out", "out"), "data/9_mm_Eye_Relief_trimmed.txt"
-    for title, text in (
-        ("nan", "1 2 3 nan\n"),
-        ("1e308", "1 2 3 1e308\n" * 9),
-        ("text", "a b c d\n"),
-        ("one column", "1\n"),
-        ("noise", "\0\1\xff"),
-    ):
-        yield Case(f"import osvr-hdk13: a table of {title}", osvr, (), written(name, text), ("data",))
-    itoh = ("import", "itoh-seethrough", "data", "--out", "out")
-    for title, text in (
-        ("noise", "\0\1"),
-        ("huge counts", "22 serialization::archive 9 0 0 1 0 0 999999999999 0 0 0\n"),
-        ("nan", "22 serialization::archive 9 0 0 nan nan\n"),
-    ):
-        yield Case(
-            f"import itoh-seethrough: a file of {title}",
-            itoh,
-            (),
-            written("data/1/3dPointsOnGrid.txt", text),
-            ("data",),
-        )
-    vcam = ("import", "northstar-vcam", "data", "--out", "out")
-    for title, text in (
-        ("broken", "{"),
-        ("empty", "{}"),
-        ("a list", "[1]"),
-        ("nan", '{"deviceCalibrations": NaN}'),
-        ("deep", "[" * 100_000),
-    ):
-        both = several([written("data/cameraCalibration.json", text), written("data/config.json", text)])
-        yield Case(f"import northstar-vcam: JSON that is {title}", vcam, (), both, ("data",))
-    procam = ("decode", "data", "--from", "procam-graycode", "--out", "out")
-    files = [written(f"data/capture_0/graycode_{number:02d}.png", "") for number in range(42)]
-    for title, text in (
-        ("broken", "<opencv"),
-        ("empty", '<?xml version="1.0"?><opencv_storage></opencv_storage>'),
-        ("1e9 rows", LENS_XML.replace("<rows>3", "<rows>1000000000")),
-    ):
-        calibration = several([*files, written("data/calibration_result.xml", text)])
-        yield Case(f"import procam-graycode: XML that is {title}", procam, (), calibration, ("data",))

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.__main__ import main as benchmark
+from benchmarks.published_data import study
+from benchmarks.published_data.itoh_seethrough import SeeThroughPairs, scatter_px
 from wlr_render.bench.session_folder import load_session
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.importers.itoh_seethrough import SeeThroughPairs
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, rigid, rotation_about
-from wlr_render.jobs import hold_out, import_session
+from wlr_render.jobs import hold_out
 
 DOTS = np.stack([*np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.4, 6)), np.zeros((6, 7))], axis=-1).reshape(
     -1, 3
@@ -62,14 +64,14 @@ def pairs_through_plate(thickness):
 
 @pytest.fixture
 def imported(monkeypatch, tmp_path, capsys):
-    """Imports such pairs by the verb; returns the folder, and what was printed."""
+    """Convert such pairs; returns the folder, and what was printed."""
 
-    def by_verb(pairs):
-        monkeypatch.setattr(import_session, "read_itoh_seethrough", lambda source: pairs)
-        assert main(["import", "itoh-seethrough", str(tmp_path), "--out", str(tmp_path / "session")]) == 0
+    def convert(pairs):
+        monkeypatch.setattr(study, "read_itoh_seethrough", lambda source: pairs)
+        assert benchmark(["published-data", "itoh-seethrough", str(tmp_path), "--out", str(tmp_path / "session")]) == 0
         return tmp_path / "session", capsys.readouterr().out
 
-    return by_verb
+    return convert
 
 
 def test_without_optics_the_session_predicts_what_the_bare_camera_saw(imported):
@@ -91,8 +93,8 @@ def test_stated_scatter_is_that_of_the_dots_and_not_of_a_few_wrong_ones():
     pairs = pairs_through_plate(THICKNESS_MM)
     wrong = pairs.through_px.copy()
     wrong[2:4, 11] += 8.0
-    assert import_session.scatter_px(pairs) == pytest.approx(SIGMA_PX, rel=0.1)
-    assert import_session.scatter_px(replace(pairs, through_px=wrong)) == pytest.approx(SIGMA_PX, rel=0.1)
+    assert scatter_px(pairs) == pytest.approx(SIGMA_PX, rel=0.1)
+    assert scatter_px(replace(pairs, through_px=wrong)) == pytest.approx(SIGMA_PX, rel=0.1)
 
 
 def test_the_plate_is_found_and_predicts_the_other_distance(imported, tmp_path, capsys):
@@ -133,8 +135,8 @@ def test_where_nothing_is_wrong_nothing_can_be_held_out(imported, tmp_path, caps
     assert "finds no cause (no effect)" in capsys.readouterr().err
 
 
-def test_an_unknown_format_is_refused_and_the_known_ones_are_named(tmp_path, capsys):
-    assert main(["import", "itoh", str(tmp_path), "--out", str(tmp_path / "session")]) == 2
+def test_an_unknown_set_is_refused_and_the_known_ones_are_named(tmp_path, capsys):
+    assert benchmark(["published-data", "itoh", str(tmp_path), "--out", str(tmp_path / "session")]) == 2
     error = capsys.readouterr().err
     assert "itoh-seethrough" in error
     assert len(error.splitlines()) == 1
@@ -142,6 +144,6 @@ def test_an_unknown_format_is_refused_and_the_known_ones_are_named(tmp_path, cap
 
 
 def test_a_folder_that_is_no_such_set_is_refused(tmp_path, capsys):
-    assert main(["import", "itoh-seethrough", str(tmp_path), "--out", str(tmp_path / "session")]) == 2
+    assert benchmark(["published-data", "itoh-seethrough", str(tmp_path), "--out", str(tmp_path / "session")]) == 2
     assert "no numbered view folders" in capsys.readouterr().err
     assert not (tmp_path / "session").exists()

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.__main__ import main
+from benchmarks.published_data.northstar_vcam import PANEL, read_northstar_vcam
 from wlr_render.captures.capture_file import load_captures
-from wlr_render.captures.importers.northstar_vcam import PANEL, read_northstar_vcam
-from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 
@@ -92,12 +92,12 @@ def test_the_stated_baseline_is_checked_by_the_monitor(session, tmp_path, capsys
     found = read_northstar_vcam(session)
     np.testing.assert_allclose(found.baseline_m, BASELINE_M, atol=2e-5)
     assert found.stated_baseline_m == BASELINE_M
-    assert main(["import", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
+    assert main(["published-data", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
     assert "the rig states 60.00 mm (" in capsys.readouterr().out
     assert load_captures(tmp_path / "out" / "captures-left.npz").display.eye == "left"
     area = {"CalibrationMonitorActiveAreaMeters": {"x": 0.98 * MONITOR_M[0], "y": 0.98 * MONITOR_M[1]}}
     (session / "config.json").write_text(json.dumps(area))
-    assert main(["import", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
+    assert main(["published-data", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
     assert "The cameras' distance differs by -2.0" in capsys.readouterr().out
 
 

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.__main__ import main
-from benchmarks.decoders.opencv_decoder import OpencvCodes, has_opencv_decoder, opencv_codes
-from benchmarks.decoders.study import comparison_table
+from benchmarks.published_data.opencv_decoder import (
+    OpencvCodes,
+    comparison_table,
+    has_opencv_decoder,
+    opencv_codes,
+)
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.gray_code import GrayCode
-from wlr_render.captures.photographs import write_photograph
 from wlr_render.evaluation.code_quality import Lenses, find_planes, fit_planes
 from wlr_render.mappings import Panel
 
@@ -46,16 +48,3 @@ def test_decoders_are_compared_pixel_by_pixel():
     swapped = replace(decoded, pixel=decoded.pixel + 9.0)
     table = comparison_table(swapped, OpencvCodes(code, ~refused), place, survey, Lenses())
     assert table.rows[0][:3] == ["accepted by both, same code", 30, 0]
-
-
-@pytest.mark.skipif(has_opencv_decoder(), reason="this OpenCV has structured_light")
-def test_an_opencv_without_the_decoder_is_refused_in_one_line(tmp_path, capsys):
-    pattern = GrayCode(Panel(96, 64))
-    for index in range(len(pattern.names())):
-        write_photograph(tmp_path / "photographs" / f"{index}.png", pattern.image(index) // 2 + 20)
-    arguments = [str(tmp_path / "photographs"), "--panel", "96x64", "--out", str(tmp_path / "out")]
-    assert main(["decoders", *arguments, "--pattern", "gray"]) == 2
-    assert "opencv-contrib-python-headless" in capsys.readouterr().err
-    assert main(["decoders", *arguments]) == 2
-    assert "plain Gray code" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

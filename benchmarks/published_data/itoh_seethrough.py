@@ -11,10 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.input_files import parsing, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box, basis, total_degree
+from wlr_render.optics.device_file import load_device
 
 SIZE_PX = (1280, 1024)
 FOCAL_PX = (1575.02, 1570.46)
@@ -26,6 +30,8 @@ _COUNT_AT, _VALUES_AT = 8, 12
 _POSE_TOKENS, _QUATERNION, _TRANSLATION = 19, slice(10, 14), slice(16, 19)
 _TIME_AT = 5
 _LARGEST = 1e6  # of pixels and metres
+_SMOOTH_DEGREE = 3  # polynomial degree of the smooth displacement over a view
+_MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # of a two-vector of unit normal components
 
 
 @dataclass(frozen=True)
@@ -92,6 +98,60 @@ def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
         bare_time_s=(bare_ns - first_ns) * 1e-9,
         through_time_s=(through_ns - first_ns) * 1e-9,
     )
+
+
+def see_through_session(pairs: SeeThroughPairs) -> tuple[Bench, Session]:
+    """Pairs of photographs as a session, and the bench without optics that it is compared with.
+
+    A capture has its view's number, and a pose of the target to itself. Its time is that of the photograph through the
+    headset, after the first of the set. What the bench states as a point's scatter is that of both photographs.
+    """
+    views, dots = pairs.through_px.shape[:2]
+    camera = EyeballCamera(np.array(pairs.size_px, dtype=float), pairs.focal_px, pairs.centre_px, scatter_px(pairs))
+    position = pairs.device_from_camera[:, :3, 3]
+    gaps = np.linalg.norm(pairs.dot_in_target[:, None] - pairs.dot_in_target, axis=-1)
+    pitch = np.full(views, gaps[gaps > 0].min())
+    bench = Bench(
+        load_device("no_optics"),
+        "right",
+        camera,
+        Stage(position.mean(axis=0)),
+        Target(pairs.device_from_target, pitch),
+    )
+
+    def of_view(values: FloatArray) -> FloatArray:
+        return np.repeat(values, dots, axis=0)
+
+    turn_from_opencv = np.diag([1.0, -1.0, -1.0])
+    plan = SeeThroughPlan(
+        capture=np.repeat([int(view) for view in pairs.view], dots),
+        time_s=of_view(pairs.through_time_s),
+        travel=np.ones(views * dots),
+        stage=of_view(position),
+        target_pose=np.repeat(np.arange(views), dots),
+        dot=np.tile(pairs.dot_in_target[:, :2], (views, 1)),
+        orientation=of_view(pairs.device_from_camera[:, :3, :3] @ turn_from_opencv),
+        bare_pixel=pairs.bare_px.reshape(-1, 2),
+    )
+    return bench, Session(
+        "itoh-seethrough", SessionPlan(see_through=plan), Readings(dot_pixel=pairs.through_px.reshape(-1, 2))
+    )
+
+
+def scatter_px(pairs: SeeThroughPairs) -> float:
+    """Scatter per axis of a dot's displacement by the headset about a smooth surface over its view.
+
+    It is taken from the median length in each view, and of the views the median, so that a few misdetected dots count
+    little.
+    """
+    sigmas = []
+    for bare, through in zip(pairs.bare_px, pairs.through_px, strict=True):
+        design = basis(bare, total_degree(2, _SMOOTH_DEGREE), Box.around(bare))
+        displacement = through - bare
+        left = displacement - design @ np.linalg.lstsq(design, displacement, rcond=None)[0]
+        freedom = len(bare) / (len(bare) - design.shape[1])
+        sigmas.append(np.sqrt(freedom) * np.median(np.linalg.norm(left, axis=1)) / _MEDIAN_LENGTH)
+    return float(np.median(sigmas))
 
 
 def _from_top(pixel_from_bottom: FloatArray) -> FloatArray:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.importers import itoh_seethrough
-from wlr_render.captures.importers.itoh_seethrough import read_itoh_seethrough
+from benchmarks.published_data import itoh_seethrough
+from benchmarks.published_data.itoh_seethrough import read_itoh_seethrough
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 

@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from wlr_render.captures.importers.procam_graycode import read_procam_graycode
+from benchmarks.published_data.procam_graycode import read_procam_graycode
+from benchmarks.published_data.study import PublishedDataOptions, run
+from wlr_render.captures.decoded import Rejection
 from wlr_render.errors import BadInputError
 
 CAMERA = np.array([[3000.0, 0, 600.0], [0, 3100.0, 500.0], [0, 0, 1]])
@@ -88,3 +90,16 @@ def test_photographs_of_the_set_are_in_the_order_that_is_written(measured_data):
         stripe = (bits[bit] > bits[bit + 1]) & lit
         changes = [np.count_nonzero(np.diff(stripe, axis=axis)) for axis in (0, 1)]
         assert changes[across] > 2 * changes[1 - across]
+
+
+def test_a_projectors_photographs_lie_on_flat_surfaces(measured_data, tmp_path):
+    options = PublishedDataOptions("procam-graycode", measured_data("procam_graycode"), out=tmp_path)
+    tables = {table.title: table for table in run(options).tables}
+    fates = {row[0]: row[2] for row in tables["Camera pixels"].rows}
+    accepted = fates[Rejection.ACCEPTED.sentence]
+    assert accepted > 65
+    bits = {row[0]: row for row in tables["Strength of the bits"].rows}
+    assert [name for name, row in bits.items() if row[-1] == "weak"] == ["u bit 0", "v bit 0"]
+    board = tables["Homographies of flat surfaces"].rows[:2]
+    assert sum(row[1] for row in board) * accepted > 50 * 100
+    assert all(row[2] < 0.2 and row[-1] < 0.1 for row in board)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.importers.osvr_hdk13 import (
+from benchmarks.published_data.osvr_hdk13 import (
     PANEL,
     PIXEL_MM,
     read_osvr_captures,

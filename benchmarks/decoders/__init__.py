@@ -1,1 +1,0 @@
-"""Our decoder of Gray code beside OpenCV's."""

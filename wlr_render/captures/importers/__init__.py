@@ -1,1 +1,0 @@
-"""Readers of published data sets, one module per format; docs/measured-data.md has their sources."""
