@@ -165,7 +165,7 @@ def test_each_axis_has_its_own_size():
     size = np.tile([1e-7, 1e-7, 1e-3, 1e-7, 1e-7, 1e-7], (PLACES, 1))
     motion = uniform(rng, size)
     found = fit_display(stated(moved(display(), motion, rng), size, 0.1), "planar", 4)
-    turned = found.smooth.posterior.own_mean
+    turned = found.smooth.posterior.group_mean
     assert abs(np.corrcoef(turned[:, 5], motion[:, 2])[0, 1]) > 0.8
     assert np.abs(turned[:, :5]).max() < 1e-6
 
@@ -184,7 +184,7 @@ def test_visits_of_a_position_move_apart_and_stay_one_position():
     size = np.tile(SIZE, (len(twice.visits[0]), 1))
     captures = moved(twice, uniform(rng, size), rng, 0.05)
     found = fit_see_through(stated(captures, size, 0.1), "planar", 3)
-    assert found.smooth.posterior.own_mean.shape == (4 * PLACES, 6)
+    assert found.smooth.posterior.group_mean.shape == (4 * PLACES, 6)
     assert found.report.viewpoints == PLACES
     assert sum(each.captures for each in found.report.held_out) == 2 * PLACES
     assert found.report.motion_agreement.shift_sigmas < 3.0

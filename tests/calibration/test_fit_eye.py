@@ -185,8 +185,8 @@ def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables
     errors = [np.stack(each) for each in zip(*map(values, fits), strict=True)]
     display_error, see_through_error = (each - each.mean(axis=0) for each in errors)
     together = display_error.T @ see_through_error / (len(fits) - 1)
-    of_display = fits[0].display.mapping.spread.own_and_shared(shown)[1].reshape(60, -1) / ARCMIN
-    of_see_through = fits[0].see_through.mapping.spread.own_and_shared(seen)[1][:, :2].reshape(60, -1) / ARCMIN
+    of_display = fits[0].display.mapping.spread.unshared_and_shared(shown)[1].reshape(60, -1) / ARCMIN
+    of_see_through = fits[0].see_through.mapping.spread.unshared_and_shared(seen)[1][:, :2].reshape(60, -1) / ARCMIN
     predicted = of_display @ of_see_through.T
     assert np.sum(together * predicted) / np.sum(predicted**2) == pytest.approx(1.0, abs=0.35)
     assert np.corrcoef(together.ravel(), predicted.ravel())[0, 1] > 0.6

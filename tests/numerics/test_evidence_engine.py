@@ -65,7 +65,7 @@ class Problem:
 
 
 def all_means(found: Posterior) -> FloatArray:
-    return np.concatenate([found.mixed_mean, found.own_mean.ravel(), found.mean.ravel()])
+    return np.concatenate([found.mixed_mean, found.group_mean.ravel(), found.mean.ravel()])
 
 
 @pytest.mark.parametrize("mixed", [0, 4])

@@ -179,9 +179,9 @@ class SmoothFit:
     @property
     def _motion_sizes(self) -> FloatArray:
         """(captures, 6) prior sizes of the shifts and turns, as found; (captures, 0) where no motion was modelled."""
-        groups = self.posterior.own_mean.shape[0]
-        size = np.exp(self._prior.own_offset + self._prior.own_features @ self._hyper)
-        return np.broadcast_to(size, (groups, len(self._prior.own_features)))
+        groups = self.posterior.group_mean.shape[0]
+        size = np.exp(self._prior.group_offset + self._prior.group_features @ self._hyper)
+        return np.broadcast_to(size, (groups, len(self._prior.group_features)))
 
     def require_agreement(self, what: str, sigma_arcmin: FloatArray) -> None:
         """Refuse readings that contradict each other beyond any noise.
@@ -316,7 +316,7 @@ class SmoothFit:
         columns, prior = None, self._prior
         if self._columns is not None:
             columns = motion_columns(readings, self.polynomial)
-            prior = replace(prior, own_offset=np.log(motion_sizes(readings)))
+            prior = replace(prior, group_offset=np.log(motion_sizes(readings)))
         sums = sums_of(readings, None, columns, kept)
         found = posterior(sums, prior, hyper, evidence=False)
         return self._with_common(readings, found, self.polynomial, kept)
@@ -363,7 +363,7 @@ class SmoothFit:
         weight = (readings.weight / self.noise)[:, None]
         own = np.zeros((len(readings), 2, 6))
         if self._columns is not None:
-            size = motion_sizes(readings) * np.exp(self._prior.own_features @ self._hyper)
+            size = motion_sizes(readings) * np.exp(self._prior.group_features @ self._hyper)
             own = motion_columns(readings, self.polynomial) * (size[readings.capture] * weight)[:, None]
         found = []
         for number in range(places):
@@ -524,7 +524,7 @@ class _Search:
         if isinstance(self.stage, tuple):
             prior.bounds[-2:] = np.log(np.maximum(self.stage, LEAST_MOTION) / motion_scale(readings))[:, None]
         rough, hyper = _rough(readings, kept), dict(found.hyper)
-        of_rough, curvature = replace(prior, own_offset=0.0), np.zeros(2)
+        of_rough, curvature = replace(prior, group_offset=0.0), np.zeros(2)
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
             columns = motion_columns(readings, polynomial)
@@ -582,25 +582,25 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int
     columns = motion_columns(readings, smooth.polynomial)
     found = posterior(
         sums_of(readings, smooth._start, columns, kept, still=None if out else smooth._sums),
-        replace(smooth._prior, own_offset=offset),
+        replace(smooth._prior, group_offset=offset),
         smooth._hyper,
     )
-    variance = np.diag(found.side_covariance)[-found.own_mean.size :].reshape(found.own_mean.shape)
-    size = np.exp(offset + smooth._prior.own_features @ smooth._hyper)
+    variance = np.diag(found.side_covariance)[-found.group_mean.size :].reshape(found.group_mean.shape)
+    size = np.exp(offset + smooth._prior.group_features @ smooth._hyper)
     # What the readings say of each motion before its own prior: a common prior draws the largest to the others.
     alone = 1.0 / np.maximum(1.0 / variance - 1.0 / size**2, 1e-9 / size**2)
-    motion = found.own_mean * alone / variance
+    motion = found.group_mean * alone / variance
     times, score = np.zeros(len(motion)), np.zeros(len(motion))
     stage = ((SHIFT, _ORDINARY_SHIFT_M, smooth.shift_m), (TURN, _ORDINARY_TURN_RAD, smooth.turn_rad))
     for part, least, typical in stage:
         usual = np.maximum(smooth._motion_sizes[:, part], least)
         this_score = np.linalg.norm(motion[:, part] / np.sqrt(alone[:, part] + usual**2), axis=1)
         # A capture that may move by more must move by more to stand out.
-        length = np.linalg.norm(found.own_mean[:, part] * max(typical, least) / usual, axis=1)
+        length = np.linalg.norm(found.group_mean[:, part] * max(typical, least) / usual, axis=1)
         this_times = length / max(float(np.median(length)), least)
         larger = this_score > score
         score, times = np.where(larger, this_score, score), np.where(larger, this_times, times)
-    shift, turn = (np.linalg.norm(found.own_mean[:, part], axis=1) for part in (SHIFT, TURN))
+    shift, turn = (np.linalg.norm(found.group_mean[:, part], axis=1) for part in (SHIFT, TURN))
     off = (readings.observed - readings.values(smooth.polynomial)) * readings.metric[:, None]
     found_of = {
         int(name): CaptureMotion(

@@ -36,7 +36,7 @@ class Azimuthal:
 
     @np.errstate(divide="ignore", over="ignore", invalid="ignore")  # points without a position become NaN
     def position(self, point: FloatArray) -> FloatArray:
-        """Project points (n, 3) to positions (n, 2); NaN where there is none."""
+        """Project points (n, 3) to positions (n, 2); NaN for points without a position."""
         scale = self.scale(np.hypot(point[:, 0], point[:, 1]), point[:, 2])
         return np.asarray(point[:, :2] * scale[:, None])
 
@@ -45,7 +45,8 @@ class Azimuthal:
         """Return the derivative (n, 2, 3) of `position`."""
         from_axis, z = np.hypot(point[:, 0], point[:, 1]), point[:, 2]
         outwards = np.where((from_axis == 0)[:, None], [1.0, 0.0], point[:, :2] / from_axis[:, None])
-        turn = np.concatenate([outwards * z[:, None], -from_axis[:, None]], axis=1)  # of the angle, times |point|^2
+        # Derivative of the angle, times |point|^2.
+        turn = np.concatenate([outwards * z[:, None], -from_axis[:, None]], axis=1)
         turn *= (self.growth(from_axis, z) / (from_axis**2 + z**2))[:, None]
         result = np.asarray(outwards[:, :, None] * turn[:, None, :])
         across = np.eye(2) - outwards[:, :, None] * outwards[:, None, :]

@@ -12,7 +12,7 @@ import numpy as np
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.newton import solve_2x2
 
-_TOLERANCE = 1e-12  # of positions in units of the focal length
+_TOLERANCE = 1e-12  # tolerance of positions, in units of the focal length
 _BATCH = 16384  # positions solved at once: their arrays stay in the processor's cache
 
 
@@ -57,43 +57,43 @@ class Lens(Protocol):
         """Project points (..., 3) to pixels (..., 2); NaN for points that the model cannot see."""
 
     def dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Return the unit directions (..., 3) of pixels (..., 2); NaN where there is none."""
+        """Return the unit directions (..., 3) of pixels (..., 2); NaN for pixels without a direction."""
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Return the tangents (..., 2), x / z and y / z, of pixels (..., 2); NaN where there are none."""
+        """Return the tangents (..., 2), x / z and y / z, of pixels (..., 2); NaN for pixels without a direction."""
 
 
 def radians_per_pixel(lens: Lens, direction: FloatArray) -> FloatArray:
     """Return angle (n,) that one pixel spans at unit directions (n, 3), geometric mean of the two transverse axes."""
     slope = lens.project(direction).by_point
-    # The derivative along the direction itself is zero: what is left maps the two transverse angles to pixels.
+    # The derivative along the direction itself is zero: the rest maps the two transverse angles to pixels.
     return np.asarray(np.linalg.det(slope @ np.swapaxes(slope, 1, 2)) ** -0.25)
 
 
 def undistorted(
-    seen: FloatArray, start: FloatArray, distorted: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+    target: FloatArray, start: FloatArray, distorted: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 ) -> FloatArray:
-    """Solve distorted(position) = seen; NaN where Newton's method finds no solution.
+    """Solve distorted(position) = target; NaN where Newton's method finds no solution.
 
     Args:
-        seen: (n, 2) distorted positions, in focal lengths.
+        target: (n, 2) distorted positions, in focal lengths.
         start: (n, 2) first guess.
         distorted: position (m, 2) -> distorted position (m, 2), NaN outside the model's limit; and its Jacobian
             (m, 2, 2).
     """
-    position = np.empty_like(seen)
-    for first in range(0, len(seen), _BATCH):
+    position = np.empty_like(target)
+    for first in range(0, len(target), _BATCH):
         rows = slice(first, first + _BATCH)
-        position[rows] = _solved(seen[rows], start[rows], distorted)
+        position[rows] = _solved(target[rows], start[rows], distorted)
     return position
 
 
 def _solved(
-    seen: FloatArray, start: FloatArray, distorted: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+    target: FloatArray, start: FloatArray, distorted: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 ) -> FloatArray:
     def residual(position: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
         value, jacobian = distorted(position)
-        return value - seen[index], jacobian
+        return value - target[index], jacobian
 
     root = solve_2x2(residual, start, _TOLERANCE)
     return np.where(root.converged[:, None], root.unknown, np.nan)

@@ -30,14 +30,14 @@ LENS_KINDS = {
     "thin-prism": (*_RATIONAL_TERMS, "s1", "s2", "s3", "s4"),
     "fisheye": ("k1", "k2", "k3", "k4"),
 }
-"""Names of each kind's distortion terms, in OpenCV's order. OpenCV's fisheye model is that of J. Kannala and
+"""Names of each kind's distortion terms, in OpenCV's order. OpenCV's fisheye model is due to J. Kannala and
 S. S. Brandt, IEEE Transactions on Pattern Analysis and Machine Intelligence 28 (2006) 1335."""
 
 # Places of each kind's terms among `_Distortion.terms`
 _PLACES = {kind: list(range(len(terms))) for kind, terms in LENS_KINDS.items()} | {"fisheye": [0, 1, 4, 12]}
 
-_START_RADII = 2000  # in the table of first guesses: two or three steps of Newton's method then suffice
-_WIDEST_START_DEG = 89.9  # of the table, where the model has no other limit
+_START_RADII = 2000  # radii in the table of first guesses: two or three steps of Newton's method then suffice
+_WIDEST_START_DEG = 89.9  # largest angle of the table, where the model has no other limit
 _NEGLIGIBLE = 1e-30  # a leading coefficient of a polynomial of degree 17 without influence below 89 degrees
 
 
@@ -74,7 +74,7 @@ class LensCamera:
         if np.shape(self.distortion) != (len(terms),):
             raise BadInputError(
                 f"a lens of kind '{self.kind}' has {len(terms)} distortion terms ({', '.join(terms)}), "
-                f"not {np.size(self.distortion)}; give as many, with 0 for those that are not used."
+                f"not {np.size(self.distortion)}; give as many, with 0 for unused ones."
             )
 
     @property
@@ -130,7 +130,7 @@ class LensCamera:
         return self.pixel_of_point(np.concatenate([tangents, np.ones((*tangents.shape[:-1], 1))], axis=-1))
 
     def dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Unit directions (..., 3) of pixels (..., 2) in the camera frame; NaN where the distortion has no inverse."""
+        """Return the unit directions (..., 3) of pixels (..., 2), camera frame; NaN where distortion has no inverse."""
         return self._plane.direction(self._position_of_pixel(pixel))
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
@@ -145,14 +145,14 @@ class LensCamera:
 
     def _position_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Return the undistorted positions (..., 2) in the plane of the projection."""
-        seen = (np.asarray(pixel, dtype=np.float64) - self.centre_px) / self.focal_px
+        distorted = (np.asarray(pixel, dtype=np.float64) - self.centre_px) / self.focal_px
         if not np.any(self.distortion):
-            inside = np.linalg.norm(seen, axis=-1, keepdims=True) < self._distortion.limit
-            return np.where(inside, seen, np.nan)
-        flat = seen.reshape(-1, 2)
+            inside = np.linalg.norm(distorted, axis=-1, keepdims=True) < self._distortion.limit
+            return np.where(inside, distorted, np.nan)
+        flat = distorted.reshape(-1, 2)
         radius = np.linalg.norm(flat, axis=1)
         start = np.interp(radius, *self._start_table) / np.where(radius > 0, radius, 1.0)
-        return undistorted(flat, flat * start[:, None], self._distortion.image_and_slope).reshape(seen.shape)
+        return undistorted(flat, flat * start[:, None], self._distortion.image_and_slope).reshape(distorted.shape)
 
     @property
     def _plane(self) -> Azimuthal:
@@ -188,8 +188,9 @@ class _Distortion:
     """Distortion of the positions in a plane, by OpenCV's terms.
 
     Attributes:
-        terms: (13,) those of "thin-prism", and the coefficient of the radius' ninth power, which only "fisheye" has.
-        largest_radius: of the projection to the plane.
+        terms: (13,) the terms of "thin-prism", then the coefficient of the radius' ninth power, which only "fisheye"
+            has.
+        largest_radius: largest radius of the projection to the plane.
     """
 
     terms: FloatArray
@@ -237,7 +238,7 @@ class _Distortion:
         growth = k1 + r2 * (2 * k2 + r2 * (3 * k3 + r2 * 4 * ninth)) - radial * (k4 + r2 * (2 * k5 + r2 * 3 * k6))
         growth *= 2 / below
         factor = radial + 2 * (p2 * x + p1 * y)
-        # The distorted position is position * factor + r2 * (aside_x, aside_y).
+        # The distorted position is position * factor + r2 * (tangential_x, tangential_y).
         aside_x, aside_y = p2 + s1 + r2 * s2, p1 + s3 + r2 * s4
         image = np.stack([x * factor + r2 * aside_x, y * factor + r2 * aside_y], axis=1)
         factor_by_x, factor_by_y = growth * x + 2 * p2, growth * y + 2 * p1
@@ -272,5 +273,5 @@ class _Distortion:
 
 @lru_cache(maxsize=64)
 def _distortion_of(terms: tuple[float, ...], largest_radius: float) -> _Distortion:
-    """The same object for lenses that differ in focal length or centre alone: its limit takes a while to find."""
+    """Return the distortion, cached: its limit is slow to compute and independent of focal length and centre."""
     return _Distortion(np.array(terms), largest_radius)

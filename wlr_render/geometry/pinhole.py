@@ -80,7 +80,7 @@ class Pinhole:
 
 
 def pixels_from(source: Pinhole, target: Pinhole) -> tuple[float, float, float, float]:
-    """Return the pixels of one camera from those of another in the same frame: scale (u, v), then offset (u, v)."""
+    """Return the scale (u, v) and offset (u, v) from pixels of `source` to pixels of `target`, in the same frame."""
     scale_u, scale_v = target.focal_px / source.focal_px
     offset_u, offset_v = target.centre_px - [scale_u, scale_v] * source.centre_px
     return float(scale_u), float(scale_v), float(offset_u), float(offset_v)

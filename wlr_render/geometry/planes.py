@@ -22,7 +22,7 @@ class BasePlane:
     slope: tuple[float, float] = (0.0, 0.0)
 
     def depth_along(self, point: FloatArray, tangents: FloatArray) -> FloatArray:
-        """Depth s (...) along -z at which rays from `point` (..., 3) with `tangents` (..., 2) meet the plane, metres.
+        """Return the depth s (...), metres along -z, at which rays from `point` (..., 3) meet the plane.
 
         The ray is point + s (tx, ty, -1), so that s = h / (1 + slope . t) with h = z_point - z - slope . xy_point.
         Negative where the plane lies behind the point; infinite or NaN for a ray that is parallel to the plane.
@@ -43,7 +43,7 @@ class BasePlane:
         return np.asarray(point[..., :2] + self.depth_along(point, tangents)[..., None] * tangents)
 
     def carry_by_tangents(self, depth: FloatArray, tangents: FloatArray) -> FloatArray:
-        """Derivative of `carry` by the tangents, s I + t (ds/dt)^T: (..., 2, 2), for the depths s of `depth_along`."""
+        """Return the derivative (..., 2, 2) of `carry` by the tangents, s I + t (ds/dt)^T, with s of `depth_along`."""
         by_depth = tangents[..., :, None] * self.depth_by_tangents(depth, tangents)[..., None, :]
         return np.asarray(depth[..., None, None] * np.eye(2) + by_depth)
 

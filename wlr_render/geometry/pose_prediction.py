@@ -24,12 +24,12 @@ def check_prediction(between_s: float, ahead_s: float) -> None:
 
 
 def predicted_pose(before: FloatArray, last: FloatArray, between_s: float, ahead_s: float) -> FloatArray:
-    """Return the pose (4, 4) at `ahead_s` after `last`, turning and moving on as from `before` to `last`, each (4, 4).
+    """Return the pose (4, 4) at `ahead_s` after `last`, extrapolating the motion from `before` to `last`, each (4, 4).
 
     Args:
         before, last: rigid transforms, e.g. world_from_device.
         between_s: seconds from `before` to `last`.
-        ahead_s: seconds from `last` to the pose wanted; 0 returns `last`.
+        ahead_s: seconds from `last` to the predicted pose; 0 returns `last`.
 
     Raises:
         BadInputError: as `check_prediction`.
@@ -40,7 +40,7 @@ def predicted_pose(before: FloatArray, last: FloatArray, between_s: float, ahead
 
 
 def predicted_point(before: FloatArray, last: FloatArray, between_s: float, ahead_s: float) -> FloatArray:
-    """Return the position (3,) at `ahead_s` after `last`, moving on as from `before` to `last`, e.g. of a pupil.
+    """Return the position (3,) at `ahead_s` after `last`, extrapolating the motion from `before` to `last`.
 
     Raises:
         BadInputError: as `check_prediction`.

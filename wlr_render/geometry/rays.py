@@ -24,7 +24,7 @@ def at_z(ray: FloatArray, z: float | FloatArray) -> FloatArray:
 
 
 def distance_to_point(ray: FloatArray, point: FloatArray) -> FloatArray:
-    """Return the distance (...) between the lines of rays (..., 6) and points (..., 3)."""
+    """Return the distance (...) from points (..., 3) to the lines of rays (..., 6)."""
     origin, direction = split(ray)
     offset = point - origin
     along = np.sum(offset * direction, axis=-1, keepdims=True)

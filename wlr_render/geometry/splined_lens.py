@@ -12,8 +12,8 @@ from wlr_render.geometry.azimuthal import GNOMONIC, STEREOGRAPHIC
 from wlr_render.geometry.lens import Projection, undistorted
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_STARTS_PER_KNOT = 4  # first guesses of Newton's method: it converges from the nearest one
-_OUTSIDE = -1.0  # an index of control points where the spline is undefined
+_STARTS_PER_KNOT = 4  # first guesses of Newton's method per knot: it converges from the nearest one
+_OUTSIDE = -1.0  # index of control points at which the spline is undefined
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +56,12 @@ class SplinedLens:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """No names: nothing of an imported lens is estimated."""
+        """Names of the parameters: none, because an imported lens is not fitted."""
         return ()
 
     @property
     def values(self) -> FloatArray:
-        """No values (0,)."""
+        """Values of the parameters: an empty array (0,)."""
         return np.zeros(0)
 
     def project(self, point_in_camera: FloatArray) -> Projection:
@@ -84,17 +84,17 @@ class SplinedLens:
 
     def dir_of_pixel(self, pixel: FloatArray) -> FloatArray:
         """Return the unit directions (..., 3) of pixels (..., 2) in the camera frame; NaN where the model has none."""
-        seen = (np.asarray(pixel, dtype=np.float64) - self.centre_px) / self.focal_px
-        flat = seen.reshape(-1, 2)
+        distorted = (np.asarray(pixel, dtype=np.float64) - self.centre_px) / self.focal_px
+        flat = distorted.reshape(-1, 2)
         finite = np.isfinite(flat).all(axis=1)
         starts, tree = self._starts
         position = np.full(flat.shape, np.nan)
         nearest = tree.query(flat[finite])[1]
         position[finite] = undistorted(flat[finite], starts[nearest], self._image_and_slope)
-        return STEREOGRAPHIC.direction(position.reshape(seen.shape))
+        return STEREOGRAPHIC.direction(position.reshape(distorted.shape))
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Tangents (..., 2) of pixels (..., 2); NaN where there are none, and at 90 degrees and more from the axis."""
+        """Return the tangents (..., 2) of pixels (..., 2); NaN without one, and from 90 degrees off the axis on."""
         direction = self.dir_of_pixel(pixel)
         return GNOMONIC.position(direction.reshape(-1, 3)).reshape(*direction.shape[:-1], 2)
 
@@ -111,7 +111,7 @@ class SplinedLens:
 
     @property
     def _knots_per_unit(self) -> float:
-        """Control points per unit of the stereographic projection, in x and y alike.
+        """Control points per unit of the stereographic projection, the same in x and y.
 
         The horizontal field of view is the range in which all `order` + 1 control points of the spline exist.
         """
@@ -126,15 +126,15 @@ class SplinedLens:
         index = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         position = (index - 0.5 * (self._counts - 1)) / self._knots_per_unit
         image, _ = self._image_and_slope(position)
-        seen = np.asarray(np.isfinite(image).all(axis=1))
-        if not seen.any():
+        valid = np.asarray(np.isfinite(image).all(axis=1))
+        if not valid.any():
             raise BadInputError("the spline of the lens folds everywhere; check the order of its control points.")
-        return position[seen], cKDTree(image[seen])
+        return position[valid], cKDTree(image[valid])
 
     def _image_and_slope(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Distorted positions (n, 2) of positions (n, 2), and their Jacobian (n, 2, 2); NaN outside the model."""
-        known = np.asarray(np.isfinite(position).all(axis=1))
-        index = np.where(known[:, None], position * self._knots_per_unit + 0.5 * (self._counts - 1), _OUTSIDE)
+        """Return the distorted positions (n, 2) of positions (n, 2) and the Jacobian (n, 2, 2); NaN where undefined."""
+        finite = np.asarray(np.isfinite(position).all(axis=1))
+        index = np.where(finite[:, None], position * self._knots_per_unit + 0.5 * (self._counts - 1), _OUTSIDE)
         by_index = np.stack([self._shift(index, nu=nu) for nu in ((1, 0), (0, 1))], axis=-1)
         slope = np.eye(2) + by_index * self._knots_per_unit
         # A symmetric part that is positive definite excludes folds.

@@ -57,12 +57,12 @@ class DirectionErrors:
     """Errors that a fit expects of its view directions, in units of the unit direction (radians).
 
     Attributes:
-        own: (..., 3, 3) covariance of what the model does not share with the eye's other model.
+        unshared: (..., 3, 3) covariance of what the model does not share with the eye's other model.
         shared: (..., 3, k) change by each shared variable, all independent and standard normal.
         sources: (k,) what each shared variable is an error of.
     """
 
-    own: FloatArray
+    unshared: FloatArray
     shared: FloatArray
     sources: tuple[str, ...]
 
@@ -216,10 +216,10 @@ class FittedModel(ABC):
         subject, viewpoint = (_flat(np.asarray(each, np.float64), lead) for each in (subject, viewpoint))
         rows = np.flatnonzero(np.isfinite(view_dir.reshape(-1, 3)).all(axis=1))
         inputs, turned, spread = self._by_polynomial(subject[rows], viewpoint[rows], view_dir.reshape(-1, 3)[rows])
-        covariance, deviation = spread.own_and_shared(inputs)
-        own, shared = np.full((len(subject), 3, 3), np.nan), np.full((len(subject), 3, spread.shared), np.nan)
-        own[rows], shared[rows] = turned @ covariance @ turned.transpose(0, 2, 1), turned @ deviation
-        return DirectionErrors(own.reshape(*lead, 3, 3), shared.reshape(*lead, *shared.shape[1:]), spread.sources)
+        covariance, deviation = spread.unshared_and_shared(inputs)
+        unshared, shared = np.full((len(subject), 3, 3), np.nan), np.full((len(subject), 3, spread.shared), np.nan)
+        unshared[rows], shared[rows] = turned @ covariance @ turned.transpose(0, 2, 1), turned @ deviation
+        return DirectionErrors(unshared.reshape(*lead, 3, 3), shared.reshape(*lead, *shared.shape[1:]), spread.sources)
 
     def direction_changes(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
         """Return changes (n, 3, k) of finite answers (n, 3) of `view_dir` by each variable of the model's covariance.
@@ -256,7 +256,7 @@ class FittedModel(ABC):
             BadInputError: the model has no covariance.
         """
         errors = self.direction_errors(subject, viewpoint, self.view_dir(subject, viewpoint).value)
-        square = np.trace(errors.own, axis1=-2, axis2=-1) + np.sum(errors.shared**2, axis=(-2, -1))
+        square = np.trace(errors.unshared, axis1=-2, axis2=-1) + np.sum(errors.shared**2, axis=(-2, -1))
         return np.asarray(np.sqrt(square) / ARCMIN)
 
 

@@ -43,7 +43,7 @@ def model_registration_covariance(
     _check_one_fit(of_display.sources, of_see_through.sources)
     axes = right_and_up(shown) / ARCMIN
     difference = axes @ (of_display.shared - of_see_through.shared)
-    own = axes @ (of_display.own + of_see_through.own) @ np.swapaxes(axes, -1, -2)
+    own = axes @ (of_display.unshared + of_see_through.unshared) @ np.swapaxes(axes, -1, -2)
     return {OWN: own} | {
         name: _from(difference, of_display.sources, name) for name in dict.fromkeys(of_display.sources)
     }

@@ -43,10 +43,10 @@ class Covariance:
 
     def covariance(self, inputs: FloatArray) -> FloatArray:
         """Return covariance (n, outputs, outputs) of the values at inputs (n, variables), in their units squared."""
-        own, shared = self.own_and_shared(inputs)
+        own, shared = self.unshared_and_shared(inputs)
         return own + shared @ shared.transpose(0, 2, 1) if self.sources else own
 
-    def own_and_shared(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def unshared_and_shared(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Split the covariance at inputs (n, variables) into what this model has alone and what it shares.
 
         Returns:

@@ -12,7 +12,7 @@ def nodes(count: int, low: float, high: float) -> FloatArray:
 
 
 def interpolation_matrix(count: int, low: float, high: float, at: FloatArray) -> FloatArray:
-    """Matrix (len(at), count) that interpolates from the nodes to `at`; barycentric (Berrut & Trefethen 2004)."""
+    """Return the barycentric matrix (len(at), count) from the nodes to `at` (Berrut & Trefethen 2004)."""
     x = nodes(count, low, high)
     k = np.arange(count)
     weight = (-1.0) ** k * np.sin((k + 0.5) * np.pi / count)

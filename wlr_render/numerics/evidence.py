@@ -1,13 +1,13 @@
-"""Linear Gaussian models whose variances are found by maximum evidence, with the covariance of what is fitted.
+"""Linear Gaussian models with variances estimated by maximum evidence, and the covariance of their unknowns.
 
     y = A x + C z + H_g b_g + e,    e ~ N(0, (noise sigma)^2)
 
-Unknown are the coefficients x of a design that is the same for every output of a reading, with coefficients of its own
-for each; z, which the outputs share; and b_g, which only the readings of group g share, such as the motion of a camera
-in one capture. All have normal priors about zero. sigma is each reading's own, relative standard deviation. The
-logarithms of all prior sizes are linear in a few hyperparameters h: log size = features @ h, and the noise is
-exp(h[noise]). The hyperparameters maximise the evidence, the probability of the readings with all unknowns integrated
-out, by gradients from several starts within bounds.
+The unknowns are the coefficients x, one set for each output of a reading, of a design that all outputs share; z, which
+the outputs share; and b_g, which the readings of group g share, such as the motion of the camera in one capture. All
+have normal priors about zero. sigma is the relative standard deviation of each reading. The logarithms of all prior
+sizes are linear in a few hyperparameters h: log size = features @ h, and the noise is exp(h[noise]). The
+hyperparameters maximise the evidence, the probability of the readings with all unknowns integrated out, by gradients
+from several starts within bounds.
 
 Readings enter by their weighted sums alone: memory is that of the unknowns, however many readings there are.
 
@@ -26,10 +26,10 @@ from scipy.optimize import minimize
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
-_NEGLIGIBLE = 1e-7  # what the readings say of an unknown, over what its prior says
-_ROUNDED_AWAY = 1e-3  # of the sum of squares that the noise leads to expect: what exact readings may miss
-_ROUGHLY, _ENOUGH = 0.05, 0.002  # a step that gains less log evidence (natural units) ends a search, and the last one
-_FIRST_STEP = 0.3  # of a search
+_NEGLIGIBLE = 1e-7  # information of the readings on an unknown, relative to its prior
+_ROUNDED_AWAY = 1e-3  # share of the expected sum of squares that exact readings may lose by rounding
+_ROUGHLY, _ENOUGH = 0.05, 0.002  # gain in log evidence (nats) below which a search, and the last one, ends
+_FIRST_STEP = 0.3  # first step of a search, in its units
 
 
 class Sums:
@@ -38,23 +38,24 @@ class Sums:
     The side unknowns are z, then b of group 0, group 1 and so on.
 
     Attributes:
-        count: number of values of nonzero weight. log_weight: sum of the logarithms of their weights.
-        square: of the values.
+        count: number of values of nonzero weight.
+        log_weight: sum of the logarithms of their weights.
+        square: weighted sum of squares of the values.
         gram: (columns, columns) of the design A. moment: (outputs, columns) of A and the values.
         side_gram: (side, side). side_cross: (outputs, side, columns). side_moment: (side,).
     """
 
-    def __init__(self, columns: int, outputs: int, mixed: int = 0, groups: int = 0, own: int = 0) -> None:
-        """Sums over no readings.
+    def __init__(self, columns: int, outputs: int, mixed: int = 0, groups: int = 0, grouped: int = 0) -> None:
+        """Start with empty sums, before any reading.
 
         Args:
             columns: of A.
             outputs: values of a reading.
             mixed: number of unknowns z.
-            groups, own: numbers of groups and of each group's unknowns b.
+            groups, grouped: number of groups, and of unknowns b in each group.
         """
-        self.mixed, self.groups, self.own = mixed, groups, own
-        side = mixed + groups * own
+        self.mixed, self.groups, self.grouped = mixed, groups, grouped
+        side = mixed + groups * grouped
         self.count, self.square, self.log_weight = 0, 0.0, 0.0
         self.gram, self.moment = np.zeros((columns, columns)), np.zeros((outputs, columns))
         self.side_gram, self.side_moment = np.zeros((side, side)), np.zeros(side)
@@ -66,7 +67,7 @@ class Sums:
         weight: FloatArray,
         design: FloatArray,
         mixed: FloatArray | None = None,
-        own: FloatArray | None = None,
+        grouped: FloatArray | None = None,
         group: IntArray | None = None,
     ) -> None:
         """Add n readings.
@@ -76,7 +77,7 @@ class Sums:
             weight: (n,) one over the relative sigma; zero leaves a reading out.
             design: (n, columns) A.
             mixed: (n, outputs, mixed) C.
-            own: (n, outputs, own) H.
+            grouped: (n, outputs, grouped) H.
             group: (n,) each reading's group, 0..groups - 1.
         """
         design, value = design * weight[:, None], value * weight[:, None]
@@ -85,7 +86,7 @@ class Sums:
         self.square += float(np.sum(value**2))
         self.gram += design.T @ design
         self.moment += value.T @ design
-        self._add_sides(value, weight, design, mixed, own, group)
+        self._add_sides(value, weight, design, mixed, grouped, group)
 
     def add_side(
         self,
@@ -93,11 +94,11 @@ class Sums:
         weight: FloatArray,
         design: FloatArray,
         mixed: FloatArray | None = None,
-        own: FloatArray | None = None,
+        grouped: FloatArray | None = None,
         group: IntArray | None = None,
     ) -> None:
-        """Add the side unknowns of n readings that are there already, see `add`."""
-        self._add_sides(value * weight[:, None], weight, design * weight[:, None], mixed, own, group)
+        """Add the side unknowns of n readings that were added before, see `add`."""
+        self._add_sides(value * weight[:, None], weight, design * weight[:, None], mixed, grouped, group)
 
     def _add_sides(
         self,
@@ -105,24 +106,24 @@ class Sums:
         weight: FloatArray,
         design: FloatArray,
         mixed: FloatArray | None,
-        own: FloatArray | None,
+        grouped: FloatArray | None,
         group: IntArray | None,
     ) -> None:
-        """As `add_side`, of values and a design that are weighted already."""
+        """Add side unknowns like `add_side`, from values and a design that are already weighted."""
         common = None if mixed is None else mixed * weight[:, None, None]
         everyone = slice(0, self.mixed)
         if common is not None:
             self._add_side(everyone, common, value, design)
-        if own is None or group is None:
+        if grouped is None or group is None:
             return
-        own = own * weight[:, None, None]
+        grouped = grouped * weight[:, None, None]
         order = np.argsort(group, kind="stable")
         names, first = np.unique(group[order], return_index=True)
         for name, rows in zip(names, np.split(order, first[1:]), strict=True):
-            mine = slice(self.mixed + name * self.own, self.mixed + (name + 1) * self.own)
-            self._add_side(mine, own[rows], value[rows], design[rows])
+            mine = slice(self.mixed + name * self.grouped, self.mixed + (name + 1) * self.grouped)
+            self._add_side(mine, grouped[rows], value[rows], design[rows])
             if common is not None:
-                cross = own[rows].reshape(-1, self.own).T @ common[rows].reshape(-1, self.mixed)
+                cross = grouped[rows].reshape(-1, self.grouped).T @ common[rows].reshape(-1, self.mixed)
                 self.side_gram[mine, everyone] += cross
                 self.side_gram[everyone, mine] += cross.T
 
@@ -133,45 +134,46 @@ class Sums:
         for output, cross in enumerate(self.side_cross):
             cross[which] += columns[:, output].T @ design
 
-    def with_side(self, mixed: int, groups: int, own: int) -> "Sums":
-        """Return sums over the same readings with other side unknowns, none of which are added yet; see `add_side`."""
-        other = Sums(len(self.gram), len(self.moment), mixed, groups, own)
+    def with_side(self, mixed: int, groups: int, grouped: int) -> "Sums":
+        """Return sums over the same readings with other side unknowns, all zero until `add_side` adds them."""
+        other = Sums(len(self.gram), len(self.moment), mixed, groups, grouped)
         other.count, other.square, other.log_weight = self.count, self.square, self.log_weight
         other.gram, other.moment = self.gram.copy(), self.moment.copy()
         return other
 
     def combined(self, groups: FloatArray) -> "Sums":
-        """Sums for unknowns c of k other groups, by `groups` (own, groups, k): b_go = sum over k of groups_ogk c_ko."""
-        reduced = self.with_side(self.mixed, groups.shape[2], self.own)
-        own = np.einsum("ogk,op->gokp", groups, np.eye(self.own))
+        """Return the sums for unknowns c of k groups: b_go = sum_k groups_ogk c_ko, `groups` (grouped, groups, k)."""
+        reduced = self.with_side(self.mixed, groups.shape[2], self.grouped)
+        grouped = np.einsum("ogk,op->gokp", groups, np.eye(self.grouped))
         to = np.zeros((len(self.side_moment), len(reduced.side_moment)))
         to[: self.mixed, : self.mixed] = np.eye(self.mixed)
-        to[self.mixed :, self.mixed :] = own.reshape(self.groups * self.own, -1)
+        to[self.mixed :, self.mixed :] = grouped.reshape(self.groups * self.grouped, -1)
         reduced.side_gram = to.T @ self.side_gram @ to
         reduced.side_moment = to.T @ self.side_moment
         reduced.side_cross = np.stack([to.T @ cross for cross in self.side_cross])
         return reduced
 
     def __sub__(self, other: "Sums") -> "Sums":
-        """Return the sums without the readings of other sums."""
-        rest = Sums(self.gram.shape[0], len(self.moment), self.mixed, self.groups, self.own)
+        """Subtract the sums over a subset of the readings."""
+        rest = Sums(self.gram.shape[0], len(self.moment), self.mixed, self.groups, self.grouped)
         for name, value in vars(self).items():
-            if name not in ("mixed", "groups", "own"):
+            if name not in ("mixed", "groups", "grouped"):
                 setattr(rest, name, value - getattr(other, name))
         return rest
 
 
 @dataclass(frozen=True)
 class Prior:
-    """How prior sizes and noise follow from the hyperparameters.
+    """Prior sizes and noise as functions of the hyperparameters.
 
     Attributes:
-        names: of the hyperparameters; one is "noise", the logarithm of the noise.
-        bounds: (hyperparameters, 2) lowest and highest.
-        expected: (hyperparameters, 2) mean and standard deviation of what is known of them; infinite where nothing is.
+        names: names of the hyperparameters; one is "noise", the logarithm of the noise.
+        bounds: (hyperparameters, 2) lowest and highest values.
+        expected: (hyperparameters, 2) mean and standard deviation of their hyperprior; infinite without one.
         features: (columns, hyperparameters) of the coefficients x, the same for each output.
         mixed_features: (mixed, hyperparameters) of z.
-        own_features: (own, hyperparameters) of b; own_offset: (groups, own) is added to the logarithms of their sizes.
+        group_features: (grouped, hyperparameters) of b.
+        group_offset: (groups, grouped) added to the logarithms of the prior sizes of b.
     """
 
     names: tuple[str, ...]
@@ -179,8 +181,8 @@ class Prior:
     expected: FloatArray
     features: FloatArray
     mixed_features: FloatArray
-    own_features: FloatArray
-    own_offset: FloatArray | float = 0.0
+    group_features: FloatArray
+    group_offset: FloatArray | float = 0.0
 
     @property
     def noise(self) -> int:
@@ -188,35 +190,35 @@ class Prior:
         return self.names.index("noise")
 
     def surprise(self, hyper: FloatArray) -> tuple[float, FloatArray]:
-        """Return the half the squared distance of hyperparameters from what is expected, and its slope."""
+        """Return half the squared Mahalanobis distance of hyperparameters from their hyperprior, and its gradient."""
         off = (hyper - self.expected[:, 0]) / self.expected[:, 1]
         return 0.5 * float(off @ off), off / self.expected[:, 1]
 
     def side(self, groups: int) -> tuple[FloatArray, FloatArray]:
         """Return the features (side, hyperparameters) and offset (side,) of the side unknowns."""
-        own = np.broadcast_to(self.own_offset, (groups, len(self.own_features))).ravel()
-        features = [self.mixed_features, np.tile(self.own_features, (groups, 1))]
-        return np.concatenate(features), np.concatenate([np.zeros(len(self.mixed_features)), own])
+        grouped = np.broadcast_to(self.group_offset, (groups, len(self.group_features))).ravel()
+        features = [self.mixed_features, np.tile(self.group_features, (groups, 1))]
+        return np.concatenate(features), np.concatenate([np.zeros(len(self.mixed_features)), grouped])
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """What the readings say of the unknowns at given hyperparameters.
+    """Posterior of the unknowns at given hyperparameters.
 
     Attributes:
-        hyper: by name, logarithms.
+        hyper: hyperparameters by name, logarithms.
         log_evidence: natural logarithm of the probability density of the readings.
-        slope: (hyperparameters,) of `log_evidence`.
+        slope: (hyperparameters,) gradient of `log_evidence`.
         mean: (outputs, columns) of x.
-        mixed_mean: (mixed,) of z. own_mean: (groups, own) of b.
+        mixed_mean: (mixed,) of z. group_mean: (groups, grouped) of b.
         side_covariance: (side, side) of z and b.
-        determined: how many unknowns the readings determine (MacKay's gamma).
-        square: weighted sum of squares of what the fit leaves of the readings.
+        determined: effective number of unknowns that the readings determine (MacKay's gamma).
+        square: weighted sum of squared residuals.
         alone: (columns, columns) covariance of x of each output if the side unknowns were known.
-        by_side: (outputs, side, columns) by how much x follows the side unknowns.
-        sizes: (side + columns,) of z and b, then of an output's x, before the readings.
+        by_side: (outputs, side, columns) derivative of x by the side unknowns.
+        sizes: (side + columns,) prior sizes of z and b, then of an output's x.
         features: (side + columns, hyperparameters) derivatives of the logarithms of `sizes`.
-        count: how many readings there are.
+        count: number of readings.
     """
 
     hyper: Mapping[str, float]
@@ -224,7 +226,7 @@ class Posterior:
     slope: FloatArray
     mean: FloatArray
     mixed_mean: FloatArray
-    own_mean: FloatArray
+    group_mean: FloatArray
     side_covariance: FloatArray
     determined: float
     square: float
@@ -236,7 +238,7 @@ class Posterior:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a reading whose sigma is 1."""
+        """Factor by which the stated sigmas must be multiplied."""
         return float(np.exp(self.hyper["noise"]))
 
     @cached_property
@@ -253,37 +255,38 @@ class Posterior:
 
     @cached_property
     def curvature(self) -> FloatArray:
-        """(hyperparameters,) negative second derivatives of `log_evidence` that are expected at these hyperparameters.
+        """Expected negative second derivatives of `log_evidence` at these hyperparameters, (hyperparameters,).
 
-        That is the diagonal of Fisher's information: trace((C^-1 dC)^2) / 2, where C is the covariance of the readings.
+        This is the diagonal of the Fisher information: trace((C^-1 dC)^2) / 2, where C is the covariance of the
+        readings.
         """
         outputs, side, columns = self.by_side.shape
         every = np.concatenate([np.arange(side), np.tile(np.arange(side, side + columns), outputs)])
         sizes, features = self.sizes[every], self.features[every]
-        left = self.covariance / sizes / sizes[:, None]  # 1 where the readings say nothing of an unknown
-        known = (np.eye(len(left)) - left) ** 2
-        curvature = 2.0 * np.sum(features * (known @ features), axis=0)
+        left = self.covariance / sizes / sizes[:, None]  # 1 for unknowns that the readings do not inform
+        learned = (np.eye(len(left)) - left) ** 2
+        curvature = 2.0 * np.sum(features * (learned @ features), axis=0)
         curvature[list(self.hyper).index("noise")] += 2.0 * (self.count - len(left) + np.sum(left**2))
         return np.asarray(curvature)
 
 
 def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True) -> Posterior:
-    """Return the posterior and evidence at given hyperparameters (hyperparameters,).
+    """Return posterior and evidence at given hyperparameters (hyperparameters,).
 
     Args:
-        sums: over the readings.
-        prior: of the unknowns.
-        hyper: logarithms.
-        evidence: False where the evidence does not matter, which rounding spoils first.
+        sums: sums over the readings.
+        prior: prior of the unknowns.
+        hyper: hyperparameters, logarithms.
+        evidence: False if the evidence is not needed; it is the first to suffer from rounding.
 
     Raises:
-        np.linalg.LinAlgError: rounding leaves a normal matrix indefinite, or nothing of the sum of squares.
+        np.linalg.LinAlgError: a normal matrix is indefinite, or the sum of squares vanishes, by rounding.
     """
     log_noise = float(hyper[prior.noise])
     per_noise = float(np.exp(-log_noise))
     side_features, side_offset = prior.side(sums.groups)
     scale, side_scale = np.exp(prior.features @ hyper), np.exp(side_offset + side_features @ hyper)
-    # Unknowns of which the readings say nothing keep their prior; leaving them out saves most of the work.
+    # Unknowns that the readings do not inform keep their prior; leaving them out saves most of the work.
     used = scale**2 * np.diag(sums.gram) * per_noise**2 > _NEGLIGIBLE
     side_used = side_scale**2 * np.diag(sums.side_gram) * per_noise**2 > _NEGLIGIBLE
     width, side_width = scale[used] * per_noise, side_scale[side_used] * per_noise
@@ -308,7 +311,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     determined = unit.size - float(variance.sum()) + len(side_unit) - float(side_variance.sum())
     square = quadratic - float(np.sum(unit**2)) - float(side_unit @ side_unit)
     if evidence and square < -_ROUNDED_AWAY * sums.count:
-        raise np.linalg.LinAlgError("rounding leaves nothing of the sum of squares")
+        raise np.linalg.LinAlgError("the sum of squares vanishes by rounding")
     square = max(square, 0.0)
     log_determinant = 2.0 * float(len(pull) * np.log(np.diag(lower)).sum() + np.log(np.diag(side_lower)).sum())
     minus_two = log_determinant + quadratic + sums.count * (2.0 * log_noise + _LOG_2PI) - 2.0 * sums.log_weight
@@ -325,7 +328,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
         slope=slope,
         mean=mean,
         mixed_mean=side_mean[: sums.mixed],
-        own_mean=side_mean[sums.mixed :].reshape(sums.groups, sums.own),
+        group_mean=side_mean[sums.mixed :].reshape(sums.groups, sums.grouped),
         side_covariance=_in_place(side_inverse, side_scale, side_used),
         determined=determined,
         square=square / per_noise**2,
@@ -370,24 +373,24 @@ def _inverse(lower: FloatArray) -> FloatArray:
 
 
 def _in_place(inverse: FloatArray, scale: FloatArray, used: BoolArray) -> FloatArray:
-    """Return the covariance of all unknowns from that of the used ones in units of their prior sizes."""
+    """Return the covariance of all unknowns from the covariance of the used ones in units of their prior sizes."""
     covariance = np.diag(scale**2)
     covariance[np.ix_(used, used)] = scale[used][:, None] * inverse * scale[used]
     return covariance
 
 
 def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) -> Posterior:
-    """The posterior of greatest evidence, weighed with what is expected of the hyperparameters, from several starts.
+    """Return the posterior of maximum evidence, with the hyperprior as a penalty, by searches from several starts.
 
     Args:
-        sums: over the readings.
-        prior: with the bounds of the search.
+        sums: sums over the readings.
+        prior: prior with the bounds of the search.
         starts: hyperparameters by name.
 
     Raises:
         np.linalg.LinAlgError: the evidence cannot be computed at any start.
     """
-    found: list[Posterior] = []
+    best: list[Posterior] = []
     least = np.inf
 
     def cost(hyper: FloatArray) -> tuple[float, FloatArray]:
@@ -399,11 +402,11 @@ def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) ->
         surprise, slope = prior.surprise(hyper)
         value = surprise - at.log_evidence
         if value < least:
-            least, found[:] = value, [at]
+            least, best[:] = value, [at]
         return value, slope - at.slope
 
     def search(first: FloatArray, unit: FloatArray, enough: float) -> None:
-        """Search in the given units of the hyperparameters, until a step gains less than `enough`."""
+        """Search with steps scaled by `unit`, until a step gains less than `enough`."""
 
         def scaled(inner: FloatArray) -> tuple[float, FloatArray]:
             value, slope = cost(inner / unit)
@@ -418,9 +421,9 @@ def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) ->
 
     for start in starts:
         search(np.clip([start[name] for name in prior.names], *prior.bounds.T), np.ones(len(prior.names)), _ROUGHLY)
-    if not found:
+    if not best:
         raise np.linalg.LinAlgError("the evidence cannot be computed at any start")
-    # In units of how sure the readings are of each hyperparameter, all are equally easy to find.
-    last = np.array(list(found[0].hyper.values()))
-    search(last, np.sqrt(np.maximum(found[0].curvature, 1.0)), _ENOUGH)
-    return found[0]
+    # In units of their standard errors, all hyperparameters are equally easy to find.
+    last = np.array(list(best[0].hyper.values()))
+    search(last, np.sqrt(np.maximum(best[0].curvature, 1.0)), _ENOUGH)
+    return best[0]

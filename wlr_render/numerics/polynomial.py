@@ -1,13 +1,13 @@
 """Polynomials over any table of terms in scaled variables, with their Jacobian.
 
 A term is a product of Chebyshev polynomials T_k of the variables scaled to -1..1: well conditioned at order 7 and
-above, so that rank checks are reliable. The orders may be limited apart for some variables (`limited_orders`): pixels
-are many and camera positions dear.
+above, so that rank checks are reliable. Two groups of variables may have separate order limits (`limited_orders`):
+pixels are plenty, camera positions are expensive.
 
 Hundreds of terms in four or five variables share some dozens of products of the first variables and of the last ones.
 With f and g these products, the value is sum_ij f_i(first) C_ij g_j(last): one matrix product and a short sum, instead
-of a product of columns per term. Whoever moves only some of the variables holds the others (`Polynomial.held`) and pays
-for the short sum alone.
+of a product of columns per term. A caller that varies only some of the variables holds the others fixed
+(`Polynomial.held`) and pays for the short sum alone.
 
 Outside its box, grown by `BOX_SLACK`, a polynomial continues to first order from the nearest point of the box: its
 value is that point's value + Jacobian x excursion. High orders would explode there. The Jacobian stays the derivative
@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 HIGHEST_ORDER = 50
-"""Of a variable in a term of a file: no fit comes near it."""
+"""Largest order of a variable in a term of a file: no fit comes near it."""
 BOX_SLACK = 1e-3
-"""By how much of its size a fitted box may be left, so that samples on its border count as inside."""
+"""Share of its size by which a fitted box grows, so that samples on its border count as inside."""
 SCALED_LIMIT = 1.0 + 2.0 * BOX_SLACK
 """Size of a scaled variable at the border of the box grown by `BOX_SLACK`."""
 
 _CHUNK = 2_048  # rows per block: keeps their products in the processor's cache
-_SLOW = 12  # time of an element-wise multiplication, in multiplications within a matrix product
+_SLOW = 12  # cost of one element-wise multiplication, in multiplications of a matrix product
 
 
 def term_count(variables: int, degree: int) -> int:
@@ -50,12 +50,12 @@ def total_degree(variables: int, degree: int) -> IntArray:
 
 @lru_cache(maxsize=64)
 def limited_orders(first: int, first_limit: int, second: int, second_limit: int, total: int) -> IntArray:
-    """Return (terms, first + second) orders limited apart, ordered as those of `total_degree`; read-only.
+    """Return (terms, first + second) orders of terms with separate limits, ordered like `total_degree`; read-only.
 
     Args:
         first, second: numbers of variables.
-        first_limit, second_limit: of the joint order of the first and of the second variables.
-        total: limit of the order of all.
+        first_limit, second_limit: limits of the total order in the first and in the second variables.
+        total: limit of the total order in all variables.
     """
     heads = total_degree(first, min(first_limit, total)).tolist()
     tails = total_degree(second, min(second_limit, total)).tolist()
@@ -72,7 +72,7 @@ def _order_table(rows: Iterable[tuple[int, ...]], variables: int) -> IntArray:
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box of inputs, which are scaled to -1..1 inside.
+    """An axis-aligned box of inputs, scaled to -1..1 inside.
 
     Attributes:
         low, high: (variables,) in the inputs' own units.
@@ -112,8 +112,8 @@ class _Products:
 
     Attributes:
         value: (products, n) at the point of the box nearest to each input.
-        slopes: (products, n) by each scaled variable, there; empty if not asked for and all inputs are inside.
-        beyond: (variables, n) from there to the input; None if all inputs are inside.
+        slopes: (products, n) derivative by each scaled variable, there; empty if not needed and all inputs are inside.
+        beyond: (variables, n) vector from there to the input; None if all inputs are inside.
         bends: (products, n) by each scaled variable: the derivative of `excess` less the slope; empty with `slopes`, or
             if all inputs are inside.
     """
@@ -125,7 +125,7 @@ class _Products:
 
     @classmethod
     def of(cls, orders: IntArray, box: Box, inputs: FloatArray, slopes: bool = False) -> "_Products":
-        """Of orders (products, variables) at inputs (n, variables)."""
+        """Compute the products of orders (products, variables) at inputs (n, variables)."""
         x, beyond = np.ascontiguousarray(box.scaled(inputs).T), None
         if x.size and not np.abs(x).max() <= SCALED_LIMIT:  # NaN, too
             inside = np.clip(x, -SCALED_LIMIT, SCALED_LIMIT)
@@ -161,7 +161,7 @@ class _Products:
 
     @property
     def excess(self) -> FloatArray:
-        """(products, n) slopes x excursion."""
+        """Linear continuation outside the box, (products, n): slopes times excursion."""
         assert self.beyond is not None
         parts = (slope * beyond for slope, beyond in zip(self.slopes, self.beyond, strict=True))
         return np.asarray(sum(parts, start=np.zeros_like(self.value)))
@@ -177,7 +177,7 @@ def _product(factors: list[FloatArray], shape: tuple[int, int]) -> FloatArray:
 
 
 def basis(inputs: FloatArray, orders: IntArray, box: Box) -> FloatArray:
-    """Design matrix (n, terms) of samples (n, variables): each term's value, continued outside the box as a polynomial.
+    """Return the design matrix (n, terms) of samples (n, variables): the value of each term, not linearised outside.
 
     Args:
         inputs: (n, variables).
@@ -207,12 +207,12 @@ def _distinct(orders: IntArray) -> tuple[IntArray, IntArray]:
 
 @dataclass(frozen=True)
 class _Split:
-    """The terms as products of factors of the held and of the free variables.
+    """Terms as products of one factor of the held and one of the free variables.
 
     Attributes:
         held_axes, free_axes: the variables; together all.
         held_orders, free_orders: (factors, variables) of each.
-        table: (outputs * free factors, held factors) coefficients; zero where there is no term.
+        table: (outputs * free factors, held factors) coefficients; zero for absent terms.
     """
 
     held_axes: list[int]
@@ -236,7 +236,7 @@ class _Split:
 
     @property
     def cost(self) -> int:
-        """Of an evaluation, in multiplications within a matrix product."""
+        """Cost of an evaluation, in multiplications of a matrix product."""
         products = len(self.held_orders) * len(self.held_axes) + len(self.free_orders) * len(self.free_axes)
         return self.table.size + _SLOW * (len(self.table) + products)
 
@@ -258,7 +258,7 @@ class HeldPolynomial:
 
         Args:
             inputs: (m, free variables).
-            index: (m,) the held rows that they belong to, ascending and each once; None for all.
+            index: (m,) held row of each input, strictly ascending; None for all rows.
         """
         factors = _Products.of(self._orders, self._box, inputs)
         value = _summed(_rows(self._here, index), factors.value)
@@ -285,7 +285,7 @@ class HeldPolynomial:
 
 
 def _rows(coefficients: FloatArray, index: IntArray | None) -> FloatArray:
-    """Those of an ascending index without repetition: all of them if it is as long."""
+    """Return the rows of a strictly ascending index: the array itself if the index is as long."""
     if index is None or len(index) == coefficients.shape[2]:
         return coefficients
     return np.take(coefficients, index, axis=2)
@@ -312,17 +312,17 @@ class Polynomial:
 
     @property
     def outputs(self) -> int:
-        """Number of them."""
+        """Number of outputs."""
         return int(self.coefficients.shape[1])
 
     @property
     def numbers(self) -> int:
-        """How many have to be stored."""
+        """Number of numbers that a file stores."""
         return int(self.coefficients.size)
 
     @property
     def rounding(self) -> float:
-        """See `regressor.Regressor`."""
+        """Rounding error of the values; see `regressor.Regressor`."""
         return 0.0
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
@@ -357,7 +357,7 @@ class Polynomial:
         return value, jacobian
 
     def plus(self, other: "Polynomial") -> "Polynomial":
-        """Return the sum with a polynomial over the same box, whose terms may be others."""
+        """Return the sum with a polynomial over the same box, which may have other terms."""
         orders, index = _distinct(np.concatenate([self.orders, other.orders]))
         coefficients = np.zeros((len(orders), self.coefficients.shape[1]))
         np.add.at(coefficients, index, np.concatenate([self.coefficients, other.coefficients]))
@@ -378,13 +378,13 @@ class Polynomial:
         return self._splits[key]
 
     def _cheapest(self) -> _Split:
-        """Of the splits into first and last variables: by their orders, pixel | place or place | direction."""
+        """Return the cheapest split into held and free variables by order: pixel | place or place | direction."""
         variables = self.orders.shape[1]
         return min((self._split(range(cut)) for cut in range(1, variables + 1)), key=lambda split: split.cost)
 
 
 def _in_blocks(function: Callable[[FloatArray], tuple[FloatArray, ...]], inputs: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the results of a function of (n, variables), block by block, for (..., variables)."""
+    """Apply a function of (n, variables) block by block to (..., variables) and join the results."""
     flat = inputs.reshape(-1, inputs.shape[-1])
     starts = range(0, max(len(flat), 1), _CHUNK)
     parts = zip(*(function(flat[start : start + _CHUNK]) for start in starts), strict=True)

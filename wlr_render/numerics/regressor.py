@@ -1,4 +1,4 @@
-"""Functions that models are made of: what a polynomial or any other fitted function must answer."""
+"""Interface of the functions that models are made of: polynomials and other regressors."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 
-_STEP = 1e-5  # of the box, for differences
+_STEP = 1e-5  # step of the differences, relative to the box
 _CHUNK = 4_096  # inputs at once: kernels hold a number for each pair of input and centre
 
 
@@ -32,15 +32,15 @@ class Regressor(Protocol):
 
     @property
     def outputs(self) -> int:
-        """Number of them."""
+        """Number of outputs."""
 
     @property
     def numbers(self) -> int:
-        """How many have to be stored."""
+        """Number of numbers that a file stores."""
 
     @property
     def rounding(self) -> float:
-        """Size of what is rounding in its values: solves do not ask for less."""
+        """Rounding error of the values: tolerances of solves are not smaller."""
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Return the values (..., outputs) at inputs (..., variables)."""
@@ -58,10 +58,10 @@ class NumericRegressor:
 
     Attributes:
         function: (m, variables) -> (m, outputs).
-        box: of its inputs.
-        outputs: number of them.
-        numbers: that have to be stored.
-        rounding: see `Regressor`; of values of about 1.
+        box: box of the inputs.
+        outputs: number of outputs.
+        numbers: number of numbers that a file stores.
+        rounding: see `Regressor`, for values of about 1.
     """
 
     function: Callable[[FloatArray], FloatArray]
@@ -108,10 +108,10 @@ class _HeldNumeric:
         return joined, free
 
     def __call__(self, inputs: FloatArray, index: IntArray | None = None) -> FloatArray:
-        """See `HeldRegressor`."""
+        """Return the values; see `HeldRegressor`."""
         return self.whole(self._joined(inputs, index)[0])
 
     def with_jacobian(self, inputs: FloatArray, index: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """See `HeldRegressor`."""
+        """Return values and Jacobian; see `HeldRegressor`."""
         joined, free = self._joined(inputs, index)
         return self.whole.with_jacobian(joined, free)

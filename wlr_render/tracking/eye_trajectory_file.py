@@ -42,7 +42,7 @@ from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTr
 
 EYE_FORMAT = "wlr-eye-trajectory 1"
 EYE_FRAME = "openxr-device"
-_FAR_M = 0.5  # of an eye from the origin of the device
+_FAR_M = 0.5  # largest distance of an eye from the origin of the device frame
 _PUPIL_DISTANCE_M = 0.0, 0.03
 _PUPIL = r"(?:_?eye)?(?:_?(?:entrance_)?(?:pupil|viewpoint))?(?:_?(?:position|pos|centre|center))?"
 _ROLES = {
@@ -88,7 +88,7 @@ def read_eye_trajectory(path: str | Path) -> EyeTrajectory:
 
 
 def _viewpoints(name: str, rows: Sequence[Row], content: FloatArray, column: int = 0) -> ViewpointTrack:
-    """The track of rows (n, 4) of time and position, NaN where it was lost; `column` has the time in the file."""
+    """Build the track of rows (n, 4) of time and position, NaN during a loss; `column` is the column of the time."""
     require_ascending_rows(rows, content[:, 0], column)
     lost = np.isnan(content[:, 1])
     time_s, viewpoint = content[~lost, 0], content[~lost, 1:]
@@ -97,7 +97,7 @@ def _viewpoints(name: str, rows: Sequence[Row], content: FloatArray, column: int
 
 
 def _needed(table: TextTable) -> tuple[str, ...]:
-    """Return the roles that the table's columns need: those of the eyes that it names, or of one eye in each row."""
+    """Return the roles of the columns that the table needs: the coordinates of each eye, or of one eye in each row."""
     roles = {role_of(name, _ROLES) for cells in (table.header or (), *table.headers) for name in cells}
     eyes = [eye for eye in EYES if roles & {f"{eye}_{axis}" for axis in "xyz"}]
     if not eyes:
@@ -106,7 +106,7 @@ def _needed(table: TextTable) -> tuple[str, ...]:
 
 
 def _of_named_columns(table: TextTable, columns: dict[str, NamedColumn]) -> EyeTrajectory:
-    """Return the entrance pupils of a table whose columns are named; an eye without numbers in a row was lost there."""
+    """Read entrance pupils from named columns; an eye without numbers in a row was lost there."""
     count = len(table.rows[0].fields if table.header is None else table.header)
     for role, column in columns.items():
         if column.unit == "" and role != "eye":
@@ -140,7 +140,7 @@ def _of_named_columns(table: TextTable, columns: dict[str, NamedColumn]) -> EyeT
 
 
 def _eyes_of(row: Row, columns: dict[str, NamedColumn]) -> dict[str, list[NamedColumn]]:
-    """Return the columns of the position of each eye that a row may have."""
+    """Return the position columns of each eye that a row may have."""
     if "eye" not in columns:
         eyes = [eye for eye in EYES if f"{eye}_x" in columns]
         return {eye: [columns[f"{eye}_{axis}"] for axis in "xyz"] for eye in eyes}

@@ -2,12 +2,12 @@
 
 Errors name the file and the line. `.jsonl` is an OpenXR recording (`openxr_recording.py`).
 
-A header that names the columns, with or without `#`, decides what they are: a time, a position and a quaternion, in
+A header that names the columns, with or without `#`, decides their meaning: a time, a position and a quaternion, in
 any order, with units as in `timestamp_ns` or `x [mm]`; other columns are ignored. Without one, rows separated by blanks
 are TUM, `time tx ty tz qx qy qz qw` in seconds, and others EuRoC ground truth: integer nanoseconds, position,
 quaternion wxyz, and possibly nine columns of velocity and biases, which are ignored.
 
-Poses must be those of the device frame (OpenXR: x right, y up, looking along -z) in the world of the scene. Convert
+Poses are poses of the device frame (OpenXR: x right, y up, looking along -z) in the world of the scene. Convert
 the pose of an OpenCV camera at the same place by a half turn about x:
 `world_from_device = world_from_camera @ diag(1, -1, -1, 1)`.
 """
@@ -30,7 +30,7 @@ from wlr_render.tracking.text_rows import (
 )
 from wlr_render.tracking.trajectory import HeadTrajectory
 
-_FAR_M = 1000.0  # from the origin of the world
+_FAR_M = 1000.0  # largest distance from the origin of the world
 _KITTI = 12
 """Columns of KITTI's poses, which have no times."""
 _QUATERNION = "quaternion|quat|q|rotation|rot|orientation"
@@ -46,7 +46,7 @@ _NEEDED = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def read_head_trajectory(path: str | Path) -> HeadTrajectory:
-    """Read TUM or EuRoC poses, or those of an OpenXR recording (.jsonl).
+    """Read head poses from a TUM or EuRoC file or an OpenXR recording (.jsonl).
 
     Raises:
         BadInputError: unreadable or empty file, wrong column count, a value that is not finite, a quaternion that is

@@ -8,8 +8,8 @@ Number = TypeVar("Number", float, FloatArray)
 
 
 def minimum_jerk(progress: Number) -> Number:
-    """Fraction of the distance (0..1) at a fraction of the time (0..1); velocity and acceleration are zero at the ends.
+    """Return the fraction of the distance (0..1) at a fraction of the time (0..1).
 
-    Flash & Hogan (1985): it minimises the integral of the squared jerk.
+    Velocity and acceleration are zero at the ends, and the integral of the squared jerk is least (Flash & Hogan 1985).
     """
     return progress**3 * (10 - 15 * progress + 6 * progress * progress)

@@ -1,4 +1,4 @@
-"""Recordings of what an OpenXR program locates: head, eyes and gaze. Errors name the file and the line.
+"""Recordings of located OpenXR spaces: head, eyes and gaze. Errors name the file and the line.
 
 OpenXR defines no file for poses. This one is JSON Lines, one `xrLocateSpace` or `xrLocateViews` result a line, with the
 names of OpenXR's structures; the first line is a header:
@@ -9,8 +9,9 @@ names of OpenXR's structures; the first line is a header:
 
 `time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`; `left_view`,
 `right_view` (views of xrLocateViews) and `gaze` (XR_EXT_eye_gaze_interaction) are located in `view`. Lines of other
-spaces are left out. Lines without valid position and orientation mark a gap. OpenXR's axes and units are ours, so that
-only the place of the headset's VIEW space is needed: `device_from_view` of the header, 4 rows of 4, or the identity.
+spaces are skipped. Lines without valid position and orientation mark a gap. OpenXR's axes and units are those of this
+package, so that only the pose of VIEW space in the device frame is needed: `device_from_view` of the header, 4 rows of
+4, or the identity.
 """
 
 from collections.abc import Sequence
@@ -38,15 +39,15 @@ _WORLD_SPACES = ("local", "stage", "local_floor")
 _SPACES = ("view", *(f"{eye}_view" for eye in EYES), "gaze")
 _VALID = 3  # XR_SPACE_LOCATION_ORIENTATION_VALID_BIT | XR_SPACE_LOCATION_POSITION_VALID_BIT
 _FIXATION_M = 1.0
-"""How far along the gaze both eyes are taken to look."""
+"""Assumed distance of the point that both eyes fixate, along the gaze."""
 _HEAD_FAR_M, _EYE_FAR_M = 1000.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class _Located:
-    """Where a space was found: times (n,), positions (n, 3) and quaternions xyzw (n, 4) in its base space.
+    """Located poses of a space: times (n,), positions (n, 3) and quaternions xyzw (n, 4) in its base space.
 
-    `invalid_s` (m,) are the times at which it was not found.
+    `invalid_s` (m,) are the times at which it was not located.
     """
 
     time_s: FloatArray
@@ -55,16 +56,16 @@ class _Located:
     invalid_s: FloatArray
 
     def poses(self) -> FloatArray:
-        """Return (n, 4, 4)."""
+        """Return the poses (n, 4, 4)."""
         return transforms.rigid(Rotation.from_quat(self.xyzw).as_matrix(), self.position)
 
 
 def read_openxr_head(path: str | Path) -> HeadTrajectory:
-    """Return the head trajectory of a recording, poses of the device frame.
+    """Read the head trajectory of a recording, as poses of the device frame.
 
     Raises:
-        BadInputError: unreadable file, a line that is no location, no pose of the head, base spaces that change, times
-            that do not ascend, times or positions of another unit.
+        BadInputError: unreadable file, a line that is not a location, no pose of the head, base spaces that change,
+            times that do not ascend, times or positions of another unit.
     """
     device_from_view, located = _read(path)
     if "view" not in located:
@@ -79,13 +80,13 @@ def read_openxr_head(path: str | Path) -> HeadTrajectory:
 
 
 def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
-    """Return the eye trajectories of a recording: from the gaze where there is one, else the places of the views.
+    """Read the eye trajectories of a recording: from the gaze if it was recorded, else from the positions of the views.
 
-    The views' places are where the pupils are that look ahead. With gaze each eye turns about the point behind its
-    place (`RotatingEye`) towards the point 1 m along the gaze.
+    A view's position is the entrance pupil of an eye that looks ahead. With gaze each eye turns about the point behind
+    that position (`RotatingEye`) towards the point 1 m along the gaze.
 
     Raises:
-        BadInputError: as `read_openxr_head`, or no places of the views.
+        BadInputError: as `read_openxr_head`, or no positions of the views.
     """
     device_from_view, located = _read(path)
     tracks: dict[str, EyeTrack] = {}
@@ -111,14 +112,14 @@ def read_openxr_eyes(path: str | Path) -> EyeTrajectory:
             tracks[eye] = ViewpointTrack(view.time_s, place, name, view.invalid_s)
     if not tracks:
         raise BadInputError(
-            f"{path}: has no pose of 'left_view' or 'right_view', the places of the eyes; record xrLocateViews in VIEW "
-            "space as well."
+            f"{path}: has no pose of 'left_view' or 'right_view', the positions of the eyes; record "
+            "xrLocateViews in VIEW space as well."
         )
     return EyeTrajectory(tracks, str(path))
 
 
 def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
-    """`device_from_view`, and each space's poses."""
+    """Read `device_from_view` and the poses of each space."""
     lines = read_text(path, _KIND, LIMITS.table_bytes).splitlines()
     if len(lines) > LIMITS.rows:
         raise BadInputError(f"{path}: has {len(lines)} lines, more than {LIMITS.rows}; cut it into parts.")
@@ -133,7 +134,7 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
     header.text("format", choices=(FORMAT,))
     if header.number("version") != _VERSION:
         raise header.fail(f"'version' is {header.number('version'):g}; this program reads version {_VERSION}.")
-    found: dict[str, list[tuple[Table, list[float]]]] = {}
+    entries_of: dict[str, list[tuple[Table, list[float]]]] = {}
     invalid_s: dict[str, list[float]] = {}
     bases: set[str] = set()
     for row in rows:
@@ -146,10 +147,10 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
         if len(bases) > 1:
             raise row.fail(f"'base_space' changes from {' to '.join(sorted(bases))}; record the head in one space.")
         if row.whole("locationFlags", most=2**32) & _VALID == _VALID:
-            found.setdefault(space, []).append((row, _numbers(row)))
+            entries_of.setdefault(space, []).append((row, _numbers(row)))
         else:
             invalid_s.setdefault(space, []).append(row.number("time") / 1e9)
-    located = {space: _located(entries, invalid_s.get(space, [])) for space, entries in found.items()}
+    located = {space: _located(entries, invalid_s.get(space, [])) for space, entries in entries_of.items()}
     return _device_from_view(header), located
 
 
@@ -169,7 +170,7 @@ def _located(entries: Sequence[tuple[Table, list[float]]], invalid_s: Sequence[f
     late = np.flatnonzero(np.diff(content[:, 0]) <= 0)
     if late.size:
         raise entries[int(late[0]) + 1][0].fail(
-            "'time' does not come after that of the same space before it; sort the lines, drop duplicates."
+            "'time' does not come after the previous time of the same space; sort the lines, drop duplicates."
         )
     return _Located(content[:, 0], content[:, 1:4], content[:, 4:], np.array(invalid_s))
 

@@ -26,7 +26,7 @@ class Bracket:
         return values[self.before], values[self.before + 1]
 
     def linear(self, values: FloatArray) -> FloatArray:
-        """Return the linearly interpolated values (..., k), from values (n, k); exact at the samples."""
+        """Interpolate values (n, k) linearly to (..., k); exact at the samples."""
         first, second = self.pair(values)
         weight = self.fraction[..., None]
         return np.asarray((1.0 - weight) * first + weight * second)
@@ -51,7 +51,7 @@ def bracket(sample_time_s: FloatArray, time_s: ArrayLike, what: str) -> Bracket:
 
 
 GAP = 2.5
-"""Samples that are more than so many times the median interval apart have a gap between them: two or more are missing.
+"""Interval between samples, in median intervals, above which there is a gap: two or more samples are missing.
 
 A recording of 90 Hz has a gap after 28 ms without a sample; a track of two samples has none."""
 
@@ -72,10 +72,10 @@ class Gaps:
 
 
 def gaps_at(sample_time_s: FloatArray, time_s: ArrayLike, invalid_s: FloatArray) -> Gaps:
-    """Find gaps at time stamps (...), given ascending sample times (n,), n >= 2.
+    """Return the gaps at time stamps (...), given ascending sample times (n,), n >= 2.
 
-    There is a gap where neighbouring samples are more than GAP median intervals apart, and where one of the times
-    `invalid_s` (m,) at which the recording itself has no valid sample lies between them.
+    There is a gap between neighbouring samples that are more than GAP median intervals apart, or have between them one
+    of the times `invalid_s` (m,) at which the recording has no valid sample.
     """
     moment, step_s = np.asarray(time_s, dtype=np.float64), np.diff(sample_time_s)
     without = step_s > GAP * np.median(step_s)

@@ -11,17 +11,17 @@ from wlr_render.tracking.minimum_jerk import minimum_jerk
 from wlr_render.tracking.trajectory import EyeTrajectory, GazeTrack, HeadTrajectory
 
 _SWAY_M = np.array([0.05, 0.02, 0.04])
-_TURN_DEG = np.array([4.0, 9.0, 2.0])  # about x (nod), y (shake), z (tilt)
+_TURN_DEG = np.array([4.0, 9.0, 2.0])  # rotations about x (nod), y (shake), z (tilt)
 _FREQUENCY_HZ = np.array([0.13, 0.31, 0.52])
 _FIXATION_S = (0.2, 0.6)
 _GAZE_SPREAD_DEG = np.array([9.0, 6.0])
 
 
 def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> HeadTrajectory:
-    """Return the smooth head motion around the world's origin: a few centimetres and degrees, at most about 40 deg/s.
+    """Return a smooth head motion around the world's origin: a few centimetres and degrees, at most about 40 deg/s.
 
     Args:
-        seed: of the random phases.
+        seed: seed of the random phases.
         duration_s: from time 0.
         rate_hz: samples per second.
     """
@@ -37,13 +37,13 @@ def head_motion(seed: int, duration_s: float = 10.0, rate_hz: float = 90.0) -> H
 def eye_motion(
     viewpoints_in_device: dict[str, FloatArray], seed: int, duration_s: float = 10.0, rate_hz: float = 500.0
 ) -> EyeTrajectory:
-    """Return the fixations of random points 0.4 m to 3 m ahead, with saccades between them.
+    """Return fixations of random points 0.4 m to 3 m ahead, with saccades between them.
 
     A saccade of A degrees lasts 21 ms + 2.2 ms * A (Carpenter 1988) and follows a minimum-jerk course.
 
     Args:
-        viewpoints_in_device: per eye, where its entrance pupil is when it looks straight ahead, (3,) metres.
-        seed: of the fixations.
+        viewpoints_in_device: entrance pupil of each eye when it looks straight ahead, (3,) metres.
+        seed: seed of the fixations.
         duration_s: from time 0.
         rate_hz: samples per second.
     """
@@ -71,7 +71,7 @@ def _slow_waves(rng: Generator, time_s: FloatArray) -> FloatArray:
 
 
 def _fixated_point(rng: Generator, time_s: FloatArray) -> FloatArray:
-    """Point that both eyes fixate, (n, 3) device frame: steps between random points, smoothed over each saccade."""
+    """Return the point that both eyes fixate, (n, 3) device frame: random points, smoothly joined by saccades."""
     count = int(time_s[-1] / _FIXATION_S[0]) + 2
     onset_s = np.cumsum(rng.uniform(*_FIXATION_S, count))
     tangents = np.tan(np.deg2rad(np.clip(rng.normal(size=(count + 1, 2)), -2, 2) * _GAZE_SPREAD_DEG))

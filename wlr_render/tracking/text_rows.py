@@ -14,10 +14,10 @@ from wlr_render.input_files import LIMITS, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 
 UNIT_TOLERANCE = 1e-3
-"""How far a printed quaternion or direction may be from unit length; beyond it, it is something else."""
-_SLOWEST_S = 4.0  # between rows
+"""How far a printed quaternion or direction may be from unit length; beyond it, the numbers are something else."""
+_SLOWEST_S = 4.0  # longest plausible interval of rows
 _FASTEST_M_S = 30.0
-_SAME_TIME_S = 1.0  # between two columns of one time, of which one may be cut to whole seconds
+_SAME_TIME_S = 1.0  # largest difference of two columns with the same time; one may be cut to whole seconds
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Row:
     fields: tuple[str, ...]
 
     def fail(self, sentence: str) -> BadInputError:
-        """Return the exception for an error in this line; the caller raises it."""
+        """Return an exception for an error in this line; the caller raises it."""
         return BadInputError(f"{self.path} line {self.line}: {sentence}")
 
     def require_columns(self, counts: tuple[int, ...], layout: str) -> None:
@@ -58,11 +58,11 @@ class Row:
         return value
 
     def numbers(self, start: int, count: int) -> list[float]:
-        """`count` finite numbers from column `start` on."""
+        """Return `count` finite numbers from column `start` on."""
         return [self.number(column) for column in range(start, start + count)]
 
     def unit_vector(self, columns: Iterable[int], what: str) -> list[float]:
-        """Return the numbers of unit length up to rounding, normalised."""
+        """Return a unit vector, normalised; refuse numbers whose length is not 1 up to rounding."""
         values = [self.number(column) for column in columns]
         length = math.hypot(*values)
         if abs(length - 1.0) > UNIT_TOLERANCE:
@@ -72,7 +72,7 @@ class Row:
 
 @dataclass(frozen=True)
 class NamedColumn:
-    """A column that a header names: its index, its name as it stands, and its unit, "" without one."""
+    """A column that a header names: its index, its name as written, and its unit ("" without one)."""
 
     index: int
     name: str
@@ -106,8 +106,8 @@ class TextTable:
         comments: texts of the comment lines without the #, stripped, in file order.
         rows: the other lines that are not empty, without a header.
         header: cells of a first line that names the columns; None without one.
-        headers: cells of each of the last comments before the rows, last one first; all its words where these are not
-            as many as the columns of the rows.
+        headers: cells of each of the last comments before the rows, last one first; all words of a comment that has
+            another number of cells than the rows.
         separated: whether the first row is separated by something else than blanks.
     """
 
@@ -119,7 +119,7 @@ class TextTable:
     separated: bool
 
     def unread(self, columns: Mapping[str, NamedColumn]) -> tuple[str, ...]:
-        """Return the names that the header has beside these columns, except those of EuRoC's velocity and biases."""
+        """Return the names in the header that are not among these columns, except EuRoC's velocity and biases."""
         read = {column.index: column.name for column in columns.values()}
         named = (cells for cells in self.headers if len(cells) == len(self.rows[0].fields))
         fitting = (cells for cells in named if all(cells[at] == name for at, name in read.items()))
@@ -129,20 +129,20 @@ class TextTable:
         )
 
     def columns(self, roles: Mapping[str, str], needed: Sequence[str]) -> dict[str, NamedColumn] | None:
-        """Return the columns that a header names, by role; None where no header names any, or a comment less than half.
+        """Find the columns that a header names, by role; None if no header names any, or a comment less than half.
 
         Args:
             roles: pattern of a role's name without its unit -> role; it may refer to groups of the pattern.
-            needed: roles without which a header is of no use.
+            needed: roles that a header must name.
 
         Raises:
-            BadInputError: the header lacks a role, names one twice, or states a unit that is not read; or a comment
-                names the parts of the quaternion in an order that is not that of TUM or, in a table with separators,
-                EuRoC, and other columns than the rows have.
+            BadInputError: the header lacks a role, names one twice, or states an unknown unit; or a comment does not
+                name the columns of the rows and lists the parts of the quaternion in another order than TUM or, in a
+                table with separators, EuRoC.
         """
         for cells in self._names(roles):
-            found, twice = self._found(cells, roles)
-            missing = [role for role in needed if role not in found]
+            by_role, twice = self._by_role(cells, roles)
+            missing = [role for role in needed if role not in by_role]
             if self.header is None and 2 * len(missing) > len(needed):
                 continue
             listed = shown(", ".join(cells), quoted=False)
@@ -153,13 +153,13 @@ class TextTable:
                 )
             if twice:
                 raise BadInputError(f"{self.path}: {twice}.")
-            for role, column in found.items():
+            for role, column in by_role.items():
                 units = _TIME_UNITS if role == "time" else {"": 0} if role.startswith("q") else _LENGTH_UNITS
                 if column.unit not in (*units, ""):
                     raise BadInputError(
                         f"{self.path}: column '{column.name}' is in {column.unit}, which is not read; convert it."
                     )
-            return found
+            return by_role
         quaternion = {role for role in needed if role.startswith("q")}
         usual = ["qw", "qx", "qy", "qz"] if self.separated else ["qx", "qy", "qz", "qw"]
         for words in self.headers if quaternion and self.header is None else ():
@@ -172,43 +172,43 @@ class TextTable:
         return None
 
     def _names(self, roles: Mapping[str, str]) -> Sequence[tuple[str, ...]]:
-        """Names of the columns: of the header or, without one, of each comment that names as many as the rows have.
+        """Return the column names of the header or, without one, of each comment with one name per cell.
 
-        Other words may stand around the names in a comment, if every column has a role of its own.
+        A comment may have other words around the names, if every column has a different role.
         """
         if self.header is not None:
             return (self.header,)
         count = len(self.rows[0].fields)
-        found = []
+        named = []
         for words in self.headers:
             of_words = [role_of(word, roles) for word in words]
             starts = range(len(words) - count + 1 if len({*of_words} - {""}) >= count else 0)
             distinct = (words[at : at + count] for at in starts if len({*of_words[at : at + count]} - {""}) == count)
             if (names := words if len(words) == count else next(distinct, None)) is not None:
-                found.append(names)
-        return found
+                named.append(names)
+        return named
 
-    def _found(self, cells: Sequence[str], roles: Mapping[str, str]) -> tuple[dict[str, NamedColumn], str]:
-        """Return the columns by role, and a sentence about two of one role; of two times the better one."""
-        found: dict[str, NamedColumn] = {}
+    def _by_role(self, cells: Sequence[str], roles: Mapping[str, str]) -> tuple[dict[str, NamedColumn], str]:
+        """Assign columns to roles, the better of two times; returns a sentence about two columns of one role, too."""
+        by_role: dict[str, NamedColumn] = {}
         twice = ""
         for index, name in enumerate(cells):
             role = role_of(name, roles)
             unit = _base_and_unit(name)[1]
             is_euroc = role == "time" and any("p_RS_R_" in each for each in cells)
             column = NamedColumn(index, name, unit or ("ns" if is_euroc else ""))
-            if role in found:
-                better = self._better_time(found[role], column) if role == "time" else None
+            if role in by_role:
+                better = self._better_time(by_role[role], column) if role == "time" else None
                 if better is None:
-                    twice = f"the columns '{found[role].name}' and '{name}' are both {role}; keep one"
+                    twice = f"the columns '{by_role[role].name}' and '{name}' are both {role}; keep one"
                 else:
-                    found[role] = better
+                    by_role[role] = better
             elif role:
-                found[role] = column
-        return found, twice
+                by_role[role] = column
+        return by_role, twice
 
     def _better_time(self, one: NamedColumn, other: NamedColumn) -> NamedColumn | None:
-        """Of two times the stamp, or that in the finer unit if both are the same moments; None where neither is."""
+        """Return the better of two time columns: the time stamp, or the finer unit if both agree; None if neither."""
         bases = [_base_and_unit(column.name)[0] for column in (one, other)]
         stamps = [base.endswith("stamp") for base in bases]
         if stamps[0] != stamps[1]:
@@ -229,18 +229,18 @@ _TIME_UNITS = dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 0)
 _TIME_UNITS |= dict.fromkeys(("ms", "msec", "millisecond", "milliseconds", "millis"), 3)
 _TIME_UNITS |= dict.fromkeys(("us", "\u00b5s", "\u03bcs", "usec", "microsecond", "microseconds", "micros"), 6)
 _TIME_UNITS |= dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecond", "nanoseconds", "nanos"), 9)
-"""Units of time, and how many decimal places they are smaller than a second."""
+"""Units of time as powers of ten: decimal places below a second."""
 _LENGTH_UNITS = {"m": 0, "metre": 0, "metres": 0, "meter": 0, "meters": 0, "cm": 2, "mm": 3, "um": 6, "\u00b5m": 6}
 _OTHER_UNITS = ("deg", "rad", "px", "in", "inch", "ft", "km", "min", "h")
 _NANOSECONDS = 1e17
-"""Times without a unit from this on are nanoseconds since 1970, as those of EuRoC."""
+"""Times without a unit from this value on are nanoseconds since 1970, as in EuRoC."""
 _UNIT = re.compile(
     r"^(.*?)\s*(?:[\[(]\s*([^\])]*?)\s*[\])]|[_ ](" + "|".join((*_TIME_UNITS, *_LENGTH_UNITS, *_OTHER_UNITS)) + "))$"
 )
 
 
 def _base_and_unit(name: str) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit: of `time [s]`, `time(s)` or `time_s`."""
+    """Split a column's name into the name and the unit, e.g. of `time [s]`, `time(s)` or `time_s`."""
     plain = re.sub(r"\s+(?![\[(])", "_", name.strip().strip("#% \"'").lower())
     if plain in _TIME_UNITS and len(plain) > 2:
         return "time", plain
@@ -260,11 +260,11 @@ def role_of(name: str, roles: Mapping[str, str]) -> str:
     return ""
 
 
-_MOST_COMMENTS = 100  # last comments before the rows that may name the columns
+_MOST_COMMENTS = 100  # last comments before the rows that are searched for the names of columns
 
 
 def read_text_table(path: str | Path) -> TextTable:
-    """Read a file of rows, separated by semicolons, tabs, commas or blanks, as its first row of numbers.
+    """Read a file of rows, separated like its first row of numbers: by semicolons, tabs, commas or blanks.
 
     Raises:
         BadInputError: the file cannot be read or has no rows.
@@ -292,8 +292,8 @@ def read_text_table(path: str | Path) -> TextTable:
 
 
 def _named_cells(text: str, separator: str | None, count: int) -> tuple[str, ...]:
-    """Names of a header, split as the rows are or, where that gives another number of them, in some other way."""
-    joined = _with_units(text)  # of a name and its unit, where blanks separate names
+    """Split a header into names, with the rows' separator or, if the number of names differs, with another one."""
+    joined = _with_units(text)  # a name and its unit form one cell, where blanks separate names
     words = tuple(re.split(r"[,;\s]+", joined.strip(" ,;\t")))
     ways = [words if separator is None else _split(text, separator)]
     ways += [*(_split(joined, other) for other in (",", ";", "\t")), words]
@@ -301,7 +301,7 @@ def _named_cells(text: str, separator: str | None, count: int) -> tuple[str, ...
 
 
 def _comment_cells(text: str, separator: str | None, count: int) -> tuple[str, ...]:
-    """Names in a comment, with or without words and a colon before them; all words where these are not `count`."""
+    """Split a comment into names, without leading words and a colon; all words if the names are not `count`."""
     plain = text.replace("`", " ").strip()
     ways = [_named_cells(names, separator, count) for names in (plain, re.sub(r"^[^,;]*:\s+", "", plain))]
     words = re.split(r"[,;\s]+", _with_units(plain))
@@ -315,13 +315,13 @@ def _with_units(text: str) -> str:
 
 
 def _split(text: str, separator: str | None, count: int = 0) -> tuple[str, ...]:
-    """Return the cells of a row, without an empty one at the end that is beyond the `count` columns."""
+    """Split a row into cells, without an empty last cell beyond the `count` columns."""
     fields = cells_of(text, separator)
     return fields[:-1] if len(fields) > max(count, 1) and fields[-1] == "" else fields
 
 
 def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray, column: int = 0) -> None:
-    """Check that the times (n,) ascend strictly; `column` has the time of each row."""
+    """Check that the times (n,) ascend strictly; `column` is the time's column in each row."""
     late = np.flatnonzero(np.diff(time_s) <= 0)
     if late.size:
         row = rows[int(late[0]) + 1]
@@ -332,7 +332,7 @@ def require_ascending_rows(rows: Sequence[Row], time_s: FloatArray, column: int 
 
 
 def require_plausible_motion(where: str, time_s: FloatArray, position_m: FloatArray, at_most_m: float) -> None:
-    """Ask about positions (n, 3) in millimetres and times (n,) in milliseconds.
+    """Refuse trajectories whose positions (n, 3) or times (n,) look like millimetres or milliseconds.
 
     Raises:
         BadInputError: a position is more than `at_most_m` away, most rows move faster than people do, or most of five

@@ -1,6 +1,6 @@
 """Sampled head and eye trajectories, interpolated between the first and the last sample.
 
-They interpolate over gaps too; `gaps_at` says where there are gaps.
+Trajectories interpolate over gaps, too; `gaps_at` returns the gaps.
 """
 
 from collections.abc import Mapping

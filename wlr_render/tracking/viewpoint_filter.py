@@ -54,9 +54,9 @@ class TrackingState(IntEnum):
     TRACKED = 0
     """The viewpoint is the tracker's sample."""
     HELD = 1
-    """There is no good sample; the viewpoint is the last one."""
+    """No good sample has arrived; the viewpoint is the last one."""
     FADING = 2
-    """There has been no good sample for a while; the viewpoint moves to the last trusted one."""
+    """No good sample has arrived for a while; the viewpoint moves to the last trusted one."""
     LOST = 3
     """The eye is lost; the viewpoint is the last trusted one, or the nominal one if there was none."""
 
@@ -67,7 +67,7 @@ class TrackedViewpoint:
 
     Attributes:
         viewpoint: (3,) entrance pupil, device frame, metres; finite in every state.
-        state: of eye tracking.
+        state: state of eye tracking.
     """
 
     viewpoint: FloatArray
@@ -91,7 +91,7 @@ class StreamCounts:
 
     @property
     def sentence(self) -> str:
-        """The counts in words."""
+        """The counts as a sentence."""
         counts = ", ".join(f"{self.by_state[state]} {state.name.lower()}" for state in TrackingState)
         return f"{self.total} updates: {counts}"
 
@@ -169,7 +169,7 @@ class ViewpointFilter:
         return TrackedViewpoint(np.array(point), state)
 
     def _is_good(self, sample: _Point, confidence: float) -> bool:
-        near = math.dist(sample, self._nominal) <= self._reach_m  # NaN is not
+        near = math.dist(sample, self._nominal) <= self._reach_m  # False for NaN
         return near and confidence >= self._min_confidence
 
     def _follow(self, sample: _Point) -> tuple[_Point, TrackingState]:
@@ -196,7 +196,7 @@ class ViewpointFilter:
 
 
 class _TrustedSamples:
-    """The latest good samples, without those that a rising lid may have biased."""
+    """The latest good samples, without samples that a rising lid may have biased."""
 
     def __init__(self) -> None:
         self._recent: deque[tuple[float, _Point]] = deque()
