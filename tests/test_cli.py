@@ -185,7 +185,7 @@ def test_the_script_beside_the_package_runs_the_verbs(arguments, called, tmp_pat
 @every_verb
 def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    needed = {"pattern": ["--panel", "64x48"], "import-optics": ["--panel", "64x48", "--panel-mm", "8x6"]}.get(
+    needed = {"pattern": ["--panel", "64x48"], "import-lens": ["--panel", "64x48", "--panel-mm", "8x6"]}.get(
         verb.words, []
     )
     sentence = refused([*verb.words.split(), *needed, "--nonsense"], capsys)
@@ -230,6 +230,18 @@ def test_an_unknown_verb_is_refused(arguments, capsys):
     assert sentence.endswith("Choose from photos, captures, simulate.") == (arguments[0] == "calibrate")
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (["capture", "folder"], "pattern --photograph COMMAND"),
+        (["import-optics", "lens.zmx"], "import-lens FILE"),
+    ],
+    ids=str,
+)
+def test_an_old_name_of_a_verb_is_answered_with_the_new_one(old, new, capsys):
+    assert refused(old, capsys) == f"wlr-render: '{old[0]}' has another name now: wlr-render {new}."
+
+
 def test_an_argument_too_many_is_refused(capsys):
     assert refused(["trace", "northstar", "desk"], capsys) == (
         "wlr-render: Unexpected argument 'desk'; add --help to see what this verb takes."
@@ -239,8 +251,8 @@ def test_an_argument_too_many_is_refused(capsys):
 @pytest.mark.parametrize(
     ("arguments", "needs"),
     [
-        (["import-optics", "lens.zmx"], "import-optics needs --panel"),
-        (["import-optics", "lens.zmx", "--panel", "800x600"], "import-optics needs --panel-mm"),
+        (["import-lens", "lens.zmx"], "import-lens needs --panel"),
+        (["import-lens", "lens.zmx", "--panel", "800x600"], "import-lens needs --panel-mm"),
         (["export", "stmap"], "export needs HEADSET"),
         (["calibrate", "photos"], "calibrate photos needs SESSION"),
     ],

@@ -125,9 +125,9 @@ VERBS = (
         "session.",
     ),
     Verb(
-        "import-optics",
+        "import-lens",
         DATA,
-        "import_optics:import_optics",
+        "import_lens:import_lens",
         "Convert a lens file of Zemax, Optiland or rayoptics into a device file.",
     ),
     Verb(
@@ -137,21 +137,38 @@ VERBS = (
         "Pack the frames of `render` as a data set for WebDataset or Hugging Face's datasets.",
     ),
     Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
-    Verb(
-        "capture",
-        DATA,
-        "capture:capture",
-        "Show a panel code picture by picture and photograph each with your camera's command.",
-    ),
     Verb("decode", DATA, "decode:decode", "Decode photographs of a panel or projector that shows a code."),
-    Verb("board", DATA, "targets:board", "Design a calibration board and write it for printing and for calibration."),
-    Verb("pattern", DATA, "targets:pattern", "Write the pictures of a panel code, and a page that shows them."),
+    Verb(
+        "board", DATA, "print_board:board", "Design a calibration board and write it for printing and for calibration."
+    ),
+    Verb(
+        "pattern",
+        DATA,
+        "show_pattern:pattern",
+        "Write the pictures of a panel code with a page that shows them, or photograph each with your camera.",
+    ),
 )
 FOLDERS_OF_VERBS = {
     "calibrate": (CALIBRATE, "Fit the models of one or both eyes."),
     "verify": (CALIBRATE, "Measure how far the drawn target appears from the real one."),
 }
 """Verbs that have verbs of their own."""
+
+RENAMED = {
+    "calibrate photos": "calibrate PATH",
+    "calibrate captures": "calibrate PATH",
+    "calibrate simulate": "calibrate PATH",
+    "capture": "pattern --photograph COMMAND",
+    "compare": "bench raster",
+    "evaluate": "plan DEVICE",
+    "hold-out": "diagnose SESSION --hold-out",
+    "import": "bench published-data",
+    "import-optics": "import-lens FILE",
+    "pack": "render HEADSET SCENE --pack webdataset|huggingface",
+    "verify pairs": "verify PHOTOGRAPHS",
+    "verify session": "bench simulated-lab",
+}
+"""Verbs of version 0.2 and their names now; `bench` is a command of a checkout's ./wlr."""
 
 OUTSIDE = "--outside-references"
 DEBUG_NOTE = (
@@ -179,6 +196,8 @@ def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
     app = make()
     try:
         _refuse_empty(tokens)
+        if app.name[0] == PROGRAM:
+            _refuse_renamed(tokens)
         if outside:
             from wlr_render.input_files import outside_references
 
@@ -205,6 +224,17 @@ def _refuse_empty(tokens: Sequence[str]) -> None:
         name, _, value = (before, "", token) if before.startswith("--") and "=" not in before else token.partition("=")
         if name.startswith("--") and not value.strip() and token != name:
             raise BadInputError(f"{name} is empty; give it a value, or leave it out.")
+
+
+def _refuse_renamed(tokens: Sequence[str]) -> None:
+    """Refuse a verb of an earlier version in a sentence that names the one in its place."""
+    verbs = {verb.words for verb in VERBS}
+    for words in (tokens[:2], tokens[:1]):
+        new = RENAMED.get(" ".join(words))
+        if new is None or " ".join(words) in verbs or (len(words) > 1 and Path(words[1]).exists()):
+            continue
+        command = f"./wlr {new}, in a checkout of the source" if new.startswith("bench ") else f"{PROGRAM} {new}"
+        raise BadInputError(f"'{' '.join(words)}' has another name now: {command}.")
 
 
 def make_app() -> App:

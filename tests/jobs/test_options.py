@@ -12,7 +12,7 @@ from wlr_render.cli import VERBS, main
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import shown
 from wlr_render.jobs.options import OnlyWith, Options, Range, described
-from wlr_render.jobs.targets import BoardOptions
+from wlr_render.jobs.print_board import BoardOptions
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def test_every_number_of_every_verb_has_limits_at_both_ends(verb):
         (["simulate", "s", "--viewpoints", "1000", "--depths-m", *map(str, range(1, 11))], "are 10000 photographs"),
         (["plan", "northstar", "--camera", "1x1"], "--camera is 1; it must be between 64 and"),
         (["plan", "northstar", "--depths-m", *map(str, range(1, 22))], "--depths-m 21 are 21 distances"),
-        (["capture", "s", "--panel", "8x8", "--trigger", "nowhere {path}"], "there is no program 'nowhere'"),
+        (["pattern", "--panel", "8x8", "--photograph", "nowhere {path}"], "there is no program 'nowhere'"),
         (["decode", "s", "--panel", "8x8", "--bits", "12", "--camera", "c.toml"], "both state the bits"),
         (["verify", "session", "s", "--viewpoints", "1000", "--depths-m", *map(str, range(1, 21))], "photographs"),
     ],

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.capture import take_photograph
+from wlr_render.jobs.show_pattern import take_photograph
 
 
 def python(code):
@@ -37,20 +37,20 @@ def test_what_an_interrupted_run_left_is_replaced(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("trigger", "complaint"),
+    ("command", "complaint"),
     [
-        ("gphoto2 --capture", r"has no \{path\}, in place of which"),
+        ("gphoto2 --capture", r"has no \{path\}, which stands for"),
         ("gphoto2 '{path}", "is no command \\(No closing quotation\\)"),
         ("no-such-program {path}", "`no-such-program .*x.png` cannot be run \\(No such file or directory\\)"),
         (python("import sys; print('a'); sys.exit('no camera found')"), r"failed with status 1 \(no camera found\)"),
         (python("raise SystemExit(3)"), r"failed with status 3 \(no message\)"),
-        (python("pass"), r"ended, but its file was not written within 1 s; correct --trigger"),
+        (python("pass"), r"ended, but its file was not written within 1 s; correct --photograph"),
         (python("import sys; open(sys.argv[1], 'wb')"), r"its file was not written within 1 s"),
         (python("import time; time.sleep(30)"), r"did not end within 1 s; try it by hand"),
     ],
 )
-def test_what_goes_wrong_is_one_sentence(trigger, complaint, tmp_path):
+def test_what_goes_wrong_is_one_sentence(command, complaint, tmp_path):
     with pytest.raises(BadInputError, match=complaint) as caught:
-        take_photograph(trigger, tmp_path / "x.png", 1)
+        take_photograph(command, tmp_path / "x.png", 1)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "x.png").exists()

@@ -21,8 +21,7 @@ from wlr_render.evaluation.code_quality import NO_LENSES, TOLERANCE_PX, Lenses, 
 from wlr_render.input_files import naming
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Options, ProgressArgument, Range, described, described_size
-from wlr_render.jobs.targets import Code
+from wlr_render.jobs.options import Code, Options, ProgressArgument, Range, described, described_size
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable

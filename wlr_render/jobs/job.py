@@ -3,6 +3,7 @@
 import functools
 import inspect
 from collections.abc import Callable
+from pathlib import Path
 from typing import ParamSpec
 
 from wlr_render.atomic_files import locked_folder
@@ -12,7 +13,7 @@ from wlr_render.report.blocks import Report
 
 Arguments = ParamSpec("Arguments")
 
-_LISTING = ("render", "export", "simulate", "capture")
+_LISTING = ("render", "export", "simulate", "pattern")
 """Jobs that list the files of their folder, and refuse a folder of other files themselves."""
 
 
@@ -28,9 +29,19 @@ def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
         out, name = bound.arguments["options"].out, function.__name__
-        if name not in _LISTING and (out / LIST).exists():
-            raise BadInputError(f"{out}: holds the files of another job, which {LIST} lists; choose another folder.")
+        if name not in _LISTING:
+            require_unlisted(out)
         with locked_folder(out, name.replace("_", " ")):
             return function(*args, **kwargs)
 
     return run
+
+
+def require_unlisted(folder: Path) -> None:
+    """Refuse a folder whose files another job lists.
+
+    Raises:
+        BadInputError: the folder has a list of finished files.
+    """
+    if (folder / LIST).exists():
+        raise BadInputError(f"{folder}: holds the files of another job, which {LIST} lists; choose another folder.")

@@ -15,7 +15,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from cyclopts import Parameter, Token
+from cyclopts import Group, Parameter, Token
 
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import shown
@@ -66,18 +66,27 @@ class Range:
 
 @dataclass(frozen=True)
 class OnlyWith:
-    """The option has a meaning only if another option has one of these values."""
+    """The option has a meaning only if another option has one of these values, or if it is given at all."""
 
     option: str
-    values: tuple[object, ...]
+    values: tuple[object, ...] = ()
 
 
 def described(
-    text: str, *, name: str | tuple[str, ...] | None = None, flag: bool = False, many: bool = False
+    text: str,
+    *,
+    name: str | tuple[str, ...] | None = None,
+    flag: bool = False,
+    many: bool = False,
+    group: Group | None = None,
 ) -> Parameter:
-    """Help text of an option; `name` (or several) replaces that of the field, `many` takes several values."""
+    """Return the help text of an option, under the heading `group`.
+
+    `name` (or several) replaces that of the field, `many` takes several values.
+    """
     listed = (lambda values: " ".join(map(str, values))) if many else None
-    return Parameter(help=text, name=name, show_default=False if flag else listed, consume_multiple=many or None)
+    stated = Parameter(help=text, name=name, show_default=False if flag else listed, consume_multiple=many or None)
+    return stated if group is None else Parameter.combine(stated, Parameter(group=group))
 
 
 @Parameter(name="*")
@@ -141,9 +150,14 @@ class Options:
             )
 
     def _check_used(self, name: str, needs: OnlyWith) -> None:
-        given = getattr(self, needs.option)
-        if not any(value in needs.values for value in (given if isinstance(given, tuple) else (given,))):
-            wanted = " or ".join(f"{flag_of(type(self), needs.option)} {value}" for value in needs.values)
+        given, needed = getattr(self, needs.option), flag_of(type(self), needs.option)
+        if not needs.values:
+            if not given:
+                raise BadInputError(
+                    f"{flag_of(type(self), name)} is used with {needed} only; leave it out, or give {needed}."
+                )
+        elif not any(value in needs.values for value in (given if isinstance(given, tuple) else (given,))):
+            wanted = " or ".join(f"{needed} {value}" for value in needs.values)
             raise BadInputError(
                 f"{flag_of(type(self), name)} is used with {wanted} only; leave it out, or give {wanted}."
             )
@@ -227,6 +241,7 @@ def _default(field: "dataclasses.Field[object]") -> object:
 
 ProgressArgument = Annotated[Progress, Parameter(parse=False)]
 """Type of a job's `progress` argument, which is no option of the command line."""
+Code = Literal["gray", "fringes", "gray-fringes"]
 Eye = Literal["left", "right"]
 Eyes = Literal["left", "right", "both"]
 Backend = Annotated[

@@ -9,6 +9,7 @@ from wlr_render.input_files import LIMITS
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
+    Code,
     Eye,
     ProgressArgument,
     Range,
@@ -19,7 +20,6 @@ from wlr_render.jobs.options import (
     described,
     described_size,
 )
-from wlr_render.jobs.targets import Code
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind

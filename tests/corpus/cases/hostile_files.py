@@ -92,7 +92,7 @@ READERS = (
         for name in ("lens.yaml", "lens.xml", "lens.cameramodel")
     ),
     *(
-        Reader(f"optics {file}", file, ("import-optics", lens, *OPTICS), (lens, "glasses.agf"))
+        Reader(f"optics {file}", file, ("import-lens", lens, *OPTICS), (lens, "glasses.agf"))
         for file, lens in (
             ("lens.zmx", "lens.zmx"),
             ("optiland.json", "optiland.json"),

@@ -102,7 +102,7 @@ OF_RAYOPTICS: dict[str, tuple[Keys, Any, str]] = {
 
 def cases() -> Iterator[Case]:
     files = ("lens.zmx", "glasses.agf")
-    zemax = ("import-optics", "lens.zmx", *OPTICS)
+    zemax = ("import-lens", "lens.zmx", *OPTICS)
     for title, (old, new, word) in ZEMAX.items():
         yield Case(f"Zemax: {title}", zemax, files, replaced("lens.zmx", old, new), ("lens.zmx", word))
     for title, (old, new, word) in CATALOGUES.items():
@@ -111,13 +111,11 @@ def cases() -> Iterator[Case]:
     for file, content, wrong in (("optiland.json", OPTILAND, OF_OPTILAND), ("rayoptics.roa", RAYOPTICS, OF_RAYOPTICS)):
         for title, (keys, value, word) in wrong.items():
             change = _json(file, with_value(content, keys, value))
-            yield Case(f"{file}: {title}", ("import-optics", file, *OPTICS), ("glasses.agf",), change, (file, word))
+            yield Case(f"{file}: {title}", ("import-lens", file, *OPTICS), ("glasses.agf",), change, (file, word))
     tiny = replaced("lens.zmx", "CURV 0.02", "CURV 1e6")
     yield Case("Zemax: a radius of a nanometre", zemax, files, tiny, ("do not reach the panel",), "warned")
     deep = written("optiland.json", '{"surface_group": ' * 100_000 + "1" + "}" * 100_000)
-    yield Case(
-        "optiland.json: nested 100000 deep", ("import-optics", "optiland.json", *OPTICS), files, deep, ("nested",)
-    )
+    yield Case("optiland.json: nested 100000 deep", ("import-lens", "optiland.json", *OPTICS), files, deep, ("nested",))
 
 
 def _json(file: str, content: Any) -> Change:

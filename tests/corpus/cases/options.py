@@ -12,7 +12,7 @@ FIT = ("calibrate", "captures", "captures.npz", "--out", "out")
 SIMULATED = ("calibrate", "simulate", "device.toml", "--out", "out")
 EVALUATE = ("evaluate", "device.toml", "--workers", "1", "--out", "out")
 SIMULATE = ("simulate", "out", "--device", "device.toml", "--workers", "1")
-CAPTURE = ("capture", "out", "--panel", "64x48", "--trigger", "true {path}", "--page-timeout-s", "1")
+PHOTOGRAPHED = ("pattern", "--panel", "64x48", "--photograph", "true {path}", "--page-timeout-s", "1", "--out", "out")
 DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "out")
 BOARD = ("board", "--out", "out")
 PATTERN = ("pattern", "--panel", "64x48", "--out", "out")
@@ -23,7 +23,7 @@ COMPARE = ("compare", "device.toml", "scene.toml", "--out", "out")
 EXPORT = ("export", "stmap", "device.toml", "--out", "out")
 BUDGET = ("budget", "device.toml", "--out", "out")
 PACK = ("pack", "webdataset", "bench", "--out", "out")
-IMPORT_OPTICS = ("import-optics", "lens.zmx", "--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")  # fmt: skip
+IMPORT_LENS = ("import-lens", "lens.zmx", "--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")  # fmt: skip
 
 # Options whose wrong value is named, and not they themselves.
 FILES_AND_NAMES = ("--add-causes", "--bench", "--causes", "--calibration", "--prescription", "--exclude", "--eye-track", "--glasses")  # fmt: skip
@@ -71,7 +71,7 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--raster-arcmin": ("-1", "nan", "1e308"),
     }),
     (PACK, ("bench",), {"--frames-per-shard": ("0", "-1", "1.5", "nan", "1000000000000", "x")}),
-    (IMPORT_OPTICS, ("lens.zmx", "glasses.agf"), {
+    (IMPORT_LENS, ("lens.zmx", "glasses.agf"), {
         "--panel": ("0x0", "-1x5", "10000000x10000000", "x", "64"),
         "--panel-mm": ("0x0", "-1x5", "1e9x1e9", "nanx1", "x"),
         "--eye": ("third", "both"),
@@ -140,13 +140,13 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--extrinsics-deg": ("-1", "nan", "1e308"),
         "--workers": ("0",),
     }),
-    (CAPTURE, (), {
+    (PHOTOGRAPHED, (), {
         "--panel": ("0x0", "-1x5", "10000000x10000000", "x"),
         "--port": ("-1", "0.5", "99999999"),
         "--settle-s": ("-1", "nan", "inf"),
         "--timeout-s": ("0", "-1", "nan", "inf"),
         "--page-timeout-s": ("0", "-1", "nan"),
-        "--trigger": ("", "nothing here", "'{path}"),
+        "--photograph": ("", "nothing here", "'{path}"),
         "--suffix": (".exe",),
     }),
     (DECODE, ("codes",), {
@@ -202,7 +202,7 @@ NOWHERE = {
     "export red model": ("export", "stmap", "model.json", "--red-model", "nowhere.json", "--blue-model", "model.json"),
     "budget": ("budget", "nowhere.json"),
     "pack": ("pack", "webdataset", "nowhere"),
-    "import-optics": ("import-optics", "nowhere.zmx", "--panel", "64x48", "--panel-mm", "10x8"),
+    "import-lens": ("import-lens", "nowhere.zmx", "--panel", "64x48", "--panel-mm", "10x8"),
     "render misalignment": ("render", "device.toml", "scene.toml", "--misalignment", "nowhere.toml"),
     "compare": ("compare", "nowhere.toml", "scene.toml"),
     "demo": ("demo", "--device", "nowhere.toml"),
@@ -231,7 +231,7 @@ OUTPUTS = {
     "compare": COMPARE,
     "export": EXPORT,
     "budget": BUDGET,
-    "import-optics": IMPORT_OPTICS,
+    "import-lens": IMPORT_LENS,
     "plan": PLAN,
     "calibrate captures": FIT,
     "calibrate simulate": SIMULATED,
@@ -245,7 +245,7 @@ OUTPUTS = {
     "board": BOARD,
     "pattern": PATTERN,
     "simulate": SIMULATE,
-    "capture": CAPTURE,
+    "pattern, photographed": PHOTOGRAPHED,
 }
 ALL = ("device.toml", "scene.toml", "box.obj", "model.json", "captures.npz", "bench", "photos", "calibration", "pairs", "board.toml", "codes")  # fmt: skip
 
@@ -265,7 +265,7 @@ def cases() -> Iterator[Case]:
                 if option in ("--fps", "--frames"):
                     extra = ("--head", "head.txt") if verb[0] == "render" else ("--eye-track", "eyes.txt")
                 arguments = (*_without(verb, option), *extra, f"{option}={value}")
-                name = (option if not value or option != "--trigger" else "trigger|path|nothing|program",)
+                name = (option if not value or option != "--photograph" else "photograph|path|nothing|program",)
                 wrong = value if (verb[0], option) == ("decode", "--camera") or option in FILES_AND_NAMES else ""
                 names = (f"{option}|{wrong}" if wrong else "|".join((*name, option[2:])),)
                 yield Case(f"option {words} {option}={value}", arguments, files, nothing, names)

@@ -77,7 +77,7 @@ def cases() -> Iterator[Case]:
     diagnose = ("diagnose", "bench", "--max-causes", "0", "--causes", "stage_scale", "--out", "out")
     yield from damaged("bench", tomllib.loads(BENCH), "bench/bench.toml", save_toml, diagnose, ("bench",), set())
     for file, content in (("optiland.json", OPTILAND), ("rayoptics.roa", RAYOPTICS)):
-        arguments = ("import-optics", file, *OPTICS)
+        arguments = ("import-lens", file, *OPTICS)
         yield from damaged("optics", content, file, save_json, arguments, ("glasses.agf",), set(TOLERANT))
 
 

@@ -9,12 +9,21 @@ from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import is_model
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, Seed, described, described_size, flag_of
+from wlr_render.jobs.options import (
+    Code,
+    Eye,
+    Options,
+    ProgressArgument,
+    Range,
+    Seed,
+    described,
+    described_size,
+    flag_of,
+)
 from wlr_render.jobs.plan.next_places import plan_next_places
 from wlr_render.jobs.plan.plan_report import places_csv, plan_report
 from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.jobs.plan.search import LEAST_PLACES, find_design
-from wlr_render.jobs.targets import Code
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT

@@ -1,4 +1,4 @@
-"""Write calibration boards and pictures of panel codes for printing and showing."""
+"""Write calibration boards for printing."""
 
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
@@ -9,21 +9,13 @@ from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png, write_board_svg
 from wlr_render.captures.boards.board_file import board_of_table, save_board
-from wlr_render.captures.patterns.catalogue import make_pattern
-from wlr_render.captures.patterns.show_page import PAGE, write_show_page
-from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, described, described_size
-from wlr_render.mappings import Panel
+from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.toml_files import Table
 
 Kind = Literal["dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles"]
-Code = Literal["gray", "fringes", "gray-fringes"]
-Primary = Annotated[
-    Literal["red", "green", "blue"] | None, described("Primary to show the code in (default: white, all of them).")
-]
 _CHARUCO = OnlyWith("kind", ("charuco",))
 
 
@@ -41,7 +33,6 @@ class BoardOptions(Options):
     dictionary: Annotated[str, described("OpenCV's dictionary of the markers of a ChArUco board."), _CHARUCO] = (
         "DICT_5X5_1000"
     )
-    legacy: Annotated[bool, described("ChArUco pattern of OpenCV before 4.6.", flag=True), _CHARUCO] = False
     dpi: Annotated[int, described("Resolution of the PNG in dots per inch."), Range(1, 10_000)] = 200
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/board")
@@ -74,7 +65,7 @@ def _designed(options: BoardOptions) -> Board:
     keys: dict[str, Any] = {"kind": options.kind, "margin_mm": 0.5 * pitch}
     if options.kind == "charuco":
         keys |= {"square_columns": columns, "square_rows": rows, "square_mm": pitch, "marker_mm": 0.75 * pitch}
-        keys |= {"dictionary": options.dictionary, "legacy": options.legacy}
+        keys |= {"dictionary": options.dictionary}
     elif options.kind == "april-grid":
         keys |= {
             "tag_columns": columns,
@@ -89,28 +80,3 @@ def _designed(options: BoardOptions) -> Board:
         diameter = (0.8 if options.kind == "asymmetric-circles" else 0.5) * pitch
         keys |= {"columns": columns, "rows": rows, "pitch_mm": pitch, "diameter_mm": diameter, "margin_mm": pitch}
     return board_of_table(Table(keys, f"{options.kind} of {columns} x {rows}"))
-
-
-@dataclass(frozen=True)
-class PatternOptions(Options):
-    """Options of `pattern`."""
-
-    _: KW_ONLY
-    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), limits.PIXELS]
-    pattern: Annotated[Code, described("Code to show.")] = "gray-fringes"
-    channel: Primary = None
-    out: Annotated[Path, described("Output folder.")] = Path("out/pattern")
-
-
-@job
-def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Write the pictures of a code and the page that shows them full screen, one picture pixel on one panel pixel.
-
-    Raises:
-        BadInputError: no such code can be made.
-    """
-    code = make_pattern(options.pattern, Panel(*options.panel))
-    pictures = write_show_page(output_folder(options.out), code, options.channel)
-    page = options.out / PAGE
-    advice = [f"Open {page} on the panel's screen to show them."]
-    return Report("Pattern", f"{len(pictures)} pictures of the code {options.pattern}.", advice, files=[page])

@@ -12,7 +12,7 @@ import pytest
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
-from wlr_render.jobs.import_optics import ImportOpticsOptions, import_optics
+from wlr_render.jobs.import_lens import ImportLensOptions, import_lens
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.first_order import first_order
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
@@ -59,8 +59,8 @@ SURF 4
 def imported(tmp_path, text, **options):
     file = tmp_path / "lens.zmx"
     file.write_text(text)
-    given = ImportOpticsOptions(file, panel=(800, 600), panel_mm=(16.0, 12.0), out=tmp_path / "out")
-    report = import_optics(replace(given, **options))
+    given = ImportLensOptions(file, panel=(800, 600), panel_mm=(16.0, 12.0), out=tmp_path / "out")
+    report = import_lens(replace(given, **options))
     return report, load_device(tmp_path / "out" / "lens.toml")
 
 
@@ -225,7 +225,7 @@ def test_the_advice_is_a_command_that_runs_in_a_folder_with_spaces(tmp_path):
 
 
 def test_the_help_says_that_there_are_no_glass_files_by_default(capsys):
-    assert main(["import-optics", "--help"]) == 0
+    assert main(["import-lens", "--help"]) == 0
     assert "[default: ]" not in capsys.readouterr().out
 
 
@@ -233,7 +233,7 @@ def test_the_help_says_that_there_are_no_glass_files_by_default(capsys):
 def test_files_of_three_programs_by_the_verb(tmp_path, name, capsys):
     shutil.copy(LENSES / name, tmp_path)
     out = tmp_path / "out"
-    command = ["import-optics", str(tmp_path / name), "--panel", "640x480", "--panel-mm", "8x6", "--out", str(out)]
+    command = ["import-lens", str(tmp_path / name), "--panel", "640x480", "--panel-mm", "8x6", "--out", str(out)]
     more = ["--eye-relief-mm", "20", "--glasses", str(LENSES / "some_glasses.agf")]
     assert main(command + more) == 0
     (device,) = out.glob("*.toml")
@@ -246,10 +246,10 @@ def test_files_of_three_programs_by_the_verb(tmp_path, name, capsys):
 def test_the_focal_length_is_that_of_rayoptics(tmp_path):
     """Paraxial figures of rayoptics 0.9.8 at 587.56 nm: focal length 50.00099 mm, image 1.15 um before the focus."""
     file = shutil.copy(LENSES / "Sasian Triplet.roa", tmp_path)
-    options = ImportOpticsOptions(
+    options = ImportLensOptions(
         Path(file), panel=(1000, 1000), panel_mm=(20.0, 20.0), eye_relief_mm=20.0, out=tmp_path / "out"
     )
-    import_optics(options)
+    import_lens(options)
     imaging = first_order(load_device(tmp_path / "out" / "Sasian_Triplet.toml").eyes["right"], 0.5875618)
     assert imaging.focal_length_m == pytest.approx((0.05000099, 0.05000099), rel=2e-5)
     assert imaging.vergence_per_m == pytest.approx((1.15e-6 / 0.05**2,) * 2, abs=1e-4)

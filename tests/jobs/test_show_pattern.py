@@ -17,7 +17,7 @@ from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in, read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.capture import CaptureOptions, capture
+from wlr_render.jobs.show_pattern import PatternOptions, pattern
 from wlr_render.mappings import Panel
 from wlr_render.progress import Progress
 
@@ -74,13 +74,13 @@ def camera(tmp_path):
 
 def options(tmp_path, camera, **others):
     given = {"panel": (8, 4), "pattern": "gray", "port": 0, "settle_s": 0.0, "page_timeout_s": 20.0, **others}
-    return CaptureOptions(tmp_path / "display" / "00", trigger=camera, **given)
+    return PatternOptions(out=tmp_path / "display" / "00", photograph=camera, **given)
 
 
 @pytest.fixture
 def quick(monkeypatch):
-    monkeypatch.setattr("wlr_render.jobs.capture._STABLE_S", 0.02)
-    monkeypatch.setattr("wlr_render.jobs.capture._LOOK_S", 0.01)
+    monkeypatch.setattr("wlr_render.jobs.show_pattern._STABLE_S", 0.02)
+    monkeypatch.setattr("wlr_render.jobs.show_pattern._LOOK_S", 0.01)
 
 
 @pytest.mark.usefixtures("quick")
@@ -88,56 +88,80 @@ def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_contin
     (tmp_path / "flat_battery").touch()
     page, given = ImitatedPage(tmp_path / "screen"), options(tmp_path, camera)
     with pytest.raises(BadInputError, match=r"004_.*failed with status 1 \(the battery is flat\)"):
-        capture(given, progress=page)
+        pattern(given, progress=page)
     assert page.shown == [0, 1, 2, 3, 4]
     os.remove(tmp_path / "flat_battery")
 
     page = ImitatedPage(tmp_path / "screen")
-    report = capture(given, progress=page)
+    report = pattern(given, progress=page)
     count = len(CODE.names())
     assert report.verdict.startswith(f"{count - 4} photographs taken, 4 kept from an earlier run")
     assert page.shown == list(range(4, count))
-    paths = photographs_in(given.folder)
+    paths = photographs_in(given.out)
     assert len(paths) == count
     for number, path in enumerate(paths):
         assert np.array_equal(read_photograph(path, PhotographFormat(synthetic=True)), CODE.image(number))
-    assert capture(given, progress=page).verdict.startswith(f"0 photographs taken, {count} kept")
+    assert pattern(given, progress=page).verdict.startswith(f"0 photographs taken, {count} kept")
 
     whole = paths[2].read_bytes()
     paths[2].write_bytes(whole[:-10])
     page = ImitatedPage(tmp_path / "screen")
-    report = capture(given, progress=page)
+    report = pattern(given, progress=page)
     assert page.shown == [2]
     assert paths[2].read_bytes() == whole
     assert report.warnings == [f"{paths[2]}: this photograph, one of 1, had changed; they were taken again."]
 
     with pytest.raises(BadInputError, match="lists files of other options or inputs; choose another folder"):
-        capture(options(tmp_path, camera, channel="red"))
-    (given.folder / "finished.jsonl").unlink()
-    with pytest.raises(BadInputError, match=r"000_white\.png: was taken by another program"):
-        capture(given)
+        pattern(options(tmp_path, camera, channel="red"))
+    with pytest.raises(BadInputError, match=r"holds the files of another job, which finished\.jsonl lists"):
+        pattern(PatternOptions(panel=(8, 4), out=given.out))
+    (given.out / "finished.jsonl").unlink()
+    with pytest.raises(BadInputError, match=r"000_white\.png: was written by another program"):
+        pattern(given)
     assert paths[2].read_bytes() == whole
 
 
 @pytest.mark.usefixtures("quick")
 def test_a_primary_alone(tmp_path, camera):
     given = options(tmp_path, camera, channel="red")
-    capture(given, progress=ImitatedPage(tmp_path / "screen"))
-    white = cv2.imread(str(given.folder / "000_white.png"), cv2.IMREAD_UNCHANGED)
+    pattern(given, progress=ImitatedPage(tmp_path / "screen"))
+    white = cv2.imread(str(given.out / "000_white.png"), cv2.IMREAD_UNCHANGED)
     assert white.reshape(-1, 3).tolist() == [[0, 0, 255]] * white[..., 0].size
 
 
 def test_what_cannot_be_captured_is_refused_first(tmp_path, camera):
     given = options(tmp_path, camera)
-    given.folder.mkdir(parents=True)
-    (given.folder / "holiday.jpg").touch()
+    given.out.mkdir(parents=True)
+    (given.out / "holiday.jpg").touch()
     with pytest.raises(BadInputError, match=r"holds holiday\.jpg, which is no photograph of this code"):
-        capture(given)
+        pattern(given)
     with pytest.raises(BadInputError, match=r"has no \{path\}"):
-        capture(options(tmp_path, "gphoto2"))
+        pattern(options(tmp_path, "gphoto2"))
 
 
 def test_a_page_that_nobody_opens(tmp_path, camera):
     with pytest.raises(BadInputError, match=r"no page asked for a picture; open http://127.0.0.1:"):
-        capture(options(tmp_path, camera, page_timeout_s=0.2))
+        pattern(options(tmp_path, camera, page_timeout_s=0.2))
     assert not (tmp_path / "display" / "00").exists()
+
+
+def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path):
+    report = pattern(PatternOptions(panel=(64, 40), pattern="gray", out=tmp_path))
+    (page,) = report.files
+    code = make_pattern("gray", Panel(64, 40))
+    written = photographs_in(page.parent)
+    assert report.verdict.startswith(f"{len(written)} pictures")
+    assert len(written) == len(code.names())
+    for number, path in enumerate(written):
+        assert np.array_equal(read_photograph(path), code.image(number))
+    assert page.is_file()
+
+
+def test_what_cannot_be_shown_is_refused_and_nothing_written(tmp_path):
+    with pytest.raises(BadInputError, match="--pattern is grey; choose from gray"):
+        pattern(PatternOptions(panel=(64, 40), pattern="grey", out=tmp_path / "a"))
+    with pytest.raises(
+        BadInputError, match="--port is used with --photograph only; leave it out, or give --photograph"
+    ):
+        PatternOptions(panel=(64, 40), port=1)
+    assert list(tmp_path.iterdir()) == []

@@ -1,15 +1,13 @@
-"""What a lab prints and shows."""
+"""Boards that a lab prints."""
 
 import numpy as np
 import pytest
 
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import load_board
-from wlr_render.captures.patterns.catalogue import make_pattern
-from wlr_render.captures.photographs import photographs_in, read_photograph
+from wlr_render.captures.photographs import read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.targets import BoardOptions, PatternOptions, board, pattern
-from wlr_render.mappings import Panel
+from wlr_render.jobs.print_board import BoardOptions, board
 
 
 def test_a_board_is_written_to_be_printed_and_to_be_read(tmp_path):
@@ -49,21 +47,7 @@ def test_a_board_that_would_look_the_same_turned_is_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_pictures_of_a_code_are_written_in_the_order_of_showing(tmp_path):
-    report = pattern(PatternOptions(panel=(64, 40), pattern="gray", out=tmp_path))
-    (page,) = report.files
-    code = make_pattern("gray", Panel(64, 40))
-    written = photographs_in(page.parent)
-    assert report.verdict.startswith(f"{len(written)} pictures")
-    assert len(written) == len(code.names())
-    for number, path in enumerate(written):
-        assert np.array_equal(read_photograph(path), code.image(number))
-    assert page.is_file()
-
-
 def test_what_cannot_be_made_is_refused_and_nothing_written(tmp_path):
-    with pytest.raises(BadInputError, match="--pattern is grey; choose from gray"):
-        pattern(PatternOptions(panel=(64, 40), pattern="grey", out=tmp_path / "a"))
     with pytest.raises(BadInputError, match="take at least 5 x 5"):
         board(BoardOptions(columns=2, rows=2, out=tmp_path / "b"))
     assert list(tmp_path.iterdir()) == []

@@ -34,8 +34,8 @@ _PLACE_MM = Range(at_least=-1000, at_most=1000, unit="millimetres")
 
 
 @dataclass(frozen=True)
-class ImportOpticsOptions(Options):
-    """Options of `import-optics`."""
+class ImportLensOptions(Options):
+    """Options of `import-lens`."""
 
     file: Annotated[Path, described("Lens file: Zemax (.zmx, sequential), Optiland (.json) or rayoptics (.roa).")]
     _: KW_ONLY
@@ -79,11 +79,11 @@ class ImportOpticsOptions(Options):
     semi_diameters: Annotated[
         bool, described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True)
     ] = False
-    out: Annotated[Path, described("Output folder.")] = Path("out/import-optics")
+    out: Annotated[Path, described("Output folder.")] = Path("out/import-lens")
 
 
 @job
-def import_optics(options: ImportOpticsOptions, *, progress: ProgressArgument = SILENT) -> Report:
+def import_lens(options: ImportLensOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Convert a lens file into a device file, NAME.toml in `options.out`.
 
     Raises:
@@ -116,7 +116,7 @@ def import_optics(options: ImportOpticsOptions, *, progress: ProgressArgument = 
     return save_report(report, folder)
 
 
-def _choices(options: ImportOpticsOptions, program: str, lens: LensFile) -> HeadsetChoices:
+def _choices(options: ImportLensOptions, program: str, lens: LensFile) -> HeadsetChoices:
     name = re.sub(r"[^\w.-]", "_", options.file.stem).lstrip("-.")[:60] or "lens"
     title = f": {lens.title}" if lens.title else ""
     width, height = (_MM * side for side in options.panel_mm)
@@ -137,7 +137,7 @@ def _choices(options: ImportOpticsOptions, program: str, lens: LensFile) -> Head
     )
 
 
-def _require_readable(options: ImportOpticsOptions, device: Device) -> None:
+def _require_readable(options: ImportLensOptions, device: Device) -> None:
     """Refuse a device that `load_device` would refuse, before anything is written."""
     try:
         device_of(Table(device_content(device), f"{options.file}, as a device"))
