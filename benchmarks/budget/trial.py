@@ -6,6 +6,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.simulated_lab.bench_trial import DEVICES
+from benchmarks.simulated_lab.simulate_readings import (
+    SimulatedReadings,
+    simulate_readings,
+)
 from wlr_render.budget.error_sizes import ErrorSizes, PerAxis, Truncation
 from wlr_render.budget.registration_budget import covered_points, registration_covariance
 from wlr_render.budget.statement import REGIONS, region_of, variance
@@ -18,17 +22,13 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.budget import BudgetOptions
+from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import (
-    ReadingOptions,
-    SimulatedReadings,
-    simulate_readings,
-)
 
 MODEL_ALONE, CAMERA_FRAME, WITH_TRACKERS = "models alone", "models, camera's frame", "with trackers"
 CONDITIONS = (MODEL_ALONE, CAMERA_FRAME, WITH_TRACKERS)

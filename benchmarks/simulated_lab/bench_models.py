@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.simulated_lab.simulate_readings import SimulatedReadings
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.fit_eye import fit_eye
@@ -20,7 +21,6 @@ from wlr_render.geometry import transforms
 from wlr_render.jobs.calibrate.simulate import TruthTests
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.simulation.photographs.simulate_readings import SimulatedReadings
 
 CALIBRATED, EXACT, NOMINAL = "calibrated", "exact", "exact, stage's random motion unknown"
 """Sources of the captures that models are fitted to."""

@@ -4,13 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.simulated_lab.bench_truth import BenchTruth
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, CameraPlace
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, place_key
 from wlr_render.calibration.poses import adjoint, motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation.photographs.bench_truth import BenchTruth
 
 _GRID = (9, 7)  # pixels across and down, at which directions are compared
 _EDGE = 0.04  # of the picture, where no features are

@@ -10,13 +10,13 @@ import numpy as np
 
 from benchmarks.simulated_lab.bench_models import model_errors
 from benchmarks.simulated_lab.bench_sigmas import SquaredErrors, errors_over_sigma
+from benchmarks.simulated_lab.faults import NO_FAULTS, BoardMove, Exchange, Faults, HeadsetSlip, Shift
+from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.errors import BadInputError
-from wlr_render.simulation.photographs.faults import NO_FAULTS, BoardMove, Exchange, Faults, HeadsetSlip, Shift
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import SimulatedReadings, simulate_readings
 
 DEVICES = ("northstar", "freeform40", "birdbath28")
 

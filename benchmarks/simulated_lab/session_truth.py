@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.simulated_lab.bench_truth import BenchTruth, true_values
+from benchmarks.simulated_lab.faults import Faults
 from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.calibration.fit_eye import EyeFit, fit_eye
 from wlr_render.calibration.photograph_captures import (
@@ -30,8 +32,6 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable
 from wlr_render.simulation.photographs import camera_view
-from wlr_render.simulation.photographs.bench_truth import BenchTruth, true_values
-from wlr_render.simulation.photographs.faults import Faults
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 

@@ -6,15 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration import calibrate_session as steps
 from wlr_render.calibration.calibrate_session import RefusedCalibrationError, calibrate_session
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
+from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 
 LENS_STATED = PhotoBenchOptions(camera_px=(640, 512))
 MOVED = Excluded("display/03", "its points lie off", fault=True, off_arcmin=9.0)

@@ -3,15 +3,16 @@
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key
 from wlr_render.calibration.bench.common_errors import SOURCES
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.poses import adjoint
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 
 
 @pytest.fixture(scope="module")

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key
 from wlr_render.calibration.poses import adjoint
 from wlr_render.captures.photo_session import StageDescription
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 
 FEW = ReadingOptions(most_dots=120, panel_samples=50)
 STATED_DEG = 0.2

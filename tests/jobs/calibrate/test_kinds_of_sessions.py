@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.calibrate_session import calibrate_session
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.poses import motion_between
@@ -16,12 +17,12 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.calibrate.fit_options import FitOptions
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, report_of
+from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
 pytestmark = pytest.mark.slow  # a session takes some ten seconds

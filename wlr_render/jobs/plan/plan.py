@@ -22,7 +22,7 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.jobs.plan.next_places import plan_next_places
 from wlr_render.jobs.plan.plan_report import places_csv, plan_report
-from wlr_render.jobs.plan.planned_bench import PlannedBench
+from wlr_render.jobs.plan.planned_bench import PlannedBench, ReadingOptions
 from wlr_render.jobs.plan.search import LEAST_PLACES, find_design
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -32,7 +32,6 @@ from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
 
 _USUAL, _READINGS = BenchImperfections(), ReadingOptions()
 PLACES_FILE = "places.csv"

@@ -15,7 +15,6 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photographs, stage_axis_count
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions
 from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
@@ -23,6 +22,23 @@ GRID = (17, 13)
 """Directions of a simulated capture: fewer than are read, each with less noise, so that a capture tells as much."""
 _DEGREE = 3  # of the curve along an axis
 _CURVE = 71  # stream of random numbers
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """Noise and number of the readings of a photograph.
+
+    Attributes:
+        dot_px: standard deviation of a dot's position, per axis, camera pixels.
+        panel_px: standard deviation of a panel position, per axis, panel pixels.
+        most_dots: maximum number of dots per photograph.
+        panel_samples: approximate number of panel positions per panel set.
+    """
+
+    dot_px: float = 0.02
+    panel_px: float = 0.03
+    most_dots: int = 600
+    panel_samples: int = 1500
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,19 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab.faults import BoardMove, Exchange, Faults, HeadsetSlip, Shift
+from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.captures.decoded import sample
 from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
-from wlr_render.simulation.photographs.faults import BoardMove, Exchange, Faults, HeadsetSlip, Shift
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import camera_poses
-from wlr_render.simulation.photographs.simulate_readings import ReadingOptions, simulate_readings
 from wlr_render.simulation.photographs.take_photographs import take
 from wlr_render.toml_files import Table
 
@@ -76,14 +77,14 @@ def test_readings_scatter_by_their_noise_about_the_true_projections(simulated):
         assert np.nanmedian(samples.scale / wide) == pytest.approx(1.0, abs=0.1)
 
 
-def test_noise_and_stated_sigmas_are_options():
-    options = ReadingOptions(dot_px=0.1, panel_px=0.2, stated=0.5, most_dots=50, panel_samples=300)
+def test_noise_and_number_of_readings_are_options():
+    options = ReadingOptions(dot_px=0.1, panel_px=0.2, most_dots=50, panel_samples=300)
     simulated = simulate_readings(RECIPE, options)
     seen = seen_at(simulated, "see_through/pose1_02.png")
     assert len(seen) <= 50
-    assert np.all(seen.sigma_px == 0.05)
+    assert np.all(seen.sigma_px == 0.1)
     panel = next(iter(simulated.reading.panels.values()))
-    assert np.all(panel.samples.sigma_px == 0.1)
+    assert np.all(panel.samples.sigma_px == 0.2)
     assert 200 < len(panel.samples) < 400
 
 

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.simulated_lab.bench_truth import BenchTruth, known_number, true_values
+from benchmarks.simulated_lab.faults import NO_FAULTS, Exchange, Faults
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.decoded import DecodedSamples, Rejection
 from wlr_render.captures.patterns.catalogue import make_pattern
@@ -19,10 +21,9 @@ from wlr_render.captures.session_reading import PanelReading, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.simulation.photographs.bench_truth import BenchTruth, known_number, true_values
 from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
-from wlr_render.simulation.photographs.faults import NO_FAULTS, Exchange, Faults
 from wlr_render.simulation.photographs.photo_bench import passes_optics
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -31,26 +32,8 @@ _EDGE_PX = 6.0  # from the edge of the picture to the centre of a dot that is se
 _NEAR = 1.1  # of the picture: beyond, optics do not bring a point into it
 _FROM_OPTICS = 0.93  # of a direction's tangents: a point past the optics is not seen by them there either
 _LEAST_BESIDE = 20
+_USUAL = ReadingOptions()
 _COARSE = 24  # camera pixels across, at which the panel is looked for
-
-
-@dataclass(frozen=True)
-class ReadingOptions:
-    """Noise and number of simulated readings.
-
-    Attributes:
-        dot_px: white noise of each dot's place, per axis, camera pixels; also its stated sigma.
-        panel_px: white noise of each panel position, per axis, panel pixels; also its stated sigma.
-        stated: stated sigmas over true ones.
-        most_dots: of a photograph, chosen at random among those that are seen.
-        panel_samples: about so many of each panel set.
-    """
-
-    dot_px: float = 0.02
-    panel_px: float = 0.03
-    stated: float = 1.0
-    most_dots: int = 600
-    panel_samples: int = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +53,7 @@ class SimulatedReadings:
 
 def simulate_readings(
     recipe: SimulationRecipe,
-    options: ReadingOptions = ReadingOptions(),
+    options: ReadingOptions = _USUAL,
     *,
     faults: Faults = NO_FAULTS,
     folder: Path = Path("simulated"),
@@ -200,7 +183,7 @@ class _Reader:
     def _observed(self, number: IntArray, pixel: FloatArray, rng: np.random.Generator) -> BoardObservation:
         noise = self.options.dot_px
         index = self.session.board.indices()[number]
-        sigma = np.full(len(number), noise * self.options.stated)
+        sigma = np.full(len(number), noise)
         return BoardObservation(index, pixel + rng.normal(0.0, noise, pixel.shape), sigma)
 
     def _panel(self, folder: Path, device_from_camera: FloatArray) -> PanelReading:
@@ -215,7 +198,7 @@ class _Reader:
         scale = np.sqrt(np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]))
         seen = np.isfinite(place).all(axis=-1) & np.isfinite(scale)
         found = place[seen] + rng.normal(0.0, self.options.panel_px, (int(seen.sum()), 2))
-        sigma = np.full(len(found), self.options.panel_px * self.options.stated)
+        sigma = np.full(len(found), self.options.panel_px)
         counts = np.zeros(len(Rejection), dtype=np.int64)
         counts[Rejection.ACCEPTED], counts[Rejection.DARK] = seen.sum(), (~seen).sum()
         fates = np.where(seen, Rejection.ACCEPTED, Rejection.DARK).astype(np.uint8)
