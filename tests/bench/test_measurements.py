@@ -162,7 +162,7 @@ def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_
             load_measurements(*arguments)
     table = replace(load_observations(captures), device="mine")
     other = save_captures(tmp_path / "captures-right.npz", table)
-    with pytest.raises(BadInputError, match=r"is of 'mine', which is no shipped device; name its prescription by --de"):
+    with pytest.raises(BadInputError, match=r"is of 'mine', which is not a shipped device; name its presc"):
         load_measurements(other)
     assert load_measurements(other, None, "northstar")[0].device.name == "northstar"
     with pytest.raises(BadInputError, match="is of a panel of 1440 x 1600 pixels, but birdbath28 has"):

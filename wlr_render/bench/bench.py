@@ -15,7 +15,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 
 _NEWTON_STEPS = 20
-_NEWTON_ERROR = 1e-12  # of the distorted radius, tangents
+_NEWTON_ERROR = 1e-12  # largest error of the distorted radius, tangents
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ class EyeballCamera:
         return np.asarray(distorted * (self.focal_px * [1.0, -1.0]) + self.centre_px)
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """The inverse of `pixel_of_tangents`, by Newton's method on the radius; NaN where the lens has no direction."""
+        """Return the tangents (n, 2) of pixels (n, 2), by Newton's method on the radius; NaN if the lens has none."""
         distorted = (pixel - self.centre_px) / (self.focal_px * [1.0, -1.0])
         k1, k2 = self.distortion
         if k1 == 0.0 and k2 == 0.0:
@@ -60,11 +60,11 @@ class EyeballCamera:
             square = radius * radius
             excess = radius * (1.0 + square * (k1 + k2 * square)) - distorted_radius
             growth = 1.0 + square * (3.0 * k1 + 5.0 * k2 * square)
-            with np.errstate(all="ignore"):  # beyond the largest radius of a barrel no step leads anywhere
+            with np.errstate(all="ignore"):  # a barrel lens has no solution beyond its largest radius
                 radius = radius - excess / growth
         square = radius * radius
         factor = 1.0 + square * (k1 + k2 * square)
-        # Solutions beyond the first radius at which the picture folds over are not of this lens.
+        # Solutions beyond the first radius at which the picture folds over are not valid for this lens.
         sound = (np.abs(radius * factor - distorted_radius) < _NEWTON_ERROR) & (radius >= 0) & (radius < self._fold)
         return np.where(sound[..., None], distorted / np.where(sound, factor, 1.0)[..., None], np.nan)
 

@@ -33,7 +33,7 @@ _MOST_SIGMA = 1e6
 FORMAT = "bench-session"
 VERSION = 1
 WRITTEN_FRAME = "opencv"
-"""Of the files that `save_bench` writes."""
+"""Frame of the files that `save_bench` writes."""
 
 _ROTATION = Entry("rotation", ("rotation",), "three rows", (3, 3), MATRIX, ROTATION)
 _TRANSLATION = Entry("translation", ("translation",), "mm", (3,), POINT, largest=1e5)
@@ -41,7 +41,7 @@ _PITCH = Entry("pitch", ("pitch_mm",), "distance of neighbouring dots", rule=POS
 
 
 DEVICE_FILE = "device.toml"
-"""A headset that is not a shipped one lies beside the bench under this name."""
+"""Name of the device file next to the bench, for a headset that is not shipped."""
 
 
 def load_bench(path: str | Path) -> Bench:
@@ -63,7 +63,7 @@ def bench_of(file: Table, folder: Path) -> Bench:
 
     Args:
         file: the opened file.
-        folder: to which the path of a device's file is relative.
+        folder: folder that the path of a device file is relative to.
     """
     file.check_head(FORMAT, VERSION, "a bench file")
     axes = device_from_file(file)
@@ -88,9 +88,9 @@ def bench_of(file: Table, folder: Path) -> Bench:
 
 
 def save_bench(bench: Bench, path: str | Path) -> Path:
-    """Write a bench so that `load_bench` reads the same one, to the rounding of its numbers.
+    """Write a bench that `load_bench` reads back, to the rounding of its numbers.
 
-    A device that is not a shipped one, as it is, is written beside it as device.toml.
+    A device that differs from every shipped one is written next to it as device.toml.
     """
     path, axes = Path(path), FRAMES[WRITTEN_FRAME]
     head = {"format": FORMAT, "version": VERSION, "frame": WRITTEN_FRAME, "unit": "mm"}
@@ -106,7 +106,7 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
 
 
 def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
-    """Return the keys of a bench file, by table, that make the old bench the new one, in frame `WRITTEN_FRAME`."""
+    """Return the keys of a bench file, by table, that turn the old bench into the new one, in frame `WRITTEN_FRAME`."""
     before, after = (_sections(bench, FRAMES[WRITTEN_FRAME]) for bench in (old, new))
     changed: dict[str, dict[str, Any]] = {}
     for table, keys in after.items():
@@ -116,7 +116,7 @@ def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
 
 
 def _sections(bench: Bench, axes: FloatArray) -> dict[str, dict[str, Any]]:
-    """Return the tables of a bench file with their keys, but for device and target poses."""
+    """Return the tables of a bench file with their keys, except device and target poses."""
     values = {name: bench if name == "light" else getattr(bench, name) for name in SECTIONS}
     sections = {name: section.written(values[name], axes) for name, section in SECTIONS.items()}
     reported = bench.tracking.true_from_reported
@@ -140,13 +140,13 @@ def _device_key(device: Device, folder: Path) -> str:
 
 
 def _section(file: Table, name: str, axes: FloatArray) -> dict[str, Any]:
-    """Return what the table states of its part; [camera] and [stage] must be there."""
+    """Return the attributes that the table states; [camera] and [stage] are required."""
     required = name in ("camera", "stage")
     return SECTIONS[name].read(file.table(name), axes) if required or file.has(name) else {}
 
 
 def _priors(file: Table) -> dict[str, dict[str, tuple[float, float]]]:
-    """[prior.CAUSE] tables; the names are checked where the causes are known."""
+    """Read the [prior.CAUSE] tables; their names are checked by the module that defines the causes."""
     if not file.has("prior"):
         return {}
     table = file.table("prior")
@@ -181,7 +181,7 @@ def _target(file: Table, stated: dict[str, Any], axes: FloatArray) -> Target:
 
 
 def _pose(table: Table, axes: FloatArray) -> FloatArray:
-    """`rotation` and `translation`, the last keys of their table to be read, as (4, 4)."""
+    """Read a pose (4, 4) from `rotation` and `translation`, the last keys of their table."""
     pose = rigid(np.asarray(_ROTATION.read(table, axes)), np.asarray(_TRANSLATION.read(table, axes)))
     table.finish()
     return pose

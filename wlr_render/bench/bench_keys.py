@@ -28,11 +28,11 @@ BOW = Quantity(lambda value, axes: axes[2, 2] * value, lambda value, axes: axes[
 
 @dataclass(frozen=True)
 class Rule:
-    """What the numbers of a key must be.
+    """Constraint on the numbers of a key.
 
     Attributes:
-        demand: in words, after "must be".
-        holds: whether a value is so.
+        demand: the constraint in words, after "must be".
+        holds: whether a value satisfies it.
     """
 
     demand: str
@@ -53,12 +53,12 @@ class Entry:
     Attributes:
         attribute: its name.
         keys: one key, or one for each element of a pair.
-        meaning: for the documentation and for complaints.
-        shape: of what one key holds; a number, n numbers, or n (-1: any number of) lists of m numbers.
+        meaning: description for the documentation and for errors.
+        shape: shape of one key's value: a number, n numbers, or n (-1: any number of) lists of m numbers.
         quantity: unit and frame.
-        rule: what must hold for each key, if anything.
+        rule: constraint on each key, if any.
         largest: plausible absolute value; None: 10 m of lengths, a million of others.
-        least: smallest plausible absolute value but 0.
+        least: smallest plausible absolute value besides 0.
     """
 
     attribute: str
@@ -77,8 +77,8 @@ class Entry:
         return value if value.ndim else float(value)
 
     def written(self, value: FloatArray | float, axes: FloatArray) -> dict[str, Any]:
-        """Return the inverse of `read`."""
-        in_file: FloatArray = self.quantity.to_file(np.asarray(value), axes) + 0.0  # for -0.0 nobody would write
+        """Return the keys of a value, the inverse of `read`."""
+        in_file: FloatArray = self.quantity.to_file(np.asarray(value), axes) + 0.0  # turns -0.0 into 0.0
         if self.rule is COUNT:
             in_file = in_file.astype(np.int64)
         return {self.keys[0]: in_file} if len(self.keys) == 1 else dict(zip(self.keys, in_file, strict=True))
@@ -110,7 +110,7 @@ class BenchSection:
     """One [table] of the file.
 
     Attributes:
-        part: the dataclass that it describes.
+        part: dataclass of the section.
         entries: its attributes.
     """
 
@@ -129,7 +129,7 @@ class BenchSection:
         return stated
 
     def written(self, value: Any, axes: FloatArray) -> dict[str, Any]:
-        """Return the keys that say what differs from the defaults."""
+        """Return the keys that differ from the defaults."""
         keys: dict[str, Any] = {}
         for entry in self.entries:
             attribute, default = getattr(value, entry.attribute), self.default(entry)
@@ -138,7 +138,7 @@ class BenchSection:
         return keys
 
     def default(self, entry: Entry) -> Any:
-        """Return what the attribute is where the file does not say; MISSING where it must say."""
+        """Return the value of the attribute if the file does not state it; MISSING if the file must."""
         field = next(each for each in fields(self.part) if each.name == entry.attribute)
         return field.default if field.default_factory is MISSING else field.default_factory()
 
@@ -255,4 +255,4 @@ SECTIONS = {
         ),
     ),
 }
-"""By the name of the table; [target] besides its poses, [light] for the bench's own attributes."""
+"""Sections by the name of the table; [target] without its poses, [light] for attributes of the bench itself."""

@@ -1,7 +1,7 @@
-"""Load what was measured of an eye, with the bench that should explain it: bench sessions and captures alike.
+"""Load the measurements of an eye, a bench session or captures, with the bench model that should explain them.
 
-Captures state where the camera stood and in which directions it saw what. They need no description of a real camera or
-stage: `direction_bench` stands for both, with an ideal pinhole camera of one arcminute per pixel.
+Captures state positions of the camera and directions of panel pixels and dots. They need no description of a real
+camera or stage: `direction_bench` replaces both by an ideal pinhole camera of one arcminute per pixel.
 """
 
 from dataclasses import replace
@@ -28,8 +28,8 @@ from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TRACED
 
-_MARGIN = 0.02  # of the directions on each side
-_LEAST_SPREAD_M = 1e-4  # of points that fix a target's pose
+_MARGIN = 0.02  # share of the range of directions added on each side
+_LEAST_SPREAD_M = 1e-4  # least spread of points that determine a target's pose
 _DECIMALS = 12
 
 
@@ -52,7 +52,7 @@ def load_measurements(
     if captures is None:
         if device is not None:
             raise BadInputError(
-                f"{path}: is no calibration's folder and no capture file, so no device can be chosen for it; name "
+                f"{path}: is neither a calibration's folder nor a capture file, so --device does not apply; name "
                 "another bench by --bench."
             )
         return load_session(path, bench_file)
@@ -77,11 +77,11 @@ def load_measurements(
 
 
 def direction_bench(device: Device, table: ObservationTable, source: str | Path) -> Bench:
-    """The bench of captures: the device, targets where the captures say, and a camera of one arcminute per pixel.
+    """Return the bench of captures: the device, its targets, and a camera of one arcminute per pixel.
 
     Args:
-        device: as it should be.
-        table: what was observed.
+        device: the nominal device.
+        table: the observations.
         source: name of the captures, for messages.
 
     Raises:
@@ -92,13 +92,13 @@ def direction_bench(device: Device, table: ObservationTable, source: str | Path)
     turned = table.conditions.device_from_camera
     alike = np.isfinite(turned).all() and np.all(np.ptp(turned, axis=0) < 10.0**-_DECIMALS)
     device_from_camera = turned[0] if alike else np.eye(3)
-    known = np.where(np.isfinite(turned), turned, device_from_camera)
-    tangents = tangents_of_dir(np.einsum("nji,nj->ni", known, table.view_dir))
+    rotations = np.where(np.isfinite(turned), turned, device_from_camera)
+    tangents = tangents_of_dir(np.einsum("nji,nj->ni", rotations, table.view_dir))
     low, high = tangents.min(axis=0), tangents.max(axis=0)
     margin = _MARGIN * (high - low) + ARCMIN
     size = np.ceil((high - low + 2.0 * margin) / ARCMIN)
     centre = np.array([margin[0] - low[0], high[1] + margin[1]]) / ARCMIN
-    # An angle away from the axis of a pinhole covers more pixels: the geometric mean of radially and across.
+    # Away from the axis of a pinhole an angle covers more pixels: geometric mean of the radial and tangential scale.
     per_arcmin = (1.0 + np.sum(tangents**2, axis=1)) ** 0.75
     sigma_px = max(LEAST_SIGMA_PX, float(np.sqrt(np.mean((table.sigma_arcmin * per_arcmin) ** 2))))
     camera = EyeballCamera(
@@ -110,28 +110,28 @@ def direction_bench(device: Device, table: ObservationTable, source: str | Path)
 
 def _captures_in(folder: Path, bench_file: str | Path | None) -> Path | None:
     """Return the capture file in a calibration's output folder; None in another folder."""
-    found = sorted(folder.glob("captures-*.npz"))
-    if (folder / "bench.toml").exists() or not found:
+    files = sorted(folder.glob("captures-*.npz"))
+    if (folder / "bench.toml").exists() or not files:
         return None
-    if len(found) > 1 and bench_file is not None:
+    if len(files) > 1 and bench_file is not None:
         wanted = f"captures-{load_bench(bench_file).eye}.npz"
-        found = [path for path in found if path.name == wanted] or found
-    if len(found) > 1:
-        raise BadInputError(f"{folder}: has {' and '.join(path.name for path in found)}; name one of these files.")
-    return found[0]
+        files = [path for path in files if path.name == wanted] or files
+    if len(files) > 1:
+        raise BadInputError(f"{folder}: has {' and '.join(path.name for path in files)}; name one of these files.")
+    return files[0]
 
 
 def _named_device(table: ObservationTable, source: Path) -> Device:
     if table.device in shipped_names("devices", ".toml"):
         return load_device(table.device)
     raise BadInputError(
-        f"{source}: is of '{table.device}', which is no shipped device; name its prescription by --device, or a bench "
-        "by --bench."
+        f"{source}: is of '{table.device}', which is not a shipped device; name its prescription by --device, "
+        "or a bench by --bench."
     )
 
 
 def _target(captures: SeeThroughCaptures | None, source: str | Path) -> Target:
-    """The target at the poses in which captures have seen it; a number without captures gets the pose before it."""
+    """Return the target at its observed poses; a pose without captures repeats the one before it."""
     if captures is None:
         return Target(np.zeros((0, 4, 4)), np.zeros(0))
     on_target = np.full_like(captures.point, np.nan) if captures.target_point is None else captures.target_point
@@ -149,18 +149,18 @@ def _target(captures: SeeThroughCaptures | None, source: str | Path) -> Target:
 
 
 def _pose(point: FloatArray, on_target: FloatArray) -> FloatArray | None:
-    """Pose (4, 4) of a target from its points (n, 3) in the device frame and in its own; None where they do not fix it.
+    """Fit the pose (4, 4) of a target to points (n, 3) in the device frame and in its own; None if undetermined.
 
-    Where the target's own points are unknown, its plane is that of least squares, with x to the right.
+    If the points on the target are unknown, the pose is a least-squares plane, with x to the right.
     """
     centre = point.mean(axis=0)
     _, spread, axes = np.linalg.svd(point - centre, full_matrices=False)
     if len(point) < 3 or spread[1] / np.sqrt(len(point)) < _LEAST_SPREAD_M:
         return None
-    known = np.isfinite(on_target).all(axis=1)
-    if known.sum() >= 3:
-        own_centre, at = on_target[known].mean(axis=0), point[known].mean(axis=0)
-        rotation = Rotation.align_vectors(point[known] - at, on_target[known] - own_centre)[0].as_matrix()
+    defined = np.isfinite(on_target).all(axis=1)
+    if defined.sum() >= 3:
+        own_centre, at = on_target[defined].mean(axis=0), point[defined].mean(axis=0)
+        rotation = Rotation.align_vectors(point[defined] - at, on_target[defined] - own_centre)[0].as_matrix()
         return rigid(rotation, at - rotation @ own_centre)
     normal = axes[2] * np.sign(axes[2, 2])
     right = normalised(np.array([1.0, 0.0, 0.0]) - normal[0] * normal)

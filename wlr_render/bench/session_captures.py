@@ -1,7 +1,7 @@
 """Convert the readings of a bench session to observations of an eye, assuming its nominal bench, and back.
 
 The camera, stage, target, tracking and readout of a bench turn camera pixels into viewpoints, directions and real
-points of the device frame. Only the headset's optics are left out: they are what calibration is to find.
+points of the device frame. Only the headset's optics are not used: calibration estimates them.
 """
 
 from dataclasses import replace
@@ -28,28 +28,28 @@ from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _GREEN = 1
-_DECIMALS = 12  # of metres and of rotations: rows of one photograph then have one setup, to the last digit
+_DECIMALS = 12  # decimals of metres and rotations: rows of one photograph then have exactly one setup
 _FLAT_M = 1e-9
-_SAME_SIGMA = 1e-6  # of it, from rounding
+_SAME_SIGMA = 1e-6  # relative; smaller differences are rounding
 LEAST_SIGMA_PX = 1e-3
 """Sigma of a reading of exact captures, camera pixels."""
-_OFF_TARGET_M = 0.05  # more than any target is curved
+_OFF_TARGET_M = 0.05  # distance from the target's plane; no target is curved by more
 
 
 def captures_of(bench: Bench, session: Session) -> EyeCaptures:
-    """Captures of the bench's eye; its device's optics do not enter, its panel and eye box do.
+    """Return the captures of the bench's eye, from its panel and eye box; the device's optics are not used.
 
     Raises:
-        BadInputError: the session has no readings, or by this bench a dot lies behind the camera.
+        BadInputError: the session has no readings, or a dot lies behind the camera of this bench.
     """
     return observations_of(bench, session).captures()
 
 
 def observations_of(bench: Bench, session: Session) -> ObservationTable:
-    """Return all observations of a session's panel and targets; `captures_of` takes those of one colour.
+    """Return all observations of a session's panel and targets; `captures_of` selects one colour.
 
     Raises:
-        BadInputError: it has neither, or by this bench a dot lies behind the camera.
+        BadInputError: it has neither, or a dot lies behind the camera of this bench.
     """
     plan, readings = session.plan, session.readings
     display = see_through = None
@@ -62,11 +62,11 @@ def observations_of(bench: Bench, session: Session) -> ObservationTable:
 
 
 def display_captures(bench: Bench, plan: DisplayPlan, panel_pixel: FloatArray) -> DisplayCaptures:
-    """Of one colour channel, green where there is a choice: calibration fits one wavelength.
+    """Return the display captures of one colour channel, green if there are several: calibration fits one wavelength.
 
     Args:
-        bench: what is believed of camera, stage, mount and readout.
-        plan: what was set up.
+        bench: bench with the assumed camera, stage, mount and readout.
+        plan: setup of each row.
         panel_pixel: (n, 2) decoded positions; rows with NaN are left out.
     """
     channel = _GREEN if np.any(plan.channel == _GREEN) else plan.channel.min(initial=_GREEN)
@@ -90,11 +90,11 @@ def _display(bench: Bench, rows: DisplayPlan, panel_pixel: FloatArray) -> Displa
 
 
 def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArray) -> SeeThroughCaptures:
-    """Of all poses of the target; photographs are numbered on from pose to pose.
+    """Return the see-through captures of all target poses; photographs are numbered on from pose to pose.
 
     Args:
-        bench: what is believed of camera, stage, mount, target and tracking.
-        plan: what was set up.
+        bench: bench with the assumed camera, stage, mount, target and tracking.
+        plan: setup of each row.
         dot_pixel: (n, 2) camera pixels; rows with NaN are left out.
     """
     kept = np.asarray(np.isfinite(dot_pixel).all(axis=1))
@@ -118,15 +118,15 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
 
 
 def session_of(bench: Bench, table: ObservationTable, name: str) -> Session:
-    """Return the session that `observations_of` makes this table of: its inverse, for any bench.
+    """Return the session whose observations are this table: the inverse of `observations_of`, for any bench.
 
-    Conditions that are not recorded count as the first moment, a move towards +x, green light, and a camera that is
-    turned as the bench says.
+    The defaults for unrecorded conditions are time 0, a move towards +x, green light, and the camera rotation of the
+    bench.
 
     Args:
-        bench: with the poses of all targets.
+        bench: bench with the poses of all targets.
         table: observations of the bench's eye.
-        name: of the session.
+        name: name of the session.
 
     Raises:
         BadInputError: the table is of another eye, or the bench's camera or targets cannot have been observed.
@@ -162,7 +162,7 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
     if highest >= poses or captures.target_pose.min() < 0:
         raise BadInputError(
             f"{name}: the captures name target pose {highest}, but the bench has {poses} [[target_pose]], counted from "
-            "0; add the missing ones, or leave all out so that the poses are those of the captures."
+            "0; add the missing ones, or leave all out to use the poses of the captures."
         )
     time_s, travel = _moments(_recorded(captures))
     empty = np.zeros((len(captures), 2))
@@ -171,7 +171,7 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
     if (off := float(np.abs(height).max())) > _OFF_TARGET_M:
         raise BadInputError(
             f"{name}: dots lie up to {1e3 * off:.0f} mm off the targets of the bench; correct its [[target_pose]], or "
-            "leave all out so that the poses are those of the captures."
+            "leave all out to use the poses of the captures."
         )
     stage, orientation, pixel = _camera_readings(bench, rows, captures, name)
     raised = None if np.abs(height).max() < _FLAT_M else height
@@ -182,13 +182,13 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
 def _camera_readings(
     bench: Bench, plan: DisplayPlan | SeeThroughPlan, captures: DisplayCaptures | SeeThroughCaptures, name: str
 ) -> tuple[FloatArray, FloatArray | None, FloatArray]:
-    """Return the stage readings (n, 3), rotations (n, 3, 3) if there are any, and camera pixels (n, 2) of captures.
+    """Return stage readings (n, 3), rotations (n, 3, 3) if there are any, and camera pixels (n, 2) of captures.
 
     Args:
-        bench: what is believed.
-        plan: of the captures, with time and travel.
+        bench: the assumed bench.
+        plan: plan of the captures, with time and travel.
         captures: viewpoints, directions and camera rotations.
-        name: of the session.
+        name: name of the session.
     """
     stage = np.round(stage_readings(bench, plan, captures.viewpoint), _DECIMALS)
     as_stated = camera_orientations(bench, plan)
@@ -225,13 +225,13 @@ def _moments(conditions: Conditions) -> tuple[FloatArray, FloatArray]:
 
 
 def _numbers(captures: DisplayCaptures | SeeThroughCaptures) -> IntArray:
-    """Return the numbers (n,) of the photographs: those of the camera places, unless the visits were recorded."""
+    """Return the numbers (n,) of the photographs: by camera position, unless the visits were recorded."""
     visit = _recorded(captures).visit
     return visit if np.all(visit >= 0) else captures.capture
 
 
 def _numbered_on(rows: SeeThroughPlan) -> IntArray:
-    """Return the numbers (n,) of the photographs: those of a session count from 0 for every pose of the target."""
+    """Return the numbers (n,) of the photographs, from 0 for every pose of the target, as a session has them."""
     pairs = np.stack([rows.target_pose, rows.capture], axis=1)
     return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)
 
@@ -244,7 +244,7 @@ def _sigma_px(camera: EyeballCamera, rows: DisplayPlan | SeeThroughPlan) -> Floa
 def _sigmas(
     camera: EyeballCamera, captures: DisplayCaptures | SeeThroughCaptures, pixel: FloatArray
 ) -> FloatArray | None:
-    """Sigmas (n,) of captures in camera pixels; None where they are the camera's, or where the captures are exact."""
+    """Return the sigmas (n,) of captures in camera pixels; None if they are exact or have the camera's sigma."""
     sigma_px = captures.sigma_arcmin / _arcmin_per_px(camera, pixel)
     if not sigma_px.any() or np.allclose(sigma_px, camera.point_sigma_px, rtol=_SAME_SIGMA, atol=0.0):
         return None
@@ -252,6 +252,6 @@ def _sigmas(
 
 
 def _arcmin_per_px(camera: EyeballCamera, pixel: FloatArray) -> FloatArray:
-    """Return the angle of a camera pixel at each pixel (n, 2): the geometric mean of radially and across, (n,)."""
+    """Return the angle (n,) of a camera pixel at pixels (n, 2): geometric mean of the radial and tangential angle."""
     square = np.sum(camera.tangents_of_pixel(pixel) ** 2, axis=1)
     return np.asarray((1.0 + square) ** -0.75 / np.sqrt(np.prod(camera.focal_px)) / ARCMIN)

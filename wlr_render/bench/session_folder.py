@@ -31,21 +31,21 @@ from wlr_render.toml_files import read_toml
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")
 _TABLES = {"display": "display", "dot_pixel": "seethrough", "seen": "runtime"}
-_REACH_M = 0.5  # of stage and eye: beyond, lengths are in another unit
-_NEAREST_M = 0.03  # of a target to the camera
-_MOST_PITCHES = 1000  # of dots in a row of a target
-_MANY = 10  # rows that cannot all be of one point
+_REACH_M = 0.5  # largest range of stage and eye: beyond it, lengths are in another unit
+_NEAREST_M = 0.03  # least distance of a target from the camera
+_MOST_PITCHES = 1000  # most pitches in a row of a target
+_MANY = 10  # rows that cannot all show the same point
 _FACTOR, _LEAST_OFFSET_M = 100, 5e-3
 _LEAST_TRAVEL_M = 0.5e-3
-_SAME_PITCH = 1e-4  # of it: a target that was not measured again
+_SAME_PITCH = 1e-4  # relative; smaller differences mean the same target
 
 
 def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tuple[Bench, Session]:
-    """Read a session and the bench as its makers believe it to be; the session is named after its folder.
+    """Read a session, named after its folder, and the nominal bench of its makers.
 
     Args:
-        folder: with bench.toml and the tables.
-        bench_file: of the same headset; it replaces the folder's own as `bench_for_session` says.
+        folder: folder with bench.toml and the tables.
+        bench_file: bench of the same headset, to replace the folder's bench; see `bench_for_session`.
 
     Raises:
         BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the sentence says
@@ -73,47 +73,49 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
     return bench, Session(folder.resolve().name, SessionPlan(**plans), Readings(**readings))
 
 
-def bench_for_session(bench: Bench, own: Bench, path: str | Path, folder: str | Path) -> Bench:
-    """Return another bench model with what belongs to a session: its target poses and the noise of its readings.
+def bench_for_session(bench: Bench, nominal: Bench, path: str | Path, folder: str | Path) -> Bench:
+    """Return another bench model with the target poses and the noise of a session.
 
-    All corrections, those of the target (scale, bow, tracking) included, are the bench's. A bow that differs from pose
-    to pose goes with the pitch of the dots, which tells the targets apart. If the session has no target poses, the
+    All corrections come from the bench, the target's (scale, bow, tracking) included. Bows that differ from pose to
+    pose are matched by the pitch of the dots, which identifies the target. If the session has no target poses, the
     bench keeps its own.
 
     Args:
         bench: the other bench.
-        own: the session's own bench.
+        nominal: the session's bench.
         path: file of the other bench, for messages.
-        folder: of the session, for messages.
+        folder: folder of the session, for messages.
 
     Raises:
         BadInputError: the benches are of different headsets or eyes, or the bow of a target is not known.
     """
-    if (bench.device.name, bench.eye) != (own.device.name, own.eye):
+    if (bench.device.name, bench.eye) != (nominal.device.name, nominal.eye):
         raise BadInputError(
             f"{path}: is a bench of {bench.device.name} ({bench.eye} eye), the session {folder} is of "
-            f"{own.device.name} ({own.eye} eye); choose a bench of that headset."
+            f"{nominal.device.name} ({nominal.eye} eye); choose a bench of that headset."
         )
-    camera = replace(bench.camera, point_sigma_px=own.camera.point_sigma_px)
-    if len(own.target.pitch) == 0:
+    camera = replace(bench.camera, point_sigma_px=nominal.camera.point_sigma_px)
+    if len(nominal.target.pitch) == 0:
         return replace(bench, camera=camera)
-    target = replace(own.target, scale=bench.target.scale, bow=_bow_of(bench.target, own.target, path, folder))
+    target = replace(nominal.target, scale=bench.target.scale, bow=_bow_of(bench.target, nominal.target, path, folder))
     return replace(bench, camera=camera, target=target)
 
 
-def _bow_of(corrected: Target, own: Target, path: str | Path, folder: str | Path) -> FloatArray:
-    """Return the bow (1 or k, 2) by a corrected target at the k poses of a session's own."""
+def _bow_of(corrected: Target, nominal: Target, path: str | Path, folder: str | Path) -> FloatArray:
+    """Return the bow (1 or k, 2) of the corrected target at each of the session's k target poses."""
     bow = corrected.bow
     if np.ptp(bow, axis=0).max() == 0.0:
         return bow[:1]
-    if len(own.pitch) == len(corrected.pitch) and np.allclose(own.pitch, corrected.pitch, rtol=_SAME_PITCH, atol=0.0):
+    if len(nominal.pitch) == len(corrected.pitch) and np.allclose(
+        nominal.pitch, corrected.pitch, rtol=_SAME_PITCH, atol=0.0
+    ):
         return bow
     rows = []
-    for number, pitch in enumerate(own.pitch):
+    for number, pitch in enumerate(nominal.pitch):
         same = np.flatnonzero(np.isclose(corrected.pitch, pitch, rtol=_SAME_PITCH, atol=0.0))
         if len(same) == 0 or np.ptp(bow[same], axis=0).max() > 0.0:
             raise BadInputError(
-                f"{path}: states a 'bow_per_m' for each target pose, which does not say how the target at "
+                f"{path}: states a 'bow_per_m' for each target pose, which does not state how the target at "
                 f"[[target_pose]] {number} of {folder} (pitch {pitch / MM:g} mm) is bowed; state one pair in [target]."
             )
         rows.append(bow[same[0]])
@@ -129,7 +131,7 @@ def remove_session(folder: str | Path) -> None:
 
 
 def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
-    """Write a session so that `load_session` reads the same one, to 15 digits. Rows with a NaN reading are left out.
+    """Write a session that `load_session` reads back, to 15 digits. Rows with a NaN reading are left out.
 
     Raises:
         BadInputError: the folder holds a table that is not this session's, and would be read with it.
@@ -146,14 +148,14 @@ def save_session(folder: str | Path, bench: Bench, session: Session) -> Path:
     save_bench(bench, folder / "bench.toml")
     for schema in present:
         plan, reading = getattr(session.plan, schema.plan), getattr(session.readings, schema.reading)
-        seen = np.isfinite(reading).all(axis=1)
-        columns = schema.to_file(select_rows(plan, seen), reading[seen], FRAMES[WRITTEN_FRAME])
+        recorded = np.isfinite(reading).all(axis=1)
+        columns = schema.to_file(select_rows(plan, recorded), reading[recorded], FRAMES[WRITTEN_FRAME])
         write_table(written[schema.name], schema, columns)
     return folder
 
 
 def check_enough_captures(session: Session) -> None:
-    """Refuse a session of which no captures can be held out.
+    """Refuse a session that has too few captures to hold any out.
 
     Raises:
         BadInputError: there are fewer than `FEWEST_CAPTURES` of them, all tables together.
@@ -172,7 +174,7 @@ def check_enough_captures(session: Session) -> None:
 
 
 def _tables(folder: Path, schema: Schema) -> list[Path]:
-    # A link that leads nowhere is a table that cannot be read, not one that is left out.
+    # A broken link is an unreadable table, not a missing one.
     return [path for suffix in _SUFFIXES if os.path.lexists(path := folder / f"{schema.name}{suffix}")]
 
 
@@ -184,7 +186,7 @@ def _table_path(folder: Path, schema: Schema) -> Path | None:
 
 
 def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], readings: dict[str, FloatArray]) -> None:
-    """Refuse readings that the bench cannot have taken, such as lengths in metres, and poses that it lacks."""
+    """Refuse readings that are impossible on the bench, such as lengths in metres, and poses that it lacks."""
     camera = bench.camera
     require_plausible_view(f"{folder}: [camera] of the bench", camera.size_px, camera.focal_px, camera.centre_px)
     for name, plan in plans.items():
@@ -251,14 +253,14 @@ def _check_targets(folder: Path, bench: Bench, plan: SeeThroughPlan) -> None:
 
 
 def _require_spread(folder: Path, what: str, values: FloatArray) -> None:
-    """Refuse positions (n, 2) that are all the same: a column that was never filled in."""
-    known = values[np.isfinite(values).all(axis=1)]
-    if len(known) >= _MANY and np.ptp(known, axis=0).max() == 0.0:
-        raise BadInputError(f"{folder}: {what} are the same in all {len(known)} rows; record where each point is.")
+    """Refuse positions (n, 2) that are all equal: a column that was never filled in."""
+    finite = values[np.isfinite(values).all(axis=1)]
+    if len(finite) >= _MANY and np.ptp(finite, axis=0).max() == 0.0:
+        raise BadInputError(f"{folder}: {what} are the same in all {len(finite)} rows; record where each point is.")
 
 
 def _require_one_unit(folder: Path, table: str, stage: FloatArray, origin: FloatArray) -> None:
-    """Refuse an axis of a stage (n, 3) whose readings are far from its origin (3,) by a factor, as metres are."""
+    """Refuse an axis of a stage (n, 3) whose readings differ from its origin (3,) by a factor, as metres do."""
     reading, stated = np.abs(stage), np.abs(origin)
     small = (reading.max(axis=0) < stated / _FACTOR) & (stated > _LEAST_OFFSET_M)
     large = (stated > 0) & (stated < reading.min(axis=0) / _FACTOR) & (reading.min(axis=0) > _LEAST_OFFSET_M)
@@ -271,7 +273,7 @@ def _require_one_unit(folder: Path, table: str, stage: FloatArray, origin: Float
 
 
 def _require_side(folder: Path, table: str, stage: FloatArray, bench: Bench) -> None:
-    """Refuse a camera that stood on the other side of the head than the eye of the bench."""
+    """Refuse a camera on the other side of the head than the eye of the bench."""
     eye, place = float(bench.optics.eye_box.centre[0]), float(np.median(stage[:, 0]))
     if abs(eye) > _LEAST_OFFSET_M and abs(place - eye) - abs(place + eye) > abs(eye):
         raise BadInputError(
@@ -281,7 +283,7 @@ def _require_side(folder: Path, table: str, stage: FloatArray, bench: Bench) -> 
 
 
 def _require_in_picture(folder: Path, table: str, pixel: FloatArray, size_px: FloatArray) -> None:
-    """Refuse camera pixels (n, 2) outside the picture by more than its own size."""
+    """Refuse camera pixels (n, 2) outside the picture by more than its size."""
     far = np.any((pixel < -size_px) | (pixel > 2 * size_px), axis=1)
     if far.any():
         raise BadInputError(

@@ -1,4 +1,4 @@
-"""Simulate run-time readings: where the eye sees a real dot and the virtual dot drawn over it."""
+"""Simulate run-time readings: camera pixels of a real dot and of the virtual dot drawn over it."""
 
 from functools import lru_cache
 
@@ -15,11 +15,11 @@ _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
 
 
 def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
-    """Return the camera pixels (n, 4) of the virtual dot (2) and the real dot (2) as the true pupil sees them.
+    """Return the camera pixels (n, 4) of the virtual dot (2) and the real dot (2), seen from the true pupil.
 
     The frame is drawn for the head pose and the tracked viewpoint of its row's time, with exact models of the headset.
-    It is seen later by the clock's latency and, row by row of the panel, its scan-out, when the head has moved on, and
-    from where the pupil truly is. NaN where a dot cannot be seen or drawn.
+    It appears later, by the clock's latency and the scan-out of its panel row, when the head has moved on, and is seen
+    from the true pupil. NaN where a dot cannot be seen or drawn.
     """
     display = _display(bench.optics, bench.target_wavelength_um)
     see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
@@ -37,12 +37,12 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
 
 @lru_cache(maxsize=4)
 def _display(optics: EyeOptics, wavelength_um: float) -> TracedDisplay:
-    """Return the display's mapping; its fitted first guess is worth keeping while only tracking and clock change."""
+    """Return the display's mapping, cached: its fitted first guess is reused while only tracking and clock change."""
     return TracedDisplay(optics, wavelength_um)
 
 
 def _dot_in_device(plan: RunTimePlan, later_s: FloatArray) -> FloatArray:
-    """Return dots (n, 3) in the device frame, each `later_s` (n,) after its row's time, the head moving on evenly."""
+    """Return dots (n, 3) in the device frame, each `later_s` (n,) after its row's time, at constant head velocity."""
     turn = rotations_of_vectors(plan.head_rate * later_s[:, None])
     world_from_device = turn @ plan.world_from_device[:, :3, :3]
     position = plan.world_from_device[:, :3, 3] + plan.head_velocity * later_s[:, None]

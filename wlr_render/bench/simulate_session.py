@@ -17,11 +17,11 @@ from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.optics.tracer import trace
 
-_TANGENT_STEP = 1e-5  # of the differences
+_TANGENT_STEP = 1e-5  # step of the finite differences, tangents
 _TOLERANCE = 1e-10  # radians as seen from the camera: a millionth of a camera pixel
 _ITERATIONS = 8
 
-_QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # what is not seen is NaN, and is said to be
+_QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # invisible points are NaN on purpose
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class ObservedPoints:
     """Real points and the viewpoints they are observed from.
 
     Attributes:
-        optics: looked through.
+        optics: the optics in front of the eye.
         wavelength_um: micrometres.
         viewpoint, point: (n, 3) device frame.
     """
@@ -40,12 +40,12 @@ class ObservedPoints:
     point: FloatArray
 
     def solved(self, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
-        """Tangents (n, 2) of the directions in which points are seen, solved from cold; NaN where they are not."""
+        """Solve for the tangents (n, 2) of points from a cold start; NaN for points that are not seen."""
         mapping = TracedSeeThrough(self.optics, self.wavelength_um)
         return tangents_of_dir(mapping.view_dir_of_real_point(self.point[rows], self.viewpoint[rows]).value)
 
     def miss(self, tangents: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
-        """Where the world rays pass the points' depth, minus the points, over their distance: (n, 2)."""
+        """Return the lateral miss of the world rays at the points' depth, over the distance, (n, 2)."""
         viewpoint, point = self.viewpoint[rows], self.point[rows]
         traced = trace(self.optics.see_through, viewpoint, dir_of_tangents(tangents), self.wavelength_um)
         lost = (traced.status != Status.OK) & (traced.status != Status.CLIPPED)
@@ -64,13 +64,13 @@ class ObservedPoints:
         return np.asarray(np.moveaxis(inverse, -1, 0))
 
     def newton_step(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """One Newton step (n, 2) from the tangents of a neighbouring scene: right to first order in the change."""
+        """Take one Newton step (n, 2) from the tangents of a neighbouring bench: exact to first order."""
         return np.asarray(tangents - np.einsum("nij,nj->ni", tangents_from_miss, self.miss(tangents)))
 
     def solved_from(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Return the tangents (n, 2) by as many such steps as it takes; rows that do not settle are solved from cold.
+        """Take Newton steps until the tangents (n, 2) converge; rows that do not are solved from a cold start.
 
-        A point that the neighbour sees and that has come to lie past the edge of an aperture keeps its tangents.
+        A point that the neighbour sees and that has moved past the edge of an aperture keeps its tangents.
         """
         tangents = tangents.copy()
         led = np.isfinite(tangents).all(axis=1) & np.isfinite(tangents_from_miss).all(axis=(1, 2))
@@ -94,8 +94,8 @@ class DotViews:
     Attributes:
         bench: the bench.
         plan: its see-through readings.
-        near: of a neighbouring bench and the same plan; it makes the solve fast and does not change its result, but
-            that a dot which has come to lie past the edge of an aperture is still seen.
+        near: views on a neighbouring bench with the same plan; they speed up the solve and do not change its result,
+            except that a dot that has moved past the edge of an aperture is still seen.
     """
 
     bench: Bench
@@ -107,7 +107,7 @@ class DotViews:
         """(n, 2), device frame; NaN where a dot is not seen."""
         scene, near = _observed_points(self.bench, self.plan), self.near
         tangents = scene.solved() if near is None else scene.solved_from(near.tangents, near.tangents_from_miss)
-        # A chain of neighbours would otherwise keep all of them.
+        # Otherwise a chain of neighbours would stay in memory.
         object.__setattr__(self, "near", None)
         return tangents
 
@@ -129,8 +129,8 @@ def simulate(bench: Bench, plan: SessionPlan, dot_views: DotViews | None = None)
 
     Args:
         bench: the bench.
-        plan: what is set up, row by row.
-        dot_views: of this bench, where they are known already.
+        plan: setup of each row.
+        dot_views: views of the dots on this bench, if already computed.
 
     Returns:
         The readings; NaN where the panel or a dot cannot be seen.
@@ -143,7 +143,7 @@ def simulate(bench: Bench, plan: SessionPlan, dot_views: DotViews | None = None)
 
 @_QUIET
 def simulate_to_first_order(bench: Bench, plan: SessionPlan, dot_views: DotViews | None) -> Readings:
-    """As `simulate`, to first order in the change from a neighbouring bench, whose `dot_views` are given."""
+    """Predict every reading to first order in the change from a neighbouring bench, given the `dot_views` of it."""
     dots = None
     if plan.see_through is not None and dot_views is not None:
         tangents = _observed_points(bench, plan.see_through).newton_step(
@@ -173,15 +173,15 @@ def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
     for channel in np.unique(plan.channel):
         rows = plan.channel == channel
         display = TracedDisplay(bench.optics, bench.wavelengths_um[channel])
-        seen, status = display.plane_pixel(view_dir[rows], viewpoint[rows])
-        # A ray past the edge of an aperture is kept: where the edge is, is no part of what is measured.
+        emitted, status = display.plane_pixel(view_dir[rows], viewpoint[rows])
+        # A ray past the edge of an aperture is kept: the position of the edge is not measured.
         lost = (status != Status.OK) & (status != Status.CLIPPED)
-        pixel[rows] = np.where(lost[:, None], np.nan, seen)
+        pixel[rows] = np.where(lost[:, None], np.nan, emitted)
     return decoded(bench, plan, pixel)
 
 
 def decoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
-    """Where light leaves the panel as it is when cold, (n, 2) panel pixels -> the position that is decoded, (n, 2)."""
+    """Return the decoded positions (n, 2) of light that leaves the cold panel at pixels (n, 2)."""
     centre, scale = _readout(bench, plan)
     return np.asarray(centre + scale * (pixel - _creep_px(bench, plan) - centre) + bench.readout.origin_px)
 
@@ -198,7 +198,7 @@ def _readout(bench: Bench, plan: DisplayPlan) -> tuple[FloatArray, FloatArray]:
 
 
 def _creep_px(bench: Bench, plan: DisplayPlan) -> FloatArray:
-    """Return how far the panel has crept at each row, (n, 2) panel pixels."""
+    """Return the panel's creep at each row, (n, 2) panel pixels."""
     panel, mount = bench.optics.panel, bench.mount
     warm = 1.0 - np.exp(-plan.time_s / mount.warm_up_s)
     return np.asarray(warm[:, None] * mount.panel_creep / panel.size * panel.pixels.size_px)
@@ -223,7 +223,7 @@ def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatA
 
 
 def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
-    """Where the camera's centre of projection truly is, (n, 3), device frame."""
+    """Return the true positions of the camera's centre of projection, (n, 3), device frame."""
     origin = bench.stage.origin
     return np.asarray(origin + (plan.stage - origin) @ bench.stage.axes.T + _displacements(bench, plan))
 
@@ -236,14 +236,14 @@ def stage_readings(bench: Bench, plan: DisplayPlan | SeeThroughPlan, position: F
 
 
 def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
-    """Return the camera positions minus positions of the stage, (n, 3): pupil offset, backlash and slip."""
+    """Return camera positions minus stage positions, (n, 3): pupil offset, backlash and slip."""
     moved = np.where((plan.time_s >= bench.mount.slip_time_s)[:, None], bench.mount.slip, 0.0)
     moved[:, 0] += np.where(plan.travel > 0, *bench.stage.backlash)
     return np.asarray(moved + bench.camera.pupil_offset)
 
 
 def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
-    """Return the rotations device_from_camera (n, 3, 3) of the camera as it truly looks."""
+    """Return the true rotations device_from_camera (n, 3, 3) of the camera, slip included."""
     turned = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
     if plan.orientation is not None:
         turned = plan.orientation @ turned
@@ -251,13 +251,13 @@ def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> Flo
 
 
 def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
-    """Return the rotations (n, 3, 3) of the camera in the device frame by the slip, the identity before it."""
+    """Return the rotations (n, 3, 3) of the camera in the device frame by the slip; the identity before it."""
     slipped = (time_s >= bench.mount.slip_time_s)[:, None, None]
     return np.asarray(np.where(slipped, rotations_of_vectors(bench.mount.slip_rotation), np.eye(3)))
 
 
 def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
-    """Return the unit directions (n, 3) in which the camera truly looks in each display row, device frame."""
+    """Return the true unit view directions (n, 3) of the camera in each display row, device frame."""
     if plan.orientation is None and not bench.mount.slip_rotation.any():
         return bench.camera.view_dir_of_pixel(plan.camera_pixel)
     in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(plan.camera_pixel))
@@ -265,7 +265,7 @@ def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
 
 
 def printed_places(bench: Bench, plan: SeeThroughPlan, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places (n, 2) of dots on the printed target and heights (n,) above it, of points (n, 3) in the device frame.
+    """Return positions (n, 2) on the printed target and heights (n,) above it, of points (n, 3) in the device frame.
 
     This is the inverse of the dots of `dot_geometry`.
     """
@@ -277,7 +277,7 @@ def printed_places(bench: Bench, plan: SeeThroughPlan, point: FloatArray) -> tup
 
 
 def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
-    """Where the printed dots truly are, (n, 3), device frame."""
+    """Return the true positions of the printed dots, (n, 3), device frame."""
     target = bench.target
     flat = plan.dot * target.scale
     bow = np.broadcast_to(target.bow, (len(target.device_from_target), 2))[plan.target_pose]

@@ -1,4 +1,4 @@
-"""A source picture and what the panel must show of it, for a receiver who checks a program against ours."""
+"""A source picture and the panel picture it must give, to check another program against this one."""
 
 from pathlib import Path
 
@@ -34,7 +34,7 @@ def write_check(folder: Path, view: ExportedView, holds: Capabilities) -> list[P
 
 
 def check_picture(size_px: tuple[int, int]) -> NDArray[np.uint8]:
-    """(height, width, 3): red grows to the right, green downwards, with a grid, and words that show the orientation."""
+    """Return a picture (height, width, 3): red grows to the right, green downwards, with a grid and lettering."""
     width, height = size_px
     u, v = (np.arange(size) / size for size in size_px)
     picture = np.zeros((height, width, 3), np.float32)

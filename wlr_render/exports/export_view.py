@@ -1,4 +1,4 @@
-"""The view that every format writes: rays of one panel as one pupil sees it, and the camera of the source picture."""
+"""The view that every format writes: the rays of one panel for one pupil, and the camera of the source picture."""
 
 import functools
 import math
@@ -22,8 +22,8 @@ class Origin:
 
     Attributes:
         name: device name, and how its mappings were made.
-        sha256: of each file that was read, by its name.
-        wavelength_nm: of the light that the maps are traced in, by colour; empty for fitted models.
+        sha256: SHA-256 of each file that was read, by its name.
+        wavelength_nm: wavelength at which the maps are traced, by colour; empty for fitted models.
     """
 
     name: str
@@ -33,22 +33,22 @@ class Origin:
 
 @dataclass(frozen=True, eq=False)
 class ExportedView:
-    """One eye at one pupil position, with the camera of the picture that its maps read.
+    """One eye at one pupil position, with the camera of the source picture.
 
     All rays and positions are in the camera's frame: origin at its position, x right, y up, looking along -z.
 
     Attributes:
         origin: the headset.
         stem: start of the names of this view's files, e.g. "right" or "right-000012".
-        channels: mappings of the eye: one, or those of red, green and blue.
-        plans: of the ray maps, one for each channel, in the axes of the camera.
+        channels: mappings of the eye: one, or one each for red, green and blue.
+        plans: plans of the ray maps, one for each channel, in the axes of the camera.
         source: the camera and its place in the device; its world is the device.
         viewpoint: (3,) centre of the entrance pupil in the device frame, metres.
         depth_m: depth from the camera for which positions in the picture are right; infinite by default.
         time_s: time stamp of a trajectory.
         place_of: position (3,) of the camera in the device as a function of the viewpoint.
-        other_light: mappings of the light that one map serves too, by its name; empty where that is not known, or each
-            colour has a map.
+        other_light: mappings of the other colours that one map serves, by name; empty if unknown, or if each colour has
+            a map.
     """
 
     origin: Origin
@@ -69,7 +69,7 @@ class ExportedView:
 
     @property
     def eye(self) -> str:
-        """ "left" or "right"."""
+        """Name of the eye: "left" or "right"."""
         return self.channels[0].eye
 
     @property
@@ -85,7 +85,7 @@ class ExportedView:
 
     @property
     def all_colours(self) -> str:
-        """Name of a file that has the maps of all colours."""
+        """Name of the file that has the maps of all colours."""
         return ", ".join(self.colours)
 
     @property
@@ -99,7 +99,7 @@ class ExportedView:
 
     @property
     def stems(self) -> tuple[str, ...]:
-        """Start of the names of the files of each colour."""
+        """Start of the file names of each colour."""
         return tuple(self.stem if colour == ALL_COLOURS else f"{self.stem}-{colour}" for colour in self.colours)
 
     def slope_offset(self, colour: str) -> Float32Array:
@@ -116,22 +116,22 @@ class ExportedView:
         return tuple(self._at_camera(each, self.viewpoint).astype(np.float32) for each in rays)
 
     def rays_at(self, colour: str, pixel: FloatArray, viewpoint: FloatArray | None = None) -> FloatArray:
-        """Return the exact rays of panel pixels (..., 2), as `slope_offset` but (..., 4) float64.
+        """Return the exact rays of panel pixels (..., 2), like `slope_offset` but (..., 4) float64.
 
         Args:
-            colour: of the map.
+            colour: colour of the map.
             pixel: anywhere on the panel, (0, 0) the outer corner of the top left pixel.
-            viewpoint: (3,) of another pupil; the camera stays.
+            viewpoint: (3,) another pupil position; the camera stays.
         """
         return self.rays_of(self.mappings(colour), pixel, self.viewpoint if viewpoint is None else viewpoint)
 
     def rays_of(self, mappings: EyeMappings, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Return the same of other mappings of this eye."""
+        """Return the same rays for other mappings of this eye."""
         solved = solve_pixels(mappings, self.source.device_from_camera, pixel, viewpoint)
         return np.moveaxis(self._at_camera(solved.slope_offset, viewpoint), 0, -1)
 
     def tangents(self, rays: FloatArray, depth_m: float | None = None) -> FloatArray:
-        """Tangents (..., 2) of the points of rays (4, ...) at a depth, by default `depth_m`, seen from the camera."""
+        """Return the tangents (..., 2), at the camera, of rays' points (4, ...) at a depth, by default `depth_m`."""
         return np.moveaxis(rays[:2] + rays[2:] / (self.depth_m if depth_m is None else depth_m), 0, -1)
 
     def source_px(self, colour: str) -> Float32Array:
@@ -143,14 +143,14 @@ class ExportedView:
         return self.source.camera.pixel_of_tangents(tangents).astype(np.float32)
 
     def _at_camera(self, rays: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Return the rays (..., 4) with their origin at a viewpoint -> (4, ...) with their origin at the camera."""
+        """Move the origin of rays (..., 4) from a viewpoint to the camera: (4, ...)."""
         x, y, z = self.source.device_from_camera.T @ (self.source.position_in_device - viewpoint)
         a, b, c, d = np.moveaxis(rays, -1, 0)
         return np.stack([a, b, c - a * z - x, d - b * z - y])
 
 
 def has_ray(position: FloatArray | Float32Array) -> BoolArray:
-    """Return whether positions or tangents (..., 2) are those of a ray, and not NaN."""
+    """Return whether positions or tangents (..., 2) belong to a ray, and are not NaN."""
     return np.asarray(np.isfinite(position).all(axis=-1))
 
 

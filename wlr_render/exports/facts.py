@@ -21,11 +21,11 @@ _ALIKE_ARCMIN = 1e-3
 
 
 def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
-    """Misalignment of a view in one colour: as it was made for, at other depths, in other light, with another pupil.
+    """Return the errors of a view in one colour: as intended, at other depths, in other light, with another pupil.
 
-    Directions are those from the source camera to the points that the panel's pixels show and should show, by the
+    Errors are angles at the source camera between the points that the panel's pixels show and should show, by the
     mappings. The pupil moves `PUPIL_SHIFT_M` right, left, up and down in the device, as far as the eye box allows; the
-    errors are of all these together.
+    errors are over all these positions.
     """
     mappings, holds = view.mappings(colour), form.holds
     pixel = _pixel_centres(view.panel_size_px)
@@ -35,23 +35,23 @@ def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
     if not holds.between_pixels:
         camera = view.source.camera
         shown = camera.tangents_of_pixel(np.floor(camera.pixel_of_tangents(shown)) + 0.5)
-    found = []
+    table = []
     if not holds.every_pixel:
-        found.append(form.interpolation(view, colour))
+        table.append(form.interpolation(view, colour))
     else:
         points = "points at any depth" if holds.every_depth else f"points {depth_words(view.depth_m)}"
-        found.append(_loss(f"{points}, as the file is made for", [_arcmin(view, shown, due)]))
+        table.append(_loss(f"{points}, as the file is made for", [_arcmin(view, shown, due)]))
     if not holds.every_depth:
         for depth_m in (JUDGED_DEPTH_M, math.inf):
             if depth_m != view.depth_m:
-                found.append(_loss(f"points {depth_words(depth_m)}", [_arcmin(view, shown, due, depth_m)]))
+                table.append(_loss(f"points {depth_words(depth_m)}", [_arcmin(view, shown, due, depth_m)]))
     for light, other in view.other_light.items():
         rays = view.rays_of(other, pixel, view.viewpoint)
-        found.append(_loss(light, [_arcmin(view, shown, np.moveaxis(rays, -1, 0))]))
+        table.append(_loss(light, [_arcmin(view, shown, np.moveaxis(rays, -1, 0))]))
     steps = PUPIL_SHIFT_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     moved = [view.viewpoint + step for step in steps if mappings.eye_box.contains(view.viewpoint + step)]
     errors = [_arcmin(view, shown, np.moveaxis(view.rays_at(colour, pixel, pupil), -1, 0)) for pupil in moved]
-    return [*found, _loss(f"pupil displaced by {1e3 * PUPIL_SHIFT_M:g} mm", errors)]
+    return [*table, _loss(f"pupil displaced by {1e3 * PUPIL_SHIFT_M:g} mm", errors)]
 
 
 def not_held(view: ExportedView, form: Format) -> list[str]:
@@ -78,11 +78,11 @@ def not_held(view: ExportedView, form: Format) -> list[str]:
 
 
 def _bends_all_light_alike(view: ExportedView) -> bool:
-    """Return whether red and blue light go the way of green; False if it is not known."""
+    """Return whether red and blue light take the path of green; False if unknown."""
     pixel, colour = _pixel_centres(view.panel_size_px), view.middle_colour
     green = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
     others = [np.moveaxis(view.rays_of(each, pixel, view.viewpoint), -1, 0) for each in view.other_light.values()]
-    # Pixels without a ray compare as False; a panel without any has nothing to lose.
+    # Pixels without a ray compare as False; a panel without rays has no error.
     return bool(others) and not any(np.any(_arcmin(view, green, rays) >= _ALIKE_ARCMIN) for rays in others)
 
 
@@ -93,12 +93,12 @@ def _pixel_centres(size_px: tuple[int, int]) -> FloatArray:
 
 
 def depth_words(depth_m: float) -> str:
-    """Where points of a depth are."""
+    """Describe the depth of points in words."""
     return f"{depth_m:g} m deep" if math.isfinite(depth_m) else "at infinity"
 
 
 def _arcmin(view: ExportedView, shown: FloatArray, due: FloatArray, depth_m: float | None = None) -> FloatArray:
-    """Angles between tangents (n, 2) that are shown and those of rays (4, n) at a depth, by default the view's."""
+    """Return the angles between tangents shown (n, 2) and of rays (4, n) at a depth, by default the view's."""
     return arcmin_between(dir_of_tangents(shown), dir_of_tangents(view.tangents(due, depth_m)))
 
 
@@ -113,7 +113,7 @@ def _loss(case: str, errors: list[FloatArray]) -> Loss:
 def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
     """Return all that a receiver must know about one map, as plain JSON."""
     camera, (left, bottom), (right, top) = view.source.camera, *_borders(view)
-    judged = colour if colour in view.colours else view.middle_colour  # of a file of all colours, the middle one
+    judged = colour if colour in view.colours else view.middle_colour  # a file of all colours states the middle one
     return {
         "format": "wlr-export",
         "version": 1,
@@ -141,8 +141,8 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
 
 
 def _wavelength(view: ExportedView, colour: str) -> float | dict[str, float] | str:
-    known = view.origin.wavelength_nm
-    return known.get(colour, dict(known)) if known else "as the models were fitted"
+    wavelengths = view.origin.wavelength_nm
+    return wavelengths.get(colour, dict(wavelengths)) if wavelengths else "as the models were fitted"
 
 
 def _borders(view: ExportedView) -> tuple[list[float], list[float]]:
@@ -161,5 +161,5 @@ def header_texts(record: dict[str, Any]) -> dict[str, str]:
 
 
 def write_facts(path: Path, record: dict[str, Any]) -> Path:
-    """Write facts as JSON beside a file whose format has no header."""
+    """Write facts as JSON next to a file whose format has no header."""
     return write_text(path, json.dumps(record, indent=1) + "\n")

@@ -11,18 +11,18 @@ from wlr_render.exports.export_view import ExportedView
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a format holds; the rest of what a user asks for is refused, or named in the files and on the terminal.
+    """Capabilities of a format; other requests are refused, or named in the files and on the terminal.
 
     Attributes:
-        every_depth: rays, so that a reader who knows the depth of a point finds its place in the picture.
-        colours: a map each for red, green and blue.
+        every_depth: rays, so that a reader who knows the depth of a point finds its position in the picture.
+        colours: separate maps for red, green and blue.
         pupils: several pupil positions, in a file each or in one.
         asymmetric_field: borders of the source picture at different angles to the left and right, or up and down, and a
             turned camera for each eye.
         between_pixels: positions between the pixels of the source picture.
-        every_pixel: a position or ray for each panel pixel, not an approximation between some.
-        both_eyes: one file of both eyes, which cannot be without one of them.
-        is_exr: OpenEXR files, which an extra writes.
+        every_pixel: a position or ray for each panel pixel, not interpolated between some.
+        both_eyes: one file for both eyes, which needs both of them.
+        is_exr: OpenEXR files, which need an extra.
     """
 
     every_depth: bool = False
@@ -37,11 +37,11 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class Loss:
-    """Misalignment over the panel where a fixed map is used for something that it was not made for.
+    """Misalignment over the panel where a fixed map is used outside its purpose.
 
     Attributes:
-        case: in words.
-        rms_arcmin, max_arcmin: over panel pixels that have a ray; None where the case is not defined, or not known.
+        case: the use, in words.
+        rms_arcmin, max_arcmin: over panel pixels that have a ray; None if undefined or unknown.
     """
 
     case: str
@@ -53,12 +53,12 @@ class Format(Protocol):
     """A file format, listed in `formats.FORMATS`.
 
     Attributes:
-        name: of the format on the command line.
-        title: what it is, and for whom, in one line.
+        name: name of the format on the command line.
+        title: content and audience, in one line.
         holds: its capabilities.
-        convention: what the numbers of a file mean, a sentence each; also in every file or beside it.
-        use: how a reader uses the files in the program that they are for, a step each; NAME stands for the start of a
-            file's name, WxH for the panel's size.
+        convention: meaning of the numbers of a file, a sentence each; also in every file or next to it.
+        use: how to use the files in their program, a step each; NAME is the start of a file's name, WxH the panel's
+            size.
     """
 
     @property
@@ -80,12 +80,12 @@ class Format(Protocol):
         """Return the names of the files that hold a view, in the order in which they are written."""
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
-        """Error of what a reader interpolates between the points of a file; of formats that hold every pixel, none."""
+        """Return the interpolation error of a reader between the points of a file; none for formats of every pixel."""
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
         """Write the files of all views into a folder; yields each one when it is finished.
 
-        Views are made one after the other and are large: a format that writes a file for each keeps none.
+        Views are made one after the other and are large: a format that writes one file per view keeps none of them.
 
         Raises:
             BadInputError: the format does not hold a view, or a file cannot be written.
@@ -97,7 +97,7 @@ class EveryPixel:
     """Base of formats that hold every pixel of the panel."""
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
-        """No error."""
+        """Return zero error."""
         return Loss("", 0.0, 0.0)
 
 
@@ -105,7 +105,7 @@ class FormatByColour(ABC):
     """Base of formats that have files for each view and colour.
 
     Attributes:
-        endings: of the names of these files, behind the view and the colour.
+        endings: ends of the names of these files, after the view and the colour.
     """
 
     endings: tuple[str, ...]
@@ -115,7 +115,7 @@ class FormatByColour(ABC):
         return [stem + ending for stem in view.stems for ending in self.endings]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write the files of all views; see `Format`."""
+        """Write the files of all views; yields their paths as `Format` does."""
         for view in views:
             for colour, stem in zip(view.colours, view.stems, strict=True):
                 yield from self._write(view, colour, [folder / (stem + ending) for ending in self.endings])

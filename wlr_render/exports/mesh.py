@@ -19,7 +19,8 @@ from wlr_render.exports.format import Capabilities, Loss
 from wlr_render.rendering.warp_grid import WarpGrid
 
 TOLERANCE_ARCMIN = 0.1
-"""A tenth of what the map loses at another depth than its own; a finer mesh costs an engine more than it shows."""
+"""Largest interpolation error: a tenth of the error at another depth; a finer mesh costs an engine more than it
+gains."""
 _FLOAT, _UINT32 = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 """Component types and buffer targets of glTF."""
@@ -38,10 +39,10 @@ class GltfMesh:
         "POSITION: x from -1 on the panel's left edge to 1 on its right edge, y from -1 on the bottom edge to 1 on the "
         "top edge, z = 0: the clip coordinates of a picture that fills the panel.",
         "TEXCOORD_0: position in the source picture, (0, 0) its top left corner and (1, 1) its bottom right corner, as "
-        "glTF defines it. With a map for each colour TEXCOORD_0, _1 and _2 are those of red, green and blue.",
+        "glTF defines it. With a map for each colour TEXCOORD_0, _1 and _2 are for red, green and blue.",
         "Interpolate linearly within triangles. They are small enough that this errs by at most "
         f"{TOLERANCE_ARCMIN:g} arcmin, or as small as panel pixels.",
-        "Triangles are counter-clockwise. Where a corner has no ray there is no triangle: show black there.",
+        "Triangles are counter-clockwise. Triangles with a corner without a ray are missing: show black there.",
         "extras of the file's asset has the headset, eye, viewpoint, depth, source camera and these sentences.",
     )
     use = (
@@ -57,12 +58,12 @@ class GltfMesh:
         return Loss("between the points of the mesh, at most", None, TOLERANCE_ARCMIN)
 
     def files(self, view: ExportedView) -> list[str]:
-        """Return one file of all colours."""
+        """Return the single file, which holds all colours."""
         return [f"{view.stem}-mesh.gltf"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write a file for each view; see `Format`."""
-        grids: dict[str, WarpGrid] = {}  # by eye: one serves all of the eye box
+        """Write a file for each view; yields its path as `Format` does."""
+        grids: dict[str, WarpGrid] = {}  # grid of each eye: one serves the whole eye box
         for view in views:
             if view.eye not in grids:
                 grids[view.eye] = _grid(view)
@@ -76,7 +77,7 @@ class GltfMesh:
             camera.pixel_of_tangents(view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))) / camera.size_px
             for colour in view.colours
         ]
-        is_solved = np.all([has_ray(each) for each in source], axis=0).ravel()
+        is_solved = np.all([has_ray(texture) for texture in source], axis=0).ravel()
         triangles = mesh_triangles(grid)
         triangles = triangles[is_solved[triangles].all(axis=1)]
         if not len(triangles):
@@ -84,8 +85,8 @@ class GltfMesh:
                 f"{view.origin.name}: no pixel of the panel has a ray for {view.stem}; check the pupil."
             )
         attributes = {"POSITION": position.reshape(-1, 3)}
-        for number, each in enumerate(source):
-            attributes[f"TEXCOORD_{number}"] = np.nan_to_num(each.reshape(-1, 2), nan=0.0)
+        for number, texture in enumerate(source):
+            attributes[f"TEXCOORD_{number}"] = np.nan_to_num(texture.reshape(-1, 2), nan=0.0)
         return _gltf_of_mesh(attributes, triangles, facts(view, view.all_colours, self))
 
 

@@ -19,7 +19,7 @@ from wlr_render.numerics.arrays import FloatArray
 _POINTS = 65
 """Grid points along each side of the panel: Monado's own mesh has 64 cells, whose corners these are."""
 _PANEL_PX = (1440, 1600)
-"""The driver opens a window of this size for each eye, whatever the file says."""
+"""Size of the window that the driver opens for each eye, whatever the file states."""
 _EDGE_TO_EDGE = np.linspace(0.0, 1.0, _POINTS)
 _EYES = ("left", "right")
 
@@ -42,17 +42,17 @@ class Monado:
         "Build Monado with -DXRT_BUILD_DRIVER_NS=ON: packages of distributions may lack the driver.",
         "Start it with `NS_CONFIG_PATH=monado-northstar.json NS_LOG=info monado-service`. It must print: Using Moshi's "
         "meshgrid-based display distortion correction.",
-        "Monado's head pose is that of the middle between the source cameras (head_in_device_m in about), with the "
+        "Monado's head pose is the pose of the middle between the source cameras (head_in_device_m in about), with the "
         "axes of the device frame.",
     )
 
     def interpolation(self, view: ExportedView, colour: str) -> Loss:
-        """In the middle of the grid's cells, where it is largest."""
+        """Return the error in the middle of the grid's cells, where it is largest."""
         errors = _linear_errors(view, _tangents(view))
         return Loss("between the points of the grid", float(np.sqrt(np.mean(errors**2))), float(errors.max()))
 
     def files(self, view: ExportedView) -> list[str]:
-        """Return one file of both eyes."""
+        """Return the single file, which holds both eyes."""
         return ["monado-northstar.json"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
@@ -70,7 +70,7 @@ class Monado:
         yield write_text(folder / name, json.dumps(_config(grids, camera, places, about)) + "\n")
 
     def _about(self, view: ExportedView, grid: FloatArray, places: FloatArray) -> dict[str, Any]:
-        """Return the facts of one eye, and what this format loses beside what they say."""
+        """Return the facts of one eye, and the errors that this format adds."""
         head = places.mean(axis=0)
         placed = head + (places[1, 0] - places[0, 0]) * np.array([-0.5 if view.eye == "left" else 0.5, 0, 0])
         camera = view.source.camera
@@ -107,7 +107,7 @@ def _tangents(view: ExportedView, columns: FloatArray = _EDGE_TO_EDGE, rows: Flo
 
 
 def _linear_errors(view: ExportedView, grid: FloatArray) -> FloatArray:
-    """Return errors in arcmin of bilinear interpolation in the middle of the grid's cells, where they are largest."""
+    """Return the errors in arcmin of bilinear interpolation at the centres of the grid's cells."""
     middle = (np.arange(_POINTS - 1) + 0.5) / (_POINTS - 1)
     bilinear = 0.25 * (grid[1:, 1:] + grid[1:, :-1] + grid[:-1, 1:] + grid[:-1, :-1])
     exact = _tangents(view, middle, middle)
@@ -117,7 +117,8 @@ def _linear_errors(view: ExportedView, grid: FloatArray) -> FloatArray:
 def _config(
     grids: dict[str, FloatArray], camera: Pinhole, places: FloatArray, about: dict[str, dict[str, Any]]
 ) -> dict[str, Any]:
-    # The driver takes y for the tangent downwards only if the picture reaches as far up as down; so it always does.
+    # The driver takes y as the downward tangent only for a picture that is symmetric up and down, so this one always
+    # is.
     (left, down), (right, up) = np.arctan([camera.tangent_min, camera.tangent_max]).tolist()
     return {
         "type": "meshgrid",

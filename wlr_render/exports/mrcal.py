@@ -21,15 +21,15 @@ from wlr_render.numerics.arrays import FloatArray
 _COLUMNS = (12, 16, 20, 26, 32)
 """Numbers of control points across the field of view, tried in this order."""
 _WANTED_PX = 0.001
-"""Rms error at pixels that were not fitted: the first number of control points that reaches it is taken."""
+"""Wanted rms error at pixels that were not fitted; the first number of control points that reaches it is used."""
 _REFUSED_PX = 0.1
-"""With a larger rms error the pixels are no continuous function of the direction: a fold, or a step."""
+"""Largest rms error; above it the pixels are not a continuous function of the direction: they fold or step."""
 _FITTED, _HELD_OUT = 97, 60
-"""Panel positions along each side that are fitted, and that judge the fit."""
+"""Panel positions along each side: number that is fitted, and number that validates the fit."""
 _FEWEST = 100
-"""Rays without which nothing is fitted; they are 1 % of the positions."""
+"""Fewest rays for a fit: 1 % of the positions."""
 _SMOOTHING = 1e-5
-"""Weight of the control points' third differences: decides those that no ray reaches, and no others."""
+"""Weight of the control points' third differences: small enough to affect only control points that no ray reaches."""
 _CENTRE_SHIFT = 0.5
 """mrcal puts (0, 0) at the centre of the first pixel."""
 _WIDEST_DEG = 300
@@ -67,10 +67,10 @@ class Mrcal(FormatByColour):
         return Loss("error of the splines, in the middle's pixels", _rms(arcmin), float(arcmin.max()))
 
     def _write(self, view: ExportedView, colour: str, paths: Sequence[Path]) -> Iterator[Path]:
-        """Write a model.
+        """Write a model; yields its path.
 
         Raises:
-            BadInputError: no rays, or pixels that are no continuous function of the direction.
+            BadInputError: no rays, or pixels that are not a continuous function of the direction.
         """
         texts = header_texts(facts(view, colour, self))
         yield write_text(paths[0], _cameramodel(view, _fitted_camera(view, colour), texts))
@@ -103,12 +103,12 @@ class _SplinedCamera:
 
 
 def _intervals_per_unit(field_x_deg: int, columns: int) -> float:
-    """mrcal's spacing: the field of view, and a whole interval more on either side, which cubic splines need."""
+    """Return mrcal's knot density: the field of view and, for cubic splines, one more interval on either side."""
     return float((columns - 3) / (4 * np.tan(np.radians(field_x_deg) / 4)))
 
 
 def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> csr_array:
-    """Return weights (n, control points) of the uniform cubic B-spline surface at stereographic coordinates (n, 2)."""
+    """Return the weights (n, control points) of the uniform cubic B-spline at stereographic coordinates (n, 2)."""
     size = np.array(shape)
     place = u * _intervals_per_unit(field_x_deg, shape[0]) + (size - 1) / 2
     first = np.clip(np.floor(place).astype(np.int64), 1, size - 3) - 1
@@ -125,13 +125,14 @@ def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> 
 
 @functools.lru_cache(maxsize=3)
 def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, FloatArray]:
-    """Return the camera with as few control points as the wanted error allows, and its errors (n,) in pixels."""
+    """Fit the camera with the fewest control points that reach the wanted error; returns errors (n,) in pixels."""
     u, pixel = _samples(view, colour, np.linspace(0.0, 1.0, _FITTED))
     step = 1.0 / _HELD_OUT
     judged_u, judged_pixel = _samples(view, colour, np.linspace(0.5 * step, 1.0 - 0.5 * step, _HELD_OUT))
     if min(len(u), len(judged_u)) < _FEWEST:
         raise BadInputError(
-            f"mrcal: hardly a pixel of {view.origin.name} has a ray for {view.stem}; check the pupil position."
+            f"mrcal: fewer than {_FEWEST} of the sampled pixels of {view.origin.name} have a ray for {view.stem}; "
+            "check the pupil position."
         )
     for columns in _COLUMNS:
         camera = _fit(u, pixel, columns)
@@ -141,13 +142,13 @@ def _fitted_camera(view: ExportedView, colour: str) -> tuple[_SplinedCamera, Flo
     if _rms(errors) > _REFUSED_PX:
         raise BadInputError(
             f"mrcal: the best camera model of {view.origin.name} errs by {_rms(errors):.2f} px rms for {view.stem}: "
-            "its pixels are no continuous function of the direction; choose another format, e.g. stmap."
+            "its pixels are not a continuous function of the direction; choose another format, e.g. stmap."
         )
     return camera, errors
 
 
 def _samples(view: ExportedView, colour: str, along: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Stereographic coordinates and mrcal's pixels, each (n, 2), of panel positions from edge (0) to edge (1)."""
+    """Sample stereographic coordinates and mrcal's pixels, each (n, 2), at panel positions from 0 to 1."""
     pixel = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2) * view.panel_size_px
     tangents = view.tangents(np.moveaxis(view.rays_at(colour, pixel), -1, 0))
     u = 2 * tangents * [1, -1] / (1 + np.sqrt(1 + np.sum(tangents**2, axis=-1)))[:, None]
@@ -156,7 +157,7 @@ def _samples(view: ExportedView, colour: str, along: FloatArray) -> tuple[FloatA
 
 
 def _fit(u: FloatArray, pixel: FloatArray, columns: int) -> _SplinedCamera:
-    """Linear least squares: a straight line along each axis, and what is left by the control points."""
+    """Fit a line along each axis, then the control points to the residual, by linear least squares."""
     half_x, half_y = np.abs(u).max(axis=0)
     field_x_deg = min(int(np.ceil(np.degrees(4 * np.arctan(half_x / 2)))), _WIDEST_DEG)
     shape = columns, int(np.ceil(2 * half_y * _intervals_per_unit(field_x_deg, columns))) + 3
@@ -204,7 +205,7 @@ def _cameramodel(view: ExportedView, fitted: tuple[_SplinedCamera, FloatArray], 
 
 
 def _camera_from_device(view: ExportedView) -> FloatArray:
-    """Return (6,) Rodrigues vector and translation from the device frame to the camera with OpenCV's axes."""
+    """Return the extrinsics (6,): Rodrigues vector and translation from the device frame to OpenCV's camera axes."""
     turned = view.source.device_from_camera @ transforms.OPENXR_FROM_OPENCV
     pose = transforms.inverse(transforms.rigid(turned, view.source.position_in_device))
     return np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3]])

@@ -36,7 +36,7 @@ class StMap(EveryPixel, FormatByColour):
     convention = (
         "R is the position in the source picture from its left border, 0, to its right border, 1.",
         "G is the position from its bottom border, 0, to its top border, 1; B is 0.",
-        "Values are those of the centres of the panel's pixels; the first row of the file is the panel's top row.",
+        "Values are sampled at the centres of the panel's pixels; the first row of the file is the panel's top row.",
         "R = G = -1 where a panel pixel has no ray: show black there.",
         _IN_HEADER,
     )
@@ -76,9 +76,9 @@ class FloatMap(EveryPixel, FormatByColour):
             "Three channels of float32: R is the position u in the source picture in pixels to the right, G is v in "
             "pixels downwards, B is 1 / depth in 1/m, 0 for infinity.",
             "(0, 0) is the outer corner of the picture's top left pixel, and pixel centres lie at +0.5.",
-            f"Values are those of the centres of the panel's pixels; the file has {rows}.",
+            f"Values are sampled at the centres of the panel's pixels; the file has {rows}.",
             "All three are NaN where a panel pixel has no ray: show black there.",
-            "The .json beside it has the headset, eye, viewpoint and source camera in all digits.",
+            "The .json file of the same name has the headset, eye, viewpoint and source camera in all digits.",
         )
         self.use = (
             f"OpenCV: `m = cv2.imread('NAME-map.{name}', cv2.IMREAD_UNCHANGED)` reads it as B, G, R with the top row "
@@ -87,7 +87,7 @@ class FloatMap(EveryPixel, FormatByColour):
             "`light` is the source picture in linear light as float32: decode its sRGB codes before cv2.remap, and "
             "encode the result; between codes that differ much, a mean of codes is too dark.",
             "With a map for each colour: remap three times, and take red from the result of the red map, green from "
-            "that of the green one, blue from that of the blue one.",
+            "the green map's and blue from the blue map's.",
             "Write 0 in place of NaN before cv2.remap, and black there afterwards.",
             "Others: read three floats per pixel without any colour management.",
         )
@@ -103,7 +103,7 @@ class FloatMap(EveryPixel, FormatByColour):
 
 
 class Ffmpeg(EveryPixel, FormatByColour):
-    """The format `ffmpeg`: the pair of pictures that ffmpeg's filter remap reads, whole pixels of the source."""
+    """The format `ffmpeg`: a pair of pictures for ffmpeg's filter remap, in whole pixels of the source."""
 
     name = "ffmpeg"
     title = "remap pair (16-bit PGM) for ffmpeg"
@@ -139,21 +139,21 @@ class Ffmpeg(EveryPixel, FormatByColour):
 _RAY_CONVENTION = (
     "A ray is (a, b, c, d) in the frame of the source camera: at depth Z it is at x = a Z + c, y = b Z + d, z = -Z, in "
     "metres.",
-    "A reader who knows Z shows at this panel pixel what the source picture has at the tangents a + c / Z, b + d / Z; "
+    "If Z is known, this panel pixel shows the source picture at the tangents a + c / Z, b + d / Z; "
     "(a, b) at infinity.",
-    "Values are those of the centres of the panel's pixels, NaN where a pixel has no ray.",
+    "Values are sampled at the centres of the panel's pixels, NaN where a pixel has no ray.",
 )
 
 
 class Rays(EveryPixel, FormatByColour):
-    """The format `rays`: the rays of all panel pixels in OpenEXR pictures of four channels, right at every depth."""
+    """The format `rays`: the rays of all panel pixels in OpenEXR pictures of four channels, valid at every depth."""
 
     name = "rays"
     title = "rays of all panel pixels (OpenEXR)"
     holds = Capabilities(every_depth=True, is_exr=True)
     endings = ("-rays.exr",)
     convention = (
-        "The channels R, G, B, A hold the numbers a, b, c, d of the ray of each panel pixel; A is no opacity.",
+        "The channels R, G, B, A hold the numbers a, b, c, d of the ray of each panel pixel; A is not an opacity.",
         *_RAY_CONVENTION,
         "The first row of the file is the panel's top row.",
         _IN_HEADER,
@@ -193,11 +193,11 @@ class Npz(EveryPixel):
     )
 
     def files(self, view: ExportedView) -> list[str]:
-        """Return one file of all colours."""
+        """Return the single file, which holds all colours."""
         return [f"{view.stem}-rays.npz"]
 
     def write(self, views: Iterable[ExportedView], folder: Path) -> Iterator[Path]:
-        """Write a file for each view; see `Format`."""
+        """Write a file for each view; yields its path as `Format` does."""
         for view in views:
             rays = np.stack([view.slope_offset(colour) for colour in view.colours])
             text = json.dumps(facts(view, view.all_colours, self))
