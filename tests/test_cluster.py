@@ -238,7 +238,7 @@ MALFORMED = (
 
 @pytest.mark.parametrize("given", MALFORMED)
 def test_a_malformed_address(given):
-    with pytest.raises(BadInputError, match=rf"^--scheduler {given}: is no address of a Dask scheduler; start one"):
+    with pytest.raises(BadInputError, match=rf"^--scheduler {given}: is not the address of a Dask scheduler; st"):
         done(given, abs, [1])
 
 
@@ -319,7 +319,7 @@ def test_a_worker_with_several_threads(tmp_path):
             dashboard_address=":0",
             silence_logs=logging.CRITICAL,
         ) as threaded,
-        pytest.raises(BadInputError, match="has 2 threads, and a task needs a process of its own"),
+        pytest.raises(BadInputError, match="has 2 threads, and each task needs a separate process"),
     ):
         done(threaded.scheduler_address, abs, [1])
 

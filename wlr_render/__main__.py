@@ -21,10 +21,10 @@ _HAS_TIMER = hasattr(signal, "setitimer")
 
 
 class Interruptions:
-    """Ends the program in one sentence on Ctrl-C or SIGTERM, whatever it is doing.
+    """Signal handlers that end the program with one sentence on Ctrl-C or SIGTERM.
 
     The first signal raises a KeyboardInterrupt, so that temporary files are removed; during an import this waits for
-    its end, because extension modules may swallow exceptions then (those of numpy.random do). A later signal ends the
+    its end, because extension modules may swallow exceptions then (numpy.random's do). A later signal ends the
     process at once, and so does the first one when the work is done.
     """
 
@@ -84,7 +84,7 @@ def main() -> int:
 
 
 def run_program(run: "Callable[[], int]") -> int:
-    """Call `run`, which returns an exit status, with signals handled and standard streams open; returns the status."""
+    """Run `run`, which returns an exit status, with signal handlers and open standard streams; returns the status."""
     interruptions = Interruptions()
     try:
         interruptions.install()
@@ -100,7 +100,7 @@ def run_program(run: "Callable[[], int]") -> int:
 
 
 def _open_streams() -> None:
-    """Replace closed standard streams by the null device: a file that took their number would get what is printed."""
+    """Replace closed standard streams by the null device, so that no file gets their number and their output."""
     for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
         try:
             os.fstat(number)
@@ -111,9 +111,9 @@ def _open_streams() -> None:
 
 
 def _flushed(stream: "TextIO", status: int) -> int:
-    """Write what a stream has buffered; returns the exit status, which is 2 if that fails.
+    """Flush a stream; returns the exit status, or 2 if that fails.
 
-    Python would complain about the same when it exits. A reader that has seen enough, e.g. `| head`, is no fault.
+    Otherwise Python reports the failure when it exits. A reader that closes early, e.g. `| head`, is not a failure.
     """
     try:
         stream.flush()
@@ -128,7 +128,7 @@ def _flushed(stream: "TextIO", status: int) -> int:
 def _say(sentence: str) -> None:
     import contextlib
 
-    with contextlib.suppress(OSError):  # nobody can be told anything
+    with contextlib.suppress(OSError):  # no stream is left to report to
         os.write(sys.stderr.fileno(), f"wlr-render: {sentence}\n".encode())
 
 

@@ -2,7 +2,7 @@
 
 Every output is encoded in memory, goes to a temporary name in the same folder, is flushed to the disk, and is then
 renamed: readers never find a partial file, and a full disk or a failed run leaves the old file in place. The writer
-locks its temporary file, and a lock ends with its process: the temporary files that nobody has locked are those of
+locks its temporary file, and a lock ends with its process: unlocked temporary files belong to
 killed runs, and the next run removes them.
 """
 
@@ -54,7 +54,7 @@ _FILE_MODE = 0o666 & ~_umask()
 def resource(folder: str, name: str = "") -> Path:
     """Return the path of a shipped file: `folder` is "devices", "docs", "scenes" or "shaders".
 
-    These folders are inside the package in a wheel, and beside it in a checkout.
+    These folders are inside the package in a wheel, and next to it in a checkout.
     """
     for root in (_PACKAGE, _PACKAGE.parent):
         path = root / folder / name
@@ -204,7 +204,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
 
 
 def _locked_temporary(target: Path) -> tuple[int, Path]:
-    """Handle and path of a new file beside `target`; another process may have removed it before it was locked."""
+    """Handle and path of a new file next to `target`; another process may have removed it before it was locked."""
     while True:
         handle, name = tempfile.mkstemp(prefix=_PART, suffix=target.suffix, dir=target.parent)
         try:

@@ -32,13 +32,13 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 is_cluster_worker = False
-"""Whether this process is at a task of a job on another machine, whose file locks it may not see."""
+"""True while this process runs a task of a job on another machine, whose file locks it may not see."""
 LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS") + (
     ("VECLIB_MAXIMUM_THREADS",) if sys.platform == "darwin" else ()
 )
 """Environment variables with the number of threads, which a library reads once, when a process loads it."""
 OPENGL_THREADS = "LP_NUM_THREADS"
-"""The same of OpenGL without a GPU, which reads it when a context is opened."""
+"""Environment variable with the number of threads of OpenGL without a GPU, which reads it when a context is opened."""
 _LIBRARIES = (
     "wlr_render",
     "numpy",
@@ -57,22 +57,22 @@ _CONNECT_S = 10.0
 _NO_WORKER_S = 120.0
 """Time for which a cluster may have no worker: a queue starts them later, a killed one is started again."""
 _WORKERS_EVERY_S = 1.0
-"""Time between two questions to the scheduler whether there are workers, while no result arrives."""
+"""Interval between checks that the scheduler has workers, while no result arrives."""
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """Parameters of mallopt in glibc's malloc.h."""
 _KEPT_BYTES = 32 * 1024 * 1024
-"""The largest block that glibc keeps by itself (man mallopt: M_MMAP_THRESHOLD)."""
+"""Largest block that glibc keeps by default (man mallopt: M_MMAP_THRESHOLD)."""
 _MARK = ".wlr-part-shared-"
-"""Start of the name of the file that workers look for; the next run removes that of a killed one."""
+"""Prefix of the name of the file that workers look for; the next run removes the file of a killed run."""
 
 
 def as_finished_by_cluster(
     run: Callable[[Task], Result], tasks: Sequence[Task], address: str, folder: Path | None
 ) -> Iterator[Result]:
-    """Results of all tasks, in the order in which they are finished; see `processes.as_finished`.
+    """Yield the results of all tasks, in the order of completion; see `processes.as_finished`.
 
-    The tasks of a worker that is lost are given to another one. When the caller stops listening or is interrupted,
-    tasks that have not begun are dropped; those at work go on to their end.
+    Tasks of a lost worker are given to another one. When the caller stops iterating or is interrupted, waiting tasks
+    are dropped, and running tasks continue to their end.
 
     Raises:
         BadInputError: no scheduler answers at the address, there are no workers, a worker has other versions or does
@@ -85,7 +85,7 @@ def as_finished_by_cluster(
 
 
 def _results(run: Callable[[Task], Result], tasks: Sequence[Task], address: str, folder: Path | None) -> Iterator[Any]:
-    """None when the scheduler has answered, before anything is written or begun, and then all results."""
+    """Yield None once the scheduler answers, before anything is written or begun, then each result."""
     with _client(address) as client:
         yield None
         with _marked(folder) as mark:
@@ -117,20 +117,20 @@ def _client(address: str) -> "Iterator[Client]":
 def _require_scheduler(address: str) -> None:
     """Check that a Dask scheduler answers.
 
-    Dask's own client tries on for long where nobody listens, waits forever for a server of another kind, and prints a
-    traceback when it is given up.
+    Dask's client retries for long if no server listens, waits forever for a server of another kind, and prints a
+    traceback when it gives up.
 
     Raises:
-        BadInputError: the address is malformed, or nobody, or something else, answers there.
+        BadInputError: the address is malformed, or no scheduler answers there.
     """
     remedy = "start one with 'dask scheduler', and give the address that it prints, e.g. tcp://host:8786"
-    found = _ADDRESS.fullmatch(address)
-    if found is None or not 0 < int(found[3]) < 1 << 16:
-        raise BadInputError(f"--scheduler {address}: is no address of a Dask scheduler; {remedy}.")
+    parts = _ADDRESS.fullmatch(address)
+    if parts is None or not 0 < int(parts[3]) < 1 << 16:
+        raise BadInputError(f"--scheduler {address}: is not the address of a Dask scheduler; {remedy}.")
     try:
-        with socket.create_connection((found[2].strip("[]"), int(found[3])), _CONNECT_S):
+        with socket.create_connection((parts[2].strip("[]"), int(parts[3])), _CONNECT_S):
             pass
-        # In a thread of its own: that of a notebook has an event loop already.
+        # In a separate thread: a notebook's thread already has an event loop.
         with _silent_log(), ThreadPoolExecutor(1) as thread:
             thread.submit(lambda: asyncio.run(_shake_hands(address))).result()
     except (OSError, UnicodeError, ValueError, TypeError, RuntimeError) as error:
@@ -150,14 +150,14 @@ async def _shake_hands(address: str) -> None:
 def _submitted(client: "Client", payloads: list[bytes], conditions: dict[str, Any]) -> "list[Future]":
     import dask
 
-    # Pickled tasks of some megabytes are no fault.
+    # Pickled tasks of some megabytes are not a problem.
     with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GB"}):
         return list(client.map(_run_here, payloads, [conditions] * len(payloads), pure=False))
 
 
 @contextlib.contextmanager
 def _silent_log() -> Iterator[None]:
-    """Context manager in which Dask, which has loggers that write to the terminal by themselves, writes none."""
+    """Silence Dask in a `with` block; its loggers write to the terminal."""
     import logging
 
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client", "tornado")]
@@ -173,7 +173,7 @@ def _silent_log() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _marked(folder: Path | None) -> Iterator[str]:
-    """Context manager for the path of a file in a folder, "" without a folder."""
+    """Create a marker file in a folder for a `with` block and give its path; "" without a folder."""
     if folder is None:
         yield ""
         return
@@ -191,7 +191,7 @@ def _marked(folder: Path | None) -> Iterator[str]:
 
 @functools.cache
 def _versions() -> dict[str, str]:
-    """Return what has to be the same on all machines, so that results do not depend on which of them computes."""
+    """Return the versions that must agree on all machines, so that results do not depend on the machine."""
     from importlib import metadata  # a tenth of the time in which the package is imported
 
     major, minor, _ = platform.python_version_tuple()
@@ -203,10 +203,10 @@ def _versions() -> dict[str, str]:
 
 
 def _as_completed(client: "Client", futures: "list[Future]", address: str) -> "Iterator[Future]":
-    """Yield the futures in the order in which they are finished.
+    """Yield the futures in the order of completion.
 
     Raises:
-        BadInputError: no worker has been there for long, or the scheduler is gone.
+        BadInputError: there has been no worker for long, or the scheduler is gone.
     """
     finished: queue.SimpleQueue[Future] = queue.SimpleQueue()
     for future in futures:
@@ -257,7 +257,7 @@ def _result(future: "Future", address: str) -> Any:
 def _not_loaded(who: str, error: Exception) -> BadInputError:
     return BadInputError(
         f"{who} cannot load the program ({' '.join(str(error).split())[:100]}); install the same wlr_render on all "
-        "machines, that of the scheduler too, and start what runs benchmarks with PYTHONPATH set to the checkout."
+        "machines, including the scheduler's, and start what runs benchmarks with PYTHONPATH set to the checkout."
     )
 
 
@@ -287,7 +287,7 @@ def _loaded(payload: bytes) -> Any:
 
 @functools.cache
 def _keep_memory_for_arrays() -> None:
-    """Let this process keep the memory of an array for the next one, as glibc does by itself.
+    """Let this process keep the memory of freed arrays for the next ones, as glibc does by default.
 
     Dask starts workers with MALLOC_TRIM_THRESHOLD_, which switches that off: the system then takes back and clears the
     memory of each array, in two fifths of the time of a fit.
@@ -302,21 +302,21 @@ def _check_worker(conditions: dict[str, Any]) -> None:
     from distributed import get_worker
 
     worker = get_worker()
-    name, own = f"The worker {worker.address}", _versions()
+    name, installed = f"The worker {worker.address}", _versions()
     for library, version in conditions["versions"].items():
-        if own.get(library) != version:
+        if installed.get(library) != version:
             raise BadInputError(
-                f"{name} has {library} {own.get(library, 'not')} installed, and this machine {version}; install the "
+                f"{name} has {library} {installed.get(library, 'not')} installed, and this machine {version}; install the "
                 "same version on all machines, and start the workers again."
             )
     if worker.state.nthreads > 1:
         raise BadInputError(
-            f"{name} has {worker.state.nthreads} threads, and a task needs a process of its own; start workers with "
+            f"{name} has {worker.state.nthreads} threads, and each task needs a separate process; start workers with "
             "--nworkers auto --nthreads 1."
         )
     if any(os.environ.get(variable) != "1" for variable in LIBRARY_THREADS):
         raise BadInputError(
-            f"{name} calculates with several threads; start it without --no-nanny, or with "
+            f"{name} computes with several threads; start it without --no-nanny, or with "
             f"{'=1 '.join(LIBRARY_THREADS)}=1."
         )
     for path, kind in ((conditions["folder"], "current folder"), (conditions["mark"], "output folder")):

@@ -9,13 +9,13 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 _SEPARATED_DECIMAL = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 
 STATED_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
-"""A line with which spreadsheets state the separator; it is no row."""
+"""First line with which spreadsheets state the separator; not a row."""
 
 
 def separator_of(row: str) -> str | None:
     """Return the separator of a row or header: a semicolon, a tab or a comma; None for blanks, or for a single cell.
 
-    A comma is no separator where blanks separate numbers with decimal commas, each after a digit.
+    A comma is a decimal comma where it follows a digit and blanks separate the numbers.
     """
     bare = re.sub(r'"[^"]*"', "0", row)
     words = bare.split()

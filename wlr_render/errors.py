@@ -1,4 +1,4 @@
-"""Exceptions for bad input, and the place that a warning is about."""
+"""Exceptions for bad input, and the caller that a warning refers to."""
 
 import sys
 
@@ -19,7 +19,7 @@ class Terminated(KeyboardInterrupt):
 
 
 def stacklevel_of_caller() -> int:
-    """The `stacklevel` with which a warning names the line that called this library; call it in warnings.warn."""
+    """Return the `stacklevel` for warnings.warn that names the line which called this library."""
     frame, level = sys._getframe(1), 1
     while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("wlr_render", "contextlib"):
         frame, level = frame.f_back, level + 1

@@ -1,4 +1,4 @@
-"""Text of files in reports: one function for each format, so that a name controls no terminal and forges no markup."""
+"""Escaping of foreign text in reports, one function per format: a name cannot control a terminal or inject markup."""
 
 import html
 import re
@@ -23,18 +23,18 @@ def printable(text: str) -> str:
 
 
 def printable_lines(text: str) -> str:
-    """As `printable`, for text of several lines."""
+    """Escape like `printable`, keeping line breaks."""
     return "\n".join(map(printable, text.split("\n")))
 
 
 def markdown_text(text: str) -> str:
-    """Return the text as one line of Markdown without markup, but for code between single backticks."""
+    """Escape the text as one line of Markdown, keeping only code between single backticks."""
     parts = _CODE.split(printable_lines(text).replace("\n", " "))
     return "".join(part if index % 2 else re.sub(r"([\\<\[*])", r"\\\1", part) for index, part in enumerate(parts))
 
 
 def html_code(text: str) -> str:
-    """Return the text as HTML, with code between single backticks in an element of its own."""
+    """Escape the text as HTML, with code between single backticks in a code element."""
     parts = _CODE.split(printable_lines(text))
     return "".join(
         f"<code>{html.escape(part[1:-1])}</code>" if index % 2 else html.escape(part)
@@ -43,12 +43,12 @@ def html_code(text: str) -> str:
 
 
 def html_text(value: object) -> object:
-    """Return a value of a page's template before it is escaped as HTML: browsers obey formatting characters, too."""
+    """Escape the formatting characters that browsers obey, in a value of a page's template, before HTML escaping."""
     return printable_lines(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
 def plotly_text(value: Any, key: str = "") -> Any:
-    """A JSON value for Plotly, which reads a part of HTML in every text; hover templates are the program's own."""
+    """Escape a JSON value for Plotly, which interprets some HTML in every text; hover templates are trusted."""
     if isinstance(value, str):
         return value if key == "hovertemplate" else html.escape(printable_lines(value), quote=False)
     if isinstance(value, Mapping):
@@ -57,7 +57,7 @@ def plotly_text(value: Any, key: str = "") -> Any:
 
 
 def plain_figure(figure: "Figure") -> None:
-    """Have the words of a matplotlib figure drawn as they stand; "$" starts no formula, except in powers at ticks."""
+    """Turn off formulas in a matplotlib figure: "$" is drawn as it is, except in the powers at ticks."""
     from matplotlib.text import Text
 
     axes = [axis for each in figure.axes for axis in (each.xaxis, each.yaxis)]

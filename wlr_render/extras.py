@@ -16,14 +16,15 @@ class MissingExtraError(BadInputError):
 
 
 _NO_EXTRA = {"blender": ("--no-deps", "bpy>=5.0", "OpenEXR>=3.3")}
-"""Arguments of pip for what cannot be an extra: bpy asks for NumPy 1, and runs with the NumPy 2 that we need."""
+"""Arguments of pip for bpy, which cannot be an extra: it requires NumPy 1, and runs with the NumPy 2 that we need."""
 
 
 def install_command(extra: str) -> str:
     """Return the command that installs an extra's libraries for the running interpreter.
 
-    It names the libraries as `pyproject.toml` does, not `wlr_render[extra]`: the package is on no index, where others
-    may use its name. It names the interpreter, because the shell's `pip` may be another one's.
+    The command names the libraries as `pyproject.toml` does, not `wlr_render[extra]`, because the package is not on an
+    index, where its name may belong to others. It names the interpreter, because the shell's `pip` may belong to
+    another one.
     """
     try:
         stated = importlib.metadata.requires("wlr_render") or []
@@ -32,7 +33,7 @@ def install_command(extra: str) -> str:
     named = [each.partition(";") for each in stated]
     libraries = [library.strip() for library, _, when in named if f"extra == '{extra}'" in when.replace('"', "'")]
     libraries = list(_NO_EXTRA.get(extra, libraries))
-    if not libraries:  # a checkout that was never installed, or not since it has this extra
+    if not libraries:  # a checkout that was never installed, or was installed before this extra existed
         libraries = [f"{Path(__file__).resolve().parents[1]}[{extra}]"]
     pip = [sys.executable, "-m", "pip", "install"]
     if find_spec("pip") is None:  # an environment made by uv
@@ -42,11 +43,11 @@ def install_command(extra: str) -> str:
 
 @contextlib.contextmanager
 def installed_by(extra: str, use: str) -> Iterator[None]:
-    """Context manager of the import of a library that not everybody installs.
+    """Import an optional library in a `with` block; a failure names the extra that installs it.
 
     Args:
         extra: the extra of `wlr_render` that installs it, e.g. "exr".
-        use: what needs it, as the start of a sentence, e.g. the path of a file.
+        use: the file or option that needs it, as the start of a sentence.
 
     Raises:
         MissingExtraError: the library is not installed, or fails to load.
@@ -61,7 +62,7 @@ def installed_by(extra: str, use: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def script_needs(extra: str) -> Iterator[None]:
-    """As `installed_by`, for a script: without the library it ends with the sentence, not with a traceback."""
+    """Import an optional library in a script, like `installed_by`; a failure exits with the sentence."""
     try:
         with installed_by(extra, Path(sys.argv[0]).name):
             yield

@@ -1,6 +1,6 @@
-"""Files of a job that were written to the end: a list beside them, with the length and the SHA-256 of each.
+"""Manifest of the finished files of a job, with the length and the SHA-256 of each.
 
-A run that is resumed keeps the files that are as listed, and makes all others again.
+A resumed run keeps the files that match the manifest, and makes all others again.
 """
 
 import hashlib
@@ -21,15 +21,15 @@ _REMEDY = "choose another folder or empty it"
 
 
 class FinishedFiles:
-    """The list of one folder: one JSON object per line, of which the last one with a name counts.
+    """The manifest of one folder: one JSON object per line; the last entry of a name counts.
 
     Args:
-        folder: has the list; the files are in it or below.
-        job: digest of what decides the content of the files, "" where another file of the folder records that.
-        kind: start of the digests of jobs whose files this one replaces in the end, with `remove_replaced`.
+        folder: folder of the manifest; the files are in it or below.
+        job: digest of the inputs that determine the files, "" if another file of the folder records them.
+        kind: prefix of the digests of jobs whose files `remove_replaced` removes.
 
     Raises:
-        BadInputError: the list cannot be read, or has files of another job that this one does not replace.
+        BadInputError: the manifest cannot be read, or has files of another job that this one does not replace.
     """
 
     def __init__(self, folder: Path, job: str = "", kind: str | None = None) -> None:
@@ -39,26 +39,26 @@ class FinishedFiles:
         entries = list(_entries(content))
         if any(of != job and (kind is None or not of.startswith(kind)) for _, _, of, _ in entries):
             raise BadInputError(f"{self._path}: lists files of other options or inputs; {_REMEDY}.")
-        own = [entry for entry in entries if entry[2] == job]
-        self._listed = {name: signature for name, signature, _, _ in own}
-        self._remarks = {name: remark for name, _, _, remark in own}
+        entries_of_job = [entry for entry in entries if entry[2] == job]
+        self._listed = {name: signature for name, signature, _, _ in entries_of_job}
+        self._remarks = {name: remark for name, _, _, remark in entries_of_job}
         self._replaced = {name: signature for name, signature, of, _ in entries if of != job}
         self._is_torn = bool(content) and not content.endswith(b"\n")
 
     def not_whole(self, paths: Iterable[Path]) -> list[Path]:
-        """Those of these files of the folder that are not listed, or are not as they are listed."""
+        """Return the files that are not in the manifest, or do not match it."""
         return [path for path in paths if not self._is_as_listed(path)]
 
     def changed(self, paths: Iterable[Path]) -> list[Path]:
-        """Those of these files that are listed, and are there, but are not as they are listed."""
+        """Return the files that are in the manifest and exist, but do not match it."""
         return [path for path in self.not_whole(paths) if self._name(path) in self._listed and os.path.lexists(path)]
 
     def remark(self, path: Path) -> str:
-        """Return what was remarked on a file when it was listed, by this run or an earlier one; "" if nothing was."""
+        """Return the remark on a file, by this run or an earlier one; "" if there is none."""
         return self._remarks.get(self._name(path), "")
 
     def add(self, paths: Sequence[Path], remark: str = "") -> None:
-        """List files that are finished; a `remark` on them is kept for later runs.
+        """Add finished files to the manifest, with a `remark` for later runs.
 
         Raises:
             BadInputError: a file cannot be read, or the list cannot be written.
@@ -66,7 +66,7 @@ class FinishedFiles:
         self.add_signed({path: signature_of(path) for path in paths}, remark)
 
     def add_signed(self, signatures: Mapping[Path, Signature], remark: str = "") -> None:
-        """As `add`, of files that another process has finished, with their signatures.
+        """Add files with their signatures, which another process has finished, like `add`.
 
         Raises:
             BadInputError: the list cannot be written.
@@ -75,21 +75,20 @@ class FinishedFiles:
         self._listed |= named
         self._remarks |= dict.fromkeys(named, remark)
         lines = [self._line(name) for name in named]
-        # A line that a killed run, or a full disk, left without its end must not spoil the next one.
+        # A line cut off by a killed run or a full disk must not spoil the next one.
         content = ("\n" * self._is_torn + "".join(lines)).encode()
         with disk_errors(self._path), open(self._path, "ab", buffering=0, opener=_open_no_detour) as file:
             self._is_torn = True
             while content:
-                content = content[file.write(content) :]  # the last part that a full disk takes may be short
+                content = content[file.write(content) :]  # a full disk may take only a part
             os.fsync(file.fileno())
             self._is_torn = False
 
     def remove_replaced(self) -> tuple[int, list[Path]]:
-        """Remove the files of the jobs that this one replaces, as far as it has not written files of their names.
+        """Remove the files of the jobs that this one replaces, except files that it has written itself.
 
         Returns:
-            How many were removed, and those that are not as they were listed, because somebody has changed them: they
-            are left.
+            The number of removed files, and the files that somebody has changed since, which are left.
 
         Raises:
             BadInputError: the list cannot be written.
@@ -141,9 +140,9 @@ def signature_of(path: Path) -> Signature:
     return len(content), hashlib.sha256(content).hexdigest()
 
 
-def digest_of(*what: object) -> str:
-    """Return the digest of what decides the content of files: values that JSON has."""
-    return hashlib.sha256(json.dumps(what).encode()).hexdigest()
+def digest_of(*inputs: object) -> str:
+    """Return the digest of the inputs that determine files, as JSON values."""
+    return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
 
 
 def _open_no_detour(path: str, flags: int) -> int:
@@ -158,4 +157,4 @@ def _entries(content: bytes) -> Iterator[tuple[str, Signature, str, str]]:
             signature = int(entry["bytes"]), str(entry["sha256"])
             yield str(entry["file"]), signature, str(entry.get("job", "")), str(entry.get("remark", ""))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            pass  # torn, or damaged: its file counts as unfinished
+            pass  # cut off or damaged: its file counts as unfinished

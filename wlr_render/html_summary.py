@@ -1,6 +1,6 @@
 """Short HTML of an object for notebooks, which call `_repr_html_`: a title, sentences and tables; no scripts, no files.
 
-Names may come from files of others: everything is escaped here, so that callers pass plain text.
+Names may come from foreign files: everything is escaped here, so that callers pass plain text.
 """
 
 import html
@@ -17,7 +17,7 @@ class SummaryTable(NamedTuple):
     """Rows of text under named columns, units included.
 
     Attributes:
-        columns: heads; none where each row is a name and its value.
+        columns: heads; empty if each row is a name and its value.
         rows: one text per column.
         title: one line, or empty.
     """
@@ -49,7 +49,7 @@ def _table(table: SummaryTable) -> str:
 
 
 def _row(tag: str, cells: Sequence[str]) -> str:
-    # Jupyter's own style aligns cells to the right.
+    # Jupyter's style aligns cells to the right.
     drawn = "".join(f'<{tag} style="text-align: left">{_escaped(cell)}</{tag}>' for cell in cells)
     return f"<tr>{drawn}</tr>"
 

@@ -1,7 +1,7 @@
-"""Reading files that may come from strangers: every reader of the package opens its file here.
+"""Reading of untrusted files: every reader of the package opens its file here.
 
-Only regular files of limited size are read, a reference to another file stays inside its folder, and whatever a parser
-raises becomes one sentence. `LIMITS` has the sizes.
+Only regular files of limited size are read, a reference to another file stays inside its folder, and any exception of a
+parser becomes one sentence. `LIMITS` has the sizes.
 """
 
 import contextlib
@@ -28,10 +28,10 @@ from wlr_render.errors import BadInputError
 
 @dataclass(frozen=True)
 class InputLimits:
-    """Largest sizes that are read; docs/files.md lists them.
+    """Largest sizes of input; docs/files.md lists them.
 
-    Each is ten times or more of what this program or the equipment it knows writes, and small enough for 2 GB of
-    memory.
+    Each limit is at least ten times the size that this program or supported equipment writes, and small enough for 2 GB
+    of memory.
     """
 
     text_bytes: int = 8_000_000
@@ -39,7 +39,7 @@ class InputLimits:
     data_bytes: int = 64_000_000
     """JSON."""
     record_bytes: int = 256_000_000
-    """Records of frames and of finished files, which the program writes to continue a job: 580,000 frames."""
+    """Records of frames and manifests of finished files, which the program writes to resume a job: 580,000 frames."""
     table_bytes: int = 256_000_000
     """CSV and trajectories, decompressed."""
     array_bytes: int = 512_000_000
@@ -71,7 +71,7 @@ class InputLimits:
 
 
 LIMITS = InputLimits()
-_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags
+_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # TIFF tags
 _short = reprlib.Repr()
 _short.maxstring = _short.maxother = 100
 _short.maxdict = _short.maxlist = 4
@@ -81,7 +81,7 @@ _hashes: contextvars.ContextVar[dict[str, str] | None] = contextvars.ContextVar(
 
 @contextlib.contextmanager
 def hashes_of_inputs() -> Iterator[dict[str, str]]:
-    """Context manager for the SHA-256 of every file that is read in the block, by path."""
+    """Record, in a `with` block, the SHA-256 of every file that is read, by path."""
     hashes: dict[str, str] = {}
     token = _hashes.set(hashes)
     try:
@@ -91,13 +91,13 @@ def hashes_of_inputs() -> Iterator[dict[str, str]]:
 
 
 def may_refer_outside() -> bool:
-    """Return whether this is within `outside_references`."""
+    """Return whether `outside_references` is in force."""
     return _outside.get()
 
 
 @contextlib.contextmanager
 def outside_references() -> Iterator[None]:
-    """Within the block, files may refer to files outside their own folder; `--outside-references` does the same."""
+    """Allow references to files outside their folder in a `with` block, as `--outside-references` does."""
     token = _outside.set(True)
     try:
         yield
@@ -107,12 +107,12 @@ def outside_references() -> Iterator[None]:
 
 @contextlib.contextmanager
 def parsing(path: str | Path, kind: str, remedy: str = "write it again") -> Iterator[None]:
-    """Convert whatever the parser in the block raises to a `BadInputError`.
+    """Convert any exception of the parser in a `with` block to a `BadInputError`.
 
     Args:
-        path: of the file, or a place in it.
-        kind: what the file should be, e.g. "a mesh".
-        remedy: what to do, without a full stop.
+        path: path of the file, or a place in it.
+        kind: expected content, e.g. "a mesh".
+        remedy: remedy, without a full stop.
     """
     try:
         yield
@@ -128,11 +128,11 @@ def parsing(path: str | Path, kind: str, remedy: str = "write it again") -> Iter
 
 @contextlib.contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Within the block, errors of work on what was read from a file or folder name it.
+    """Prefix errors in a `with` block with the file or folder that was read.
 
     Raises:
-        BadInputError: the block's, with the path in front unless it is in the sentence; or the numbers lead to a
-            matrix without an inverse, because the readings do not determine what is fitted to them.
+        BadInputError: the error of the block, prefixed with the path unless its sentence has it; or a singular matrix,
+            because the readings do not determine the fit.
     """
     try:
         yield
@@ -148,8 +148,8 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def reason_of(error: BaseException) -> str:
-    """The reason that an exception gives, in at most 200 characters of one line, without OpenCV's source line."""
-    if isinstance(error, SystemError) and error.__cause__ is not None:  # as OpenCV's constructors raise
+    """Return the reason of an exception in at most 200 characters of one line, without OpenCV's source line."""
+    if isinstance(error, SystemError) and error.__cause__ is not None:  # raised by OpenCV's constructors
         error = error.__cause__
     reason = getattr(error, "strerror", None) or getattr(error, "err", None) or str(error)
     reason = " ".join(str(reason).split()).rstrip(".")
@@ -159,10 +159,10 @@ def reason_of(error: BaseException) -> str:
 
 
 def shown(value: object, quoted: bool = True) -> str:
-    """Return any value as an error sentence shows it: one line of about 100 characters, control characters escaped.
+    """Represent any value for an error: one line of about 100 characters, control characters escaped.
 
     Args:
-        value: of a file or a caller; an array is described by its shape and type.
+        value: value from a file or a caller; an array is described by its shape and type.
         quoted: False leaves out the quotes of a text.
     """
     if isinstance(value, np.ndarray) and value.ndim:
@@ -183,11 +183,11 @@ def read_bytes(path: str | Path, at_most: int, remedy: str = "name another file"
     """
     try:
         with open(path, "rb", opener=_open_at_once) as file:
-            found = os.fstat(file.fileno())
-            if not stat.S_ISREG(found.st_mode):
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
                 raise BadInputError(f"{path}: is a pipe or a device, not a regular file; {remedy}.")
-            # A file that grows, or of a file system that states no sizes, may hold more than it says.
-            content = file.read(at_most + 1) if found.st_size <= at_most else None
+            # A file that grows, or lies on a file system without sizes, may hold more than it states.
+            content = file.read(at_most + 1) if status.st_size <= at_most else None
     except IsADirectoryError as error:
         raise BadInputError(f"{path}: is a folder; {remedy}.") from error
     except FileNotFoundError as error:
@@ -206,7 +206,7 @@ def read_bytes(path: str | Path, at_most: int, remedy: str = "name another file"
 
 
 def _open_at_once(path: str, flags: int) -> int:
-    """Open without waiting for a writer, as opening a pipe does."""
+    """Open a file without waiting for a writer, as opening a pipe does."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
@@ -274,8 +274,8 @@ def read_image(path: str | Path, flags: int, remedy: str = "name another picture
 
     Args:
         path: of any format that OpenCV reads.
-        flags: of `cv2.imdecode`.
-        remedy: what to do, without a full stop.
+        flags: flags of `cv2.imdecode`.
+        remedy: remedy, without a full stop.
 
     Raises:
         BadInputError: as `read_bytes`, or the file is not a picture or has more pixels than `LIMITS` has.
@@ -297,7 +297,7 @@ def decode_image(path: str | Path, content: bytes, flags: int, remedy: str = "na
 
 
 def require_picture(where: str | Path, content: bytes, remedy: str = "store the picture again") -> None:
-    """Refuse content that is not a picture, or a picture of more pixels than `LIMITS` has; decodes nothing."""
+    """Refuse a file that is not a picture, or has more pixels than `LIMITS` allows; decodes nothing."""
     with parsing(where, "a picture", remedy):
         require_pixels(where, _stated_size(content), remedy)
 
@@ -305,14 +305,14 @@ def require_picture(where: str | Path, content: bytes, remedy: str = "store the 
 def require_pixels(
     path: str | Path, size: Sequence[float] | NDArray[np.float64], remedy: str = "name another picture"
 ) -> None:
-    """Refuse a picture of more pixels than `LIMITS` has; `size` is its width and height in pixels."""
+    """Refuse a picture of more pixels than `LIMITS` allows; `size` is its width and height in pixels."""
     if math.prod(size) > LIMITS.picture_pixels or max(size) > LIMITS.picture_side:
         most = f"{LIMITS.picture_pixels / 1e6:.0f} million, or more than {LIMITS.picture_side} on one side"
         raise BadInputError(f"{path}: has {size[0]:.0f}x{size[1]:.0f} pixels, more than {most}; {remedy}.")
 
 
 def _stated_size(content: bytes) -> tuple[int, int]:
-    """Return the width and height that a picture's header states, before a decoder takes memory for them."""
+    """Return the width and height that a picture's header states, before a decoder allocates memory."""
     from PIL import Image, UnidentifiedImageError
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
@@ -321,7 +321,7 @@ def _stated_size(content: bytes) -> tuple[int, int]:
         with Image.open(stream) as picture:
             return picture.width, picture.height
     except UnidentifiedImageError:
-        # Pillow does not know the two forms of a float map.
+        # Pillow does not know the two types of float maps.
         if pfm := re.match(rb"PF\s+(\d{1,9})\s+(\d{1,9})\s", content):
             return int(pfm[1]), int(pfm[2])
         if content[:4] not in (b"II*\0", b"MM\0*"):
@@ -338,9 +338,9 @@ def inside_folder(folder: str | Path, name: str, where: str) -> Path:
     """Return the path of a file that another file refers to.
 
     Args:
-        folder: of the file that refers to it.
+        folder: folder of the file that refers to it.
         name: the reference, relative to the folder.
-        where: the file and key that have the reference, for the sentence.
+        where: the file and key of the reference, for the sentence.
 
     Raises:
         BadInputError: the reference leads out of the folder, and `outside_references` is not in force.
@@ -359,10 +359,10 @@ def inside_folder(folder: str | Path, name: str, where: str) -> Path:
 
 
 def require_length(where: str, length: ArrayLike, at_most: float, unit: str = "m") -> None:
-    """Refuse lengths that are not finite or too large, as those in millimetres that should be in metres.
+    """Refuse lengths that are not finite or too large, such as millimetres in place of metres.
 
     Args:
-        where: the file and key or column that have the lengths.
+        where: the file and key or column of the lengths.
         length: any shape, in `unit`.
         at_most: the largest plausible absolute value.
         unit: "m" or "mm".

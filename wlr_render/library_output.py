@@ -1,4 +1,4 @@
-"""What libraries print of their own accord, which the user of a verb does not see."""
+"""Output that libraries print and the user of a verb does not see."""
 
 import contextlib
 import io
@@ -13,10 +13,10 @@ _STANDARD_ERROR = 2
 
 @contextlib.contextmanager
 def silenced_libraries() -> Iterator[None]:
-    """Within the block, drop warnings, log records, and whatever C libraries and worker processes print as errors.
+    """Drop, in a `with` block, warnings, log records, and errors printed by C libraries and worker processes.
 
-    libpng, libjpeg, libtiff, FFmpeg, OpenCV and Mesa write straight to file descriptor 2: it leads nowhere meanwhile,
-    and `sys.stderr`, which the program's own sentences go to, leads where it did.
+    libpng, libjpeg, libtiff, FFmpeg, OpenCV and Mesa write straight to file descriptor 2, which is redirected to the
+    null device; `sys.stderr`, which gets the program's sentences, keeps its destination.
     """
     last_resort = logging.lastResort
     with warnings.catch_warnings(), _own_standard_error():
@@ -45,7 +45,7 @@ def _own_standard_error() -> Iterator[None]:
             os.dup2(nowhere.fileno(), _STANDARD_ERROR)
         yield
     finally:
-        with contextlib.suppress(OSError):  # a full disk takes no more words
+        with contextlib.suppress(OSError):  # a full disk
             sys.stderr.flush()
         sys.stderr = stream
         os.dup2(kept, _STANDARD_ERROR)
@@ -53,7 +53,7 @@ def _own_standard_error() -> Iterator[None]:
 
 
 def _descriptor(stream: object) -> int | None:
-    """Return the file descriptor of a stream; None for one in memory, or for none."""
+    """Return the file descriptor of a stream; None for a stream in memory or a missing one."""
     try:
         return stream.fileno() if isinstance(stream, io.TextIOBase) else None
     except OSError:

@@ -24,7 +24,7 @@ from wlr_render.numerics.polynomial import Polynomial
 StatusArray = NDArray[np.uint8]
 
 EYE_BOX_MARGIN = 0.5e-3
-"""How far outside the eye box (metres) a viewpoint still counts as inside: about the error of eye tracking."""
+"""Distance from the eye box (metres) up to which a viewpoint counts as inside: about the error of eye tracking."""
 
 
 class Status(IntEnum):
@@ -66,7 +66,7 @@ class QueryResult:
     Attributes:
         value: (..., k) float64; NaN where the status is neither OK nor OUTSIDE_FIT.
         status: (...) uint8, one `Status` each.
-        warm_start: what to pass as `warm_start` to the next query of the same shape, or None for closed forms.
+        warm_start: `warm_start` for the next query of the same shape; None for closed forms.
     """
 
     value: FloatArray
@@ -171,7 +171,7 @@ class DisplayMapping(Protocol):
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Return the forward query: the view direction of a pixel.
+        """Answer the forward query: the view direction of a pixel.
 
         Args:
             pixel: (..., 2) panel pixels.
@@ -185,7 +185,7 @@ class DisplayMapping(Protocol):
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Backward query: the pixel in a view direction; `value` (..., 2)."""
+        """Answer the backward query: the pixel in a view direction; `value` (..., 2)."""
 
 
 class SeeThroughMapping(Protocol):
@@ -194,7 +194,7 @@ class SeeThroughMapping(Protocol):
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Return the forward query: the world ray behind the optics of a view direction.
+        """Answer the forward query: the world ray behind the optics of a view direction.
 
         Returns:
             `value` (..., 6): a point of the ray (metres), then its unit direction, away from the eye. The point
@@ -204,7 +204,7 @@ class SeeThroughMapping(Protocol):
     def view_dir_of_real_point(
         self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Backward query: the view direction of a real point (..., 3); `value` (..., 3) unit `view_dir`."""
+        """Answer the backward query: the view direction of a real point (..., 3); `value` (..., 3) unit `view_dir`."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ class EyeMappings:
 
     @property
     def summary(self) -> SummaryTable:
-        """What notebooks show."""
+        """Summary for notebooks."""
         try:
             panel = f"{self.display.panel.width_px} x {self.display.panel.height_px} px"
         except BadInputError:
@@ -257,7 +257,7 @@ _OfChannel = TypeVar("_OfChannel")
 
 
 def middle_channel(channels: Sequence[_OfChannel]) -> _OfChannel:
-    """Return the only or the green one of what each channel of an eye has."""
+    """Return the green channel of an eye, or its only one."""
     return channels[len(channels) // 2]
 
 
@@ -274,15 +274,15 @@ class PlanarDisplay(Protocol):
 
     @property
     def eye_box(self) -> EyeBox:
-        """A viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
+        """Eye box; a viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
 
     @property
     def base_plane(self) -> BasePlane:
-        """The plane of p~."""
+        """Base plane of p~."""
 
     @property
     def forward(self) -> Polynomial:
-        """(u px, v px, x m, y m) -> (tx, ty)."""
+        """Polynomial (u px, v px, x m, y m) -> (tx, ty)."""
 
 
 @runtime_checkable
@@ -295,19 +295,19 @@ class PlanarSeeThrough(Protocol):
 
     @property
     def eye_box(self) -> EyeBox:
-        """A viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
+        """Eye box; a viewpoint more than `EYE_BOX_MARGIN` outside it is OUTSIDE_FIT."""
 
     @property
     def base_plane(self) -> BasePlane:
-        """The plane of p~, not necessarily the display's."""
+        """Base plane of p~, not necessarily the display's."""
 
     @property
     def deviation(self) -> Polynomial:
-        """(x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
+        """Polynomial (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
 
 
 def require_planar(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrough]:
-    """Return both planar models of an eye.
+    """Return the planar display and see-through models of an eye.
 
     Raises:
         BadInputError: the mappings are not planar models.

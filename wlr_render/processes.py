@@ -1,4 +1,4 @@
-"""Work spread over the processor's cores, or over the machines of a cluster.
+"""Parallel tasks on the processor's cores, or on the machines of a cluster.
 
 Not joblib: its loky prints a traceback on Ctrl-C, and its workers outlive a parent that is killed.
 """
@@ -25,12 +25,12 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _GRACE_S = 1.0
-"""Time in which a task that is given up removes its temporary files."""
+"""Time for an abandoned task to remove its temporary files."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Where tasks run.
+    """The processes or machines that run tasks.
 
     Attributes:
         workers: processes of this machine, or None for one per usable core.
@@ -41,7 +41,7 @@ class Spread:
     scheduler: str | None = None
 
     def at_most(self, workers: int) -> "Spread":
-        """Fewer processes by default: for tasks of which each takes much memory."""
+        """Limit the default number of workers, for tasks that need much memory each."""
         return self if self.workers else replace(self, workers=min(usable_cores(), workers))
 
 
@@ -52,18 +52,18 @@ THIS_MACHINE = Spread()
 def as_finished(
     run: Callable[[Task], Result], tasks: Sequence[Task], spread: Spread, folder: Path | None = None
 ) -> Iterator[Result]:
-    """Results of all tasks, in the order in which they are finished.
+    """Yield the results of all tasks, in the order of completion.
 
-    A scheduler has answered when this returns; tasks begin when the first result is asked for. Every process calculates
-    with one thread, so that sums are taken in one order whatever the number of workers. The processes end with this
-    one, however it ends, and as soon as its caller stops listening or is interrupted: the tasks at work are given up.
-    The workers of a cluster finish them.
+    A scheduler has answered when this returns; tasks begin when the first result is requested. Every process computes
+    with one thread, so that the order of sums does not depend on the number of workers. Workers exit with this process,
+    or when the caller stops iterating or is interrupted; running tasks are abandoned. The workers of a cluster finish
+    them.
 
     Args:
-        run: what is done; it and its results go between processes.
-        tasks: in the order in which they are begun.
-        spread: where they run.
-        folder: that they write into; the machines of a cluster have to share it.
+        run: function of a task; it and its results must be picklable.
+        tasks: arguments, in the order in which they are started.
+        spread: processes or machines that run them.
+        folder: folder that they write into; the machines of a cluster have to share it.
 
     Raises:
         BadInputError: a worker was killed, e.g. because the memory was full, or the cluster cannot run the tasks.
@@ -78,7 +78,7 @@ def as_finished(
 
 def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None) -> Iterator[Result]:
     context = multiprocessing.get_context("spawn")
-    # Only this process can write: the workers read the end of the pipe when it is closed here, or by the system.
+    # Only this process has the write end: the workers read end-of-file when this process or the system closes it.
     watched, alive = context.Pipe(duplex=False)
     with watched, alive:
         pool = ProcessPoolExecutor(workers or usable_cores(), context, _prepare_worker, (watched,))
@@ -98,14 +98,14 @@ def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], work
 
 
 def usable_cores() -> int:
-    """Cores that this process may use; one that another has started to share its work has one."""
+    """Return the cores that this process may use; one core for a worker of another process."""
     if cluster.is_cluster_worker or multiprocessing.parent_process() is not None:
         return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _prepare_worker(parent: Connection) -> None:
-    """Leave Ctrl-C, which reaches every process of a terminal, to the parent, and end with the parent."""
+    """Ignore Ctrl-C, which reaches every process of a terminal, and exit with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _give_up)
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
@@ -116,7 +116,7 @@ def _give_up(number: int, frame: object) -> None:
 
 
 def _end_with(parent: Connection) -> None:
-    """Give up the task when the parent has ended or wants no more results."""
+    """Exit when the parent has ended or wants no more results."""
     parent.poll(None)
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(_GRACE_S)
@@ -132,10 +132,10 @@ def _run_or_end(run: Callable[[Task], Result], task: Task) -> Result:
 
 @contextlib.contextmanager
 def _inherited_by_workers() -> Iterator[None]:
-    """Context manager of what the processes that are started in it inherit.
+    """Set, in a `with` block, the environment and signals that new processes inherit.
 
-    One thread each: linear algebra libraries read these variables once, when a new process loads them. No Ctrl-C, which
-    would print a traceback of a process that is starting.
+    Each gets one thread: linear algebra libraries read these variables once, when a process loads them. Ctrl-C is
+    ignored, because it would print a traceback of a process that is starting.
     """
     variables = (*cluster.LIBRARY_THREADS, cluster.OPENGL_THREADS)
     before = {name: os.environ.get(name) for name in variables}

@@ -14,7 +14,7 @@ class Progress:
         yield from items
 
     def say(self, text: str) -> None:
-        """Note what is being done, e.g. "reading the session"."""
+        """Note the current activity, e.g. "reading the session"."""
 
 
 SILENT = Progress()

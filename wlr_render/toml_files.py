@@ -20,7 +20,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, inside_folder, parsing, read_text, shown
 
 _LARGEST = 1e18
-"""Of a number in a file: far above every quantity in these units, and its powers do not overflow."""
+"""Largest number in a file: far above every quantity in these units, and its powers do not overflow."""
 _LONGEST_TEXT = 2000
 _KEYS_COMPARED = 1000
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*+\.[ \t]*+){50}""")
@@ -82,7 +82,7 @@ class Table:
         return value
 
     def path(self, key: str, folder: Path) -> Path:
-        """The path of another file, which lies in the folder of this one or below; see `input_files.inside_folder`."""
+        """Return the path of another file in the folder of this one or below; see `input_files.inside_folder`."""
         return inside_folder(folder, self.text(key), f"{self.where}: '{key}'")
 
     def texts(self, key: str) -> list[str]:
@@ -146,7 +146,7 @@ class Table:
         return np.array([self._number(item, key, least, most, above) for item in value])
 
     def row(self, key: str, size: int) -> list[float]:
-        """As `vector`, a list; a model file has a thousand of them."""
+        """Return `size` finite numbers like `vector`, but faster and as a list; a model file has a thousand of them."""
         value = self._list(key, size)
         kinds = set(map(type, value))
         if (kinds == {float} and math.hypot(*value) < _LARGEST) or (kinds == {int} and max(map(abs, value)) < _LARGEST):
@@ -207,11 +207,11 @@ class Table:
         return [Table(item, f"{self.where} [[{key}]] number {i + 1}") for i, item in enumerate(value)]
 
     def unchecked(self, key: str) -> Any:
-        """Return a value of any type; None if it is absent."""
+        """Return a raw value of any type; None if it is absent."""
         return self._get(key) if self.has(key) else None
 
     def free(self, key: str) -> dict[str, Any]:
-        """Return a sub-table whose content is not checked; empty if it is absent."""
+        """Return a raw sub-table whose content is not checked; empty if it is absent."""
         value = self._get(key) if self.has(key) else {}
         if not isinstance(value, dict):
             raise self.fail(f"'{key}' must be an object.")
@@ -224,14 +224,14 @@ class Table:
     def check_head(self, format_name: str, version: int, kind: str) -> None:
         """Check the format, version and unit of length of a file: `format`, `version` and `unit = "mm"`."""
         self.text("format", choices=[format_name])
-        found, unit = self.number("version"), self.text("unit")
-        if found != version:
-            raise self.fail(f"'version' is {found:g}; this program reads version {version}: write the file again.")
+        written, unit = self.number("version"), self.text("unit")
+        if written != version:
+            raise self.fail(f"'version' is {written:g}; this program reads version {version}: write the file again.")
         if unit != "mm":
             raise self.fail(f"'unit' is {shown(unit)}; {kind} is in mm: convert its lengths, write unit = \"mm\".")
 
     def finish(self) -> None:
-        """Refuse keys that were not read, so that a typing error is not silently ignored."""
+        """Refuse keys that were not read, so that typos are reported."""
         for key in self._content:
             if key not in self._read:
                 close = difflib.get_close_matches(key[:100], sorted(self._read | self._asked_for), 1)
@@ -240,7 +240,7 @@ class Table:
 
 
 def read_json(path: str | Path, kind: str, remedy: str = "write it again", at_most: int = LIMITS.data_bytes) -> Table:
-    """Open a JSON file of at most so many bytes as a `Table`.
+    """Read a JSON file of at most `at_most` bytes as a `Table`.
 
     Raises:
         BadInputError: the file cannot be read, is not a JSON object, or has a key twice; the sentence says that it is
@@ -268,7 +268,7 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def read_toml(path: str | Path) -> Table:
-    """Open a TOML file as a `Table`.
+    """Read a TOML file as a `Table`.
 
     Raises:
         BadInputError: the file cannot be read or is not TOML; the sentence has the line.
@@ -284,9 +284,9 @@ def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") ->
     """Write a TOML file atomically; `read_toml` reads back exactly the same values.
 
     Args:
-        path: where; its folder is made.
+        path: path of the file; its folder is made.
         table: text, booleans, integers, floats, lists and arrays of these, tables (mappings) and lists of tables.
-        comment: put at the head of the file, one `#` a line.
+        comment: lines at the head of the file, each after a `#`.
 
     Raises:
         ValueError: a value is not finite or has no TOML type; the sentence names the key.
@@ -302,7 +302,7 @@ def toml_text(table: Mapping[str, Any]) -> str:
         ValueError: a value is not finite or has no TOML type; the sentence names the key.
     """
     content = tomli_w.dumps({key: _toml_value(value, key) for key, value in table.items()})
-    # tomli_w gives each number of a vector a line of its own.
+    # tomli_w puts each number of a vector on a separate line.
     return re.sub(r"\[\n([^\[\]{}\"]+),\n *\]", _on_one_line, content)
 
 
@@ -311,7 +311,7 @@ def _on_one_line(numbers: re.Match[str]) -> str:
 
 
 def _toml_value(value: Any, where: str) -> Any:
-    """Convert a value for `tomli_w`; refuses what a `Table` would refuse."""
+    """Convert a value for `tomli_w`; refuses values that a `Table` refuses."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):

@@ -153,7 +153,7 @@ def test_a_calibrations_folder_has_the_captures_of_one_eye(captures, printed, tm
 
 def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_path):
     for arguments, words in (
-        ((printed, None, "northstar"), "no device can be chosen for it"),
+        ((printed, None, "northstar"), "so --device does not apply"),
         ((captures, printed / "bench.toml", "northstar"), "give one of them"),
         ((captures, _other_device(printed, tmp_path)), "the captures are of northstar"),
         ((tmp_path / "nothing",), "nothing: has no bench.toml, so it is not a bench session"),

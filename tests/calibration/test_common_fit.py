@@ -9,7 +9,7 @@ from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import fit_eye
 from wlr_render.captures.correspondences import CommonErrors, EyeCaptures
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.models.registration import OWN, model_registration_covariance
+from wlr_render.models.registration import UNSHARED, model_registration_covariance
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
@@ -122,7 +122,7 @@ def test_registration_by_source(session, tested):
     _, _, fit = session
     pixel, viewpoint, point, _ = tested
     covariance = model_registration_covariance(fit.mappings.display, fit.mappings.see_through, pixel, viewpoint, point)
-    assert list(covariance) == [OWN, "stage", "targets"]
+    assert list(covariance) == [UNSHARED, "stage", "targets"]
     up, right = (np.sqrt(np.mean(covariance["targets"][:, axis, axis])) for axis in (1, 0))
     assert 0.3 < up / (1e-3 / 1.5 / ARCMIN) < 3.0
     assert right < 0.3 * up

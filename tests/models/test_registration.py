@@ -8,7 +8,7 @@ from toy_models import EYE_BOX, bundle_display, bundle_see_through
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.models.registration import OWN, model_registration_covariance, registration_changes, right_and_up
+from wlr_render.models.registration import UNSHARED, model_registration_covariance, registration_changes, right_and_up
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -68,7 +68,7 @@ def drawn_errors(models):
 
 def test_covariance_is_that_of_drawn_models(models, drawn_errors):
     found = model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT)
-    assert list(found) == [OWN, "lens", "stage"]
+    assert list(found) == [UNSHARED, "lens", "stage"]
     total = sum(found.values())
     for row in range(2):
         drawn_covariance = np.cov(drawn_errors[:, row].T)
@@ -105,17 +105,17 @@ def test_what_both_share_alike_cancels(models):
     assert np.abs(same["stage"]).max() == 0.0
     assert np.all(np.trace(alone["lens"], axis1=1, axis2=2) > 0)
     shown = display.sigma(PIXEL, VIEWPOINT)
-    own = np.sqrt(np.trace(same[OWN], axis1=1, axis2=2) / 2.0)
+    own = np.sqrt(np.trace(same[UNSHARED], axis1=1, axis2=2) / 2.0)
     assert np.all(own < shown)  # sigma has the shared part, too
 
 
 def test_broadcasts_and_marks_what_is_not_answered(models):
     grid = model_registration_covariance(*models, PIXEL[:, None], VIEWPOINT, POINT)
-    assert grid[OWN].shape == (2, 2, 2, 2)
+    assert grid[UNSHARED].shape == (2, 2, 2, 2)
     single = model_registration_covariance(*models, PIXEL[1], VIEWPOINT[1], POINT[1])
     np.testing.assert_allclose(grid["lens"][1, 1], single["lens"], rtol=1e-9)
     behind = model_registration_covariance(*models, PIXEL, VIEWPOINT, POINT * [1, 1, -1])
-    assert np.isnan(behind[OWN]).all()
+    assert np.isnan(behind[UNSHARED]).all()
     assert np.isnan(behind["stage"]).all()
 
 

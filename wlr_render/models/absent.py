@@ -1,4 +1,4 @@
-"""Mappings that were not calibrated: of a headset without a display or see-through session. Every use is refused."""
+"""Mappings that were not calibrated, of a headset without a display or see-through session: every use is refused."""
 
 from dataclasses import dataclass
 from typing import NoReturn
@@ -21,7 +21,7 @@ class AbsentDisplay:
 
     @property
     def panel(self) -> Panel:
-        """Refused: no panel is known."""
+        """Panel of the display: refused, because it is unknown."""
         _refuse("display", "photographs of the panel")
 
     def view_dir_of_pixel(

@@ -75,7 +75,8 @@ def solve_see_through(
 ) -> Root:
     """Solve for the view direction of a real point; see `inverse.solve_view_tangents`.
 
-    Unknown are the view tangents t at the viewpoint, so the solve does not degenerate for a viewpoint in the plane.
+    The unknowns are the view tangents t at the viewpoint, so the solve does not degenerate for a viewpoint in the
+    plane.
 
     Args:
         deviation: (x, y, tx, ty) -> (A, B), see the module's docstring.
@@ -105,7 +106,7 @@ def _deviation_at(deviation: Regressor, plane: BasePlane, tangents: FloatArray, 
 
 @dataclass(frozen=True)
 class BundleDisplay(FittedDisplay):
-    """`DisplayMapping` fitted on viewpoints in a plane and projected to all others.
+    """A `DisplayMapping` fitted on viewpoints in a plane and projected to all others.
 
     Viewpoints on the same ray of a pixel see it in the same direction, by construction.
 
@@ -130,7 +131,7 @@ class BundleDisplay(FittedDisplay):
     FORMS: ClassVar[Forms] = {"forward": (4, 2), "backward_start": (4, 2)}
 
     def contraction(self) -> float:
-        """Of the forward solve for p~; see `contraction.display_contraction`."""
+        """Contraction of the forward solve for p~; see `contraction.display_contraction`."""
         return display_contraction(self.forward, self.base_plane, self.eye_box)
 
     def _forward(self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
@@ -154,10 +155,10 @@ class BundleDisplay(FittedDisplay):
 
 @dataclass(frozen=True)
 class BundleSeeThrough(FittedSeeThrough):
-    """`SeeThroughMapping` fitted on viewpoints in a plane and projected to all others.
+    """A `SeeThroughMapping` fitted on viewpoints in a plane and projected to all others.
 
-    The forward query is in closed form, and its ray's point lies B beside the base-plane point. The backward query is
-    iterative, and the view tangents (..., 2) are its warm start.
+    The forward query is in closed form, and its ray's point is the base-plane point plus the offset B. The backward
+    query is iterative, and the view tangents (..., 2) are its warm start.
 
     Attributes:
         eye_box: box of valid viewpoints.
@@ -174,7 +175,7 @@ class BundleSeeThrough(FittedSeeThrough):
     FORMS: ClassVar[Forms] = {"deviation": (4, 4)}
 
     def contraction(self) -> float:
-        """Of the backward solve for the view tangents; see `contraction.see_through_contraction`."""
+        """Contraction of the backward solve for the view tangents; see `contraction.see_through_contraction`."""
 
         def deviation_at(tangents: FloatArray, viewpoint: FloatArray) -> Deviation:
             return _deviation_at(self.deviation, self.base_plane, tangents, viewpoint)

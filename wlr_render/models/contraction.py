@@ -23,11 +23,12 @@ _PIXELS, _PLACES, _DIRECTIONS, _DEPTHS = 13, 9, 13, 5  # grid points per axis, f
 
 
 def display_contraction(forward: Regressor, plane: BasePlane, eye_box: EyeBox) -> float:
-    """Largest norm of the derivative of p~ -> carry(viewpoint, t(pixel, p~)): |s| ||dt/dp~|| on an untilted plane.
+    """Return the largest norm of the derivative of p~ -> carry(viewpoint, t(pixel, p~)).
 
-    On a plane of slope m it is h / (1 + m . t) times ||(I - t m^T / (1 + m . t)) dt/dp~||, with h the height of the
-    viewpoint over the plane along z. h is linear in the viewpoint and the rest does not depend on it, so the corners of
-    the eye box suffice; pixels and p~ are taken on a grid over the box of `forward`.
+    On an untilted plane the norm is |s| ||dt/dp~||. On a plane of slope m it is h / (1 + m . t) times ||(I - t m^T / (1
+    + m . t)) dt/dp~||, with h the height of the viewpoint over the plane along z. h is linear in the viewpoint and the
+    rest does not depend on it, so the corners of the eye box suffice; pixels and p~ are taken on a grid over the box of
+    `forward`.
     """
     inputs = _grid(forward.box, [_PIXELS] * 2 + [_PLACES] * 2)
     tangents, jacobian = forward.with_jacobian(inputs, axes=(2, 3))
@@ -50,7 +51,7 @@ def see_through_contraction(
 
     Args:
         deviation_at: the model at tangents (m, 2) and viewpoints (m, 3).
-        contains: whether those are inside the fit, (m,) bool.
+        contains: mask (m,) of the tangents and viewpoints inside the fit.
         eye_box: box of the viewpoints.
         directions: box of the tangents.
     """
@@ -64,7 +65,7 @@ def see_through_contraction(
 
 
 def require_unique(contraction: float, kind: str, side: str) -> float:
-    """Refuse a model that may have two solutions; returns the contraction of others.
+    """Refuse a model that may have two solutions; returns the contraction of any other.
 
     Args:
         contraction: of the model.
@@ -86,7 +87,7 @@ def require_unique(contraction: float, kind: str, side: str) -> float:
 
 
 def _grown(eye_box: EyeBox) -> Box:
-    """Return all viewpoints that count as inside."""
+    """Return the box of all viewpoints that count as inside."""
     half = 0.5 * eye_box.size + EYE_BOX_MARGIN
     return Box(eye_box.centre - half, eye_box.centre + half)
 

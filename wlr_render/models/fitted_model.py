@@ -28,8 +28,8 @@ class Answer:
 
     Attributes:
         value: (m, k).
-        inside: (m,) whether the inputs of the model's polynomials lie in their boxes.
-        solved: (m,) whether the solve converged; None for closed forms.
+        inside: (m,) mask of inputs that lie in the boxes of the model's polynomials.
+        solved: (m,) mask of converged solves; None for closed forms.
         start: (m, 2) solution to start the next query from; None for closed forms.
     """
 
@@ -41,10 +41,10 @@ class Answer:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How view tangents follow a model's polynomial.
+    """Derivative of view tangents by a model's polynomial.
 
     Attributes:
-        inputs: (m, variables) of the polynomial.
+        inputs: (m, variables) inputs of the polynomial.
         by_polynomial: (m, 2, outputs) derivative of the view tangents by its values there.
     """
 
@@ -57,9 +57,9 @@ class DirectionErrors:
     """Errors that a fit expects of its view directions, in units of the unit direction (radians).
 
     Attributes:
-        unshared: (..., 3, 3) covariance of what the model does not share with the eye's other model.
+        unshared: (..., 3, 3) covariance of the errors that the model does not share with the eye's other model.
         shared: (..., 3, k) change by each shared variable, all independent and standard normal.
-        sources: (k,) what each shared variable is an error of.
+        sources: (k,) source of error of each shared variable.
     """
 
     unshared: FloatArray
@@ -139,13 +139,13 @@ def joined(*columns: FloatArray) -> FloatArray:
 def pixel_answer(
     forward: Regressor, backward_start: Polynomial, place: FloatArray, tangents: FloatArray, start: FloatArray | None
 ) -> Answer:
-    """Answer of a display's backward query: `inverse.solve_pixel`, inside where the forward inputs are in their box."""
+    """Answer a display's backward query by `inverse.solve_pixel`; inside if the forward inputs are in their box."""
     root = solve_pixel(forward, backward_start, place, tangents, start)
     return Answer(root.unknown, forward.box.contains(joined(root.unknown, place)), root.converged, root.unknown)
 
 
 Forms = dict[str, tuple[int, int]]
-"""Of a model's polynomials, by attribute: the numbers of variables and outputs."""
+"""Numbers of variables and outputs of a model's polynomials, by attribute."""
 
 
 class FittedModel(ABC):
@@ -170,18 +170,18 @@ class FittedModel(ABC):
             polynomial: Regressor = getattr(self, name)
             if not isinstance(polynomial, Polynomial):
                 continue
-            found = len(polynomial.box.low), polynomial.orders.shape[1], polynomial.coefficients.shape
+            shape = len(polynomial.box.low), polynomial.orders.shape[1], polynomial.coefficients.shape
             expected = variables, variables, (len(polynomial.orders), outputs)
-            if found != expected:
+            if shape != expected:
                 raise BadInputError(
                     f"the polynomial '{name}' must have {variables} variables and coefficients of shape {expected[2]}, "
-                    f"not {found[0]} and {found[2]}."
+                    f"not {shape[0]} and {shape[2]}."
                 )
             if not np.isfinite(polynomial.coefficients).all():
                 raise BadInputError(f"the polynomial '{name}' has coefficients that are not finite.")
 
     def contraction(self) -> float:
-        """How strongly the model's solve contracts over the eye box, see `models.contraction`; 0 for closed forms."""
+        """Contraction of the model's solve over the eye box, see `models.contraction`; 0 for closed forms."""
         return 0.0
 
     def with_spread(self, spread: Covariance) -> Self:
@@ -192,14 +192,14 @@ class FittedModel(ABC):
 
     @abstractmethod
     def _forward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
-        """Display: pixels (m, 2) -> view tangents. See-through: view tangents -> (m, 5), a ray's point and tangents."""
+        """Answer the forward query: pixels (m, 2) -> view tangents, or view tangents -> ray point, tangents (m, 5)."""
 
     @abstractmethod
     def _backward(self, subject: FloatArray, viewpoint: FloatArray, start: FloatArray | None) -> Answer:
-        """Display: view tangents (m, 2) -> pixels. See-through: points (m, 3) -> view tangents."""
+        """Answer the backward query: view tangents (m, 2) -> pixels, or points (m, 3) -> view tangents."""
 
     def _sensitivity(self, subject: FloatArray, viewpoint: FloatArray, tangents: FloatArray) -> Sensitivity:
-        """Return how the view tangents (m, 2) of a pixel (m, 2) or a real point (m, 3) follow the first polynomial."""
+        """Return the derivative of view tangents (m, 2) of pixels (m, 2) or real points (m, 3) by the polynomial."""
         raise BadInputError("this model has no covariance: only models fitted by maximum evidence have one.")
 
     @abstractmethod
@@ -207,7 +207,7 @@ class FittedModel(ABC):
         """Return unit view directions (..., 3) of pixels (..., 2) or real points (..., 3), from viewpoints (..., 3)."""
 
     def direction_errors(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> DirectionErrors:
-        """Return the errors to be expected of the answer (..., 3) of `view_dir`; NaN where there is no answer.
+        """Return the expected errors of the answer (..., 3) of `view_dir`; NaN where there is no answer.
 
         Raises:
             BadInputError: the model has no covariance.
@@ -222,10 +222,10 @@ class FittedModel(ABC):
         return DirectionErrors(unshared.reshape(*lead, 3, 3), shared.reshape(*lead, *shared.shape[1:]), spread.sources)
 
     def direction_changes(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> FloatArray:
-        """Return changes (n, 3, k) of finite answers (n, 3) of `view_dir` by each variable of the model's covariance.
+        """Return the derivatives (n, 3, k) of finite answers (n, 3) of `view_dir` by each variable of the covariance.
 
-        The variables are independent and standard normal, those that the eye's other model shares first, so that the
-        products of changes are the covariance between different answers, too.
+        The variables are independent and standard normal, shared variables first, so that products of the derivatives
+        are the covariance between different answers, too.
 
         Raises:
             BadInputError: the model has no covariance.
@@ -236,17 +236,17 @@ class FittedModel(ABC):
     def _by_polynomial(
         self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray
     ) -> tuple[FloatArray, FloatArray, Covariance]:
-        """Inputs (n, variables) of the first polynomial, the directions' derivative by its values, its covariance."""
+        """Return the first polynomial's inputs (n, variables) and covariance, and the directions' derivative by it."""
         tangents = tangents_of_dir(view_dir)
         at = self._sensitivity(subject, viewpoint, tangents)
-        if self.spread is None:  # models that never have a covariance refused in `_sensitivity`
+        if self.spread is None:  # models without a covariance are refused in `_sensitivity`
             raise BadInputError("this model has no covariance; fit it with this version: calibrate again.")
         return at.inputs, dir_by_tangents(tangents) @ at.by_polynomial, self.spread
 
     def sigma(self, subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
-        """Return the standard error (...) of `view_dir` in arcminutes: the rms angle that the fit expects of itself.
+        """Return the standard error (...) of `view_dir` in arcminutes: the rms angle that the fit predicts for itself.
 
-        Over both axes; NaN where there is no answer. Where the answer is OUTSIDE_FIT, it is an extrapolation, too.
+        The rms is over both axes, and NaN where there is no answer. It is extrapolated where the answer is OUTSIDE_FIT.
 
         Args:
             subject: pixels (..., 2) of a display, real points (..., 3) of a see-through model.
@@ -272,18 +272,18 @@ class FittedDisplay(FittedModel):
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Forward; see `mappings.DisplayMapping`."""
+        """Answer the forward query of `mappings.DisplayMapping`."""
         return _as_directions(answer_in_chunks(self._forward, pixel, viewpoint, self.eye_box, warm_start))
 
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Backward; see `mappings.DisplayMapping`."""
+        """Answer the backward query of `mappings.DisplayMapping`."""
         tangents = tangents_of_dir(np.asarray(view_dir))
         return answer_in_chunks(self._backward, tangents, viewpoint, self.eye_box, warm_start)
 
     def view_dir(self, subject: FloatArray, viewpoint: FloatArray) -> QueryResult:
-        """`view_dir_of_pixel`."""
+        """Return the view directions of pixels, `view_dir_of_pixel`."""
         return self.view_dir_of_pixel(subject, viewpoint)
 
 
@@ -293,19 +293,19 @@ class FittedSeeThrough(FittedModel):
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Forward; see `mappings.SeeThroughMapping`."""
+        """Answer the forward query of `mappings.SeeThroughMapping`."""
         tangents = tangents_of_dir(np.asarray(view_dir))
         return _as_directions(answer_in_chunks(self._forward, tangents, viewpoint, self.eye_box, warm_start))
 
     def view_dir_of_real_point(
         self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """Backward; see `mappings.SeeThroughMapping`."""
+        """Answer the backward query of `mappings.SeeThroughMapping`."""
         in_front = _points_in_front(point, viewpoint)
         return _as_directions(answer_in_chunks(self._backward, in_front, viewpoint, self.eye_box, warm_start))
 
     def view_dir(self, subject: FloatArray, viewpoint: FloatArray) -> QueryResult:
-        """`view_dir_of_real_point`."""
+        """Return the view directions of real points, `view_dir_of_real_point`."""
         return self.view_dir_of_real_point(subject, viewpoint)
 
 
@@ -317,6 +317,6 @@ def _as_directions(result: QueryResult) -> QueryResult:
 
 
 def _points_in_front(point: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Real points (..., 3); NaN for points that are not in front of the viewpoint (..., 3)."""
+    """Return real points (..., 3), with NaN for points that are not in front of the viewpoint (..., 3)."""
     point, viewpoint = np.broadcast_arrays(np.asarray(point, dtype=np.float64), viewpoint)
     return np.where(point[..., 2:] < viewpoint[..., 2:], point, np.nan)

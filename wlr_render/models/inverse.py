@@ -15,7 +15,7 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.regressor import Regressor
 
 TOLERANCE = 1e-12
-"""On the residual: metres in the base plane where its point is solved for, tangents elsewhere."""
+"""Tolerance of the residual: metres for a point in the base plane, tangents otherwise."""
 
 _START_DEGREE = 3
 _LEVELS = 7, 4  # samples per pixel axis and per axis of the place
@@ -46,19 +46,18 @@ def solve_pixel(
     tangents: FloatArray,
     start: FloatArray | None,
 ) -> Root:
-    """Solve for the pixel that is seen under given tangents.
+    """Solve for the pixel with the given view tangents.
 
     Args:
         tangents_of: (u, v, place) -> (tx, ty), the model.
         backward_start: (place, tx, ty) -> (u, v), the cold start.
-        place: (n, any) what the model knows of the viewpoint; it stays as it is.
+        place: (n, any) inputs of the model that depend on the viewpoint; fixed during the solve.
         tangents: (n, 2).
         start: (n, 2) earlier pixels, or None.
 
     Returns:
         Root whose unknown is the pixel, (n, 2).
     """
-
     tangents_at = tangents_of.held(range(2, 2 + place.shape[1]), place)
 
     def residual(pixel: FloatArray, index: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -74,9 +73,9 @@ class Deviation:
     """A see-through model at m pairs of viewpoint and view tangents t.
 
     Attributes:
-        value: (m, 4) A, then B: the world ray has tangents t + A and passes B beside the straight ray at `depth`.
+        value: (m, 4) A, then B: the world ray has tangents t + A and is offset by B from the straight ray at `depth`.
         by_tangents: (m, 4, 2) the total derivative of `value` by t at a fixed viewpoint.
-        depth: (m,) depth s in front of the viewpoint at which B is meant, metres.
+        depth: (m,) depth s in front of the viewpoint at which B is defined, metres.
         depth_by_tangents: (m, 2).
     """
 
@@ -87,24 +86,24 @@ class Deviation:
 
     @classmethod
     def at_viewpoint(cls, value: FloatArray, by_tangents: FloatArray) -> "Deviation":
-        """Of a model whose B is meant at the viewpoint's own z."""
+        """Return the deviation of a model whose B is defined at the viewpoint's z."""
         return cls(value, by_tangents, np.zeros(len(value)), np.zeros((len(value), 2)))
 
     def seen_at(self, inverse_depth: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By how much a point looks displaced, tangents (m, 2), and the derivative by t, (m, 2, 2).
+        """Return the apparent displacement of a point, tangents (m, 2), and its derivative by t, (m, 2, 2).
 
         Args:
-            inverse_depth: (m,) of the point in front of the viewpoint, 1/m; zero is infinity.
+            inverse_depth: (m,) inverse depth of the point in front of the viewpoint, 1/m; zero is infinity.
         """
         near = inverse_depth[:, None]
-        far = 1.0 - self.depth[:, None] * near  # the share of the point's depth that lies behind B
+        far = 1.0 - self.depth[:, None] * near  # share of the point's depth behind B
         value = far * self.value[:, :2] + near * self.value[:, 2:]
         by_depth = self.value[:, :2, None] * self.depth_by_tangents[:, None, :]
         slope = far[..., None] * self.by_tangents[:, :2] + near[..., None] * (self.by_tangents[:, 2:] - by_depth)
         return value, slope
 
     def view_by_value(self, inverse_depth: FloatArray) -> FloatArray:
-        """Derivative (m, 2, 4) of the view tangents of points at `inverse_depth` (m,) by the model's value (A, B)."""
+        """Return the derivative (m, 2, 4) of the view tangents of points at `inverse_depth` (m,) by (A, B)."""
         near = inverse_depth[:, None, None]
         by_value = np.concatenate([(1.0 - self.depth[:, None, None] * near) * np.eye(2), near * np.eye(2)], axis=-1)
         return np.asarray(-np.linalg.solve(np.eye(2) + self.seen_at(inverse_depth)[1], by_value))
@@ -117,17 +116,17 @@ def solve_view_tangents(
     start: FloatArray | None,
     rounding: float = 0.0,
 ) -> Root:
-    """Solve for the view direction of a real point, so that its ray in the world passes through the point.
+    """Solve for the view direction whose world ray passes through a real point.
 
     The residual is the ray's lateral miss over the depth D of the point in front of the eye:
-    t - straight + (1 - s / D) A + B / D, with s the depth at which B is meant. The cold start is the straight line.
+    t - straight + (1 - s / D) A + B / D, with s the depth at which B is defined. The cold start is the straight line.
 
     Args:
         deviation_at: the model at tangents (m, 2) and the viewpoints with the indices (m,).
         point: (n, 3) in front of the viewpoint.
         viewpoint: (n, 3).
         start: (n, 2) earlier solutions, or None.
-        rounding: size of what is rounding in the residual.
+        rounding: rounding error of the residual.
 
     Returns:
         Root whose unknown is t, (n, 2).
@@ -143,9 +142,9 @@ def solve_view_tangents(
 
 
 def backward_start_of(forward: Regressor) -> Polynomial:
-    """Low-degree polynomial (place, tx, ty) -> (u, v) near the inverse of a display's (u, v, place) -> (tx, ty).
+    """Fit a low-degree polynomial (place, tx, ty) -> (u, v) near the inverse of a display's (u, v, place) -> (tx, ty).
 
-    Least squares on a grid over the box of `forward`. It is only where the solves of backward queries start.
+    The fit is least squares on a grid over the box of `forward`. Backward queries only start from it.
     """
     places = len(forward.box.low) - 2
     levels = [_LEVELS[0]] * 2 + [_LEVELS[1]] * places

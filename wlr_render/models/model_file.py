@@ -1,4 +1,4 @@
-"""Model files: the fitted models of one or both eyes of a headset as one JSON text, readable without this package.
+"""Model files: the fitted models of one or both eyes of a headset in one JSON text that needs no special reader.
 
     format "wlr-eye-model", version 3, package_version, frame "openxr", device
     units              {length "m", direction "tangent", pixel "px"}
@@ -17,7 +17,7 @@ Versions 1 and 2 are still read. Version 1 has the keys of its single eye in the
 slope and polynomials with the `degree` up to which they hold all terms, and call a display's `backward_start`
 `backward`; their see-through `backward` is not used. They have no spread.
 
-Kinds and the inputs and outputs of their polynomials are those of the classes in this package. A polynomial is
+Kinds and the inputs and outputs of their polynomials are defined by the classes in this package. A polynomial is
 {low, high, terms}: inputs are scaled linearly so that low..high becomes -1..1, and its value is the sum over
 terms of `values` (one per output) times the product over inputs of Chebyshev T_k, with k from `orders`. Numbers are
 written so that they are read back exactly.
@@ -32,7 +32,7 @@ Factor c at given inputs is unit[c] times the sum over terms of values[term][c] 
 y in turn. `joint` has m r factors: number o r + j is the change of output o by random variable j. `apart` has m r / 2:
 number b r + j is the change of outputs 2 b and 2 b + 1, by random variables j of the x and of the y axis. All variables
 are independent and standard normal, and the first `shared` of `joint` are the same ones in the eye's display and
-see-through. `sources` says what each of them is an error of, assembly errors of a prescription if it is absent. The
+see-through. `sources` names the source of error of each of them, assembly errors of a prescription if it is absent. The
 covariance of outputs o and p is therefore
 
     C[o][p] = sum_j joint[o r + j] joint[p r + j]  +  sum_j apart[b r + j] apart[c r + j] if o - p is even
@@ -45,9 +45,10 @@ outputs, and V = S C S', its square is, in radians squared,
     ((1 + ty^2) V[0][0] - 2 tx ty V[0][1] + (1 + tx^2) V[1][1]) / (1 + tx^2 + ty^2)^2
 
 S is the unit matrix for a static or volumetric display. The base-plane point p~ of a planar display moves with t, so
-that S = (1 - F D)^-1, where F is the derivative of `forward` by p~ and D that of p~ by t: d times the unit matrix for a
-plane without slope that lies d metres in front of the viewpoint. Of a see-through, S = -(dG/dt)^-1 (1, 1 / Z), where
-G(t) = 0 is the equation that the class solves for a point at depth Z; e.g. G = t + A + B / Z - (P - p~) / Z if planar.
+that S = (1 - F D)^-1, where F is the derivative of `forward` by p~ and D the derivative of p~ by t: d times the unit
+matrix for a plane without slope that lies d metres in front of the viewpoint. Of a see-through, S = -(dG/dt)^-1 (1, 1 /
+Z), where G(t) = 0 is the equation that the class solves for a point at depth Z; e.g. G = t + A + B / Z - (P - p~) / Z
+if planar.
 """
 
 import json
@@ -79,9 +80,9 @@ from wlr_render.toml_files import Table, read_json
 
 FORMAT = "wlr-eye-model"
 VERSION = 3
-_BACKWARD = "backward"  # of versions 1 and 2: what backward queries answered with
-_DIGITS = 5  # of a spread's numbers
-_LARGEST_SPREAD = 100.0  # radians or metres
+_BACKWARD = "backward"  # key of versions 1 and 2: the polynomial that answered backward queries
+_DIGITS = 5  # significant digits of a spread's factors
+_LARGEST_SPREAD = 100.0  # largest plausible factor of a spread, radians or metres
 _MOST_TERMS = 10_000
 _UNITS = {"length": "m", "direction": "tangent", "pixel": "px"}
 
@@ -125,17 +126,17 @@ class EyeModel:
         )
 
     def _fitted(self, name: str, mapping: object, kinds: dict[str, type[Any]]) -> list[str]:
-        """Return cells of one mapping; a dash where the report, which may be of another program, has no such number."""
+        """Return the table cells of one mapping; a dash for each number that the report lacks."""
         kind = next((kind for kind, model in kinds.items() if isinstance(mapping, model)), "")
         if not kind:
             return ["not calibrated", "-", "-", "-", "-"]
         modelled, report = getattr(mapping, _modelled(kinds[kind])), self.report.get(name)
         terms = str(len(modelled.orders)) if isinstance(modelled, Polynomial) else "-"
-        found = [report.get(key) if isinstance(report, Mapping) else None for key in _SHOWN]
-        return [kind, terms, *(f"{each:.3g}" if isinstance(each, int | float) else "-" for each in found)]
+        values = [report.get(key) if isinstance(report, Mapping) else None for key in _SHOWN]
+        return [kind, terms, *(f"{each:.3g}" if isinstance(each, int | float) else "-" for each in values)]
 
 
-_SHOWN = ("viewpoints", "noise_arcmin", "predicted_arcmin")  # of the report, in a summary
+_SHOWN = ("viewpoints", "noise_arcmin", "predicted_arcmin")  # keys of the report that a summary shows
 
 
 def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
@@ -162,7 +163,7 @@ def save_eye_models(path: str | Path, models: Sequence[EyeModel]) -> Path:
 
 
 def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, ...]:
-    """Add models to a file and keep its models of other eyes of the same device; returns the eyes that were kept.
+    """Add models to a file, keeping its models of other eyes of the same device; returns the eyes that were kept.
 
     Raises:
         BadInputError: as `save_eye_models`, or as `load_eye_models` for a file that is there.
@@ -175,7 +176,7 @@ def add_eye_models(path: str | Path, models: Sequence[EyeModel]) -> tuple[str, .
 
 
 def remove_eye_models(path: str | Path, eyes: Sequence[str]) -> None:
-    """Remove the models of some eyes from a file, and the file if no other is in it."""
+    """Remove the models of some eyes from a file; the file goes with its last model."""
     kept = [model for eye, model in load_eye_models(path).items() if eye not in eyes] if Path(path).exists() else []
     if kept:
         save_eye_models(path, kept)
@@ -216,8 +217,8 @@ def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
         read.finish()
     by_eye = {model.mappings.eye: model for model in models}
     if not 1 <= len(by_eye) == len(models):
-        found = ", ".join(model.mappings.eye for model in models) or "none"
-        raise table.fail(f"'eyes' must hold one model, or one of each eye, not {found}; calibrate again.")
+        eyes = ", ".join(model.mappings.eye for model in models) or "none"
+        raise table.fail(f"'eyes' must hold one model, or one of each eye, not {eyes}; calibrate again.")
     return by_eye
 
 
@@ -248,7 +249,7 @@ def _eye_model(table: Table, device: str, version: int) -> EyeModel:
     )
     report = table.free("report")
     with parsing(f"{table.where}: 'report'", "plain JSON", "calibrate again"):
-        json.dumps(report, allow_nan=False)  # refuses what could not be written again
+        json.dumps(report, allow_nan=False)  # refuses a report that could not be written again
     return EyeModel(mappings, device, report)
 
 
@@ -268,7 +269,7 @@ def _check_header(table: Table) -> int:
 
 
 def _json_text(value: Any, margin: str = "\n") -> str:
-    """JSON with a line for each entry, and lists without tables or lists in them on one line."""
+    """Return JSON with a line for each entry, and lists without nested tables or lists on one line."""
     if isinstance(value, dict) and value:
         entries = [f"{json.dumps(key)}: {_json_text(entry, margin + ' ')}" for key, entry in value.items()]
         opening, closing = "{}"
@@ -294,7 +295,7 @@ def _part_names(model: type[Any]) -> list[str]:
 
 
 def _modelled(model: type[Any]) -> str:
-    """Return the name of the polynomial that the spread is of."""
+    """Return the name of the polynomial that the spread belongs to."""
     forms: Forms = model.FORMS
     return next(iter(forms))
 
@@ -307,7 +308,7 @@ def _spread_record(spread: Covariance, polynomial: Polynomial) -> dict[str, Any]
 
 
 def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, Any]:
-    """Return the whole numbers, each factor's in units of a power of ten of which the largest has `_DIGITS` digits."""
+    """Return the factors as whole numbers, each factor in a power of ten that gives its largest `_DIGITS` digits."""
     if not (
         np.array_equal(factors.box.low, polynomial.box.low) and np.array_equal(factors.box.high, polynomial.box.high)
     ):
@@ -315,8 +316,8 @@ def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, An
     largest = np.abs(factors.coefficients).max(axis=0)
     exponents = [int(f"{each:.{_DIGITS - 1}e}".partition("e")[2]) - _DIGITS + 1 if each else 0 for each in largest]
     unit = [float(f"1e{exponent}") for exponent in exponents]
-    own = {} if np.array_equal(factors.orders, polynomial.orders) else {"orders": factors.orders.tolist()}
-    return own | {"unit": unit, "values": np.rint(factors.coefficients / unit).astype(np.int64).tolist()}
+    orders = {} if np.array_equal(factors.orders, polynomial.orders) else {"orders": factors.orders.tolist()}
+    return orders | {"unit": unit, "values": np.rint(factors.coefficients / unit).astype(np.int64).tolist()}
 
 
 def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
@@ -364,7 +365,7 @@ def _spread(table: Table, polynomial: Polynomial) -> Covariance:
 
 
 def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> Polynomial:
-    """Return the factors of a spread, `outputs` of each variable."""
+    """Read the factors of a spread, `outputs` of each variable."""
     orders, box = polynomial.orders, polynomial.box
     if not parent.has(name):
         return Polynomial(orders, box, np.zeros((len(orders), 0)))
@@ -404,7 +405,7 @@ def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:
     if not terms:
         raise table.fail("'terms' is empty; write one term at least.")
     orders = _orders(table, np.array([term.row("orders", variables) for term in terms], dtype=np.float64))
-    if table.has("degree"):  # of version 1 or 2
+    if table.has("degree"):  # version 1 or 2
         degree = table.whole("degree", most=HIGHEST_ORDER)
         if len(terms) != term_count(variables, degree) or not np.array_equal(orders, total_degree(variables, degree)):
             raise table.fail(

@@ -14,18 +14,18 @@ from wlr_render.numerics.regressor import Regressor
 def pixel_at_calibration(
     pixel: FloatArray, panel: Panel, shift_px: FloatArray, growth: FloatArray | float
 ) -> FloatArray:
-    """Return the pixels (..., 2) that at calibration were where pixels (..., 2) of the moved panel are now."""
+    """Return the positions at calibration (..., 2) of pixels (..., 2) of the moved panel."""
     return np.asarray(pixel + shift_px + growth * (pixel - 0.5 * panel.size_px))
 
 
 @dataclass(frozen=True, eq=False)
 class MovedPanelDisplay:
-    """`DisplayMapping` with the panel shifted and grown about its middle; a `PlanarDisplay` if `still` is one.
+    """A `DisplayMapping` with the panel shifted and scaled about its middle; a `PlanarDisplay` if `still` is one.
 
     Attributes:
         still: the mapping with the panel where it was calibrated.
-        shift_px: (2,) pixel u shows where pixel u + shift_px showed then.
-        growth: relative.
+        shift_px: (2,) pixel u is now where pixel u + shift_px was at calibration.
+        growth: relative growth.
     """
 
     still: DisplayMapping
@@ -34,22 +34,22 @@ class MovedPanelDisplay:
 
     @property
     def panel(self) -> Panel:
-        """See `DisplayMapping`."""
+        """The panel; see `DisplayMapping`."""
         return self.still.panel
 
     @property
     def eye_box(self) -> EyeBox:
-        """See `PlanarDisplay`."""
+        """The eye box; see `PlanarDisplay`."""
         return self.still.eye_box  # type: ignore[attr-defined, no-any-return]  # absent where it is absent there
 
     @property
     def base_plane(self) -> BasePlane:
-        """See `PlanarDisplay`."""
+        """The base plane; see `PlanarDisplay`."""
         return self.still.base_plane  # type: ignore[attr-defined, no-any-return]
 
     @property
     def forward(self) -> Regressor:
-        """See `PlanarDisplay`: the same polynomial of inputs in a moved box."""
+        """The polynomial of `PlanarDisplay`, with its inputs in a moved box."""
         forward: Regressor = self.still.forward  # type: ignore[attr-defined]
         if not isinstance(forward, Polynomial):
             return forward
@@ -59,7 +59,7 @@ class MovedPanelDisplay:
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """See `DisplayMapping`."""
+        """Answer the forward query of `DisplayMapping`."""
         return self.still.view_dir_of_pixel(
             pixel_at_calibration(pixel, self.panel, self.shift_px, self.growth), viewpoint, warm_start
         )
@@ -67,11 +67,11 @@ class MovedPanelDisplay:
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """See `DisplayMapping`."""
-        found = self.still.pixel_of_view_dir(view_dir, viewpoint, warm_start)
-        return replace(found, value=self._back(found.value))
+        """Answer the backward query of `DisplayMapping`."""
+        still = self.still.pixel_of_view_dir(view_dir, viewpoint, warm_start)
+        return replace(still, value=self._back(still.value))
 
     def _back(self, pixel: FloatArray) -> FloatArray:
-        """Return the pixels (..., 2) now, from those at calibration."""
+        """Return the pixels (..., 2) of today, from their positions at calibration."""
         middle = 0.5 * self.panel.size_px
         return np.asarray(middle + (pixel - middle - self.shift_px) / (1.0 + self.growth))

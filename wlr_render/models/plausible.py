@@ -1,4 +1,4 @@
-"""Whether the numbers of a model file are those of a headset."""
+"""Plausibility checks of the numbers in a model file."""
 
 from collections.abc import Mapping
 
@@ -10,13 +10,13 @@ from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
 from wlr_render.toml_files import Table
 
-_FAR_M = 1.0  # of an eye box or base plane from the headset's origin
+_FAR_M = 1.0  # largest distance of an eye box or base plane from the headset's origin
 _STEEPEST = 100.0  # slope of a base plane, tangent or deviation: 89.4 degrees
-_FARTHEST_PX = 1e6  # of a pixel to start from
-_BESIDE = 0.5  # of a panel's size: pixels beside it
-_LEAST_SHARE = 0.1  # of a panel on each axis
+_FARTHEST_PX = 1e6  # largest coordinate of a start pixel
+_BESIDE = 0.5  # largest distance of pixels outside the panel, in panel sizes
+_LEAST_SHARE = 0.1  # least share of a panel on each axis
 _NARROWEST = 1e-3  # range of a display's tangents: 3 arcminutes
-# Points in the middle of a box, whose corners may have no data: multiples of the powers of a root of g^6 = g + 1.
+# Points in the middle of a box (its corners may have no data): multiples of the powers of a root of g^6 = g + 1.
 _INSIDE = 0.1 + 0.8 * np.mod(0.5 + np.arange(32)[:, None] * 1.1347241384015194 ** -np.arange(1.0, 6.0), 1.0)
 
 
@@ -41,8 +41,8 @@ def require_plausible_values(table: Table, parts: Mapping[str, object], display:
 
     Args:
         table: the mapping, for messages.
-        parts: of the mapping, by name.
-        display: name of the polynomial of pixels that must see a panel, if any.
+        parts: polynomials of the mapping, by name.
+        display: name of the display's polynomial, whose pixels must cover a panel, if any.
     """
     for name, part in parts.items():
         if not isinstance(part, Polynomial):
@@ -56,7 +56,7 @@ def require_plausible_values(table: Table, parts: Mapping[str, object], display:
                 f"'{name}' has an input up to {others.max():g}, more than the plausible {_STEEPEST:g} (metres or "
                 "tangents); calibrate again."
             )
-        # Not by a call, which first finds the fastest order of summation.
+        # The basis is evaluated directly, because a call first searches for the fastest order of summation.
         values = basis(low + (high - low) * _INSIDE[:, : len(low)], part.orders, part.box) @ part.coefficients
         most = _FARTHEST_PX if name == "backward_start" else _STEEPEST
         if not np.abs(values).max() <= most:
@@ -69,7 +69,7 @@ def require_plausible_values(table: Table, parts: Mapping[str, object], display:
 
 
 def _require_on_panel(table: Table, name: str, box: Box, panel: object) -> None:
-    """Refuse pixels, the first two inputs of every display's polynomial, that are not those of the panel."""
+    """Refuse pixels, the first two inputs of every display's polynomial, that do not lie on the panel."""
     assert isinstance(panel, Panel)
     low, high = box.low[:2] / panel.size_px, box.high[:2] / panel.size_px
     if low.min() < -_BESIDE or high.max() > 1 + _BESIDE or (high - low).min() < _LEAST_SHARE:

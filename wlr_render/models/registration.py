@@ -9,17 +9,17 @@ from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 
-OWN = "noise and stage"
+UNSHARED = "noise and stage"
 """Source of the errors that display and see-through do not share."""
 
 
 def model_registration_covariance(
     display: FittedDisplay, see_through: FittedSeeThrough, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return covariance, by source, of the angle from a real point's direction to a pixel's, as both models expect it.
+    """Return the covariance, by source, of the angle from a real point's direction to a pixel's, as the models predict.
 
-    Both directions are seen from the viewpoint. What both models share, such as an error of the camera that measured
-    both, counts by its difference: it cancels as far as it displaces both alike.
+    Both directions start at the viewpoint. An error that both models share, such as an error of the camera that
+    measured both, counts by its difference: it cancels if it displaces both by the same angle.
 
     Args:
         display, see_through: the models of one eye, of one fit.
@@ -28,23 +28,23 @@ def model_registration_covariance(
 
     Returns:
         Covariances (..., 2, 2) in square arcminutes along the axes of `right_and_up` of the pixel's direction; their
-        sum is the covariance of both models together. `OWN` is what each model has alone. NaN where a model has no
+        sum is the total covariance. `UNSHARED` is the part that the models do not share. NaN where a model has no
         answer.
 
     Raises:
         BadInputError: a model has no covariance, or the two are not of one fit.
     """
     shown = display.view_dir_of_pixel(pixel, viewpoint).value
-    seen = see_through.view_dir_of_real_point(point, viewpoint).value
-    lead = np.broadcast_shapes(shown.shape[:-1], seen.shape[:-1])
-    shown, seen = (np.broadcast_to(each, (*lead, 3)) for each in (shown, seen))
+    real = see_through.view_dir_of_real_point(point, viewpoint).value
+    lead = np.broadcast_shapes(shown.shape[:-1], real.shape[:-1])
+    shown, real = (np.broadcast_to(each, (*lead, 3)) for each in (shown, real))
     of_display = display.direction_errors(pixel, viewpoint, shown)
-    of_see_through = see_through.direction_errors(point, viewpoint, seen)
+    of_see_through = see_through.direction_errors(point, viewpoint, real)
     _check_one_fit(of_display.sources, of_see_through.sources)
     axes = right_and_up(shown) / ARCMIN
     difference = axes @ (of_display.shared - of_see_through.shared)
-    own = axes @ (of_display.unshared + of_see_through.unshared) @ np.swapaxes(axes, -1, -2)
-    return {OWN: own} | {
+    unshared = axes @ (of_display.unshared + of_see_through.unshared) @ np.swapaxes(axes, -1, -2)
+    return {UNSHARED: unshared} | {
         name: _from(difference, of_display.sources, name) for name in dict.fromkeys(of_display.sources)
     }
 
@@ -52,9 +52,9 @@ def model_registration_covariance(
 def registration_changes(
     display: FittedDisplay, see_through: FittedSeeThrough, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
 ) -> FloatArray:
-    """Changes of the angles from real points' directions to pixels', by the variables of both models' covariance.
+    """Return the derivatives of the angles from real points' directions to pixels' by the covariance's variables.
 
-    Products of the changes are the covariance, between different pixels and points, too.
+    Products of the derivatives are the covariance, between different pixels and points, too.
 
     Args:
         display, see_through: the models of one eye, of one fit.
@@ -69,8 +69,8 @@ def registration_changes(
     """
     displayed = display.view_dir_of_pixel(pixel, viewpoint).value
     of_display = display.direction_changes(pixel, viewpoint, displayed)
-    seen = see_through.view_dir_of_real_point(point, viewpoint).value
-    of_see_through = see_through.direction_changes(point, viewpoint, seen)
+    real = see_through.view_dir_of_real_point(point, viewpoint).value
+    of_see_through = see_through.direction_changes(point, viewpoint, real)
     sources = [each.spread.sources for each in (display, see_through) if each.spread is not None]
     _check_one_fit(*sources)
     shared = len(sources[0])
@@ -98,5 +98,5 @@ def _check_one_fit(of_display: tuple[str, ...], of_see_through: tuple[str, ...])
 
 def _from(difference: FloatArray, sources: Sequence[str], name: str) -> FloatArray:
     """Return the covariance (..., 2, 2) by the variables of one source, of changes (..., 2, k)."""
-    own = difference[..., [source == name for source in sources]]
-    return np.asarray(own @ np.swapaxes(own, -1, -2))
+    changes = difference[..., [source == name for source in sources]]
+    return np.asarray(changes @ np.swapaxes(changes, -1, -2))

@@ -2,9 +2,9 @@
 
     coefficient (term, block b, axis k) = mean + apart[term, b] . a_k + joint[term, b, k] . j
 
-a_k and j are independent and standard normal. What noise leaves unknown is the same for both axes, so that `apart`
-serves both; what captures share, such as the camera's motions, couples them and is in `joint`. The first of j, one
-for each of `sources`, are the same variables in the display and the see-through model of an eye.
+a_k and j are independent and standard normal. The uncertainty that noise causes is the same for both axes, so that
+`apart` serves both; errors that captures share, such as the camera's motions, couple the axes and are in `joint`. The
+first of j, one for each of `sources`, are the same variables in the display and the see-through model of an eye.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from wlr_render.numerics.polynomial import Polynomial
 
 _CHUNK = 1_024  # inputs whose factors are held at once
 PRESCRIPTION = "prescription"
-"""Source of the shared variables that are assembly errors of a prescription."""
+"""Name of the source of shared variables that are assembly errors of a prescription."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,11 @@ class Covariance:
     """Covariance of a polynomial's values.
 
     Attributes:
-        outputs: of the polynomial: block 0 along x and y, then block 1.
-        apart: inputs -> (blocks * rank); no outputs where nothing is apart.
-        joint: inputs -> (outputs * rank).
-        sources: what each of the joint variables that the eye's other model shares is an error of, e.g. "prescription".
-            They are the first ones.
+        outputs: number of outputs of the polynomial: block 0 along x and y, then block 1.
+        apart: inputs -> (blocks * rank) factors of the independent part of both axes; empty if there is none.
+        joint: inputs -> (outputs * rank) factors that couple the axes.
+        sources: source of error, e.g. "prescription", of each joint variable that the eye's other model shares. These
+            variables come first.
     """
 
     outputs: int
@@ -43,22 +43,22 @@ class Covariance:
 
     def covariance(self, inputs: FloatArray) -> FloatArray:
         """Return covariance (n, outputs, outputs) of the values at inputs (n, variables), in their units squared."""
-        own, shared = self.unshared_and_shared(inputs)
-        return own + shared @ shared.transpose(0, 2, 1) if self.sources else own
+        unshared, shared = self.unshared_and_shared(inputs)
+        return unshared + shared @ shared.transpose(0, 2, 1) if self.sources else unshared
 
     def unshared_and_shared(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Split the covariance at inputs (n, variables) into what this model has alone and what it shares.
+        """Split the covariance at inputs (n, variables) into the part of this model alone and the shared part.
 
         Returns:
             Covariance (n, outputs, outputs) without the shared variables, and the values' change
             (n, outputs, shared) by each shared variable.
         """
         blocks = [self._block(inputs[first : first + _CHUNK]) for first in range(0, max(len(inputs), 1), _CHUNK)]
-        own, shared = (np.concatenate(each) for each in zip(*blocks, strict=True))
-        return own, shared
+        unshared, shared = (np.concatenate(each) for each in zip(*blocks, strict=True))
+        return unshared, shared
 
     def _factors(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Changes (n, blocks, rank) by what is apart for both axes, and (n, outputs, rank) by the joint variables."""
+        """Return derivatives (n, blocks, rank) by factors independent for x and y, (n, outputs, rank) by joint ones."""
         count, blocks = len(inputs), self.outputs // 2
         apart = np.zeros((count, blocks, 0))
         if self.apart.outputs:
@@ -76,9 +76,9 @@ class Covariance:
         return covariance, shared
 
     def changes(self, inputs: FloatArray) -> FloatArray:
-        """Return the changes (n, outputs, k) of the values at inputs (n, variables) by each independent variable.
+        """Return the derivatives (n, outputs, k) of the values at inputs (n, variables) by each independent variable.
 
-        The shared ones first. The covariance between the values at two inputs is the sum of the products.
+        Shared variables come first. The covariance between the values at two inputs is the sum of the products.
         """
         apart, joint = self._factors(inputs)
         by_axis = np.zeros((*apart.shape[:2], 2, 2, apart.shape[2]))

@@ -1,8 +1,8 @@
 """Baseline that ignores the viewpoint: one map, fitted at the nominal viewpoint and used at every viewpoint.
 
-The display is a fixed image at infinity; the see-through deviation depends on the direction only. The real ray
-is still computed for the actual viewpoint: the deviation is that of the nominal viewpoint, and the world
-is drawn from the actual one.
+The display is a fixed image at infinity; the see-through deviation depends on the direction only. The real ray is still
+computed for the actual viewpoint: the deviation is taken at the nominal viewpoint, and the world is drawn from the
+actual one.
 """
 
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from wlr_render.numerics.regressor import Regressor
 
 @dataclass(frozen=True)
 class StaticDisplay(FittedDisplay):
-    """`DisplayMapping` that is the same for every viewpoint.
+    """A `DisplayMapping` that is the same for every viewpoint.
 
     The warm start of the backward query is the pixel.
 
@@ -52,7 +52,7 @@ class StaticDisplay(FittedDisplay):
 
 @dataclass(frozen=True)
 class StaticSeeThrough(FittedSeeThrough):
-    """`SeeThroughMapping` whose deviation is the same for every viewpoint.
+    """A `SeeThroughMapping` whose deviation is the same for every viewpoint.
 
     The ray's point has the viewpoint's z. The warm start of the backward query is the view tangents.
 
@@ -68,7 +68,7 @@ class StaticSeeThrough(FittedSeeThrough):
     FORMS: ClassVar[Forms] = {"forward": (2, 4)}
 
     def contraction(self) -> float:
-        """Of the backward solve; see `contraction.see_through_contraction`."""
+        """Contraction of the backward solve; see `contraction.see_through_contraction`."""
         return deviated_contraction(self.forward, self.eye_box, _nowhere)
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
@@ -82,11 +82,11 @@ class StaticSeeThrough(FittedSeeThrough):
 
 
 def _nowhere(rows: FloatArray) -> FloatArray:
-    """Return the place (m, 0) of a model that ignores the viewpoint."""
+    """Return an empty place array (m, 0), for a model that ignores the viewpoint."""
     return np.empty((len(rows), 0))
 
 
 def undeviated(eye_box: EyeBox) -> StaticSeeThrough:
-    """See-through mapping without optics: straight rays, for the baseline that ignores the combiner."""
+    """Return the see-through mapping without optics: straight rays, for the baseline that ignores the combiner."""
     everywhere = Box(np.full(2, -10.0), np.full(2, 10.0))
     return StaticSeeThrough(eye_box, Polynomial(total_degree(2, 0), everywhere, np.zeros((1, 4))))

@@ -30,7 +30,7 @@ from wlr_render.numerics.regressor import Regressor
 
 @dataclass(frozen=True)
 class VolumetricDisplay(FittedDisplay):
-    """`DisplayMapping` fitted on viewpoints in a volume.
+    """A `DisplayMapping` fitted on viewpoints in a volume.
 
     The warm start of the backward query is the pixel.
 
@@ -62,7 +62,7 @@ class VolumetricDisplay(FittedDisplay):
 
 @dataclass(frozen=True)
 class VolumetricSeeThrough(FittedSeeThrough):
-    """`SeeThroughMapping` fitted on viewpoints in a volume.
+    """A `SeeThroughMapping` fitted on viewpoints in a volume.
 
     The ray in the world passes through viewpoint_xy + B at the viewpoint's own z and has tangents t + A. The warm start
     of the backward query is the view tangents t.
@@ -79,7 +79,7 @@ class VolumetricSeeThrough(FittedSeeThrough):
     FORMS: ClassVar[Forms] = {"forward": (5, 4)}
 
     def contraction(self) -> float:
-        """Of the backward solve; see `contraction.see_through_contraction`."""
+        """Contraction of the backward solve; see `contraction.see_through_contraction`."""
         return deviated_contraction(self.forward, self.eye_box, lambda viewpoint: viewpoint)
 
     def _forward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
@@ -111,7 +111,7 @@ def _deviation(forward: Regressor, place: FloatArray, tangents: FloatArray) -> D
 
 
 def deviated_ray(forward: Regressor, place: FloatArray, tangents: FloatArray, viewpoint: FloatArray) -> Answer:
-    """The ray through viewpoint_xy + B at the viewpoint's z, with tangents t + A; A and B at (place (m, any), t)."""
+    """Return the ray through viewpoint_xy + B at the viewpoint's z, with tangents t + A; A and B at (place, t)."""
     inputs = joined(place, tangents)
     value = forward(inputs)
     origin = joined(viewpoint[:, :2] + value[:, 2:], viewpoint[:, 2:])
@@ -135,6 +135,6 @@ def deviated_view(
 def deviated_sensitivity(
     forward: Regressor, place: FloatArray, point: FloatArray, viewpoint: FloatArray, tangents: FloatArray
 ) -> Sensitivity:
-    """Return how `deviated_view` follows the polynomial."""
+    """Return the derivative of `deviated_view` by the polynomial."""
     by_value = _deviation(forward, place, tangents).view_by_value(1.0 / (viewpoint[:, 2] - point[:, 2]))
     return Sensitivity(joined(place, tangents), by_value)
