@@ -306,8 +306,8 @@ def _check_worker(conditions: dict[str, Any]) -> None:
     for library, version in conditions["versions"].items():
         if installed.get(library) != version:
             raise BadInputError(
-                f"{name} has {library} {installed.get(library, 'not')} installed, and this machine {version}; install the "
-                "same version on all machines, and start the workers again."
+                f"{name} has {library} {installed.get(library, 'not')} installed, and this machine {version}; install "
+                "the same version on all machines, and start the workers again."
             )
     if worker.state.nthreads > 1:
         raise BadInputError(
