@@ -217,8 +217,8 @@ def load_eye_models(path: str | Path) -> dict[str, EyeModel]:
         read.finish()
     by_eye = {model.mappings.eye: model for model in models}
     if not 1 <= len(by_eye) == len(models):
-        eyes = ", ".join(model.mappings.eye for model in models) or "none"
-        raise table.fail(f"'eyes' must hold one model, or one of each eye, not {eyes}; calibrate again.")
+        present = ", ".join(model.mappings.eye for model in models) or "none"
+        raise table.fail(f"'eyes' must hold one model, or one of each eye, not {present}; calibrate again.")
     return by_eye
 
 
