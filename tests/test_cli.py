@@ -234,7 +234,9 @@ def test_an_unknown_verb_is_refused(arguments, capsys):
     ("old", "new"),
     [
         (["capture", "folder"], "pattern --photograph COMMAND"),
+        (["hold-out", "session"], "diagnose SESSION --hold-out"),
         (["import-optics", "lens.zmx"], "import-lens FILE"),
+        (["pack", "webdataset", "frames"], "render HEADSET SCENE --pack webdataset|huggingface"),
     ],
     ids=str,
 )

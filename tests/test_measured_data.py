@@ -2,36 +2,19 @@
 
 import json
 
-from memo import memoised
-
 from benchmarks.__main__ import main as benchmark
 from wlr_render.cli import main
-from wlr_render.diagnosis.procedure import diagnose
 
 
-def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp_path, monkeypatch):
-    """Both verbs must begin with the same diagnosis, which takes most of their time and is made once."""
-    made = []
-
-    def counted(*arguments, **options):
-        made.append(diagnose(*arguments, **options))
-        return made[-1]
-
-    diagnose_once = memoised(
-        counted, lambda bench, session, progress, causes, settings: (bench, session, list(causes), settings)
-    )
-    monkeypatch.setattr("wlr_render.jobs.diagnose.diagnose_session", diagnose_once)
-    monkeypatch.setattr("wlr_render.jobs.hold_out.diagnose", diagnose_once)
+def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp_path):
     session = tmp_path / "itoh"
     source = measured_data("itoh_seethrough") / "data"
     assert benchmark(["published-data", "itoh-seethrough", str(source), "--out", str(session)]) == 0
-    assert main(["diagnose", str(session), "--out", str(tmp_path / "found")]) == 0
+    assert main(["diagnose", str(session), "--hold-out", "--out", str(tmp_path / "found")]) == 0
     record = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
     (cause,) = record["causes"]
     assert cause["name"] == "see_through_plate"
-    assert main(["hold-out", str(session), "--out", str(tmp_path / "held")]) == 0
-    assert len(made) == 1
-    held_out, values = json.loads((tmp_path / "held" / "report.json").read_text())["tables"]
+    *_, held_out, values = record["tables"]
     thickness = values["rows"][0]
     # Views differ by more than the noise of their dots: the plate is not all that bends light here.
     assert thickness["one sigma by the captures"] > 1.5 * thickness["one sigma by the diagnosis"]

@@ -48,7 +48,12 @@ class Verb:
 VERBS = (
     Verb("demo", DRAW, "demo:demo", "Draw a scene four ways for one headset and measure the misalignment of each."),
     Verb("trace", DRAW, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),
-    Verb("render", DRAW, "render:render", "Draw the frames of one or both eyes for a still or moving wearer."),
+    Verb(
+        "render",
+        DRAW,
+        "render:render",
+        "Draw the frames of one or both eyes for a still or moving wearer; pack them as a data set.",
+    ),
     Verb(
         "export",
         DRAW,
@@ -112,12 +117,6 @@ VERBS = (
         "corrected bench model.",
     ),
     Verb(
-        "hold-out",
-        EXPLAIN,
-        "hold_out:hold_out",
-        "Diagnose a session and cross-validate: predict left-out captures and target distances.",
-    ),
-    Verb(
         "predict",
         EXPLAIN,
         "predict:predict",
@@ -129,12 +128,6 @@ VERBS = (
         DATA,
         "import_lens:import_lens",
         "Convert a lens file of Zemax, Optiland or rayoptics into a device file.",
-    ),
-    Verb(
-        "pack",
-        DATA,
-        "pack:pack",
-        "Pack the frames of `render` as a data set for WebDataset or Hugging Face's datasets.",
     ),
     Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
     Verb("decode", DATA, "decode:decode", "Decode photographs of a panel or projector that shows a code."),

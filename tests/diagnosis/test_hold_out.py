@@ -1,4 +1,4 @@
-"""What `hold-out` takes: everything that `diagnose` does, capture files and other benches included."""
+"""Cross-validation of a diagnosis: capture files and other benches."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from wlr_render.bench.session_captures import observations_of
 from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.cli import main
-from wlr_render.jobs.hold_out import HoldOutOptions, hold_out
+from wlr_render.jobs.diagnose import DiagnoseOptions, diagnose
 
 TILT = [0.15, -0.1, 0.05]
 
@@ -25,8 +25,8 @@ def observed():
 
 def test_a_capture_file_is_held_out_with_the_causes_that_are_named(observed, tmp_path):
     captures = save_captures(tmp_path / "captures-right.npz", observations_of(observed.nominal, observed.session))
-    options = HoldOutOptions(captures, causes=("combiner_tilt", "panel_shift"), out=tmp_path / "out")
-    held_out, values = hold_out(options).tables
+    options = DiagnoseOptions(captures, causes=("combiner_tilt", "panel_shift"), hold_out=True, out=tmp_path / "out")
+    *_, held_out, values = diagnose(options).tables
     assert {row[0] for row in values.rows} == {"combiner_tilt"}
     assert held_out.rows[0][1] == "each display capture"
     assert held_out.rows[0][3] > 20 * held_out.rows[0][5]
@@ -48,5 +48,5 @@ def test_distances_are_those_of_the_target_and_in_order(observed):
 def test_the_bench_to_start_from_can_be_named(observed, tmp_path, capsys):
     folder = save_session(tmp_path / "session", observed.nominal, observed.session)
     other = save_bench(replace(observed.nominal, eye="left"), tmp_path / "left.toml")
-    assert main(["hold-out", str(folder), "--bench", str(other), "--out", str(tmp_path / "out")]) == 2
+    assert main(["diagnose", str(folder), "--hold-out", "--bench", str(other), "--out", str(tmp_path / "out")]) == 2
     assert "left.toml: is a bench of northstar (left eye)" in capsys.readouterr().err

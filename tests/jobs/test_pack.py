@@ -11,7 +11,6 @@ import pytest
 
 from wlr_render.errors import BadInputError
 from wlr_render.finished_files import FinishedFiles
-from wlr_render.jobs.pack import PackOptions, pack
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.rendering.image_files import read_png
@@ -40,16 +39,23 @@ def labelled(frames_of, straight_device):
     return frames_of(layers=("depth", "instance"), misalignment=straight_device)
 
 
+def packed(drawn, layout, **size):
+    """Pack frames that are drawn already; returns the report and the folder of the data set."""
+    report = render(replace(drawn, pack=layout, **size))
+    assert report.verdict.startswith("0 frames drawn")
+    return report, drawn.out / layout
+
+
 def members(path):
     with tarfile.open(path) as shard:
         return {about.name: shard.extractfile(about).read() for about in shard.getmembers()}
 
 
-def test_shards_hold_each_frame_with_its_layers_and_metadata(labelled, tmp_path):
-    options = PackOptions("webdataset", labelled.out, frames_per_shard=3, out=tmp_path / "set")
-    report = pack(options)
-    assert report.verdict == "4 frames in 2 tar files, for webdataset."
-    shards = [members(options.out / f"frames-00000{number}.tar") for number in (0, 1)]
+def test_shards_hold_each_frame_with_its_layers_and_metadata(labelled):
+    report, folder = packed(labelled, "webdataset", frames_per_shard=3)
+    paths = [folder / f"frames-00000{number}.tar" for number in (0, 1)]
+    assert set(paths) == set(folder.iterdir()) <= set(report.files)
+    shards = [members(path) for path in paths]
     expected = [
         [f"{key}.{suffix}" for key in keys for suffix in ("exr", "json", "png")] for keys in (KEYS[:3], KEYS[3:])
     ]
@@ -72,16 +78,13 @@ def test_shards_hold_each_frame_with_its_layers_and_metadata(labelled, tmp_path)
             for each in own
         ]
         assert {each["instance"] for each in stated["objects"]} == {"ball", "wall"}
-    again = replace(options, out=tmp_path / "again")
-    pack(again)
-    for name in ("frames-000000.tar", "frames-000001.tar"):
-        assert (again.out / name).read_bytes() == (options.out / name).read_bytes()
+    before = [path.read_bytes() for path in paths]
+    packed(labelled, "webdataset", frames_per_shard=3)
+    assert [path.read_bytes() for path in paths] == before
 
 
-def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled, tmp_path):
-    options = PackOptions("huggingface", labelled.out, out=tmp_path / "set")
-    pack(options)
-    folder = options.out / "train"
+def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled):
+    folder = packed(labelled, "huggingface")[1] / "train"
     rows = [json.loads(line) for line in (folder / "metadata.jsonl").read_text().splitlines()]
     assert [row["file_name"] for row in rows] == [f"{key}.png" for key in KEYS]
     for row in rows:
@@ -93,44 +96,22 @@ def test_an_image_folder_has_a_line_and_a_picture_for_each_frame(labelled, tmp_p
 
 
 @pytest.mark.parametrize("layout", ["webdataset", "huggingface"])
-def test_a_data_set_names_its_sources_and_no_path_of_this_machine(
-    model_file, scene_file, tmp_path, monkeypatch, layout
-):
+def test_a_data_set_names_its_sources_and_no_path_of_this_machine(model_file, scene_file, tmp_path, layout):
     """Who gets it can tell two headsets by their names and hashes."""
-    options = PackOptions(layout, tmp_path / "secret" / "frames", out=tmp_path / "secret" / "set")
-    render(RenderOptions(model_file, scene_file, method="raytrace", out=options.folder))
-    arguments = ["/home/me/wlr-render", "pack", layout, str(options.folder), f"--out={options.out}/"]
-    arguments += ["C:\\Users\\me\\frames", "--out=C:\\Users\\me\\out\\"]
-    monkeypatch.setattr("sys.argv", arguments)
-    pack(options)
+    render(RenderOptions(model_file, scene_file, method="raytrace", pack=layout, out=tmp_path / "secret"))
+    folder = tmp_path / "secret" / layout
     if layout == "webdataset":
-        stated = json.loads(members(options.out / "frames-000000.tar")["right-000000.json"])
+        stated = json.loads(members(folder / "frames-000000.tar")["right-000000.json"])
     else:
-        stated = json.loads((options.out / "train" / "metadata.jsonl").read_text())
+        stated = json.loads((folder / "train" / "metadata.jsonl").read_text())
     names = load_eye_model(model_file).mappings.name, Path(scene_file).stem
     for what, path, name in zip(("headset", "scene"), (model_file, scene_file), names, strict=True):
         assert stated[what] == name
         assert stated[f"{what}_sha256"] == hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    for path in options.out.rglob("*"):
+    for path in folder.rglob("*"):
         if path.is_file():
-            for folder in (tmp_path, Path(model_file).parent, Path(scene_file).parent):
-                assert str(folder).encode() not in path.read_bytes(), path
-    command = json.loads((options.out / "report.json").read_text())["provenance"]["command"]
-    assert command == f"wlr-render pack {layout} frames --out=set frames --out=out"
-
-
-@pytest.mark.parametrize("folder", ["/home/me/headsets/", "C:\\Users\\me\\headsets\\"])
-def test_frames_of_the_last_version_are_packed_by_the_names_of_their_files(folder, frames_of, tmp_path):
-    """Its record of a sequence has no names."""
-    drawn = frames_of()
-    path = drawn.out / "sequence.json"
-    record = json.loads(path.read_text())
-    del record["names"]
-    record["job"]["headset"] = f"{folder}north.toml"
-    path.write_text(json.dumps(record))
-    pack(PackOptions("huggingface", drawn.out, out=tmp_path / "set"))
-    row = json.loads((tmp_path / "set" / "train" / "metadata.jsonl").read_text().splitlines()[0])
-    assert row["headset"] == "north.toml"
+            for place in (tmp_path, Path(model_file).parent, Path(scene_file).parent):
+                assert str(place).encode() not in path.read_bytes(), path
 
 
 def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):
@@ -138,11 +119,8 @@ def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HOME", str(tmp_path / "cache"))
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     datasets = pytest.importorskip("datasets", reason="datasets is not installed: pip install datasets.")
-    options = PackOptions("huggingface", labelled.out, out=tmp_path / "set")
-    pack(options)
-    read = datasets.load_dataset(
-        "imagefolder", data_dir=str(options.out), split="train", cache_dir=str(tmp_path / "cache")
-    )
+    _, folder = packed(labelled, "huggingface")
+    read = datasets.load_dataset("imagefolder", data_dir=str(folder), split="train", cache_dir=str(tmp_path / "cache"))
     assert read["key"][:] == KEYS
     for row in read:
         np.testing.assert_array_equal(np.asarray(row["image"]), read_png(labelled.out / f"{row['key']}.png"))
@@ -151,12 +129,11 @@ def test_hugging_face_reads_the_image_folder(labelled, tmp_path, monkeypatch):
         assert row["misalignment"]["points"] > 100
 
 
-def test_webdataset_reads_the_shards(labelled, tmp_path):
+def test_webdataset_reads_the_shards(labelled):
     """pip install webdataset."""
     webdataset = pytest.importorskip("webdataset", reason="webdataset is not installed: pip install webdataset.")
-    options = PackOptions("webdataset", labelled.out, frames_per_shard=2, out=tmp_path / "set")
-    pack(options)
-    urls = [str(options.out / f"frames-00000{number}.tar") for number in (0, 1)]
+    _, folder = packed(labelled, "webdataset", frames_per_shard=2)
+    urls = [str(folder / f"frames-00000{number}.tar") for number in (0, 1)]
     samples = list(webdataset.WebDataset(urls, shardshuffle=False).decode("rgb8"))
     assert [sample["__key__"] for sample in samples] == KEYS
     for sample in samples:
@@ -165,21 +142,12 @@ def test_webdataset_reads_the_shards(labelled, tmp_path):
         assert sample["exr"] == (labelled.out / f"{sample['__key__']}.exr").read_bytes()
 
 
-def test_frames_without_layers_are_packed_too(frames_of, tmp_path):
+def test_frames_without_layers_are_packed_too(frames_of):
     drawn = frames_of()
-    report = pack(PackOptions("webdataset", drawn.out, out=tmp_path / "tar"))
-    assert report.verdict == "4 frames in 1 tar file, for webdataset."
-    found = members(tmp_path / "tar" / "frames-000000.tar")
+    found = members(packed(drawn, "webdataset")[1] / "frames-000000.tar")
     assert list(found) == [f"{key}.{suffix}" for key in KEYS for suffix in ("json", "png")]
     assert "objects" not in json.loads(found["left-000000.json"])
-    pack(PackOptions("huggingface", drawn.out, out=tmp_path / "folder"))
-    assert len(list((tmp_path / "folder" / "train").iterdir())) == 5
-
-
-def test_one_frame_is_counted_as_one(straight_device, scene_file, tmp_path):
-    render(RenderOptions(straight_device, scene_file, method="raytrace", out=tmp_path / "frames"))
-    report = pack(PackOptions("webdataset", tmp_path / "frames", out=tmp_path / "set"))
-    assert report.verdict == "1 frame in 1 tar file, for webdataset."
+    assert len(list((packed(drawn, "huggingface")[1] / "train").iterdir())) == 5
 
 
 def test_the_predicted_error_of_a_frame_is_packed_without_its_map(model_file, scene_file, tmp_path):
@@ -187,102 +155,70 @@ def test_the_predicted_error_of_a_frame_is_packed_without_its_map(model_file, sc
     render(drawn)
     stated = json.loads((drawn.out / "right-000000-labels.json").read_text())["predicted_error"]
     assert stated["rms_arcmin"] > 0
-    pack(PackOptions("webdataset", drawn.out, out=tmp_path / "tar"))
-    found = members(tmp_path / "tar" / "frames-000000.tar")
+    found = members(packed(drawn, "webdataset")[1] / "frames-000000.tar")
     assert list(found) == ["right-000000.json", "right-000000.png"]
     metadata = json.loads(found["right-000000.json"])
     assert metadata["predicted_error"] == stated
     assert "misalignment" not in metadata
-    pack(PackOptions("huggingface", drawn.out, out=tmp_path / "folder"))
-    (row,) = (tmp_path / "folder" / "train" / "metadata.jsonl").read_text().splitlines()
+    (row,) = (packed(drawn, "huggingface")[1] / "train" / "metadata.jsonl").read_text().splitlines()
     assert json.loads(row)["predicted_error"] == stated
-    (drawn.out / "right-000000-labels.json").write_text("{}")
-    with pytest.raises(BadInputError, match=r"right-000000-labels\.json: is missing, or is not as it was drawn"):
-        pack(PackOptions("webdataset", drawn.out, out=tmp_path / "again"))
 
 
-@pytest.mark.parametrize("layout", ["webdataset", "huggingface"])
 @pytest.mark.parametrize("name", ["right-000001.png", "left-000001.exr", "left-000000-labels.json"])
-def test_a_frame_that_is_not_as_it_was_drawn_is_refused(labelled, tmp_path, layout, name):
+def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_packed(labelled, name):
     path = labelled.out / name
-    path.write_bytes(path.read_bytes()[:-1] + b"x")
-    size = {"frames_per_shard": 1} if layout == "webdataset" else {}
-    with pytest.raises(BadInputError, match=rf"{name}: is missing, or is not as it was drawn; draw it again"):
-        pack(PackOptions(layout, labelled.out, out=tmp_path / "set", **size))
-    assert not (tmp_path / "set").exists()
-    render(labelled)
-    pack(PackOptions(layout, labelled.out, out=tmp_path / "mended"))
+    drawn = path.read_bytes()
+    path.write_bytes(drawn[:-1] + b"x")
+    report = render(replace(labelled, pack="huggingface"))
+    assert report.verdict.startswith("1 frame drawn")
+    assert path.read_bytes() == drawn
 
 
-def test_what_a_killed_pack_left_is_no_part_of_the_data_set(frames_of, tmp_path):
+def test_what_a_killed_pack_left_is_no_part_of_the_data_set(frames_of):
     drawn = frames_of()
-    left = tmp_path / "set" / ".wlr-part-pack"
+    left = drawn.out / ".wlr-part-pack"
     left.mkdir(parents=True)
     (left / "frames-000007.tar").touch()
-    pack(PackOptions("webdataset", drawn.out, out=tmp_path / "set"))
-    reports = {f"report.{kind}" for kind in ("html", "json", "md")}
-    assert {path.name for path in (tmp_path / "set").iterdir()} == {"frames-000000.tar", *reports}
+    _, folder = packed(drawn, "webdataset")
+    assert [path.name for path in folder.iterdir()] == ["frames-000000.tar"]
+    assert not left.exists()
 
 
 @pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), KeyboardInterrupt()], ids=["disk", "ctrl-c"])
-def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(frames_of, tmp_path, monkeypatch, fault):
-    drawn, out, before = frames_of(), tmp_path / "set", Path.replace
+def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(frames_of, monkeypatch, fault):
+    drawn, before = frames_of(), Path.replace
 
     def replace_or_fail(path, target):
-        if target == out / "frames-000001.tar":
+        if target == drawn.out / "webdataset":
             raise fault
         return before(path, target)
 
-    options = PackOptions("webdataset", drawn.out, frames_per_shard=1, out=out)
     monkeypatch.setattr(Path, "replace", replace_or_fail)
     with pytest.raises(KeyboardInterrupt if isinstance(fault, KeyboardInterrupt) else BadInputError):
-        pack(options)
-    assert not out.exists()
+        packed(drawn, "webdataset")
+    assert not (drawn.out / "webdataset").exists()
+    assert not (drawn.out / ".wlr-part-pack").exists()
     monkeypatch.undo()
-    pack(options)
+    packed(drawn, "webdataset")
 
 
 @pytest.mark.parametrize("kind", ["misalignment", "annotations"])
-def test_labels_that_lack_what_the_record_says_are_refused(labelled, tmp_path, kind):
+def test_labels_that_lack_what_the_record_says_are_refused(labelled, kind):
     path = labelled.out / "left-000000-labels.json"
     labels = json.loads(path.read_text())
     del labels[kind]
     path.write_text(json.dumps(labels))
     FinishedFiles(labelled.out).add([path])
-    for job in (pack, render):
-        options = PackOptions("webdataset", labelled.out, out=tmp_path / "set") if job is pack else labelled
+    for options in (replace(labelled, pack="webdataset"), labelled):
         with pytest.raises(BadInputError, match=rf"left-000000-labels\.json: '{kind}' is None, which no frame of"):
-            job(options)
+            render(options)
 
 
-def test_a_folder_with_a_data_set_is_left_as_it_is(frames_of, tmp_path):
+def test_a_folder_of_other_files_is_not_replaced(frames_of):
     drawn = frames_of()
-    for layout in ("webdataset", "huggingface"):
-        options = PackOptions(layout, drawn.out, out=tmp_path / layout)
-        pack(options)
-        with pytest.raises(BadInputError, match="holds a data set already; choose another folder or empty it"):
-            pack(options)
-
-
-@pytest.mark.parametrize(
-    ("change", "complaint"),
-    [
-        (lambda record: record.clear(), "key 'format' is missing"),
-        (lambda record: record["frames"][1].update(file="../../etc/passwd"), "which is no frame of `render`"),
-        (lambda record: record["frames"][1].update(time_s="soon"), "'time_s' must be a number"),
-        (lambda record: record.update(frames=3), "'frames' must be an array of tables"),
-    ],
-)
-def test_a_record_that_is_none_is_refused(frames_of, tmp_path, change, complaint):
-    drawn = frames_of()
-    path = drawn.out / "sequence.json"
-    record = json.loads(path.read_text())
-    change(record)
-    path.write_text(json.dumps(record))
-    with pytest.raises(BadInputError, match=complaint):
-        pack(PackOptions("webdataset", drawn.out, out=tmp_path / "set"))
-
-
-def test_a_folder_without_frames_is_refused(tmp_path):
-    with pytest.raises(BadInputError, match=r"sequence\.json"):
-        pack(PackOptions("webdataset", tmp_path, out=tmp_path / "set"))
+    mine = drawn.out / "huggingface" / "notes.txt"
+    mine.parent.mkdir()
+    mine.touch()
+    with pytest.raises(BadInputError, match=r"notes\.txt: is no part of a data set, which would replace it"):
+        packed(drawn, "huggingface")
+    assert mine.is_file()

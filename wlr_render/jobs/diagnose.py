@@ -1,39 +1,91 @@
 """Diagnose a measured session; write the report, and the session with the corrected bench."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder, write_text
+from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench
-from wlr_render.bench.session_folder import remove_session, save_session
+from wlr_render.bench.measurements import load_measurements
+from wlr_render.bench.session_folder import check_enough_captures, remove_session, save_session
 from wlr_render.captures.session import SeeThroughPlan, Session
+from wlr_render.diagnosis.cause import Cause
+from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.hold_out_report import hold_out_sentences, hold_out_table, hold_out_values
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, diagnosis_report
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import naming
-from wlr_render.jobs.diagnosis_options import DiagnosisOptions
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import ProgressArgument, described
+from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Report
+from wlr_render.report.blocks import Report, Section
 from wlr_render.report.save import save_report
 
 STEM = "diagnosis"
 
 
 @dataclass(frozen=True)
-class DiagnoseOptions(DiagnosisOptions):
+class DiagnoseOptions(Options):
     """Options of `diagnose`."""
 
+    session: Annotated[Path, described("Bench session, output folder of `calibrate` on photographs, or capture file.")]
+    _: KW_ONLY
+    bench: Annotated[Path | None, described("Bench file to compare with (default: the session's own).")] = None
+    device: Annotated[
+        str | None,
+        described("Headset that captures are compared with: name or file (default: the shipped one that they name)."),
+    ] = None
+    causes: Annotated[
+        tuple[str, ...], described("Names of the causes to consider (default: all).", flag=True, many=True)
+    ] = ()
+    exclude: Annotated[
+        tuple[str, ...], described("Names of causes to leave out (default: none).", flag=True, many=True)
+    ] = ()
+    add_causes: Annotated[
+        tuple[str, ...],
+        described("Python files or modules that define CAUSES, further causes to consider.", flag=True, many=True),
+    ] = ()
+    max_causes: Annotated[
+        int, described("Most causes that are named; 0 measures the noise only."), Range(at_least=0, at_most=100)
+    ] = DEFAULT.max_causes
+    hold_out: Annotated[
+        bool,
+        described(
+            "Also cross-validate: predict left-out captures and target distances, and state each value's standard "
+            "error by the jackknife over captures.",
+            flag=True,
+        ),
+    ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/diagnose")
-    json: Annotated[Path | None, described("File for the JSON record (default: diagnosis.json in the folder).")] = None
-    html: Annotated[Path | None, described("File for the HTML page (default: diagnosis.html in the folder).")] = None
+
+    def measurements(self) -> tuple[Bench, Session]:
+        """The bench to compare with, and the session.
+
+        Raises:
+            BadInputError: see `load_measurements`.
+        """
+        with naming(self.session):
+            return load_measurements(self.session, self.bench, self.device)
+
+    def candidates(self, nominal: Bench) -> Mapping[str, Cause]:
+        """The causes to consider, by name.
+
+        Raises:
+            BadInputError: see `causes_for`.
+        """
+        return causes_for(nominal, self.add_causes, self.causes, self.exclude)
+
+    def inputs(self) -> tuple[Path, ...]:
+        """The files and folders that the options name."""
+        device = [Path(self.device)] if self.device and Path(self.device).is_file() else []
+        return (self.session, *([self.bench] if self.bench else []), *device)
 
 
 @job
@@ -46,12 +98,11 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     progress.say("reading the session")
     nominal, session = options.measurements()
     _check_enough_readings(session)
+    if options.hold_out:
+        check_enough_captures(session)
     folder = output_folder(options.out)
     if (folder / CORRECTED).resolve() == options.session.resolve():
         raise BadInputError(f"{options.session}: the results would replace this session; choose another --out.")
-    for path in (options.json, options.html):
-        if path is not None:
-            _check_writable(path)
     causes = options.candidates(nominal)
     settings = replace(DEFAULT, max_causes=options.max_causes)
     with naming(options.session):
@@ -63,8 +114,25 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     report = diagnosis_report(found, in_use, options.inputs(), folder, options.add_causes)
     limits = [*_not_considered(options), *report.warnings, *_not_recorded(session)]
     report = replace(report, warnings=limits, files=files)
-    report = save_report(report, folder, STEM)
-    return _moved(_moved(report, folder / f"{STEM}.json", options.json), folder / f"{STEM}.html", options.html)
+    if options.hold_out:
+        progress.say("predicting left-out captures and distances")
+        with naming(options.session):
+            report = _with_held_out(report, found)
+    return save_report(report, folder, STEM)
+
+
+def _with_held_out(report: Report, found: Diagnosis) -> Report:
+    """Add the predictions of left-out captures and distances to a report."""
+    if not found.causes:
+        nothing = (
+            "No cause was found, so nothing is held out; to test a bench model on other captures, use wlr-render "
+            "predict BENCH SESSION."
+        )
+        return replace(report, warnings=[*report.warnings, nothing])
+    table = hold_out_table(found)
+    verdict = " ".join((report.verdict, *hold_out_sentences(table)))
+    blocks = [*report.blocks, Section("Cross-validation"), table, hold_out_values(found)]
+    return replace(report, verdict=verdict, blocks=blocks)
 
 
 def _check_enough_readings(session: Session) -> None:
@@ -124,18 +192,3 @@ def _write_corrected(folder: Path, found: Diagnosis) -> list[Path]:
     priors = {name: stated for name, stated in found.corrected.priors.items() if name not in names}
     corrected = replace(found.corrected, priors=priors)
     return [save_session(folder, corrected, found.observations.of_rows(found.used).session)]
-
-
-def _check_writable(path: Path) -> None:
-    output_folder(path.parent)
-    if path.is_dir():
-        raise BadInputError(f"{path}: is a folder; name a file.")
-
-
-def _moved(report: Report, written: Path, wanted: Path | None) -> Report:
-    """The report with one of its files moved to where the user wants it."""
-    if wanted is None or wanted.resolve() == written.resolve():
-        return report
-    write_text(wanted, written.read_text(encoding="utf-8"))
-    written.unlink()
-    return replace(report, files=[wanted if path == written else path for path in report.files])

@@ -49,6 +49,7 @@ from wlr_render.jobs.options import (
     ProgressArgument,
     eyes_of,
 )
+from wlr_render.jobs.pack import pack_frames
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.sequence_record import RECORD, record_text, require_same_job, sequence_record
 from wlr_render.progress import SILENT, Progress
@@ -102,6 +103,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     misaligned = _labels(folder, plan, "misalignment") if options.misalignment else []
     joined = _joined(folder, options, opened, plan, misaligned)
     videos = _videos(folder, plan, options) if options.video else []
+    packed = pack_frames(folder, record, options.pack, options.frames_per_shard, progress) if options.pack else []
     first = reversed([*zip(plan, pictures, strict=True)])
     warnings = [
         *opened.scene.warnings,
@@ -113,7 +115,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
         *blank_warnings([path.name for path in pictures if finished.remark(path) == _BLANK], opened.scene.name),
         *saturation_warnings(opened.scene, map(read_png, {each.eye: path for each, path in first}.values())),
     ]
-    files = [sequence, folder / LIST, *joined, *videos]
+    files = [sequence, folder / LIST, *joined, *videos, *packed]
     report = _report(options, plan, len(missing), predicted, misaligned, files)
     return save_report(replace(report, warnings=warnings), folder)
 
@@ -227,7 +229,7 @@ def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:
     if raster is None and options.method == "raster":
         job["method"] = "raytrace"
     job["layers"] = [layer for layer in LAYERS if layer in options.layers]
-    without = ("out", "video", "frame_limit", "backend", "workers", "scheduler")
+    without = ("out", "video", "frame_limit", "pack", "frames_per_shard", "backend", "workers", "scheduler")
     return {key: job[key] for key in job if key not in without}
 
 

@@ -19,6 +19,7 @@ from wlr_render.jobs.options import (
     SpreadOptions,
     described,
 )
+from wlr_render.jobs.pack import Layout
 from wlr_render.rendering.frame_layers import Layer
 
 
@@ -128,6 +129,19 @@ class RenderOptions(SpreadOptions):
     video: Annotated[
         bool, described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True)
     ] = False
+    pack: Annotated[
+        Layout | None,
+        described(
+            "Also pack the frames as a data set, into the folder OUT/webdataset or OUT/huggingface: tar files of "
+            "WebDataset, or an image folder of Hugging Face's datasets."
+        ),
+    ] = None
+    frames_per_shard: Annotated[
+        int,
+        described("Frames in each tar file (--pack webdataset only)."),
+        Range(1, 1_000_000),
+        OnlyWith("pack", ("webdataset",)),
+    ] = 1000
     backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
     workers: Annotated[
         int | None,

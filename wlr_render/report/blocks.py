@@ -119,7 +119,6 @@ class Report:
         files: files that the job wrote.
         record: data for the JSON file, a dataclass or a mapping.
         faults: items that could not be used; the command line ends with status 2 if there are any.
-        is_published: whether its folder is meant to be given away; its provenance then has no folders of this machine.
     """
 
     title: str
@@ -131,7 +130,6 @@ class Report:
     files: Sequence[Path] = ()
     record: Any = field(default_factory=dict)
     faults: Sequence[str] = ()
-    is_published: bool = False
 
     @property
     def tables(self) -> list[ReportTable]:

@@ -4,7 +4,6 @@ import dataclasses
 import datetime
 import hashlib
 import os
-import re
 import shlex
 import sys
 import urllib.parse
@@ -50,7 +49,7 @@ def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
     Raises:
         BadInputError: a file cannot be written.
     """
-    origin = provenance(report.inputs, folder, report.is_published)
+    origin = provenance(report.inputs, folder)
     record = {
         "provenance": origin,
         "title": report.title,
@@ -70,29 +69,20 @@ def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
     return dataclasses.replace(report, files=(*report.files, *written))
 
 
-def provenance(inputs: Sequence[Path], output: Path, is_published: bool = False) -> Provenance:
-    """Date, version, command line and input hashes of the running program, which writes into the folder `output`.
-
-    With `is_published`, files and folders are stated by their last names alone.
-    """
+def provenance(inputs: Sequence[Path], output: Path) -> Provenance:
+    """Date, version, command line and input hashes of the running program, which writes into the folder `output`."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     hashes = (_sha256(path, output) for path in inputs)
-    names = (path.resolve().name if is_published else str(path) for path in inputs)
-    return Provenance(now, __version__, _command(is_published), tuple(map(InputFile, names, hashes)))
+    return Provenance(now, __version__, _command(), tuple(map(InputFile, map(str, inputs), hashes)))
 
 
-def _command(is_published: bool) -> str:
+def _command() -> str:
     """The command line; words for a notebook or a prompt, whose own command line says nothing of the work."""
     started, arguments = Path(sys.argv[0]), sys.argv[1:]
     if started.stem == "ipykernel_launcher" or started.name in ("", "-c"):
         return "Python, without a command line"
-    if is_published:
-        arguments = [_FOLDERS.sub("", each.rstrip("/\\")) for each in arguments]
     program = ["python", "-m", started.parent.name] if started.name == "__main__.py" else [started.name]
     return shlex.join([*program, *arguments])
-
-
-_FOLDERS = re.compile(r"[^=]*[/\\]")  # before the last name of a path, which an option and = may precede
 
 
 def _sha256(path: Path, output: Path) -> str:

@@ -14,7 +14,7 @@ from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, rigid, rotation_about
-from wlr_render.jobs import hold_out
+from wlr_render.jobs.diagnose import DiagnoseOptions, diagnose
 
 DOTS = np.stack([*np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.4, 6)), np.zeros((6, 7))], axis=-1).reshape(
     -1, 3
@@ -105,8 +105,8 @@ def test_the_plate_is_found_and_predicts_the_other_distance(imported, tmp_path, 
     assert (found.verdict, cause.name) == ("explained", "see_through_plate")
     thickness = cause.parameters[0]
     assert abs(thickness.value - THICKNESS_MM) < 4 * thickness.sigma < 0.01 * THICKNESS_MM
-    report = hold_out.hold_out(hold_out.HoldOutOptions(folder, causes=tuple(FEW), out=tmp_path / "out"))
-    table, values = report.tables
+    report = diagnose(DiagnoseOptions(folder, causes=tuple(FEW), hold_out=True, out=tmp_path / "out"))
+    *_, table, values = report.tables
     thick = values.rows[0]
     assert thick[:2] == ["see_through_plate", "thickness"]
     by_diagnosis, by_captures = thick[-2:]
@@ -120,19 +120,14 @@ def test_the_plate_is_found_and_predicts_the_other_distance(imported, tmp_path, 
         assert readings == len(DOTS) * (8 if readings > 4 * len(DOTS) else 4)
         assert before > 10 * noise
         assert after == pytest.approx(noise, rel=0.1)
-    assert main(["hold-out", str(folder), "--causes", *FEW, "--out", str(tmp_path / "out")]) == 0
-    printed = capsys.readouterr().out
-    assert printed.startswith("Fitted to all other captures, the causes found predict each see-through capture to 0.")
-    assert "Fitted to all other distances, the causes found predict 1." in printed
-    assert "Held out of session" in printed
-    names = ["report.html", "report.json", "report.md"]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
+    assert "Fitted to all other captures, the causes found predict each see-through capture to 0." in report.verdict
+    assert "Fitted to all other distances, the causes found predict 1." in report.verdict
 
 
 def test_where_nothing_is_wrong_nothing_can_be_held_out(imported, tmp_path, capsys):
     folder, _ = imported(pairs_through_plate(0.0))
-    assert main(["hold-out", str(folder), "--causes", *FEW, "--out", str(tmp_path / "out")]) == 2
-    assert "finds no cause (no effect)" in capsys.readouterr().err
+    assert main(["diagnose", str(folder), "--hold-out", "--causes", *FEW, "--out", str(tmp_path / "out")]) == 0
+    assert "No cause was found, so nothing is held out" in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_unknown_set_is_refused_and_the_known_ones_are_named(tmp_path, capsys):

@@ -17,12 +17,10 @@ DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "
 BOARD = ("board", "--out", "out")
 PATTERN = ("pattern", "--panel", "64x48", "--out", "out")
 DIAGNOSE = ("diagnose", "bench", "--out", "out")
-HOLD_OUT = ("hold-out", "bench", "--out", "out")
 VERIFY = ("verify", "session", "photos", "--calibration", "calibration", "--out", "out")
 COMPARE = ("compare", "device.toml", "scene.toml", "--out", "out")
 EXPORT = ("export", "stmap", "device.toml", "--out", "out")
 BUDGET = ("budget", "device.toml", "--out", "out")
-PACK = ("pack", "webdataset", "bench", "--out", "out")
 IMPORT_LENS = ("import-lens", "lens.zmx", "--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")  # fmt: skip
 
 # Options whose wrong value is named, and not they themselves.
@@ -39,6 +37,7 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--resolution": ("1e9", "0", "-1", "nan", "inf"),
         "--eye": ("third", "", "right,left"),
         "--backend": ("magic",),
+        "--pack": ("zip", ""),
         "--maps": ("exr",),
         "--method": ("",),
         "--layers": ("magic", ""),
@@ -70,7 +69,7 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--head-speed-m-s": ("-1", "nan", "1e308"),
         "--raster-arcmin": ("-1", "nan", "1e308"),
     }),
-    (PACK, ("bench",), {"--frames-per-shard": ("0", "-1", "1.5", "nan", "1000000000000", "x")}),
+    ((*RENDER, "--pack", "webdataset"), SMALL, {"--frames-per-shard": ("0", "-1", "1.5", "nan", "1000000000000", "x")}),
     (IMPORT_LENS, ("lens.zmx", "glasses.agf"), {
         "--panel": ("0x0", "-1x5", "10000000x10000000", "x", "64"),
         "--panel-mm": ("0x0", "-1x5", "1e9x1e9", "nanx1", "x"),
@@ -175,7 +174,6 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--add-causes": ("nowhere.py", "a_module_that_is_not_there"),
         "--bench": ("nowhere.toml",),
     }),
-    (HOLD_OUT, ("bench",), {"--max-causes": ("-1",), "--causes": ("magic",), "--bench": ("nowhere.toml",)}),
     (VERIFY, ("photos", "calibration"), {
         "--viewpoints": ("0", "1000000000", "-1"),
         "--depths-m": ("0", "nan", "1e9", "-1"),
@@ -201,7 +199,6 @@ NOWHERE = {
     "export track": ("export", "npz", "device.toml", "--eye-track", "nowhere.txt"),
     "export red model": ("export", "stmap", "model.json", "--red-model", "nowhere.json", "--blue-model", "model.json"),
     "budget": ("budget", "nowhere.json"),
-    "pack": ("pack", "webdataset", "nowhere"),
     "import-lens": ("import-lens", "nowhere.zmx", "--panel", "64x48", "--panel-mm", "10x8"),
     "render misalignment": ("render", "device.toml", "scene.toml", "--misalignment", "nowhere.toml"),
     "compare": ("compare", "nowhere.toml", "scene.toml"),
@@ -217,7 +214,6 @@ NOWHERE = {
     "verify pairs calibration": ("verify", "pairs", "pairs", "board.toml", "--calibration", "nowhere"),
     "evaluate": ("evaluate", "nowhere.toml"),
     "diagnose": ("diagnose", "nowhere"),
-    "hold-out": ("hold-out", "nowhere"),
     "predict": ("predict", "nowhere.toml", "bench"),
     "predict session": ("predict", "bench", "nowhere"),
     "decode": ("decode", "nowhere", "--panel", "64x48"),
@@ -239,7 +235,6 @@ OUTPUTS = {
     "verify pairs": ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out"),
     "evaluate": EVALUATE,
     "diagnose": DIAGNOSE,
-    "hold-out": HOLD_OUT,
     "predict": ("predict", "bench", "bench", "--out", "out"),
     "decode": DECODE,
     "board": BOARD,

@@ -5,74 +5,21 @@ out.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder
-from wlr_render.bench.session_folder import check_enough_captures
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.held_out import held_out_residual, jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.outliers import not_excluded
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.procedure import diagnose
-from wlr_render.diagnosis.settings import DEFAULT
-from wlr_render.errors import BadInputError
-from wlr_render.input_files import naming
-from wlr_render.jobs.diagnosis_options import DiagnosisOptions
-from wlr_render.jobs.job import job
-from wlr_render.jobs.options import ProgressArgument, described
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Cell, Report, ReportTable
-from wlr_render.report.save import save_report
+from wlr_render.report.blocks import Cell, ReportTable
 
 
-@dataclass(frozen=True)
-class HoldOutOptions(DiagnosisOptions):
-    """Options of `hold-out`."""
-
-    out: Annotated[Path, described("Output folder.")] = Path("out/hold-out")
-
-
-@job
-def hold_out(options: HoldOutOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Diagnose a session and predict each capture and each target distance from the others.
-
-    Raises:
-        BadInputError: a faulty session, too few captures, no cause found, or a place that cannot be written.
-    """
-    progress.say("reading the session")
-    nominal, session = options.measurements()
-    check_enough_captures(session)
-    folder = output_folder(options.out)
-    settings = replace(DEFAULT, max_causes=options.max_causes)
-    causes = options.candidates(nominal)
-    with naming(options.session):
-        found = diagnose(nominal, session, progress.say, causes=causes, settings=settings)
-    if not found.causes:
-        raise BadInputError(
-            f"{options.session}: the diagnosis finds no cause ({found.verdict}), so nothing can be held out; to test a "
-            "bench model on other captures, use wlr-render predict BENCH SESSION."
-        )
-    progress.say("predicting left-out captures and distances")
-    with naming(options.session):
-        table = hold_out_table(found)
-    report = Report(
-        f"Cross-validation of {session.name}",
-        verdict=" ".join(_sentences(table)),
-        blocks=[table, _values_table(found)],
-        inputs=options.inputs(),
-    )
-    return save_report(report, folder)
-
-
-def _sentences(table: ReportTable) -> Iterator[str]:
-    """For each kind of prediction, the row that exceeds the noise most, in words."""
+def hold_out_sentences(table: ReportTable) -> Iterator[str]:
+    """Yield, for each kind of prediction, a sentence on the row that exceeds the noise most."""
     worst: dict[Cell, Sequence[Cell]] = {}
     for row in table.rows:
         worst[row[0]] = max(worst.get(row[0], row), row, key=lambda each: float(each[4] or 0) / float(each[5] or 1))
@@ -85,7 +32,7 @@ def _sentences(table: ReportTable) -> Iterator[str]:
 
 
 def hold_out_table(found: Diagnosis) -> ReportTable:
-    """Rms angle of measured minus simulated in what was held out, with the bench as described and as corrected."""
+    """Return rms angles of held-out readings, measured minus simulated, by the bench as described and as corrected."""
     rows = _by_capture(found)
     for fitted_to, tested_on, tested in _splits(found):
         rest = found.readings.of_rows(~tested)
@@ -105,8 +52,8 @@ def hold_out_table(found: Diagnosis) -> ReportTable:
     return ReportTable(f"Held out of {found.session}", columns, rows, _notes(found))
 
 
-def _values_table(found: Diagnosis) -> ReportTable:
-    """The values found, with the standard error of the diagnosis and that of leaving out each capture in turn."""
+def hold_out_values(found: Diagnosis) -> ReportTable:
+    """Return the values found, with the standard errors of the fit and of leaving out each capture in turn."""
     observations, whole = found.readings.observations, found.fit
     errors = np.full(len(whole.explanation.vector()), np.nan)
     errors[whole.at.free] = jackknife(whole, observations.group, len(observations.captures))
