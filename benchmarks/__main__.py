@@ -20,15 +20,15 @@ BENCHMARKS = {
     "budget": "Predicted covariance of registration against true errors of simulated sessions.",
     "published-data": "Published data sets as bench sessions and capture files, or decoded.",
     "boards": "Detectors of boards on published photographs, beside OpenCV's.",
-    "accuracy": "Errors of fitted models over random draws, beside what the models predict of themselves.",
+    "accuracy": "Errors of fitted models by camera positions, noise and stage, beside what the models predict.",
     "design": "Errors of simulated sessions by the design of their camera places.",
     "wear": "Self-calibration by clicks over half an hour of simulated wear with slips.",
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
     "renderers": "Other renderers on a headset's rays, compared with Embree.",
     "exports": "Other programs that read exports, compared with our own maps.",
-    "rivals": "Published methods and ours on measurements of others.",
+    "rivals": "Published methods and ours on the same captures, simulated or measured by others.",
     "monado": "Monado's compositor with an exported distortion, compared with our own map.",
-    "gallery": "Demos, a calibration, a budget, a diagnosis and a study, shown on one page.",
+    "gallery": "Demos, a calibration, a budget and a diagnosis, shown on one page.",
     "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }
 """Help texts; each benchmark is the function `run` of `study.py` in its folder."""

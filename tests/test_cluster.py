@@ -21,13 +21,14 @@ import pytest
 from jobs.test_render import still_head
 from small_photo_session import far_panel_device, small_plan
 
+from benchmarks.accuracy.study import AccuracyOptions
+from benchmarks.accuracy.study import run as accuracy
 from benchmarks.diagnosis.study import DiagnosisOptions
 from benchmarks.diagnosis.study import run as run_diagnosis
 from wlr_render import atomic_files, cluster
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
 from wlr_render.finished_files import LIST
-from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.processes import Spread, as_finished
@@ -123,14 +124,14 @@ def test_a_file_that_a_task_does_not_find_ends_the_job_with_its_error(address, t
 
 
 def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path):
-    few = {"experiment": ("camera-positions",), "counts": (5, 9), "degrees": (3,)}
-    here = evaluate(EvaluateOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
-    options = EvaluateOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there")
-    assert evaluate(options).blocks == here.blocks
+    few = {"part": ("camera-positions",), "counts": (2, 5)}
+    here = accuracy(AccuracyOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
+    options = AccuracyOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there")
+    assert accuracy(options).blocks == here.blocks
     first, *others = sorted((tmp_path / "there" / "trials").glob("*/*.json"))
     written = [path.stat().st_mtime_ns for path in (first, *others)]
     first.unlink()
-    assert evaluate(replace(options, resume=True)).blocks == here.blocks
+    assert accuracy(replace(options, resume=True)).blocks == here.blocks
     again = [path.stat().st_mtime_ns for path in (first, *others)]
     assert again[0] != written[0]
     assert again[1:] == written[1:]
@@ -194,10 +195,10 @@ def test_frames_are_those_of_one_process_when_a_worker_is_killed(address, tmp_pa
 
 
 def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(address, tmp_path, kill_a_worker_at_work):
-    few = {"experiment": ("camera-positions",), "counts": (5, 9), "degrees": (3,)}
-    evaluate(EvaluateOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
+    few = {"part": ("camera-positions",), "counts": (2, 5)}
+    accuracy(AccuracyOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
     progress, killed = kill_a_worker_at_work
-    evaluate(EvaluateOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there"), progress=progress)
+    accuracy(AccuracyOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there"), progress=progress)
     assert len(killed) == 1
     assert trials(tmp_path / "there") == trials(tmp_path / "here")
 
@@ -332,7 +333,7 @@ def test_without_dask_the_sentence_says_how_to_install_it(monkeypatch):
 
 def test_workers_and_scheduler_exclude_each_other():
     with pytest.raises(BadInputError, match="--workers has no use with --scheduler"):
-        EvaluateOptions(workers=2, scheduler="tcp://host:8786")
+        AccuracyOptions(workers=2, scheduler="tcp://host:8786")
 
 
 def test_results_are_taken_at_once_and_the_scheduler_is_seldom_asked_for_workers(address, monkeypatch):

@@ -104,12 +104,6 @@ VERBS = (
         "State the error budget of a headset: arcminutes by source, pixel by pixel, and what to improve first.",
     ),
     Verb(
-        "evaluate",
-        EXPLAIN,
-        "evaluate.evaluate:evaluate",
-        "Evaluate devices in simulation: model errors, and the number of camera positions that calibration needs.",
-    ),
-    Verb(
         "diagnose",
         EXPLAIN,
         "diagnose:diagnose",

@@ -1,4 +1,4 @@
-"""Measurements: random draws of captures by device, camera noise, field and errors of the stage."""
+"""Measurements: errors of models by device, number of camera positions, camera noise, field and stage."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -8,8 +8,18 @@ import numpy as np
 
 from benchmarks.accuracy import wanted
 from benchmarks.accuracy.prescribed_trial import SEE_THROUGH_PREDICTED, PrescribedTrial
-from wlr_render.jobs.evaluate.study import FOUND_COLUMNS, Findings, Study, found_cells, pooled, trial_at
-from wlr_render.jobs.evaluate.trials import DisplayTrial, EvaluatedEye, Measure, Outcome, SeeThroughTrial
+from benchmarks.trial_study import Findings, Lines, Study, error_curves, pooled, trial_at
+from benchmarks.trials import (
+    FARTHEST_M,
+    NEAREST_M,
+    DisplayTrial,
+    EvaluatedEye,
+    FoundBench,
+    Measure,
+    NoModelTrial,
+    Outcome,
+    SeeThroughTrial,
+)
 from wlr_render.report.blocks import Cell, ReportTable
 
 POSITIONS, FEW_POSITIONS = 25, 16
@@ -17,39 +27,71 @@ NOISES_ARCMIN = (wanted.EXACT, wanted.FINE, wanted.COARSE)
 STAGES_UM_URAD = ((0.0, 0.0), (10.0, 30.0), (30.0, 100.0))
 STAGE_NOISE_ARCMIN = 0.25
 STUCK_DEVICE, STUCK_STAGE = "northstar", STAGES_UM_URAD[-1]
-_KINDS = ("planar", "prescription", "grey-box")
+TRACKING_MM = 0.05
+"""Error of eye tracking per axis."""
+SAMPLINGS = ("planar", "volumetric")
+_OTHER_DISPLAYS, _SEE_THROUGHS = ("volumetric", "point-per-pixel", "static"), ("planar", "volumetric", "static")
+_PRESCRIBED = ("planar", "prescription", "grey-box")
 _ERROR_COLUMNS = ("rms (arcmin)", "standard error", "wanted", "predicted (arcmin)", "predicted / true")
+_FOUND_COLUMNS = ("noise found (arcmin)", "stage shift found (um)", "stage turn found (urad)")
+
+
+def camera_positions(study: Study, counts: Sequence[int]) -> Findings:
+    """Measure the display error by number of camera positions, planar and volumetric, with exact captures."""
+    rows: list[list[Cell]] = []
+    lines: Lines = {}
+    predicted: Lines = {}
+    for eye, kind in product(study.eyes, SAMPLINGS):
+        outcomes = [[study.outcome_of(trial_at(DisplayTrial, eye, kind, None, count))] for count in counts]
+        rows += [
+            [str(eye), kind, count, *_errors(each, Measure.FORWARD, None)]
+            for count, each in zip(counts, outcomes, strict=True)
+        ]
+        for curves, measure in ((lines, Measure.FORWARD), (predicted, Measure.PREDICTED)):
+            curves[f"{eye}, {kind}"] = counts, [pooled(each, measure) for each in outcomes]
+    title = "Camera positions: direction of a pixel, exact captures"
+    table = ReportTable(title, ["eye", "model", "camera positions", *_ERROR_COLUMNS], rows)
+    return Findings((table, error_curves(title, "number of camera positions", lines, predicted)))
 
 
 def display(study: Study) -> Findings:
-    """Direction of a pixel: nominal field, whole panel, and fewer camera positions."""
-    designs = (
-        ("nominal field", False, POSITIONS, wanted.DISPLAY),
-        ("whole panel", True, POSITIONS, wanted.WHOLE_PANEL),
-        ("nominal field", False, FEW_POSITIONS, wanted.FEW_POSITIONS),
-    )
+    """Measure the direction of a pixel: nominal field, whole panel, fewer camera positions, and other models."""
+    designs = [
+        ("planar", "nominal field", False, POSITIONS, wanted.DISPLAY),
+        ("planar", "whole panel", True, POSITIONS, wanted.WHOLE_PANEL),
+        ("planar", "nominal field", False, FEW_POSITIONS, wanted.FEW_POSITIONS),
+        *((kind, "nominal field", False, POSITIONS, {}) for kind in _OTHER_DISPLAYS),
+    ]
     rows: list[list[Cell]] = []
-    for (field, whole, positions, goals), eye, noise in product(designs, study.eyes, NOISES_ARCMIN):
-        trial = trial_at(DisplayTrial, replace(eye, whole_panel=whole), "planar", None, positions)
+    for (kind, field, whole, positions, goals), eye, noise in product(designs, study.eyes, NOISES_ARCMIN):
+        trial = trial_at(DisplayTrial, replace(eye, whole_panel=whole), kind, None, positions)
         draws = study.repeated(replace(trial, camera_noise_arcmin=noise))
-        goal = _goal(goals, eye, noise)
-        rows.append([str(eye), field, positions, noise, *_errors(draws, Measure.FORWARD, goal), *_fit(draws)])
-    columns = ["eye", "field", "camera positions", "camera noise (arcmin)", *_ERROR_COLUMNS]
-    columns += ["noise found (arcmin)", "fit (s)"]
-    return Findings((ReportTable(f"Display: direction of a pixel, {_draws(study)}", columns, rows),))
+        errors = _errors(draws, Measure.FORWARD, _goal(goals, eye, noise))
+        rows.append([str(eye), kind, field, positions, noise, *errors, pooled(draws, Measure.BACKWARD), *_fit(draws)])
+    columns = ["eye", "model", "field", "camera positions", "camera noise (arcmin)", *_ERROR_COLUMNS]
+    columns += ["backward (px)", "noise found (arcmin)", "fit (s)"]
+    notes = ("Backward: pixel of a direction. A static model is fitted at one of the camera positions.",)
+    return Findings((ReportTable(f"Display: direction of a pixel, {_draws(study)}", columns, rows, notes),))
 
 
 def see_through(study: Study) -> Findings:
-    """Direction of a real point."""
+    """Measure the direction of a real point: without a model, and by each kind of model."""
     rows: list[list[Cell]] = []
-    for eye, noise in product(study.eyes, NOISES_ARCMIN):
-        trial = trial_at(SeeThroughTrial, eye, "planar", None, POSITIONS, camera_noise_arcmin=noise)
-        draws = study.repeated(trial)
-        goal = _goal(wanted.SEE_THROUGH, eye, noise)
-        rows.append([str(eye), noise, *_errors(draws, Measure.REAL_POINT, goal), *_fit(draws)])
-    columns = ["eye", "camera noise (arcmin)", *_ERROR_COLUMNS, "noise found (arcmin)", "fit (s)"]
-    title = f"See-through: direction of a real point, {POSITIONS} camera positions, {_draws(study)}"
-    return Findings((ReportTable(title, columns, rows),))
+    for eye in study.eyes:
+        without = study.outcome_of(NoModelTrial(eye)).rms(Measure.REAL_POINT)
+        rows.append([str(eye), "none", None, without, *[None] * 8])
+        for kind, noise in product(_SEE_THROUGHS, NOISES_ARCMIN):
+            draws = study.repeated(trial_at(SeeThroughTrial, eye, kind, None, POSITIONS, camera_noise_arcmin=noise))
+            goal = _goal(wanted.SEE_THROUGH, eye, noise) if kind == "planar" else None
+            world = [pooled(draws, measure) for measure in (Measure.REAL_RAY, Measure.MISS)]
+            rows.append([str(eye), kind, noise, *_errors(draws, Measure.REAL_POINT, goal), *world, *_fit(draws)])
+    columns = ["eye", "model", "camera noise (arcmin)", *_ERROR_COLUMNS]
+    columns += ["real ray (arcmin)", "miss (mm)", "noise found (arcmin)", "fit (s)"]
+    where = f"real points at {NEAREST_M:g} to {FARTHEST_M:g} m, {POSITIONS} camera positions"
+    notes = ("Real ray: its direction; miss: its distance from the real point.",)
+    return Findings(
+        (ReportTable(f"See-through: direction of a real point, {where}, {_draws(study)}", columns, rows, notes),)
+    )
 
 
 def stage(study: Study) -> Findings:
@@ -61,18 +103,31 @@ def stage(study: Study) -> Findings:
         draws = study.repeated(trial_at(kind, eye, "planar", None, POSITIONS, **errors))
         rms = pooled(draws, measure)
         predicted = pooled(draws, Measure.PREDICTED)
-        rows.append([str(eye), name, shift, turn, rms, predicted, predicted / rms, *found_cells(draws)])
+        rows.append([str(eye), name, shift, turn, rms, predicted, predicted / rms, *_found(draws)])
     columns = ["eye", "model", "stage shift (um)", "stage turn (urad)", "rms (arcmin)", "predicted (arcmin)"]
-    columns += ["predicted / true", *FOUND_COLUMNS]
+    columns += ["predicted / true", *_FOUND_COLUMNS]
     low, high = wanted.PREDICTED_OVER_TRUE
     title = f"Errors of the stage: {POSITIONS} camera positions, {STAGE_NOISE_ARCMIN:g}' camera noise, {_draws(study)}"
-    return Findings((ReportTable(title, columns, rows, (f"Wanted: predicted / true of {low:g} to {high:g}.",)),))
+    notes = (f"Wanted: predicted / true of {low:g} to {high:g}.", "Errors of the stage are drawn anew at each visit.")
+    return Findings((ReportTable(title, columns, rows, notes),))
+
+
+def tracking(study: Study) -> Findings:
+    """Measure the direction of a pixel with an error of eye tracking in use."""
+    rows: list[list[Cell]] = []
+    for eye in study.eyes:
+        exact = trial_at(DisplayTrial, eye, "planar", None, POSITIONS, camera_noise_arcmin=STAGE_NOISE_ARCMIN)
+        pair = [study.repeated(replace(exact, tracking_error_mm=error)) for error in (0.0, TRACKING_MM)]
+        rows.append([str(eye), *(pooled(draws, Measure.FORWARD) for draws in pair)])
+    columns = ["eye", "exact viewpoint (arcmin)", f"tracked to {TRACKING_MM:g} mm per axis (arcmin)"]
+    title = f"Eye tracking: direction of a pixel, {POSITIONS} camera positions, {STAGE_NOISE_ARCMIN:g}' camera noise"
+    return Findings((ReportTable(f"{title}, {_draws(study)}", columns, rows),))
 
 
 def prescribed(study: Study) -> Findings:
     """Models that know the prescription of a headset that differs from it, beside one that does not."""
     rows: list[list[Cell]] = []
-    for eye, (positions, noise, shape, goal), kind in product(study.eyes, wanted.GREY_BOX, _KINDS):
+    for eye, (positions, noise, shape, goal), kind in product(study.eyes, wanted.GREY_BOX, _PRESCRIBED):
         errors = {"camera_noise_arcmin": noise, "shape": shape}
         draws = study.repeated(trial_at(PrescribedTrial, eye, kind, None, positions, **errors))
         limit = goal if kind == "grey-box" else None
@@ -135,8 +190,15 @@ def _errors(draws: Sequence[Outcome], measure: str, goal: float | None) -> list[
     return [float(np.mean(rms)), standard_error, goal, predicted, predicted / pooled(draws, measure)]
 
 
+def _found(draws: Sequence[Outcome]) -> list[Cell]:
+    """Cells of `_FOUND_COLUMNS`: root mean squares over the draws."""
+    found = [outcome.found or FoundBench(np.nan, np.nan, np.nan) for outcome in draws]
+    values = [[each.noise_arcmin, each.repeatability_um, each.wobble_urad] for each in found]
+    return [float(each) for each in np.sqrt(np.mean(np.square(values), axis=0))]
+
+
 def _fit(draws: Sequence[Outcome]) -> list[Cell]:
-    return [found_cells(draws)[0], float(np.mean([each.seconds for each in draws]))]
+    return [_found(draws)[0], float(np.mean([each.seconds for each in draws]))]
 
 
 def _draws(study: Study) -> str:

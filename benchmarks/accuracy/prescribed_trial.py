@@ -5,11 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from wlr_render.calibration.fit_eye import fit_eye
-from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.evaluation import mapping_error
-from wlr_render.evaluation.metrics import summary
-from wlr_render.jobs.evaluate.trials import (
+from benchmarks.trials import (
     FARTHEST_M,
     NEAREST_M,
     TEST_RAYS,
@@ -20,6 +16,10 @@ from wlr_render.jobs.evaluate.trials import (
     Measure,
     Outcome,
 )
+from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.evaluation import mapping_error
+from wlr_render.evaluation.metrics import summary
 from wlr_render.mappings import EyeBox
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye

@@ -5,15 +5,25 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-from benchmarks.accuracy.measurements import display, prescribed, see_through, stage, stuck, time
+from benchmarks.accuracy.measurements import (
+    camera_positions,
+    display,
+    prescribed,
+    see_through,
+    stage,
+    stuck,
+    time,
+    tracking,
+)
+from benchmarks.trial_study import Experiment, StudyOptions, run_study
 from wlr_render.atomic_files import write_text
-from wlr_render.jobs.evaluate.study import Experiment, StudyOptions, run_study
+from wlr_render.jobs import limits
 from wlr_render.jobs.options import OnlyWith, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import markdown
 
-PartName = Literal["display", "see-through", "stage", "prescribed", "time", "stuck"]
+PartName = Literal["camera-positions", "display", "see-through", "stage", "tracking", "prescribed", "time", "stuck"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +34,12 @@ class AccuracyOptions(StudyOptions):
     part: Annotated[
         tuple[PartName, ...], described("Measurements to make, one or more (default: all).", flag=True, many=True)
     ] = get_args(PartName)
+    counts: Annotated[
+        tuple[int, ...],
+        described("Numbers of camera positions to compare.", many=True),
+        limits.PLACES,
+        OnlyWith("part", ("camera-positions",)),
+    ] = (5, 9, 12, 16, 25, 36, 49, 81, 121)
     draws: Annotated[int, described("Random draws of each figure."), Range(at_least=1, at_most=1000)] = 10
     stuck: Annotated[
         int,
@@ -42,9 +58,11 @@ def run(options: AccuracyOptions = AccuracyOptions(), *, progress: ProgressArgum
         BadInputError: see `run_study`.
     """
     measurements: dict[PartName, Experiment] = {
+        "camera-positions": partial(camera_positions, counts=sorted(set(options.counts))),
         "display": display,
         "see-through": see_through,
         "stage": stage,
+        "tracking": tracking,
         "prescribed": prescribed,
         "time": time,
         "stuck": partial(stuck, draws=options.stuck),

@@ -13,11 +13,12 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from benchmarks.accuracy.study import AccuracyOptions
+from benchmarks.accuracy.study import run as accuracy
 from wlr_render.atomic_files import output_folder
 from wlr_render.cluster import LIBRARY_THREADS, OPENGL_THREADS
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
-from wlr_render.jobs.evaluate.evaluate import EvaluateOptions, evaluate
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.jobs.render import render
 from wlr_render.jobs.render_options import RenderOptions
@@ -27,7 +28,6 @@ from wlr_render.report.save import save_report
 
 WANTED = 1.7
 """Wall time with one worker over that with two."""
-_COUNTS = 9, 25, 49  # camera positions of the fits
 _MILLION = 1_000_000
 _REHEARSED_FRAMES = 16
 
@@ -212,18 +212,7 @@ def _frames(head: Path, count: int, method: Any) -> _Job:
 
 def _fits(repeats: int) -> _Job:
     def fit(address: str, folder: Path) -> int:
-        evaluate(
-            EvaluateOptions(
-                ("northstar",),
-                experiment=("camera-positions",),
-                counts=_COUNTS,
-                degrees=(5,),
-                noise_arcmin=0.25,
-                repeats=repeats,
-                scheduler=address,
-                out=folder,
-            )
-        )
+        accuracy(AccuracyOptions(("northstar",), part=("stage",), draws=repeats, scheduler=address, out=folder))
         return len(list((folder / "trials").rglob("*.json")))
 
     return fit

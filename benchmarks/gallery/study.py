@@ -83,17 +83,11 @@ def planned_runs(options: GalleryOptions) -> list[Run]:
         Run(f"Four ways to draw for {each}", ["demo", "--device", each], f"demo-{each}", picture="alignment.png")
         for each in options.headset
     ]
-    counts = ["--counts", "9", "16", "25", "--repeats", "1"]
     return [
         *demos,
         Run("A calibration", ["calibrate", "simulate", "northstar"], "calibrate"),
         Run("An error budget", ["budget", model], "budget", "budget.html", plot=2),
         Run("A diagnosis", ["diagnose", "examples/data/session"], "diagnose", "diagnosis.html", plot=3),
-        Run(
-            "A study: how many camera positions?",
-            ["evaluate", "birdbath28", "--experiment", "camera-positions", *counts],
-            "evaluate",
-        ),
     ]
 
 

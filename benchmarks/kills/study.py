@@ -22,7 +22,7 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
 
-JobName = Literal["render", "export", "evaluate", "simulate", "calibrate"]
+JobName = Literal["render", "export", "simulate", "calibrate"]
 _LONGEST_END_S = 120.0
 """In which the processes of a killed run have to end."""
 _SOONER = 0.8
@@ -50,7 +50,6 @@ class KillsOptions(Options):
     jobs: Annotated[tuple[JobName, ...], described("Jobs to kill.", many=True)] = (
         "render",
         "export",
-        "evaluate",
         "simulate",
         "calibrate",
     )
@@ -102,9 +101,6 @@ def _command(name: JobName, options: KillsOptions, folder: Path) -> list[str]:
         return [*program, "render", options.device, "dots", "--head", str(head), *frames, "--maps", "tiff", "--out"]
     if name == "export":
         return [*program, "export", "pfm", options.device, "--pupils", "3", "--out"]
-    if name == "evaluate":
-        small = ["--experiment", "camera-positions", "--counts", "5", "9", "--degrees", "3", "--workers", "2"]
-        return [*program, "evaluate", "--device", options.device, *small, "--resume", "--out"]
     simulate = [*program, "simulate", "--device", options.device, *_SESSION, "--workers", "2", "--session"]
     if name == "simulate":
         return simulate

@@ -6,6 +6,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from benchmarks.trials import (
+    BACK_M,
+    DisplayTrial,
+    SeeThroughTrial,
+    display_observations,
+    see_through_observations,
+)
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import (
     DisplayObservations,
@@ -17,13 +24,6 @@ from wlr_render.evaluation.mapping_error import (
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.evaluate.trials import (
-    BACK_M,
-    DisplayTrial,
-    SeeThroughTrial,
-    display_observations,
-    see_through_observations,
-)
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray

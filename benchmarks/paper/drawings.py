@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.jobs.evaluate.trials import EvaluatedEye
+from benchmarks.trials import EvaluatedEye
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from benchmarks.paper.along_rays import DepthMeasure, DepthTrial, SeeThroughDepthTrial
-from wlr_render.jobs.evaluate.study import Findings, Lines, Study, box_text, error_curves, trial_at
-from wlr_render.jobs.evaluate.trials import BACK_M, EvaluatedEye, Measure, Outcome
+from benchmarks.trial_study import Findings, Lines, Study, box_text, error_curves, trial_at
+from benchmarks.trials import BACK_M, EvaluatedEye, Measure, Outcome
 from wlr_render.numerics.polynomial import term_count
 from wlr_render.report.blocks import Cell, Plot, ReportTable
 from wlr_render.report.plots import curves
@@ -122,7 +122,7 @@ def structure(study: Study) -> Findings:
 
 
 def see_through_positions(study: Study) -> Findings:
-    """Error of the see-through model over the number of camera positions; `evaluate` has the display's."""
+    """Error of the see-through model over the number of camera positions; `accuracy` has the display's."""
     rows: list[list[Cell]] = []
     lines: Lines = {}
     for eye, kind in product(study.eyes, KINDS):

@@ -5,11 +5,11 @@ from functools import lru_cache
 import numpy as np
 
 from benchmarks.paper.figures import POSITIONS, field_directions
+from benchmarks.trial_study import Lines
+from benchmarks.trials import EvaluatedEye, capture_setup, truth
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.evaluate.study import Lines
-from wlr_render.jobs.evaluate.trials import EvaluatedEye, capture_setup, truth
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Plot

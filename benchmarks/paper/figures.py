@@ -20,8 +20,8 @@ from benchmarks.paper.drawings import (
     optics_of,
     see_through_path,
 )
+from benchmarks.trials import EvaluatedEye, capture_setup, truth
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
-from wlr_render.jobs.evaluate.trials import EvaluatedEye, capture_setup, truth
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.report.blocks import Block, Cell, Plot, ReportTable

@@ -24,7 +24,7 @@ from benchmarks.paper.figures import (
     see_through_bundle,
     two_planes,
 )
-from wlr_render.jobs.evaluate.study import Experiment, Findings, Study, StudyOptions, run_study
+from benchmarks.trial_study import Experiment, Findings, Study, StudyOptions, run_study
 from wlr_render.jobs.options import Degree, ProgressArgument, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report

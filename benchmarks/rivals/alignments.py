@@ -13,14 +13,14 @@ import numpy as np
 from benchmarks.published_data.itoh_alignments import Alignments, Screen, Sitting
 from benchmarks.rivals.displays import DISPLAYS
 from benchmarks.rivals.held_out import COLUMNS, HeldOut, cells, held_out, remark, rms_of
+from benchmarks.rivals.pinhole import fit_projection
+from benchmarks.rivals.pinhole_models import PinholeDisplay
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.mappings import DisplayMapping, EyeBox
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.report.blocks import Cell, ReportTable
-from wlr_render.rivals.pinhole import fit_projection
-from wlr_render.rivals.pinhole_models import PinholeDisplay
 
 _FREE = 11  # numbers of SPAAM
 _LEAST_SIZE = 1e-3  # metres of the eye box

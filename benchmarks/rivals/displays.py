@@ -4,18 +4,18 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from benchmarks.rivals.kernels import gaussian_process, kernel_ridge
+from benchmarks.rivals.map_tables import PositionMaps
+from benchmarks.rivals.pinhole import direct_plane, indica_full
+from benchmarks.rivals.plane_and_polynomial import wientapper_display
+from benchmarks.rivals.point_table import klemm_grid
+from benchmarks.rivals.samples import Fit, Samples, fit_structure
 from wlr_render.calibration.fit_display import DISPLAY, fit_display
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import DisplayMapping
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.regressor import Regressor
-from wlr_render.rivals.kernels import gaussian_process, kernel_ridge
-from wlr_render.rivals.map_tables import PositionMaps
-from wlr_render.rivals.pinhole import direct_plane, indica_full
-from wlr_render.rivals.plane_and_polynomial import wientapper_display
-from wlr_render.rivals.point_table import klemm_grid
-from wlr_render.rivals.samples import Fit, Samples, fit_structure
 
 FitDisplay = Callable[[DisplayCaptures], DisplayMapping]
 

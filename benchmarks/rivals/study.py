@@ -1,90 +1,59 @@
-"""Published methods and ours on measurements of others, each judged by data that it was not fitted to."""
+"""Published methods and ours on the same captures: simulated ones, or measurements of others."""
 
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-from benchmarks.published_data.itoh_alignments import read_itoh_alignments
-from benchmarks.published_data.itoh_seethrough import read_itoh_seethrough
-from benchmarks.published_data.northstar_vcam import read_northstar_vcam
-from benchmarks.published_data.osvr_hdk13 import read_osvr_captures
-from benchmarks.rivals.alignments import alignment_tables
-from benchmarks.rivals.reliefs import relief_table
-from benchmarks.rivals.viewpoints import viewpoint_table
-from benchmarks.rivals.views import view_table
-from wlr_render.atomic_files import output_folder
+from benchmarks.rivals.comparison import DEFAULT_METHODS, chosen_methods, compare_methods
+from benchmarks.rivals.measured import DataSet, compare_on_measurements
+from benchmarks.trial_study import StudyOptions, run_study
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.options import Options, ProgressArgument, described
+from wlr_render.jobs.options import ProgressArgument, Range, described
 from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Report, ReportTable, Text
-from wlr_render.report.save import save_report
-
-DataSet = Literal["alignments", "views", "viewpoints", "reliefs"]
+from wlr_render.report.blocks import Report
 
 
 @dataclass(frozen=True)
-class RivalsOptions(Options):
+class RivalsOptions(StudyOptions):
     """Options of `rivals`."""
 
-    folder: Annotated[Path, described("Folder that holds the sets (docs/measured-data.md); missing ones are left out.")]
     _: KW_ONLY
+    methods: Annotated[
+        tuple[str, ...],
+        described("Methods to compare: all, or names of docs/methods.md.", flag=True, many=True),
+    ] = DEFAULT_METHODS
+    repeats: Annotated[
+        int | None,
+        described("Repetitions of each trial with random errors (default: 3; 10 with --methods all)."),
+        Range(at_least=1, at_most=1000),
+    ] = None
+    measured: Annotated[
+        Path | None,
+        described(
+            "Compare on the measured sets in this folder (docs/measured-data.md) instead; missing ones are left out."
+        ),
+    ] = None
     sets: Annotated[
-        tuple[DataSet, ...], described("Data sets to judge by (default: all that are there).", many=True)
-    ] = ()
+        tuple[DataSet, ...] | None,
+        described("Measured sets to judge by (default: all that are there).", flag=True, many=True),
+    ] = None
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/rivals")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sets is not None and self.measured is None:
+            raise BadInputError("--sets is used with --measured only; leave it out.")
 
-def run(options: RivalsOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Fit every method to each set and judge it by what was left out; writes rivals.html, .md and .json.
+
+def run(options: RivalsOptions = RivalsOptions(), *, progress: ProgressArgument = SILENT) -> Report:
+    """Fit every method to the same captures and judge it by others; writes rivals.html, .md and .json.
 
     Raises:
-        BadInputError: there is no such folder, or none of the sets in it, or a set is faulty, or the output folder
-            cannot be written.
+        BadInputError: an unknown method, or see `run_study` and `compare_on_measurements`.
     """
-    if not options.folder.is_dir():
-        raise BadInputError(f"{options.folder}: there is no such folder; name the one that holds the sets.")
-    out = output_folder(options.out)
-    wanted = options.sets or tuple(SETS)
-    present = [each for each in wanted if (options.folder / SETS[each][0]).is_dir()]
-    if not present:
-        missing = ", ".join(SETS[each][0] for each in wanted)
-        raise BadInputError(f"{options.folder}: holds none of {missing}; docs/measured-data.md says where to get them.")
-    blocks: list[Text | ReportTable] = []
-    for each in present:
-        progress.say(f"fitting all methods to {SETS[each][0]}")
-        blocks += SETS[each][1](options.folder / SETS[each][0])
-    left_out = [SETS[each][0] for each in wanted if each not in present]
-    if left_out:
-        blocks.append(Text(f"Not there, and left out: {', '.join(left_out)}."))
-    verdict = (
-        f"Every method on {len(present)} measured sets; the tables say what each leaves on data that was not fitted."
-    )
-    report = Report("Published methods on measured data", verdict, blocks=blocks, inputs=[options.folder])
-    return save_report(report, out, "rivals")
-
-
-def _alignments(folder: Path) -> list[ReportTable]:
-    return alignment_tables(read_itoh_alignments(folder))
-
-
-def _views(folder: Path) -> list[ReportTable]:
-    return [view_table(read_itoh_seethrough(folder))]
-
-
-def _viewpoints(folder: Path) -> list[ReportTable]:
-    captures = read_northstar_vcam(folder)
-    return [viewpoint_table([captures.left, captures.right])]
-
-
-def _reliefs(folder: Path) -> list[ReportTable]:
-    return [relief_table(read_osvr_captures(folder))]
-
-
-SETS: dict[DataSet, tuple[str, Callable[[Path], list[ReportTable]]]] = {
-    "alignments": ("itoh_hmd_calibration/dataset", _alignments),
-    "views": ("itoh_seethrough/data", _views),
-    "viewpoints": ("northstar_vcam_graycode/session2_head", _viewpoints),
-    "reliefs": ("osvr_hdk13", _reliefs),
-}
-"""Folder below that of the sets, and its tables."""
+    if options.measured is not None:
+        return compare_on_measurements(options.measured, options.sets or (), options.out, progress)
+    methods = partial(compare_methods, chosen=chosen_methods(options.methods))
+    repeats = options.repeats or (10 if options.methods == ("all",) else 3)
+    return run_study("Comparison of methods", options, {"methods": methods}, "rivals", progress, repeats)

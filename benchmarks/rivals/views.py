@@ -8,6 +8,10 @@ import numpy as np
 
 from benchmarks.published_data.itoh_seethrough import SeeThroughPairs, see_through_session
 from benchmarks.rivals.held_out import COLUMNS, HeldOut, cells, held_out, rms_of
+from benchmarks.rivals.kernels import free_kernel_ridge, gaussian_process, kernel_ridge
+from benchmarks.rivals.map_tables import linear_table, principal_components, thin_plate_table
+from benchmarks.rivals.plane_and_polynomial import wientapper_see_through
+from benchmarks.rivals.samples import Fit, fit_structure
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_captures import see_through_captures
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
@@ -22,10 +26,6 @@ from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised
 from wlr_render.mappings import EyeBox, SeeThroughMapping
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
-from wlr_render.rivals.kernels import free_kernel_ridge, gaussian_process, kernel_ridge
-from wlr_render.rivals.map_tables import linear_table, principal_components, thin_plate_table
-from wlr_render.rivals.plane_and_polynomial import wientapper_see_through
-from wlr_render.rivals.samples import Fit, fit_structure
 
 REFERENCE = "plate and wedge"
 STRUCTURES = ("static", "volumetric", "planar")

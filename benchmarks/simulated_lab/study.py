@@ -5,6 +5,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from benchmarks.kept_trials import finished_trials
 from benchmarks.simulated_lab.bench_tables import bench_tables
 from benchmarks.simulated_lab.bench_trial import (
     FAULTY,
@@ -18,7 +19,6 @@ from benchmarks.simulated_lab.codes import code_table, code_trials
 from benchmarks.simulated_lab.session_truth import compare_with_truth, truth_tables
 from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
-from wlr_render.jobs.kept_trials import finished_trials
 from wlr_render.jobs.options import (
     OnlyWith,
     ProgressArgument,

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.accuracy.measurements import display, see_through, stage, stuck, time
+from benchmarks.accuracy.measurements import camera_positions, display, see_through, stage, stuck, time, tracking
+from benchmarks.trial_study import Study
+from benchmarks.trials import EvaluatedEye, FoundBench, Measure, Outcome
 from wlr_render.evaluation.metrics import summary
-from wlr_render.jobs.evaluate.study import Study
-from wlr_render.jobs.evaluate.trials import EvaluatedEye, FoundBench, Measure, Outcome
 
 BOX = (10.0, 8.0, 6.0)
 NORTHSTAR = EvaluatedEye("northstar", "right", BOX, name="northstar")
@@ -22,14 +22,44 @@ def rows_of(table):
 
 
 def test_draws_are_averaged_beside_the_figure_wanted_and_the_prediction_is_pooled():
-    study = Study([NORTHSTAR], lambda trial: outcome([3.0, 4.0][trial.repeat], 5.0), 2)
-    for experiment, wanted in ((display, 0.12), (see_through, 0.06)):
+    study = Study([NORTHSTAR], lambda trial: outcome(3.0 + getattr(trial, "repeat", 0), 5.0), 2)
+    for experiment, wanted, first in ((display, 0.12, 0), (see_through, 0.06, 1)):
         (table,) = experiment(study).blocks
-        noisy = rows_of(table)[2]
+        noisy = rows_of(table)[first + 2]
         assert noisy["camera noise (arcmin)"] == 1.0
         assert (noisy["rms (arcmin)"], noisy["standard error"], noisy["wanted"]) == (3.5, pytest.approx(0.5), wanted)
         assert noisy["predicted / true"] == pytest.approx(5.0 / np.sqrt(12.5))
-        assert rows_of(table)[0]["standard error"] is None  # exact captures are drawn once
+        assert rows_of(table)[first]["standard error"] is None  # exact captures are drawn once
+
+
+def test_models_stand_beside_each_other_and_figures_are_wanted_of_planar_ones_alone():
+    study = Study([NORTHSTAR], lambda trial: outcome(1.0, 1.0), 1)
+    for experiment, models in (
+        (display, {"planar", "volumetric", "point-per-pixel", "static"}),
+        (see_through, {"none", "planar", "volumetric", "static"}),
+    ):
+        rows = rows_of(experiment(study).blocks[0])
+        assert {row["model"] for row in rows} == models
+        assert {row["model"] for row in rows if row["wanted"] is not None} == {"planar"}
+
+
+def test_camera_positions_are_those_given_and_predicted_errors_are_plotted_beside_the_true_ones():
+    study = Study([NORTHSTAR], lambda trial: outcome(1.0 / trial.viewpoints, 0.5 / trial.viewpoints))
+    table, plot = camera_positions(study, [12, 16]).blocks
+    rows = [[row[name] for name in ("model", "camera positions", "rms (arcmin)")] for row in rows_of(table)]
+    assert rows == [
+        ["planar", 12, 1 / 12],
+        ["planar", 16, 1 / 16],
+        ["volumetric", 12, 1 / 12],
+        ["volumetric", 16, 1 / 16],
+    ]
+    assert plot.data[0]["y"] == pytest.approx([1 / 12, 1 / 16], rel=1e-3)
+    assert plot.data[2]["y"] == pytest.approx([0.5 / 12, 0.5 / 16], rel=1e-3)
+
+
+def test_eye_tracking_is_compared_with_exact_viewpoints():
+    study = Study([NORTHSTAR], lambda trial: outcome(1.0 + trial.tracking_error_mm, 1.0), 2)
+    assert tracking(study).blocks[0].rows == [["northstar (right)", pytest.approx(1.0), pytest.approx(1.05)]]
 
 
 def test_stages_are_those_of_the_table_and_times_those_of_the_fits():

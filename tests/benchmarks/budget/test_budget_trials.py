@@ -15,11 +15,11 @@ from benchmarks.budget.trial import (
     judged,
     loaded_outcome,
 )
+from benchmarks.kept_trials import kept_outcome
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
 from wlr_render.budget.statement import REGIONS
 from wlr_render.geometry import transforms
 from wlr_render.jobs.budget import BudgetOptions
-from wlr_render.jobs.kept_trials import kept_outcome
 
 SMALL = Truncation(1e-3)  # a covariance is never singular
 

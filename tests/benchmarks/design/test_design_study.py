@@ -6,7 +6,7 @@ from benchmarks.__main__ import main
 from benchmarks.design import trial as design_trial
 from benchmarks.design.study import design_table
 from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, loaded_outcome, run_trial
-from wlr_render.jobs.kept_trials import kept_outcome
+from benchmarks.kept_trials import kept_outcome
 
 
 def outcome(headset, number, *p95):

@@ -21,6 +21,7 @@ from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, loaded_outcome, observed, run_trial
 from benchmarks.diagnosis.truths import truth_of
 from benchmarks.intervals import INTERVAL
+from benchmarks.kept_trials import kept_outcome
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.noise import noise_of
@@ -29,7 +30,6 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.kept_trials import kept_outcome
 
 SIGMA_PX = 1e-3
 TINY = Plan("northstar", grid=(5, 4), dots=(5, 4), nodes=4, off_plane=4, sigma_px=SIGMA_PX, channels=(0, 1, 2))

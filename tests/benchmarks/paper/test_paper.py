@@ -19,10 +19,10 @@ from benchmarks.paper.experiments import (
     see_through_positions,
     structure,
 )
+from benchmarks.trial_study import Study
+from benchmarks.trials import EvaluatedEye, Measure, Outcome
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import summary
-from wlr_render.jobs.evaluate.study import Study
-from wlr_render.jobs.evaluate.trials import EvaluatedEye, Measure, Outcome
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -93,7 +93,7 @@ def test_true_optics_answer_alike_along_a_ray():
 
 
 def test_moved_back_along_its_rays_planar_sampling_is_as_accurate_as_in_the_eye_box():
-    # Found once with an independent program in the same eye box, as the figures in tests/jobs/test_evaluate.py.
+    # Found once with an independent program in the same eye box, as the figures in tests/benchmarks/test_trials.py.
     errors = DepthTrial("northstar", "planar", 5, 25, BOX).run(SEED)
     np.testing.assert_allclose(errors.rms(DepthMeasure.MOVED_BACK), 0.23, rtol=0.2)
 

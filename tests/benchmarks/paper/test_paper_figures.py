@@ -13,9 +13,9 @@ from benchmarks.paper.figures import (
     see_through_bundle,
     two_planes,
 )
+from benchmarks.trials import EvaluatedEye, truth
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.evaluate.trials import EvaluatedEye, truth
 
 BOX = (10.0, 8.0, 6.0)
 NORTHSTAR, BIRDBATH = (EvaluatedEye(name, "right", BOX, name=name) for name in ("northstar", "birdbath28"))

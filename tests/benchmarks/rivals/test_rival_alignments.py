@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 from benchmarks.published_data.itoh_alignments import Alignments, Screen, Sitting, read_itoh_alignments
 from benchmarks.rivals import alignments
 from benchmarks.rivals.alignments import alignment_tables, full_setup, recycled
+from benchmarks.rivals.pinhole import direct_plane, fit_projection
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.rivals.pinhole import direct_plane, fit_projection
 
 TURN = Rotation.from_euler("xyz", [12.0, -4.0, 9.0], degrees=True).as_matrix()
 SCREEN = Screen(Panel(1280, 1024), 1840.0, TURN, np.array([0.115, 0.112, 0.67]))

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.rivals import alignments, reliefs, study, viewpoints, views
+from benchmarks.rivals import alignments, measured, reliefs, viewpoints, views
 from benchmarks.rivals.displays import DISPLAYS, line_table
 from benchmarks.rivals.held_out import HeldOut, cells, held_out, remark, rms_of
+from benchmarks.rivals.kernels import kernel_ridge
+from benchmarks.rivals.samples import fit_structure
 from wlr_render.calibration.fit_display import DISPLAY
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.rivals.kernels import kernel_ridge
-from wlr_render.rivals.samples import fit_structure
 
 PANEL = Panel(400, 300)
 
@@ -91,14 +91,16 @@ def test_kernel_ridge_takes_fewer_readings_than_it_has_bells():
 
 
 def test_a_folder_without_any_set_is_refused(tmp_path, capsys):
-    assert main(["rivals", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+    assert main(["rivals", "--measured", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "holds none of itoh_hmd_calibration/dataset" in capsys.readouterr().err
-    assert main(["rivals", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
+    assert main(["rivals", "--measured", str(tmp_path / "none"), "--out", str(tmp_path / "out")]) == 2
     assert "none: there is no such folder" in capsys.readouterr().err
+    assert main(["rivals", "--sets", "views", "--out", str(tmp_path / "out")]) == 2
+    assert "--sets is used with --measured only" in capsys.readouterr().err
 
 
 def tables(folder, name, tmp_path):
-    assert main(["rivals", str(folder.parent), "--sets", name, "--out", str(tmp_path)]) == 0
+    assert main(["rivals", "--measured", str(folder.parent), "--sets", name, "--out", str(tmp_path)]) == 0
     return json.loads((tmp_path / "rivals.json").read_text())["tables"]
 
 
@@ -125,7 +127,7 @@ def test_few_numbers_suffice_for_the_see_through_views(measured_data, tmp_path, 
 def test_a_table_along_the_line_is_as_good_as_the_bundle_at_its_own_viewpoints(measured_data, tmp_path, monkeypatch):
     monkeypatch.setattr(viewpoints, "_METHODS", ("plane (DRC)", "table along a line"))
 
-    monkeypatch.setattr(study, "viewpoint_table", lambda eyes: viewpoints.viewpoint_table(eyes[:1]))
+    monkeypatch.setattr(measured, "viewpoint_table", lambda eyes: viewpoints.viewpoint_table(eyes[:1]))
     (table,) = tables(measured_data("northstar_vcam_graycode"), "viewpoints", tmp_path)
     rms = {row["method"]: row["rms (arcmin)"] for row in table["rows"]}
     assert rms["table along a line"] < 1.2 * rms["ours: bundle of rays"]

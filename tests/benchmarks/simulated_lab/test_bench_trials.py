@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.kept_trials import kept_outcome
 from benchmarks.simulated_lab import bench_trial
 from benchmarks.simulated_lab.bench_sigmas import SquaredErrors
 from benchmarks.simulated_lab.bench_tables import bench_tables
 from benchmarks.simulated_lab.bench_trial import BenchOutcome, BenchTrial, BenchTrialKind, FailedCheck, loaded_outcome
 from benchmarks.simulated_lab.study import SimulatedLabOptions, bench_trials
-from wlr_render.jobs.kept_trials import kept_outcome
 
 _EXCHANGED = BenchTrial(BenchTrialKind.BARE_EXCHANGED, 0)
 

@@ -96,25 +96,6 @@ def cases() -> Iterator[Case]:
         yield Case(f"device: {title}", RENDER, FILES, change, (), "any")
         traced = ("trace", "device.toml", "--out", "out")
         yield Case(f"device of trace: {title}", traced, FILES, change, (), "any")
-    for title, name in list(NAMES.items())[:4]:
-        change = replaced("device.toml", 'name = "', f"name = {name} # ")
-        arguments = (
-            "evaluate",
-            "device.toml",
-            "--experiment",
-            "camera-positions",
-            "--counts",
-            "5",
-            "--degrees",
-            "1",
-            "--repeats",
-            "1",
-            "--workers",
-            "1",
-            "--out",
-            "out",
-        )
-        yield Case(f"device of evaluate: {title}", arguments, FILES, change, (), "any")
     for title, field in FIELDS.items():
         change = replaced("device.toml", 'side = "right"', f'side = "right"\nfield_deg = {field}')
         yield Case(f"device: {title}", RENDER, FILES, change, ("device.toml", "field_deg"))

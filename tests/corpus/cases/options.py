@@ -10,7 +10,6 @@ DEMO = ("demo", "--device", "device.toml", "--scene", "scene.toml", "--backend",
 PLAN = ("plan", "device.toml", "--out", "out")
 FIT = ("calibrate", "captures", "captures.npz", "--out", "out")
 SIMULATED = ("calibrate", "simulate", "device.toml", "--out", "out")
-EVALUATE = ("evaluate", "device.toml", "--workers", "1", "--out", "out")
 SIMULATE = ("simulate", "out", "--device", "device.toml", "--workers", "1")
 PHOTOGRAPHED = ("pattern", "--panel", "64x48", "--photograph", "true {path}", "--page-timeout-s", "1", "--out", "out")
 DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "out")
@@ -109,18 +108,6 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--degree": ("0", "99"),
         "--seed": ("-1",),
     }),
-    (EVALUATE, SMALL, {
-        "--box": ("0x0x0", "-1x1x1", "1e9x1x1", "nanx1x1", "1x1", "", "x"),
-        "--counts": ("0", "1000000000", "-1"),
-        "--degrees": ("0", "99", "-1"),
-        "--repeats": ("0", "1000000000"),
-        "--workers": ("0", "-1", "1000000000"),
-        "--goal-arcmin": ("0", "-1", "nan"),
-        "--noise-arcmin": ("-1", "nan", "1e308"),
-        "--tracking-error-mm": ("-1", "nan", "1e308"),
-        "--methods": ("magic",),
-        "--experiment": ("magic",),
-    }),
     (SIMULATE, SMALL, {
         "--viewpoints": ("0", "1000000000", "-1"),
         "--camera": ("0x0", "1000000x1000000", "1x1"),
@@ -212,7 +199,6 @@ NOWHERE = {
     "verify pairs": ("verify", "pairs", "nowhere", "board.toml", "--calibration", "calibration"),
     "verify pairs board": ("verify", "pairs", "pairs", "nowhere.toml", "--calibration", "calibration"),
     "verify pairs calibration": ("verify", "pairs", "pairs", "board.toml", "--calibration", "nowhere"),
-    "evaluate": ("evaluate", "nowhere.toml"),
     "diagnose": ("diagnose", "nowhere"),
     "predict": ("predict", "nowhere.toml", "bench"),
     "predict session": ("predict", "bench", "nowhere"),
@@ -233,7 +219,6 @@ OUTPUTS = {
     "calibrate simulate": SIMULATED,
     "calibrate photos": ("calibrate", "photos", "photos", "--workers", "1", "--out", "out"),
     "verify pairs": ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out"),
-    "evaluate": EVALUATE,
     "diagnose": DIAGNOSE,
     "predict": ("predict", "bench", "bench", "--out", "out"),
     "decode": DECODE,

@@ -1,0 +1,54 @@
+"""Captures of headsets in closed form, and of a traced one with noise, for published methods."""
+
+from functools import cache
+
+import numpy as np
+
+from benchmarks import trials
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.mappings import EyeBox, Panel
+
+EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
+PANEL = Panel(1000, 800)
+PIXELS = PANEL.grid(13, 11).reshape(-1, 2)
+IN_VOLUME = EYE_BOX.at(np.random.default_rng(1).uniform(-1.0, 1.0, (30, 3)))
+IN_PLANE = EYE_BOX.at(np.random.default_rng(1).uniform(-1.0, 1.0, (30, 3)) * [1.0, 1.0, 0.0])
+
+
+def display_captures(positions, direction_of, pixels=PIXELS):
+    """Pixels seen from positions (k, 3), in the directions (n, 3) that `direction_of` gives (pixel, viewpoint)."""
+    capture = np.repeat(np.arange(len(positions)), len(pixels))
+    pixel, viewpoint = np.tile(pixels, (len(positions), 1)), positions[capture]
+    direction = direction_of(pixel, viewpoint)
+    direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    return DisplayCaptures("toy", "right", EYE_BOX, PANEL, viewpoint, direction, pixel, capture, np.zeros(len(pixel)))
+
+
+def see_through_captures(positions, tangents_of, depths=(0.4, 3.0)):
+    """Dots of flat targets seen from positions (k, 3), under the tangents of `tangents_of` (point, viewpoint)."""
+    grid = np.stack(np.meshgrid(np.linspace(-0.6, 0.6, 13), np.linspace(-0.5, 0.5, 11)), axis=-1).reshape(-1, 2)
+    targets = [np.column_stack([grid * depth, np.full(len(grid), -depth)]) for depth in depths]
+    point = np.tile(np.concatenate(targets) + EYE_BOX.centre, (len(positions), 1))
+    capture = np.repeat(np.arange(len(positions)), len(depths) * len(grid))
+    pose = np.tile(np.repeat(np.arange(len(depths)), len(grid)), len(positions))
+    direction = dir_of_tangents(tangents_of(point, positions[capture]))
+    return SeeThroughCaptures(
+        "toy", "right", EYE_BOX, positions[capture], direction, point, capture, pose, np.zeros(len(point))
+    )
+
+
+@cache
+def traced():
+    """North Star's exact optics, 25 captures of each part with 1' of noise, and exact test observations of both."""
+    at = trials.EvaluatedEye("northstar", "right", (10.0, 8.0, 6.0))
+    rng = np.random.default_rng(3)
+    captures = [
+        trials.with_camera_noise(trials.exact_captures(simulate, at, "planar", 25), 1.0, rng)
+        for simulate in (trials.simulate_display, trials.simulate_see_through)
+    ]
+    return trials.truth(at), *captures, trials.display_observations(at, 0), trials.see_through_observations(at, 0)
+
+
+def rms(error):
+    return float(np.sqrt(np.mean(error[np.isfinite(error)] ** 2)))

@@ -1,0 +1,162 @@
+"""Comparison of methods on a small experiment: tables, standard errors, refusals; and the noise of pixels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import trials
+from benchmarks.rivals import comparison as methods_module
+from benchmarks.rivals import study
+from benchmarks.rivals.method_trials import OUTLIER_PX, MethodMeasure, MethodTrial, _data
+from benchmarks.rivals.methods import METHODS, Method
+from benchmarks.trial_study import Findings
+from wlr_render.captures.correspondences import DisplayCaptures
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.report.blocks import Text
+from wlr_render.simulation.simulate_captures import with_pixel_noise
+
+NAMES = ("planar", "linear-table-planar", "spaam")
+TITLES = (
+    "composite error",
+    "display and see-through apart",
+    "beyond the captures",
+    "cost",
+)
+BOX = (10.0, 8.0, 6.0)
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Two conditions and two numbers of camera positions."""
+    monkeypatch.setattr(methods_module, "CONDITIONS", {"exact": {}, "0.25 px": {"camera_noise_arcmin": 0.25}})
+    monkeypatch.setattr(methods_module, "_NOISY", "0.25 px")
+    monkeypatch.setattr(methods_module, "COUNTS", (9, 12))
+    monkeypatch.setattr(methods_module, "POSITIONS", 9)
+
+
+@pytest.fixture
+def in_process(monkeypatch):
+    """Trials run in this process, where a test has changed the methods."""
+    monkeypatch.setattr(trials, "as_finished", lambda function, tasks, spread, folder: map(function, tasks))
+
+
+def compared(out, names):
+    return study.run(study.RivalsOptions(("birdbath28",), methods=names, repeats=2, workers=1, seed=3, out=out))
+
+
+def captures(view_dir):
+    """Of one pixel, seen in directions (n, 3)."""
+    n = len(view_dir)
+    box = EyeBox(np.zeros(3), np.full(3, 0.01))
+    rows = np.zeros((n, 3)), view_dir, np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros(n)
+    return DisplayCaptures("toy", "right", box, Panel(100, 80), *rows)
+
+
+def test_tables_of_methods(small, in_process, tmp_path):
+    first = compared(tmp_path, NAMES)
+    assert [table.title for table in first.tables] == [
+        "Conditions",
+        "Methods",
+        *(f"birdbath28 (right): {title}" for title in TITLES),
+    ]
+    _, sources, composite, apart, beyond, cost = first.tables
+    for table in first.tables:
+        assert all(len(row) == len(table.columns) for row in table.rows)
+        assert len(set(table.columns)) == len(table.columns)  # keys of the rows in the JSON
+    assert [row[0] for row in sources.rows] == list(NAMES)
+    errors = ["exact (arcmin)", "0.25 px (arcmin)", "0.25 px +-"]
+    assert composite.columns == ["method", *errors, "repetitions at 0.25 px", "no answer (%)"]
+    assert [row[0] for row in composite.rows] == ["planar", "linear-table-planar", "spaam"]  # the best first
+    for _, exact, noisy, standard_error, repetitions, unanswered in composite.rows:
+        assert repetitions == 2
+        assert 0 <= unanswered < 10
+        assert 0 < exact <= 1.5 * noisy
+        assert 0 < standard_error < 0.5 * noisy
+    assert composite.rows[0][1] < 0.7 < composite.rows[2][1]
+    assert {row[0] for row in apart.rows} == {"planar", "linear-table-planar"}  # the two of a lumped one mean nothing
+    by_name = {row[0]: row for row in beyond.rows}
+    swim = np.sqrt(by_name["planar"][1] ** 2 - composite.rows[0][1] ** 2)
+    assert swim == pytest.approx(0.05 * np.sqrt(4.2**2 + 4.6**2 + 1.1**2), rel=0.35)
+    assert by_name["planar"][3] == pytest.approx(0.0, abs=1e-6)  # a ray bundle does not contradict itself
+    assert by_name["spaam"][2:4] == [None, None]
+    assert {row[0] for row in cost.rows} == set(NAMES)
+    assert all(row[4] > 0 and row[5] > 0 and row[6] > 0 for row in cost.rows)
+    numbers = {row[0]: row[4] for row in cost.rows}
+    assert numbers["spaam"] < 20 < numbers["linear-table-planar"]
+    assert "birdbath28 (right), 0.25 px: planar is best with" in first.verdict
+
+
+def test_a_method_that_cannot_use_the_captures_says_why_and_the_others_go_on(small, in_process, monkeypatch, tmp_path):
+    def refuse(data):
+        raise BadInputError("this one wants more of everything.")
+
+    monkeypatch.setitem(METHODS, "shy", Method("nobody", "none", refuse))
+    report = compared(tmp_path, ("shy", "spaam"))
+    assert [row[0] for row in report.tables[2].rows] == ["spaam"]
+    sentences = [block for block in report.blocks if isinstance(block, Text) and "could not use" in str(block)]
+    assert len(sentences) == 1
+    assert sentences[0].items == ["shy (exact, 0.25 px): this one wants more of everything."]
+
+
+def test_an_unknown_method_is_refused(tmp_path):
+    with pytest.raises(
+        BadInputError, match="--methods has spam; did you mean spaam\\? Choose all, or from planar, "
+    ) as refused:
+        compared(tmp_path, ("planar", "spam"))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(("given", "chosen", "repeats"), [(("all",), list(METHODS), 10), (NAMES, list(NAMES), 3)])
+def test_all_methods_are_chosen_by_name(monkeypatch, tmp_path, given, chosen, repeats):
+    asked = []
+
+    def experiment(trials, chosen):
+        asked.append((list(chosen), trials.repeats))
+        return Findings(())
+
+    monkeypatch.setattr(study, "compare_methods", experiment)
+    study.run(study.RivalsOptions(("birdbath28",), methods=given, out=tmp_path))
+    assert asked == [(chosen, repeats)] * 2
+
+
+def test_noise_of_pixels_is_smaller_off_axis_and_smallest_along_the_radius():
+    """A pixel of a pinhole camera covers cos across and cos^2 along the radius of what it does in the middle."""
+    angle = np.radians(40.0)
+    tangents = np.tan(angle) * np.array([[np.cos(0.3), np.sin(0.3)]])
+    exact = captures(np.repeat(dir_of_tangents(tangents), 20_000, axis=0))
+    noisy = with_pixel_noise(exact, 2.0, np.random.default_rng(1))
+    across = np.cross(exact.view_dir[0], [0.0, 0.0, -1.0])
+    across /= np.linalg.norm(across)
+    along = np.cross(across, exact.view_dir[0])
+    error = (noisy.view_dir - exact.view_dir) / ARCMIN
+    radial, other = np.std(error @ along), np.std(error @ across)
+    assert radial == pytest.approx(2.0 * np.cos(angle) ** 2, rel=0.02)
+    assert other == pytest.approx(2.0 * np.cos(angle), rel=0.02)
+    np.testing.assert_allclose(noisy.sigma_arcmin, np.sqrt(radial * other), rtol=0.02)
+    assert with_pixel_noise(exact, 0.0, np.random.default_rng(1)) is exact
+
+
+def test_outliers_are_8_pixels_at_the_share_that_is_asked_for():
+    clean = MethodTrial("birdbath28", "", None, 9, BOX)
+    data, wrong = (_data(replace(clean, outliers=share), 3) for share in (0.0, 0.1))
+    for eyes in ("planar", "volumetric"):
+        (shown, seen), (shown_wrong, seen_wrong) = (getattr(each, eyes).both for each in (data, wrong))
+        shift = np.linalg.norm(shown_wrong.pixel - shown.pixel, axis=1)
+        turned = arcmin_between(seen_wrong.view_dir, seen.view_dir)
+        for size in (shift, turned):
+            assert np.mean(size > 1e-6) == pytest.approx(0.1, rel=0.2)
+        np.testing.assert_allclose(shift[shift > 1e-6], OUTLIER_PX)
+        assert turned.max() <= OUTLIER_PX * (1 + 1e-6)
+        assert np.median(turned[turned > 1e-6]) > 0.9 * OUTLIER_PX
+
+
+def test_all_methods_of_a_condition_share_their_captures():
+    all_three = [MethodTrial("birdbath28", name, None, 9, BOX, camera_noise_arcmin=0.25) for name in NAMES]
+    assert len({trial.shared for trial in all_three}) == 1
+    assert all_three[0].shared != replace(all_three[0], repeat=1).shared
+    outcomes = [trial.run(3) for trial in all_three[1:]]
+    assert all(outcome.refused == "" and outcome.errors[MethodMeasure.COMPOSITE].rms > 0 for outcome in outcomes)
+    assert len({outcome.readings for outcome in outcomes}) == 1

@@ -1,0 +1,122 @@
+"""Neural distortion field: gradient through the sum along the ray, a known field recovered, both queries agree."""
+
+import itertools
+import time
+
+import numpy as np
+import pytest
+from scipy.optimize import check_grad
+
+from benchmarks.rivals.distortion_field import DistortionFieldDisplay, RayLayers, distortion_field
+from benchmarks.rivals.network_training import ProjectedLoss
+from wlr_render.captures.correspondences import DisplayCaptures
+from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
+from wlr_render.mappings import EyeBox, Panel
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box
+
+EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
+PANEL = Panel(1200, 1000)
+IMAGE_DIOPTRES = 1.5
+PER_TANGENT = 800.0
+
+
+@pytest.fixture(autouse=True)
+def _clock_of_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A budget of one second is a hundred looks at the clock, on machines of any speed."""
+    ticks = itertools.count()
+    monkeypatch.setattr(time, "process_time", lambda: 0.01 * next(ticks))
+
+
+def truth(viewpoint: FloatArray, tangents: FloatArray) -> FloatArray:
+    """Pixels (n, 2): a virtual image at `IMAGE_DIOPTRES` with barrel distortion and a swim no image plane has."""
+    offset = viewpoint - EYE_BOX.centre
+    seen = (tangents + IMAGE_DIOPTRES * offset[:, :2]) / (1.0 - IMAGE_DIOPTRES * offset[:, 2:])
+    radius = np.sum(seen**2, axis=1, keepdims=True)
+    swim = 0.3 * offset[:, :2] * tangents[:, :1] ** 2
+    return np.asarray(0.5 * PANEL.size_px + PER_TANGENT * (seen * (1.0 - 0.15 * radius) + swim))
+
+
+def rays(places: int, each: int, seed: int, inside: float = 1.0) -> tuple[FloatArray, FloatArray]:
+    """Viewpoints (n, 3) in a volume, the same for `each` rays, and view tangents (n, 2)."""
+    rng = np.random.default_rng(seed)
+    place = EYE_BOX.centre + inside * rng.uniform(-0.5, 0.5, (places, 3)) * EYE_BOX.size
+    return np.repeat(place, each, axis=0), inside * rng.uniform(-0.5, 0.5, (places * each, 2))
+
+
+def captures(noise: float = 0.0, stage_m: float = 0.0) -> DisplayCaptures:
+    """Sightings of `truth` with noise in arcminutes, of a camera that stands beside where the stage says."""
+    rng = np.random.default_rng(5)
+    viewpoint, tangents = rays(40, 80, 1)
+    off = np.repeat(rng.normal(0.0, stage_m, (40, 3)), 80, axis=0)
+    seen = tangents + rng.normal(0.0, noise * ARCMIN, tangents.shape)
+    return DisplayCaptures(
+        "toy",
+        "right",
+        EYE_BOX,
+        PANEL,
+        viewpoint,
+        dir_of_tangents(seen),
+        truth(viewpoint + off, tangents),
+        np.repeat(np.arange(40), 80),
+        np.full(len(seen), noise),
+    )
+
+
+def error_arcmin(model: DistortionFieldDisplay) -> float:
+    """Rms per axis of the backward query at viewpoints that were not captured."""
+    viewpoint, tangents = rays(100, 5, 2, inside=0.9)
+    off = model.pixel_of_view_dir(dir_of_tangents(tangents), viewpoint).value - truth(viewpoint, tangents)
+    return float(np.sqrt(np.mean(off**2)) / PER_TANGENT / ARCMIN)
+
+
+def test_gradient_through_the_sum_is_that_of_differences() -> None:
+    rng = np.random.default_rng(0)
+    box = Box(np.array([0.025, -0.004, 0.017, -0.5, -0.5]), np.array([0.035, 0.004, 0.023, 0.5, 0.5]))
+    layers = RayLayers((5, 4), box, EYE_BOX.centre, np.array([-1.0, 1.0, 4.0]))
+    inputs = rng.uniform(-1, 1, (30, 5))
+    loss = ProjectedLoss(layers, inputs, np.ones((30, 1)), np.ones((30, 1)), rng.normal(size=(30, 2)))
+    weights = layers.start(rng, np.ones(5))
+    weights[-4:] = rng.normal(size=4)
+    _, gradient = loss(weights)
+    off = check_grad(lambda w: loss(w)[0], lambda w: loss(w)[1], weights, epsilon=1e-6)
+    assert off < 1e-4 * np.linalg.norm(gradient)
+
+
+def test_points_of_a_ray_have_the_centre_as_origin() -> None:
+    """A ray through a point in space has the same features there from whichever viewpoint, but for its direction."""
+    box = Box(np.array([0.025, -0.004, 0.017, -0.5, -0.5]), np.array([0.035, 0.004, 0.023, 0.5, 0.5]))
+    point = EYE_BOX.centre + np.array([0.1, 0.05, -0.5])
+    layers = RayLayers((2,), box, EYE_BOX.centre, np.zeros(1))
+    expected = np.array([0.2, 0.1]) / 0.5
+    for viewpoint in EYE_BOX.centre + np.array([[0.0, 0.0, 0.0], [0.004, -0.003, 0.002]]):
+        depth = viewpoint[2] - point[2]
+        ray = np.concatenate([viewpoint, (point - viewpoint)[:2] / depth])
+        at = RayLayers(layers.units, box, EYE_BOX.centre, np.array([-1.0, 1.0 / depth, 4.0]))
+        np.testing.assert_allclose(at.features(box.scaled(ray[None]))[1, :2], expected, atol=1e-12)
+
+
+def test_recovers_a_virtual_image() -> None:
+    """To a twelfth of what the affine trend leaves, in some 300 evaluations."""
+    seen = captures()
+    viewpoint, tangents = seen.viewpoint, tangents_of_dir(seen.view_dir)
+    affine = np.hstack([np.ones((len(viewpoint), 1)), viewpoint, tangents])
+    rest = seen.pixel - affine @ np.linalg.lstsq(affine, seen.pixel, rcond=None)[0]
+    found = error_arcmin(distortion_field(seen, seconds=5.0, units=(16, 16)))
+    assert found < np.sqrt(np.mean(rest**2)) / PER_TANGENT / ARCMIN / 12.0
+
+
+def test_does_not_follow_noise_nor_stage_errors() -> None:
+    """1' of noise, and places off by 50 um."""
+    assert error_arcmin(distortion_field(captures(noise=1.0, stage_m=50e-6), seconds=3.0, units=(16, 16))) < 1.5
+
+
+def test_forward_query_inverts_the_backward_one() -> None:
+    model = distortion_field(captures(), seconds=1.0, units=(8, 8))
+    viewpoint, tangents = rays(20, 5, 3, inside=0.8)
+    direction = dir_of_tangents(tangents)
+    pixel = model.pixel_of_view_dir(direction, viewpoint).value
+    cold = model.view_dir_of_pixel(pixel, viewpoint)
+    np.testing.assert_allclose(tangents_of_dir(cold.value), tangents, atol=1e-9)
+    warm = model.view_dir_of_pixel(pixel, viewpoint, cold.warm_start)
+    np.testing.assert_allclose(warm.value, cold.value, atol=1e-9)

@@ -1,0 +1,174 @@
+"""SPAAM, DRC and INDICA on headsets that are what they assume, and on a traced one that is not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from rival_headsets import EYE_BOX, IN_VOLUME, PIXELS, display_captures, rms, see_through_captures, traced
+from scipy.spatial.transform import Rotation
+
+from benchmarks.rivals.pinhole import direct_plane, indica_full, indica_recycle, spaam, spaam_redone
+from wlr_render.captures.correspondences import EyeCaptures, select
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.mapping_error import display_error
+from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised
+from wlr_render.mappings import Status
+from wlr_render.models.static import undeviated
+
+EXACT = 1e-6  # arcminutes
+RNG = np.random.default_rng(5)
+PIXEL = RNG.uniform([50, 50], [950, 750], (40, 2))
+VIEWPOINT = EYE_BOX.at(RNG.uniform(-1, 1, (40, 3)))
+POINT = np.column_stack([VIEWPOINT[:, :2] + RNG.uniform(-0.1, 0.1, (40, 2)), RNG.uniform(-3, -0.3, 40)])
+TURN = Rotation.from_rotvec([0.03, -0.05, 0.1]).as_matrix()
+
+
+def screen(inverse_depth, shear=0.0):
+    """Direction of (pixel, viewpoint): a rectangular screen, sheared if asked, about 1 / inverse_depth away."""
+
+    def direction(pixel, viewpoint):
+        u, v = (pixel - [480.0, 410.0]).T
+        on_screen = np.stack([6e-4 * u, -7e-4 * v + shear * 6e-4 * u, np.full(len(u), -1.0)], axis=1) @ TURN.T
+        return on_screen - inverse_depth * (viewpoint - EYE_BOX.centre)
+
+    return direction
+
+
+def seen_error(model, direction_of):
+    """Arcminutes between a display's directions and the true ones, at other viewpoints and pixels."""
+    found = model.view_dir_of_pixel(PIXEL, VIEWPOINT).value
+    return arcmin_between(found, normalised(direction_of(PIXEL, VIEWPOINT))).max()
+
+
+def eye_at(offset):
+    """Tangents of (point, viewpoint): straight lines to an eye beside the viewpoint."""
+
+    def tangents(point, viewpoint):
+        to_point = point - (viewpoint + offset)
+        return to_point[:, :2] / -to_point[:, 2:]
+
+    return tangents
+
+
+@pytest.mark.parametrize("inverse_depth", [1.4, 0.0, -0.8])
+@pytest.mark.parametrize("fit", [direct_plane, indica_full])
+def test_a_flat_image_is_recovered_also_at_and_beyond_infinity(fit, inverse_depth):
+    truth = screen(inverse_depth)
+    model = fit(display_captures(IN_VOLUME[:5], truth))
+    assert seen_error(model, truth) < EXACT
+    back = model.pixel_of_view_dir(normalised(truth(PIXEL, VIEWPOINT)), VIEWPOINT)
+    np.testing.assert_allclose(back.value, PIXEL, atol=1e-6)
+    assert np.all(back.status == Status.OK)
+
+
+def test_a_screen_of_oblique_axes_is_a_plane_but_no_rigid_screen():
+    truth = screen(1.4, shear=0.05)
+    captures = display_captures(IN_VOLUME[:5], truth)
+    assert seen_error(direct_plane(captures), truth) < EXACT
+    assert seen_error(indica_full(captures), truth) > 10.0
+
+
+def spaam_captures(positions, offset, inverse_depth=1.4):
+    return EyeCaptures(
+        display_captures(positions, screen(inverse_depth)), see_through_captures(positions, eye_at(offset))
+    )
+
+
+def test_spaam_is_one_projection_for_all_viewpoints():
+    """The optics shift the eye by 4 mm: the projection has its centre there, and no viewpoint moves it."""
+    offset, nominal = np.array([4e-3, -2e-3, 1e-3]), EYE_BOX.centre[None]
+    captures = spaam_captures(nominal, offset)
+    twice = np.tile(np.arange(len(captures.both[1])), 2)  # the targets were photographed again
+    display, see_through = spaam(EyeCaptures(captures.display, select(captures.both[1], twice)))
+    eye = EYE_BOX.centre + offset
+    np.testing.assert_allclose(see_through.eye, eye[None], atol=1e-9)
+    seen = see_through.view_dir_of_real_point(POINT, VIEWPOINT)
+    np.testing.assert_allclose(seen.value, normalised(POINT - eye), atol=1e-9)
+    pixel = display.pixel_of_view_dir(seen.value, VIEWPOINT).value
+    direction = normalised(screen(1.4)(pixel, np.broadcast_to(EYE_BOX.centre, VIEWPOINT.shape)))
+    assert arcmin_between(direction, normalised(POINT - eye)).max() < EXACT
+    ray = see_through.real_ray_of_view_dir(seen.value, VIEWPOINT).value
+    np.testing.assert_allclose(np.cross(POINT - ray[:, :3], ray[:, 3:]), 0.0, atol=1e-9)
+
+
+def test_spaam_redone_is_exact_at_its_positions_alone():
+    positions = IN_VOLUME[:3]
+    display, see_through = spaam_redone(spaam_captures(positions, np.zeros(3)))
+    for viewpoint, largest in ((positions[1], EXACT), (positions[1] + [5e-4, 0.0, 0.0], np.inf)):
+        seen = see_through.view_dir_of_real_point(POINT, viewpoint).value
+        pixel = display.pixel_of_view_dir(seen, viewpoint).value
+        true = normalised(screen(1.4)(pixel, np.broadcast_to(viewpoint, POINT.shape)))
+        error = arcmin_between(true, normalised(POINT - viewpoint)).max()
+        assert error < largest
+    assert error > 1.0  # half a millimetre beside it
+    np.testing.assert_allclose(see_through.eye, positions, atol=1e-9)
+
+
+def test_recycled_spaam_follows_the_eye_when_the_screen_lies_across_its_axis():
+    captures = spaam_captures(np.concatenate([EYE_BOX.centre[None], IN_VOLUME[:4]]), np.zeros(3))
+    assert seen_error(spaam(captures)[0], screen(1.4)) > 10.0
+    assert seen_error(indica_recycle(captures), screen(1.4)) < EXACT
+
+
+def test_pixels_outside_the_fit_and_behind_the_eye_have_their_status():
+    model = direct_plane(display_captures(IN_VOLUME[:5], screen(1.4)))
+    viewpoint = EYE_BOX.centre
+    assert model.view_dir_of_pixel(np.array([1500.0, 400.0]), viewpoint).status == Status.OUTSIDE_FIT
+    behind = model.view_dir_of_pixel(np.array([500.0, 400.0]), viewpoint - [0.0, 0.0, 3.0])
+    assert behind.status == Status.NOT_CONVERGED
+    assert np.isnan(behind.value).all()
+    backwards = model.pixel_of_view_dir(dir_of_tangents(np.zeros(2)), viewpoint - [0.0, 0.0, 3.0])
+    assert backwards.status == Status.NOT_CONVERGED
+
+
+def test_there_is_no_covariance():
+    display, see_through = spaam(spaam_captures(EYE_BOX.centre[None], np.zeros(3)))
+    with pytest.raises(BadInputError, match="only models fitted by maximum evidence"):
+        display.sigma(PIXEL, VIEWPOINT)
+    with pytest.raises(BadInputError, match="only models fitted by maximum evidence"):
+        see_through.sigma(POINT, VIEWPOINT)
+
+
+def test_captures_that_do_not_serve_are_refused():
+    whole = spaam_captures(IN_VOLUME[:4], np.zeros(3))
+    display, see_through = whole.both
+    one_depth = select(see_through, see_through.target_pose == 0)
+    elsewhere = dataclasses.replace(see_through, viewpoint=see_through.viewpoint + [0.0, 2e-3, 0.0])
+    for captures in (EyeCaptures(display, one_depth), EyeCaptures(display, elsewhere)):
+        with pytest.raises(BadInputError, match="two target depths from the same position"):
+            spaam(captures)
+    with pytest.raises(BadInputError, match="no see-through part"):
+        indica_recycle(EyeCaptures(display))
+    line = display_captures(IN_VOLUME[:4], screen(1.4), np.column_stack([PIXELS[:, 0], np.full(len(PIXELS), 400.0)]))
+    alone = select(display, display.capture == 0)
+    for fit in (direct_plane, indica_full):
+        with pytest.raises(BadInputError, match="one line"):
+            fit(line)
+        with pytest.raises(BadInputError, match="two or more camera positions"):
+            fit(alone)
+    with pytest.raises(BadInputError, match="two or more camera positions"):
+        indica_recycle(EyeCaptures(alone, see_through))
+
+
+def composite_arcmin(display, see_through):
+    """Angle at the eye between the real point and the pixel drawn for it, on the traced headset."""
+    truth, _, _, _, observed = traced()
+    seen = see_through.view_dir_of_real_point(observed.point, observed.viewpoint).value
+    pixel = display.pixel_of_view_dir(seen, observed.viewpoint).value
+    shown = truth.display.view_dir_of_pixel(pixel, observed.viewpoint).value
+    return rms(arcmin_between(shown, observed.view_dir))
+
+
+def test_a_traced_headset_is_no_projector():
+    """A flat image misses North Star's distortion by a degree, however it is fitted; noise does not matter."""
+    _, display, see_through, observed, _ = traced()
+    both, straight = EyeCaptures(display, see_through), undeviated(EYE_BOX)
+    plane = display_error(direct_plane(display), observed)
+    assert rms(plane.forward_arcmin) == pytest.approx(63.5, abs=0.5)
+    assert rms(plane.backward_px) == pytest.approx(34.0, abs=0.5)
+    assert rms(display_error(indica_full(display), observed).forward_arcmin) == pytest.approx(64.2, abs=0.5)
+    once, again = composite_arcmin(*spaam(both)), composite_arcmin(*spaam_redone(both))
+    followed = composite_arcmin(indica_recycle(both), straight)
+    assert once == pytest.approx(77.2, abs=1.0)
+    assert again == pytest.approx(71.0, abs=1.0)
+    assert followed == pytest.approx(71.1, abs=1.0)

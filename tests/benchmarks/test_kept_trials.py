@@ -1,0 +1,99 @@
+"""Outcomes of trials that are kept: what is run again, what is deleted, seeds apart."""
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+
+import pytest
+
+from benchmarks import kept_trials
+from benchmarks.kept_trials import damaged_outcomes, finished_trials
+from wlr_render.errors import BadInputError
+from wlr_render.processes import THIS_MACHINE
+
+
+@dataclass(frozen=True)
+class NamedTrial:
+    file: str
+
+
+@dataclass(frozen=True)
+class NamedOutcome:
+    trial: NamedTrial
+    seed: int
+
+
+TASKS = [NamedTrial("a.json"), NamedTrial("b.json")]
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """Names of the trials that were run, each with its seed; all are run in this process."""
+    monkeypatch.setattr(kept_trials, "as_finished", lambda run, tasks, spread, folder: map(run, tasks))
+    return []
+
+
+def finished(runs, folder, seed, resume, tasks=TASKS):
+    def run(trial, seed):
+        runs.append((trial.file, seed))
+        return NamedOutcome(trial, seed)
+
+    def load(trial, content):
+        return NamedOutcome(trial, content["seed"])
+
+    return list(finished_trials(run, load, tasks, seed=seed, folder=folder, resume=resume, spread=THIS_MACHINE))
+
+
+def test_only_what_is_missing_is_run_again(runs, tmp_path):
+    first = finished(runs, tmp_path, 1, resume=False, tasks=TASKS[:1])
+    assert finished(runs, tmp_path, 1, resume=True) == [*first, NamedOutcome(TASKS[1], 1)]
+    assert runs == [("a.json", 1), ("b.json", 1)]
+
+
+def test_without_resume_all_is_run_again(runs, tmp_path):
+    finished(runs, tmp_path, 1, resume=False)
+    finished(runs, tmp_path, 1, resume=False, tasks=TASKS[:1])
+    assert runs == [("a.json", 1), ("b.json", 1), ("a.json", 1)]
+    assert [path.name for path in tmp_path.rglob("*.json")] == ["a.json"]
+
+
+def test_outcomes_of_another_seed_are_not_used(runs, tmp_path):
+    finished(runs, tmp_path, 1, resume=False)
+    assert finished(runs, tmp_path, 2, resume=True) == [NamedOutcome(task, 2) for task in TASKS]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda text: text[:-9],
+        lambda text: text.replace('"seed": 1', '"seed": 7'),
+        str.upper,
+        lambda text: "[" * 100_000,
+        lambda text: json.dumps({"outcome": 1, "sha256": hashlib.sha256(b"1").hexdigest()}),
+    ],
+)
+def test_an_outcome_that_is_not_as_it_was_written_is_run_again_and_named(runs, tmp_path, damage):
+    first = finished(runs, tmp_path, 1, resume=False)
+    path = tmp_path / "seed-1" / "b.json"
+    assert damaged_outcomes(tmp_path, 1) == []
+    path.write_text(damage(path.read_text()))
+    assert damaged_outcomes(tmp_path, 1) == [path]
+    assert finished(runs, tmp_path, 1, resume=True) == first
+    assert runs == [("a.json", 1), ("b.json", 1), ("b.json", 1)]
+    assert damaged_outcomes(tmp_path, 1) == []
+
+
+def test_an_outcome_of_other_values_is_named_and_a_pipe_is_replaced(runs, tmp_path):
+    finished(runs, tmp_path, 1, resume=False)
+    path = tmp_path / "seed-1" / "b.json"
+    content = {"sort": 1}
+    path.write_text(
+        json.dumps({"sha256": hashlib.sha256(json.dumps(content).encode()).hexdigest(), "outcome": content})
+    )
+    with pytest.raises(BadInputError, match=r"b\.json: cannot be read as the outcome of a trial .*; remove it"):
+        finished(runs, tmp_path, 1, resume=True)
+    path.unlink()
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(path)
+    assert finished(runs, tmp_path, 1, resume=True) == [NamedOutcome(task, 1) for task in TASKS]

@@ -1,0 +1,158 @@
+"""Trials of simulated captures: errors of fitted models, random numbers, tasks, and outcomes that are kept."""
+
+import hashlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_headsets import changed_device
+
+from benchmarks.__main__ import main
+from benchmarks.accuracy.study import AccuracyOptions, run
+from benchmarks.trial_study import Study, pooled, trial_at
+from benchmarks.trials import (
+    DisplayTrial,
+    EvaluatedEye,
+    Measure,
+    NoModelTrial,
+    Outcome,
+    SeeThroughTrial,
+    tasks_of,
+)
+from wlr_render.errors import BadInputError
+from wlr_render.evaluation.metrics import summary
+
+SEED = 3
+BOX = (10.0, 8.0, 6.0)
+EXACT = {"part": ("camera-positions",), "counts": (2,), "workers": 1}
+
+
+def display(device, kind, degree, count, **more):
+    return DisplayTrial(device, kind, degree, count, BOX, **more)
+
+
+def see_through(device, kind, degree, count, **more):
+    return SeeThroughTrial(device, kind, degree, count, BOX, **more)
+
+
+@pytest.mark.parametrize(
+    ("trial", "measure", "expected"),
+    [
+        (display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0), Measure.FORWARD, 0.272),
+        (display("northstar", "planar", 4, 25, tracking_error_mm=0.05), Measure.FORWARD, 1.47),
+        (see_through("northstar", "planar", 3, 25), Measure.REAL_POINT, 0.017),
+        (NoModelTrial(EvaluatedEye("northstar", "right", BOX)), Measure.REAL_POINT, 12.2),
+    ],
+)
+def test_first_figures_are_reproduced(trial, measure, expected):
+    # Found once with an independent program in the same eye box. Its field is not known: northstar's nominal field was
+    # picked, among some tried, because the display figures at N=3 to 5 are met in it. Their agreement says that tracer,
+    # fit and judge go together; it is no evidence for the field.
+    np.testing.assert_allclose(trial.run(SEED).rms(measure), expected, rtol=0.2)
+
+
+def test_a_stage_that_turns_the_camera_is_found_and_its_error_is_predicted():
+    trial = display("birdbath28", "planar", 3, 12, camera_noise_arcmin=0.25, stage_turn_urad=300.0)
+    outcome = trial.run(SEED)
+    assert outcome.found.wobble_urad == pytest.approx(300.0, rel=0.5)
+    assert outcome.found.noise_arcmin == pytest.approx(0.25, rel=0.1)
+    assert 0.5 < outcome.rms(Measure.PREDICTED) / outcome.rms(Measure.FORWARD) < 2.0
+    assert outcome.seconds > 0.0
+
+
+def test_errors_depend_on_the_field_that_they_are_stated_in():
+    nominal, whole = (display("northstar", "planar", 3, 9, whole_panel=w).run(SEED) for w in (False, True))
+    assert whole.rms(Measure.FORWARD) > nominal.rms(Measure.FORWARD)
+
+
+def test_an_unknown_model_is_refused():
+    with pytest.raises(BadInputError, match="kind of display model 'cubic'"):
+        display("birdbath28", "cubic", 1, 5).run(SEED)
+
+
+def test_each_trial_has_its_own_random_numbers():
+    trial = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    again = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    other = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0, repeat=1)
+    left = replace(trial, eye="left")
+    numbers = [t.rng(SEED).normal() for t in (trial, again, other, left)] + [trial.rng(SEED + 1).normal()]
+    assert numbers[0] == numbers[1]
+    assert len(set(numbers)) == 4
+
+
+def test_trials_that_share_captures_make_one_task_and_none_runs_twice():
+    quiet = display("northstar", "planar", 5, 25)
+    noisy = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    other = display("northstar", "planar", 5, 121)
+    assert tasks_of([quiet, noisy, other, quiet]) == [[other], [quiet, noisy]]
+
+
+def test_no_two_trials_share_the_file_of_an_outcome():
+    trial = display("northstar", "planar", 5, 25, camera_noise_arcmin=1.0)
+    others = [replace(trial, eye="left"), replace(trial, repeat=1), replace(trial, device="birdbath28")]
+    others += [SeeThroughTrial("northstar", "planar", 5, 25, trial.eye_box_mm, 1.0), NoModelTrial(trial.at)]
+    assert len({each.file for each in (trial, *others)}) == 6
+
+
+def test_trials_with_random_errors_are_repeated_and_pooled():
+    study = Study([], lambda trial: Outcome({Measure.FORWARD: summary([3.0 + trial.repeat])}), 2)
+    trial = trial_at(DisplayTrial, EvaluatedEye("a", "right", BOX), "planar", None, 25)
+    assert len(study.repeated(trial)) == 1
+    noisy = replace(trial, camera_noise_arcmin=1.0)
+    assert len(study.repeated(noisy, most=1)) == 1
+    assert pooled(study.repeated(noisy), Measure.FORWARD) == pytest.approx(np.sqrt(12.5))
+
+
+def test_a_study_does_not_depend_on_workers_and_is_resumed_and_has_its_own_eye_box(tmp_path):
+    first, second = (
+        run(AccuracyOptions(("birdbath28",), **EXACT | {"workers": workers}, out=tmp_path / str(workers)))
+        for workers in (1, 2)
+    )
+    assert first.tables == second.tables
+    for path in (tmp_path / "1" / "trials").rglob("*.json"):
+        kept = json.loads(path.read_text())
+        kept["outcome"]["errors"]["forward (arcmin)"]["rms"] = 77.0
+        kept["sha256"] = hashlib.sha256(json.dumps(kept["outcome"]).encode()).hexdigest()
+        path.write_text(json.dumps(kept))
+    resumed = run(AccuracyOptions(("birdbath28",), **EXACT, resume=True, out=tmp_path / "1"))
+    assert resumed.tables[1].rows[0][3] == 77.0
+
+
+def test_the_eye_box_is_that_of_the_device_unless_another_is_given(tmp_path):
+    small = changed_device(tmp_path, "northstar", ("[10.0, 8.0, 6.0]", "[6.0, 4.0, 4.0]"))
+    own, overridden = (
+        run(AccuracyOptions((device,), box=box, eye=eye, **EXACT, out=tmp_path / "out"))
+        for device, box, eye in ((small, None, "both"), ("northstar", (6.0, 4.0, 4.0), "right"))
+    )
+    assert [row[:2] for row in own.tables[0].rows] == [
+        ["northstar (left)", "6 x 4 x 4 mm"],
+        ["northstar (right)", "6 x 4 x 4 mm"],
+    ]
+    assert own.tables[1].rows[-2:] == overridden.tables[1].rows
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--part", "densty"], "densty"),
+        (["--draws", "0"], "--draws is 0"),
+        (["--part", "stage", "--counts", "3"], "--counts is used with --part camera-positions"),
+        (["--box", "10x8"], "'10x8' is not width, height and depth in mm"),
+        (["--box", "10x8x0"], "--box is 0.0; it must be a finite number above 0"),
+        (["no-such-device"], "no-such-device"),
+        (["no_optics", "--eye", "left"], "no left eye"),
+    ],
+)
+def test_impossible_studies_are_refused_before_they_start(arguments, words, tmp_path, capsys):
+    assert main(["accuracy", *arguments, "--out", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_empty_lists_are_refused(tmp_path):
+    for name in ("device", "part", "counts"):
+        with pytest.raises(BadInputError, match=f"{name} is empty"):
+            run(AccuracyOptions(**{name: ()}, out=tmp_path))

@@ -1,1 +1,0 @@
-"""`evaluate`: compare model types and numbers of camera positions on simulated captures."""
