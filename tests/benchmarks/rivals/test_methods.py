@@ -7,8 +7,8 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-from wlr_render.rivals import methods, networks
 
+from benchmarks.rivals import methods, networks
 from benchmarks.rivals.method_trials import _bench_of, _drawn
 from benchmarks.rivals.methods import METHODS, REGRESSORS, STRUCTURES, MethodData
 from benchmarks.trials import EvaluatedEye, capture_setup
