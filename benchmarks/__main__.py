@@ -24,6 +24,7 @@ BENCHMARKS = {
     "design": "Errors of simulated sessions by the design of their camera places.",
     "wear": "Self-calibration by clicks over half an hour of simulated wear with slips.",
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
+    "raster": "Rasterised frames, and the paper's raster, compared with ray tracing pixel by pixel.",
     "renderers": "Other renderers on a headset's rays, compared with Embree.",
     "exports": "Other programs that read exports, compared with our own maps.",
     "rivals": "Published methods and ours on the same captures, simulated or measured by others.",

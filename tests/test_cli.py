@@ -12,7 +12,6 @@ import sys
 import typing
 from pathlib import Path
 
-import numpy as np
 import pytest
 from command_line import refused
 from cyclopts import Parameter
@@ -21,7 +20,6 @@ from wlr_render import __version__
 from wlr_render.atomic_files import resource
 from wlr_render.cli import FOLDERS_OF_VERBS, VERBS, main, make_app
 from wlr_render.errors import MissingGlError
-from wlr_render.jobs.compare import CompareOptions
 from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of
 from wlr_render.jobs.render import RenderOptions
@@ -31,7 +29,6 @@ from wlr_render.report.terminal import print_report
 
 ROOT = Path(__file__).resolve().parent.parent
 every_verb = pytest.mark.parametrize("verb", VERBS, ids=lambda verb: verb.words)
-PAPERS_RASTER = ("--raster-camera", "viewpoint", "--map-from", "mesh")
 HEAVY = (
     *("numpy", "scipy", "cv2", "trimesh", "pyrender", "moderngl", "matplotlib", "embreex", "jinja2", "plotly"),
     *("OpenEXR", "distributed", "mitsuba", "optiland", "pdoc"),  # of extras
@@ -326,7 +323,7 @@ FAULTS = {
     "eye that is not there": (lambda f: ["trace", "no_optics", "--eye", "left"], "has no left eye; choose right"),
     "unknown scene": (lambda f: ["render", device(f), "dest"], "Did you mean desk"),
     "empty PLY": (lambda f: ["render", device(f), empty_mesh(f)], "empty.ply"),
-    "empty OBJ": (lambda f: ["compare", device(f), empty_obj(f)], "empty.obj"),
+    "empty OBJ": (lambda f: ["render", device(f), empty_obj(f)], "empty.obj"),
     "NaN in a mesh": (lambda f: ["render", device(f), mesh_with_nan(f)], "nan.ply: mesh"),
     "times out of order": (
         lambda f: ["render", device(f), "dots", "--head", disordered_head(f)],
@@ -335,10 +332,6 @@ FAULTS = {
     "viewpoint outside in a track": (
         lambda f: ["render", device(f), "dots", "--eye-track", eyes_outside(f)],
         "eyes.txt at 0.0000 s, right eye: the viewpoint (20.00, 0.00, 0.00) mm lies outside the eye box",
-    ),
-    "viewpoint outside": (
-        lambda f: ["compare", device(f), "dots", "--viewpoint-offset-mm", "0", "0", "9"],
-        "--viewpoint-offset-mm: the viewpoint (0.00, 0.00, 9.00) mm lies outside",
     ),
     "contradiction": (
         lambda f: ["render", device(f), "dots", "--shadows"],
@@ -352,9 +345,9 @@ FAULTS = {
         lambda f: ["render", device(f), "dots", "--red-model", "red.json"],
         "--red-model and --blue-model go together; give both or neither.",
     ),
-    "unknown choice": (lambda f: ["compare", device(f), "dots", "--eye", "third"], '"third" for --eye'),
+    "unknown choice": (lambda f: ["render", device(f), "dots", "--eye", "third"], '"third" for --eye'),
     "no number": (lambda f: ["demo", "--viewpoints", "many"], "'many' is not a whole number"),
-    "fewer numbers": (lambda f: ["compare", device(f), "dots", "--viewpoint-offset-mm", "1"], "--viewpoint-offset-mm"),
+    "fewer numbers": (lambda f: ["export", "npz", device(f), "--viewpoint-mm", "1"], "--viewpoint-mm"),
     "too few viewpoints": (lambda f: ["demo", "--viewpoints", "4"], "--viewpoints is 4"),
     "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: there is no such file"),
 }
@@ -373,18 +366,17 @@ def test_model_files_that_cannot_be_read_are_refused(model_file, tmp_path, capsy
     short = text_file(tmp_path, "short.json", text[: len(text) // 2])
     newer = text_file(tmp_path, "newer.json", json.dumps(json.loads(text) | {"version": 99}))
     for path, sentence in ((short, "cannot be read as a model"), (newer, "has version 99; this program reads version")):
-        assert sentence in refused(["compare", path, "dots", "--out", str(tmp_path / "out")], capsys)
+        assert sentence in refused(["render", path, "dots", "--out", str(tmp_path / "out")], capsys)
     left = refused(["render", model_file, "dots", "--eye", "left", "--out", str(tmp_path / "out")], capsys)
     assert "is a model of the right eye" in left
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("verb", ["trace", "render", "compare", "demo"])
+@pytest.mark.parametrize("verb", ["trace", "render", "demo"])
 def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
     arguments = {
         "trace": [device(tmp_path)],
         "render": [device(tmp_path), "dots"],
-        "compare": [device(tmp_path), "dots"],
         "demo": ["--device", device(tmp_path)],
     }
     text_file(tmp_path, "taken", "a file")
@@ -393,14 +385,14 @@ def test_an_output_folder_that_is_a_file_is_refused(verb, tmp_path, capsys):
     assert (tmp_path / "taken").read_text() == "a file\n"
 
 
-@pytest.mark.parametrize("verb", ["render", "compare"])
-def test_missing_opengl_is_told_and_leaves_nothing_behind(verb, tmp_path, capsys, monkeypatch):
+def test_missing_opengl_is_told_and_leaves_nothing_behind(tmp_path, capsys, monkeypatch):
     def refuse(backend="auto"):
         raise MissingGlError("No OpenGL: install libegl1, or draw ray-traced frames.")
 
     monkeypatch.setattr(gl, "open_context", refuse)
     out = tmp_path / "out"
-    assert "install libegl1" in refused([verb, device(tmp_path), "dots", "--backend", "egl", "--out", str(out)], capsys)
+    given = ["render", device(tmp_path), "dots", "--backend", "egl", "--out", str(out)]
+    assert "install libegl1" in refused(given, capsys)
     assert not out.exists() or not list(out.iterdir())
 
 
@@ -442,15 +434,6 @@ def test_render_says_what_it_drew_and_what_it_kept(tmp_path, capsys):
     assert "0 frames drawn, 1 kept from an earlier run" in capsys.readouterr().out
 
 
-def test_compare_prints_its_table(gl_context, tmp_path, capsys):
-    offset = ["--viewpoint-offset-mm", "1", "-1", "0.5"]
-    arguments = ["compare", device(tmp_path), "dots", *offset, "--out", str(tmp_path / "out")]
-    assert main(arguments) == 0
-    assert "raster + warp" in capsys.readouterr().out
-    record = json.loads((tmp_path / "out" / "report.json").read_text())
-    np.testing.assert_allclose(record["viewpoint_in_device_m"]["right"], [0.001, -0.001, 0.0005])
-
-
 def options_given_by(arguments):
     """The options that a command line makes."""
     _, bound, _ = make_app().parse_args(arguments, exit_on_error=False, print_error=False)
@@ -473,14 +456,13 @@ def test_options_reach_the_jobs():
         shadows=True,
         video=True,
     )
-    warping = ["--materials", "gltf", "--resolution", "1.5", "--map-from", "mesh", "--maps", "pfm", "--per-colour"]
+    warping = ["--materials", "gltf", "--resolution", "1.5", "--maps", "pfm", "--per-colour"]
     colours = ["--red-model", "r.json", "--blue-model", "b.json", "--backend", "osmesa", "--out", "elsewhere"]
     assert options_given_by(["render", "g.json", "desk", *warping, *colours]) == RenderOptions(
         "g.json",
         "desk",
         materials="gltf",
         resolution=1.5,
-        map_from="mesh",
         maps="pfm",
         per_colour=True,
         red_model=Path("r.json"),
@@ -492,24 +474,6 @@ def test_options_reach_the_jobs():
     assert options_given_by(["demo", *chosen, "--backend", "cpu", "--out", "elsewhere"]) == DemoOptions(
         device="birdbath28", scene="desk", eye="left", viewpoints=9, seed=4, backend="cpu", out=Path("elsewhere")
     )
-    offset = ["--viewpoint-offset-mm", "1", "-2", "0.5"]
-    assert options_given_by(["compare", "a", "b", "--eye", "left", *offset]) == CompareOptions(
-        "a", "b", eye="left", viewpoint_offset_mm=(1.0, -2.0, 0.5)
-    )
-
-
-@pytest.mark.parametrize(
-    ("verb", "arguments"),
-    [("render", "a b"), ("demo", "--seed 1"), ("compare", "a b"), ("verify session", "s")],
-    ids=str,
-)
-def test_every_verb_that_rasters_takes_the_raster_of_the_paper(verb, arguments, capsys):
-    words = [*verb.split(), *arguments.split()]
-    default, paper = (options_given_by([*words, *given]) for given in ([], PAPERS_RASTER))
-    assert (default.raster_camera, default.map_from) == ("nearest", "depth")
-    assert (paper.raster_camera, paper.map_from) == ("viewpoint", "mesh")
-    shown = printed_by([*verb.split(), "--help"], capsys)
-    assert all(flag in shown for flag in PAPERS_RASTER[::2])
 
 
 def test_tables_are_whole_in_a_pipe(monkeypatch, capsys):

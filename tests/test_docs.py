@@ -187,7 +187,7 @@ def test_commands_that_messages_and_docstrings_name_exist(path):
         "`./wlr calibrate SESSION`",
         "```\n./wlr render northstar\n```\n",
         "```\n./wlr render northstar desk --maps jpeg  # a comment\n```\n",
-        "    ./wlr compare northstar desk --eyes left\n",
+        "    ./wlr render northstar desk --eyes left\n",
     ],
 )
 def test_wrong_commands_are_found(text):

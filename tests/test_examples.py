@@ -20,7 +20,7 @@ EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0
 WORDS_AND_FILES = {
     "01_world_rays": ("2304000 rays, 100.0% of them OK", set()),
     "02_calibrate": ("error against the exact optics, over the eye box: 0.0", {"birdbath28.model.json"}),
-    "03_render_a_frame": ("pixels are disoccluded", {"raster.png", "raytrace.png", "warp.tiff"}),
+    "03_render_a_frame": ("registration", {"raster.png", "raytrace.png", "warp.tiff"}),
     "04_moving_wearer": (
         "again: 0 frames drawn, 4 kept from an earlier run",
         {"head.tum", "eyes.txt", "frames"},

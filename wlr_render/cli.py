@@ -60,7 +60,6 @@ VERBS = (
         "export:export",
         "Write a headset's warp maps for other programs, with a page that explains them.",
     ),
-    Verb("compare", DRAW, "compare:compare", "Measure the error of rasterisation against ray tracing, pixel by pixel."),
     Verb(
         "plan",
         CALIBRATE,
@@ -244,7 +243,7 @@ def make_app() -> App:
         *folder, name = verb.words.split()
         parent = folders[folder[0]] if folder else app
         group_of_verb = None if folder else groups[verb.group]
-        note = EPILOGUE if verb.words in ("render", "compare", "export") else DEBUG_NOTE
+        note = EPILOGUE if verb.words in ("render", "export") else DEBUG_NOTE
         parent.command(
             f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group_of_verb, help_epilogue=note
         )

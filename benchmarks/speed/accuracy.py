@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.raster.disocclusion import hidden_from
+from benchmarks.raster.raster_error import raster_error
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.frame_handle import row_poses
 from wlr_render.compositing.scene_source import SceneSource
-from wlr_render.evaluation.disocclusion import hidden_from
 from wlr_render.evaluation.metrics import summary
-from wlr_render.evaluation.raster_error import raster_error
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray

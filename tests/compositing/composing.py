@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
 
+from benchmarks.raster.disocclusion import disoccluded
+from benchmarks.raster.raster_error import raster_error
 from benchmarks.speed.accuracy import near_silhouettes
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
-from wlr_render.evaluation.disocclusion import disoccluded
-from wlr_render.evaluation.raster_error import raster_error
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeMappings
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth

@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -53,22 +52,6 @@ def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
     assert raster[0] == pytest.approx(traced[0], rel=0.02)
     # Each point of the grid of 48 x 54 that shows the scene is judged, at every viewpoint.
     assert all(500 * 5 < row[3] <= 48 * 54 * 5 for row in found.values())
-
-
-@pytest.mark.slow
-def test_the_raster_of_the_paper_shows_other_pixels_at_the_same_points(
-    finished, small_northstar, tmp_path, fit_with_memo, monkeypatch
-):
-    """Its map is that of the ray-traced frame; its colours come from an image drawn from the viewpoint."""
-    monkeypatch.setattr(FIT, fit_with_memo)
-    options = DemoOptions(device=small_northstar, viewpoints=5, out=tmp_path)
-    paper = demo(replace(options, raster_camera="viewpoint", map_from="mesh"))
-    figures = overall(paper)
-    assert figures["raster + warp"] == figures["ray traced"] == overall(finished[0])["ray traced"]
-    names = ["panel-raster-warp.png", "panel-ray-traced.png"]
-    drawn, before = ([read_png(folder / name) for name in names] for folder in (tmp_path, finished[1]))
-    assert np.array_equal(drawn[1], before[1])
-    assert not np.array_equal(drawn[0], before[0])
 
 
 @pytest.mark.slow

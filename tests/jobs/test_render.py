@@ -329,28 +329,6 @@ def test_backend_and_video_may_change_between_runs(options, gl_context):
         render(replace(options, backend="cpu"))
 
 
-def test_map_from_the_mesh_shows_the_same_picture(options):
-    render(options)
-    meshed = replace(options, map_from="mesh", out=options.out.with_name("meshed"))
-    render(meshed)
-    depth, mesh = (read_png(each.out / "right-000000.png").astype(int) for each in (options, meshed))
-    differs = np.abs(depth - mesh).max(axis=-1) > 8
-    assert differs.mean() < 0.02  # silhouettes
-
-
-@pytest.mark.parametrize("map_from", ["depth", "mesh"])
-def test_the_raster_camera_stands_where_it_is_put(moving, map_from):
-    viewpoint = open_eye(moving.headset).eye_box.centre
-    still = replace(moving, head=None, eye_track=None, maps="tiff", map_from=map_from)
-    place = {}
-    for raster_camera in ("nearest", "viewpoint"):
-        job = replace(still, raster_camera=raster_camera, out=moving.out / raster_camera)
-        render(job)
-        place[raster_camera] = json.loads((job.out / "right-000000.json").read_text())["position_in_device_m"]
-    np.testing.assert_allclose(place["viewpoint"], viewpoint, atol=1e-12)
-    assert np.linalg.norm(place["nearest"] - viewpoint) > 1e-4
-
-
 def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving, monkeypatch):
     job = replace(moving, predicted_error=0.5)
     report = render(job)
@@ -468,11 +446,8 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"method": "raytrace", "raster_camera": "viewpoint"}, "--raster-camera is used with --method raster only"),
-        ({"raster_camera": "pupil"}, "--raster-camera is pupil; choose from nearest, viewpoint"),
         ({"method": "raytrace", "maps": "pfm"}, "--maps is used with --method raster only"),
         ({"method": "raytrace", "materials": "gltf"}, "--materials is used with --method raster only"),
-        ({"method": "raytrace", "map_from": "mesh"}, "--map-from is used with --method raster only"),
         ({"method": "raytrace", "resolution": 2.0}, "--resolution is used with --method raster only"),
         ({"method": "raytrace", "backend": "cpu"}, "--backend is used with --method raster only"),
         ({"supersample": 2}, "--supersample is used with --method raytrace only"),
@@ -494,7 +469,6 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
         ({"frame_limit": 0}, "--frames is 0; it must be between 1 and 1000000"),
         ({"method": "paint"}, "--method is paint; choose from raster, raytrace, pathtrace"),
         ({"maps": "png"}, "--maps is png; choose from tiff, pfm"),
-        ({"map_from": "thin air"}, "--map-from is thin air; choose from depth, mesh"),
         ({"eye": "third"}, "--eye is third; choose from left, right, both"),
         ({"resolution": 0.0}, "--resolution is 0.0; it must be a finite number above 0 and at most 4"),
         ({"resolution": 5.0}, "--resolution is 5.0; it must be"),
@@ -502,7 +476,6 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
         ({"scene": "dosts"}, "Did you mean dots"),
         ({"eye": "both", "headset": "no_optics"}, "no left eye"),
         ({"materials": "gltf", "backend": "cpu"}, "glTF materials need OpenGL"),
-        ({"map_from": "mesh", "backend": "cpu"}, "--map-from has no use with --backend cpu: frames are ray traced"),
         ({"maps": "tiff", "backend": "cpu"}, "--maps has no use with --backend cpu"),
     ],
     ids=str,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from gl_scenes import at, lit, quad, unlit
 
+from benchmarks.raster.disocclusion import disoccluded
 from wlr_render.compositing import raster_painter
-from wlr_render.compositing.raster_painter import MeshWarpedPainter, WarpedPainter
-from wlr_render.evaluation.disocclusion import disoccluded
+from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.geometry import directions, rays, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel, Status
@@ -16,7 +16,6 @@ from wlr_render.rendering.painters import (
     TracedPainter,
     position_of_source,
     ray_maps_of,
-    source_of_position,
 )
 from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
@@ -47,8 +46,6 @@ def painter_of(request):
         if way == "traced":
             return TracedPainter(headset, renderer)
         raster = SceneRaster(request.getfixturevalue("gl_context"), scene)
-        if way == "mesh":
-            return MeshWarpedPainter(headset, raster, renderer)
         return WarpedPainter(headset, raster, resolution=2.0 if way == "double" else 1.0)
 
     return make
@@ -68,7 +65,7 @@ def off_edges(position):
     return windows.max(axis=(-2, -1)) < 1.2 * windows.min(axis=(-2, -1))
 
 
-@raster_ways("traced", "plain", "double", "mesh")
+@raster_ways("traced", "plain", "double")
 def test_the_point_that_a_pixel_shows_lies_on_its_world_ray(toy_headset, way, painter_of):
     viewpoint, scene = toy_headset.eye_box.at(OFF_CENTRE), ball_before_wall()
     frame = painter_of(way, toy_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
@@ -86,26 +83,7 @@ def test_the_point_that_a_pixel_shows_lies_on_its_world_ray(toy_headset, way, pa
     assert difference.mean() < (0.01 if way == "traced" else 0.5)
 
 
-@raster_ways("plain", "mesh")
-def test_the_warp_map_gives_the_source_of_each_pixel(toy_headset, way, painter_of):
-    viewpoint = toy_headset.eye_box.at(OFF_CENTRE)
-    frame = painter_of(way, toy_headset, ball_before_wall()).paint(viewpoint, HEAD_POSE, with_geometry=True)
-    np.testing.assert_allclose(position_of_source(frame.view, frame.source), frame.position, atol=2e-5)
-    np.testing.assert_allclose(source_of_position(frame.view, frame.position), frame.source, atol=2e-3)
-
-
-@pytest.mark.gl
-def test_the_map_from_the_mesh_is_the_map_from_the_image(toy_headset, painter_of):
-    viewpoint, scene = toy_headset.eye_box.at(OFF_CENTRE), ball_before_wall()
-    from_image, from_mesh = (
-        painter_of(way, toy_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True) for way in ("plain", "mesh")
-    )
-    # At the ball's rim as well: from where the rays come, the image hides nothing of what they meet.
-    assert not off_edges(from_mesh.position).all()
-    assert np.linalg.norm((from_image.source - from_mesh.source)[..., :2], axis=-1).max() < 0.01
-
-
-def test_source_and_position_are_inverse_and_keep_nan():
+def test_the_position_of_a_source_is_the_closed_form_and_keeps_nan():
     camera = Pinhole(120, 90, np.array([-0.6, -0.3]), np.array([0.4, 0.5]))
     turn = transforms.rotation_about("y", -0.4) @ transforms.rotation_about("x", 0.2)
     view = View(camera, np.array([0.03, 0.01, -0.02]), HEAD_POSE, turn)
@@ -115,7 +93,6 @@ def test_source_and_position_are_inverse_and_keep_nan():
     source[3, 2] = np.nan
     position = position_of_source(view, source)
     assert np.isnan(position[3, 2]).all()
-    np.testing.assert_allclose(source_of_position(view, position), source, atol=1e-3)
     # One of them in closed form, through the chain device <- camera and world <- device.
     tangents = camera.tangents_of_pixel(source[0, 0, :2].astype(float))
     in_device = view.position_in_device + turn @ [*tangents, -1.0] / float(source[0, 0, 2])
@@ -229,21 +206,14 @@ def test_a_frame_does_not_depend_on_the_one_before_and_solves_no_ray_map_unasked
     assert len(asked) == 1
 
 
-@raster_ways("traced", "mesh")
-def test_each_colour_is_that_of_a_frame_of_its_own(dispersive_headset, way, painter_of):
+def test_each_colour_is_that_of_a_frame_of_its_own(dispersive_headset, painter_of):
     """Ray-traced positions and colours know nothing of the other channels."""
     scene, viewpoint = ball_before_wall(), dispersive_headset[0].eye_box.centre
-    frame = painter_of(way, dispersive_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
+    frame = painter_of("traced", dispersive_headset, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
     for channel, mappings in enumerate(dispersive_headset):
         alone = painter_of("traced", mappings, scene).paint(viewpoint, HEAD_POSE, with_geometry=True)
         np.testing.assert_array_equal(frame.traced[channel], alone.position)
-        if way == "traced":
-            np.testing.assert_array_equal(frame.colour[..., channel], alone.colour[..., channel])
-        else:
-            np.testing.assert_array_equal(frame.sources[channel], source_of_position(frame.view, alone.position))
-            light = decode_srgb(frame.intermediate.colour)
-            pulled, _ = remap(light, frame.sources[channel][..., :2], scene.background)
-            np.testing.assert_array_equal(frame.colour[..., channel], encode_srgb(pulled)[..., channel])
+        np.testing.assert_array_equal(frame.colour[..., channel], alone.colour[..., channel])
         assert (frame.colour != alone.colour).any()
 
 
@@ -258,17 +228,14 @@ def test_the_camera_has_square_pixels_as_many_as_asked_for(toy_headset, gl_conte
     assert inner == pytest.approx(resolution**2 * 96 * 80, rel=0.02)
 
 
-@raster_ways("traced", "mesh")
-def test_pixels_without_a_ray_show_the_background_and_nothing_else(toy_headset_with_hole, way, painter_of):
+def test_pixels_without_a_ray_show_the_background_and_nothing_else(toy_headset_with_hole, painter_of):
     scene = unlit((quad((-9, -9), (9, 9)), at(0, 0, -2)), background=GREEN)
     headset = toy_headset_with_hole
-    frame = painter_of(way, headset, scene).paint(headset.eye_box.centre, np.eye(4), with_geometry=True)
+    frame = painter_of("traced", headset, scene).paint(headset.eye_box.centre, np.eye(4), with_geometry=True)
     hole = frame.ray_map.status == Status.MISS
     assert 60 < hole.sum() < 100  # a disc of radius 5 px
     np.testing.assert_array_equal(np.isnan(frame.position).any(axis=-1), hole)
     np.testing.assert_array_equal((frame.colour == encode_srgb(np.array(GREEN, np.float32))).all(axis=-1), hole)
-    if frame.source is not None:
-        np.testing.assert_array_equal(np.isnan(frame.source).any(axis=-1), hole)
 
 
 @raster_ways("traced", "plain")

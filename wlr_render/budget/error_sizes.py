@@ -67,7 +67,7 @@ class Drawing(_Sizes):
 
     Attributes:
         warp_grid_arcmin: bound of the interpolation error of the warp grid (`rendering.choose_warp_grid`).
-        raster_arcmin: of a raster frame against a ray-traced one (`wlr-render compare`).
+        raster_arcmin: of a raster frame against a ray-traced one.
         is_rounded: whether edges lie on whole pixels. A warp that filters does not round: the place of an edge between
             two pixels is in their brightness. Without filter an edge is off by up to half a pixel, evenly distributed.
     """

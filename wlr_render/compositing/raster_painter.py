@@ -8,20 +8,14 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import (
     Frame,
-    Painter,
-    TracedPainter,
-    by_colour,
     channels_of,
     ray_maps_of,
-    source_of_position,
     with_inverse_depth,
 )
-from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
+from wlr_render.rendering.raster_camera import RasterPlace
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.scene_raster import SceneRaster
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.view import View
 
 
@@ -85,65 +79,6 @@ class WarpedPainter:
             with_inverse_depth(intermediate, composed.source(channel=channel)) for channel in range(len(self._channels))
         )
         return Frame(composed.read(), ray_maps, sources=sources, view=camera.view, intermediate=intermediate)
-
-
-class MeshWarpedPainter:
-    """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
-
-    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour
-    is that of what hides it. Colours are bilinear in linear light, without the filter of `WarpedPainter`.
-    """
-
-    def __init__(
-        self,
-        mappings: EyeMappings | Sequence[EyeMappings],
-        raster: SceneRaster,
-        renderer: RayRenderer,
-        resolution: float = 1.0,
-        raster_camera: RasterPlace = "nearest",
-    ) -> None:
-        """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
-        channels = channels_of(mappings)
-        panel = channels[0].display.panel
-        self._plan = EyePlan.of(channels, (panel.width_px, panel.height_px), resolution, raster_camera)
-        self._traced = TracedPainter(mappings, renderer)
-        self._raster = raster
-        self._background = renderer.scene.background
-
-    def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
-        """See `Painter`."""
-        traced = self._traced.paint(viewpoint, world_from_device, with_geometry=True)
-        view = self._plan.view(viewpoint, world_from_device)
-        image = self._raster.draw(view)
-        sources = tuple(source_of_position(view, position) for position in traced.traced)
-        light = decode_srgb(image.colour)
-        colours = [encode_srgb(remap(light, source[..., :2], self._background)[0]) for source in sources]
-        colour = by_colour(colours)
-        return Frame(
-            colour, traced.solve_ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image
-        )
-
-
-def raster_painter(
-    mappings: EyeMappings | Sequence[EyeMappings],
-    raster: SceneRaster | None,
-    renderer: RayRenderer | None,
-    map_from: str = "depth",
-    resolution: float = 1.0,
-    raster_camera: RasterPlace = "nearest",
-) -> Painter:
-    """The painter of rasterised frames, or of ray-traced ones without OpenGL (`raster` is None).
-
-    `map_from` is "depth", or "mesh" for a `MeshWarpedPainter`. `renderer` is of the same scene; None only where
-    neither ray tracing nor the mesh is needed.
-    """
-    if raster is None:
-        assert renderer is not None
-        return TracedPainter(mappings, renderer)
-    if map_from == "mesh":
-        assert renderer is not None
-        return MeshWarpedPainter(mappings, raster, renderer, resolution, raster_camera)
-    return WarpedPainter(mappings, raster, resolution, raster_camera)
 
 
 def traced_instead(raster: SceneRaster | None, backend: str) -> list[str]:

@@ -81,7 +81,7 @@ class BudgetOptions(Options):
     ] = _HEAD_DEG_S
     head_speed_m_s: Annotated[float, described("Speed of the head in m/s, rms per axis."), limits.HEAD_M_S] = 0.1
     raster_arcmin: Annotated[
-        float, described("Error of a raster frame in arcmin, as `compare` measures it."), limits.ANGLE_ARCMIN
+        float, described("Error of a raster frame against a ray-traced one, in arcmin."), limits.ANGLE_ARCMIN
     ] = 0.004
     whole_pixels: Annotated[
         bool, described("Count edges that lie on whole pixels, as drawn without filter.", flag=True)

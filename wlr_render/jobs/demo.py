@@ -2,8 +2,8 @@
 
     naive        the panel taken as a flat picture in space (a linear map), the combiner as not there
     static       the best map for one viewpoint, used at all of them
-    raster+warp  planar models, intermediate image from the raster camera, which is not at the viewpoint unless
-                 `raster_camera` says so (the paper's is), per-frame warp map
+    raster+warp  planar models, intermediate image from the raster camera, which is not at the viewpoint, per-frame
+                 warp map
     ray traced   planar models, world rays as primary rays
 
 Without OpenGL there is no raster+warp.
@@ -28,7 +28,7 @@ from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import EyeFit, fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.compositing.raster_painter import raster_painter, traced_instead
+from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
@@ -47,11 +47,9 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Backend,
     Eyes,
-    MapFrom,
     Options,
     ProgressArgument,
     Range,
-    RasterCamera,
     Seed,
     described,
     eyes_of,
@@ -99,8 +97,6 @@ class DemoOptions(Options):
         int, described("Number of viewpoints; the first is the centre of the eye box."), Range(at_least=5, at_most=1000)
     ] = 7
     seed: Seed = 1
-    raster_camera: RasterCamera = "nearest"
-    map_from: MapFrom = "depth"
     backend: Backend = "auto"
     out: Annotated[Path, described("Output folder; each eye has a subfolder if both are judged.")] = Path("out/demo")
 
@@ -208,9 +204,7 @@ def _painters(
     naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
     painters: dict[str, Painter] = {"naive": TracedPainter(naive, renderer), "static": TracedPainter(static, renderer)}
     if raster is not None:
-        painters["raster + warp"] = raster_painter(
-            planar, raster, renderer, options.map_from, raster_camera=options.raster_camera
-        )
+        painters["raster + warp"] = WarpedPainter(planar, raster)
     return fit, painters | {"ray traced": TracedPainter(planar, renderer)}
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from wlr_render.budget.error_map import ErrorMap
-from wlr_render.compositing.raster_painter import raster_painter
+from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError
 from wlr_render.finished_files import Signature, signature_of
 from wlr_render.input_files import hashes_of_inputs, may_refer_outside, naming, outside_references
@@ -128,7 +128,7 @@ def open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
     """None where every frame is ray traced.
 
     Raises:
-        BadInputError: warp maps without OpenGL, or a way to make them with --backend cpu.
+        BadInputError: warp maps without OpenGL.
         MissingGlError: as `open_scene_raster`.
     """
     if options.method != "raster":
@@ -143,8 +143,6 @@ def open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
             "--maps needs OpenGL, because ray-traced frames have no warp map; leave it out, or install libegl1 and "
             "libgl1 and choose --backend auto."
         )
-    if options.backend == "cpu" and options.map_from == "mesh":
-        raise BadInputError("--map-from has no use with --backend cpu: frames are ray traced; leave out one of them.")
     return raster
 
 
@@ -244,16 +242,12 @@ class FrameDrawing:
                 eye: PathTracedPainter(each, tracer, options.samples, seed_of(options.seed, eye))
                 for eye, each in channels.items()
             }
-        if options.method == "raytrace":
+        if raster is None:
             return {
                 eye: TracedPainter(each, self._renderer, options.supersample, options.shadows)
                 for eye, each in channels.items()
             }
-        renderer = self._renderer if raster is None or options.map_from == "mesh" else None
-        return {
-            eye: raster_painter(each, raster, renderer, options.map_from, options.resolution, options.raster_camera)
-            for eye, each in channels.items()
-        }
+        return {eye: WarpedPainter(each, raster, options.resolution) for eye, each in channels.items()}
 
     @cached_property
     def _error_maps(self) -> Mapping[str, ErrorMap]:

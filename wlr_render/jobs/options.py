@@ -248,14 +248,6 @@ Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],
     described("OpenGL through EGL or OSMesa (auto: the first that opens); cpu, or no OpenGL: frames are ray traced."),
 ]
-RasterCamera = Annotated[
-    Literal["nearest", "viewpoint"],
-    described("Raster camera: at the point nearest to the bent rays, or at the viewpoint, as in the paper."),
-]
-MapFrom = Annotated[
-    Literal["depth", "mesh"],
-    described("Warp map of the raster: rays meet the depth image, or the mesh, as in the paper."),
-]
 Seed = Annotated[int, described("Seed of all random numbers."), Range(at_least=0, at_most=2**32 - 1)]
 WORKERS = Range(at_least=1, at_most=256)
 Workers = Annotated[

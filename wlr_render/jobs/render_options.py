@@ -10,10 +10,8 @@ from wlr_render.jobs.options import (
     WORKERS,
     Backend,
     Eyes,
-    MapFrom,
     OnlyWith,
     Range,
-    RasterCamera,
     Scheduler,
     Seed,
     SpreadOptions,
@@ -89,8 +87,6 @@ class RenderOptions(SpreadOptions):
         Range(above=0, at_most=4),
         OnlyWith("method", ("raster",)),
     ] = 1.0
-    raster_camera: Annotated[RasterCamera, OnlyWith("method", ("raster",))] = "nearest"
-    map_from: Annotated[MapFrom, OnlyWith("method", ("raster",))] = "depth"
     maps: Annotated[
         Literal["tiff", "pfm"] | None,
         described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),

@@ -291,7 +291,7 @@ def device_path(spec: str | FilePath) -> FilePath:
     if path.suffix.lower() == ".json":
         raise BadInputError(
             f"{path}: is a model file, or another JSON file, and a device is needed: name a shipped device or a device "
-            "file (.toml). Fitted models are taken by render, export, compare and budget."
+            "file (.toml). Fitted models are taken by render, export and budget."
         )
     return path
 

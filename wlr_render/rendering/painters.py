@@ -192,14 +192,6 @@ def _sample_plans(plan: RayMapPlan, supersample: int) -> list[RayMapPlan]:
     ]
 
 
-def source_of_position(view: View, position: Float32Array) -> Float32Array:
-    """World points (height, width, 3) -> where the view's camera sees them and their inverse depth; NaN stays NaN."""
-    in_camera = transforms.apply(transforms.inverse(view.world_from_camera), position.astype(np.float64))
-    inverse = -1.0 / in_camera[..., 2]
-    pixel = view.camera.pixel_of_tangents(in_camera[..., :2] * inverse[..., None])
-    return np.concatenate([pixel, inverse[..., None]], axis=-1).astype(np.float32)
-
-
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:
     """Pull map (height, width, 2) -> (height, width, 3) with the inverse depth found at the source."""
     found = np.isfinite(source[..., 0])

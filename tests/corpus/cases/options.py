@@ -17,7 +17,6 @@ BOARD = ("board", "--out", "out")
 PATTERN = ("pattern", "--panel", "64x48", "--out", "out")
 DIAGNOSE = ("diagnose", "bench", "--out", "out")
 VERIFY = ("verify", "session", "photos", "--calibration", "calibration", "--out", "out")
-COMPARE = ("compare", "device.toml", "scene.toml", "--out", "out")
 EXPORT = ("export", "stmap", "device.toml", "--out", "out")
 BUDGET = ("budget", "device.toml", "--out", "out")
 IMPORT_LENS = ("import-lens", "lens.zmx", "--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")  # fmt: skip
@@ -56,7 +55,6 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--resolution": ("1e9", "0", "-1", "nan", "inf"),
         "--source-size": ("0x0", "-1x5", "10000000x10000000", "x", "640"),
         "--source-axes": ("magic",),
-        "--raster-camera": ("magic",),
         "--red-model": ("nowhere.json", "model.json"),
     }),
     (BUDGET, SMALL, {
@@ -80,7 +78,6 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--glasses": ("nowhere.agf",),
     }),
     (DEMO, SMALL, {"--viewpoints": ("1000000000", "0", "-1", "1e9", "x"), "--seed": ("-1", "x", "1e400")}),
-    (COMPARE, SMALL, {"--eye": ("x",), "--map-from": ("x",)}),
     (PLAN, SMALL, {
         "--accuracy-arcmin": ("0", "-1", "nan", "1e-300", "inf"),
         "--repeatability-um": ("-1", "nan", "1e308"),
@@ -188,7 +185,6 @@ NOWHERE = {
     "budget": ("budget", "nowhere.json"),
     "import-lens": ("import-lens", "nowhere.zmx", "--panel", "64x48", "--panel-mm", "10x8"),
     "render misalignment": ("render", "device.toml", "scene.toml", "--misalignment", "nowhere.toml"),
-    "compare": ("compare", "nowhere.toml", "scene.toml"),
     "demo": ("demo", "--device", "nowhere.toml"),
     "demo scene": ("demo", "--device", "device.toml", "--scene", "nowhere.toml"),
     "plan": ("plan", "nowhere.toml"),
@@ -210,7 +206,6 @@ OUTPUTS = {
     "render": RENDER,
     "demo": DEMO,
     "trace": ("trace", "device.toml", "--out", "out"),
-    "compare": COMPARE,
     "export": EXPORT,
     "budget": BUDGET,
     "import-lens": IMPORT_LENS,

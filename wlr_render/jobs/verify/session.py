@@ -21,16 +21,14 @@ from wlr_render.calibration.bench.board_views import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
 from wlr_render.calibration.bench.station_file import SavedStation, load_station
 from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.compositing.raster_painter import raster_painter, traced_instead
+from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Backend,
-    MapFrom,
     ProgressArgument,
     Range,
-    RasterCamera,
     Scheduler,
     Seed,
     SpreadOptions,
@@ -108,8 +106,6 @@ class VerifySessionOptions(SpreadOptions):
         Range(-1000, 1000),
     ] = 60.0
     seed: Seed = 1
-    raster_camera: RasterCamera = "nearest"
-    map_from: MapFrom = "depth"
     backend: Backend = "auto"
     workers: Workers = None
     scheduler: Scheduler = None
@@ -284,9 +280,7 @@ def _draw(
     warnings += traced_instead(raster, options.backend)
     painters: dict[str, Painter] = {"ray traced": TracedPainter(models, renderer, _SUPERSAMPLE)}
     if raster is not None:
-        painters["raster + warp"] = raster_painter(
-            models, raster, renderer, options.map_from, 2.0, options.raster_camera
-        )
+        painters["raster + warp"] = WarpedPainter(models, raster, 2.0)
     with raster.context if raster else contextlib.nullcontext():
         for viewpoint in viewpoints:
             yield {

@@ -1,7 +1,9 @@
+"""Disoccluded pixels against the closed form."""
+
 import numpy as np
 from gl_scenes import at, quad, unlit
 
-from wlr_render.evaluation.disocclusion import disoccluded
+from benchmarks.raster.disocclusion import disoccluded
 from wlr_render.geometry import transforms
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_map import RayMap

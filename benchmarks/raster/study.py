@@ -7,23 +7,21 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.raster.disocclusion import disoccluded
+from benchmarks.raster.mesh_painter import MeshWarpedPainter
+from benchmarks.raster.raster_error import RasterError, raster_error
 from wlr_render.atomic_files import output_folder, write_figure
-from wlr_render.compositing.raster_painter import raster_painter
+from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.evaluation.disocclusion import disoccluded
 from wlr_render.evaluation.metrics import summary
-from wlr_render.evaluation.raster_error import RasterError, raster_error
 from wlr_render.geometry import transforms
 from wlr_render.jobs.headset import headset_path, open_eye, require_in_eye_box
-from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Backend,
     Eyes,
-    MapFrom,
     Options,
     ProgressArgument,
     Range,
-    RasterCamera,
     described,
     eyes_of,
     folder_of_eye,
@@ -32,7 +30,8 @@ from wlr_render.mappings import EyeMappings
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
-from wlr_render.rendering.painters import Frame, TracedPainter, blank_warnings, is_blank, saturation_warnings
+from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
+from wlr_render.rendering.raster_camera import RasterPlace
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene, scene_path
@@ -56,21 +55,21 @@ NOTES = (
     "not disoccluded. Disoccluded: from where the intermediate image is drawn, something hides the point that the "
     "world ray meets (found with the scene itself); share of pixels that show anything.",
 )
-METHODS: dict[str, tuple[RasterCamera, MapFrom, float]] = {
-    "raster + warp": ("nearest", "depth", 1.0),
-    "raster camera at the viewpoint": ("viewpoint", "depth", 1.0),
-    "twice the raster resolution": ("nearest", "depth", 2.0),
-    "map from the mesh": ("nearest", "mesh", 1.0),
-    "camera at the viewpoint, map from the mesh (paper)": ("viewpoint", "mesh", 1.0),
+METHODS: dict[str, tuple[RasterPlace, bool, float]] = {
+    "raster + warp": ("nearest", False, 1.0),
+    "raster camera at the viewpoint": ("viewpoint", False, 1.0),
+    "twice the raster resolution": ("nearest", False, 2.0),
+    "map from the mesh": ("nearest", True, 1.0),
+    "camera at the viewpoint, map from the mesh (paper)": ("viewpoint", True, 1.0),
 }
-"""Rows of the table: raster camera, source of the warp map, and resolution."""
+"""Rows of the table: raster camera, whether the warp map comes from the mesh, and resolution; the first is drawn."""
 ERROR_LIMITS_ARCMIN = (1e-3, 10.0)
 """First and last colour of the error maps."""
 
 
 @dataclass(frozen=True)
-class CompareOptions(Options):
-    """Options of `compare`."""
+class RasterOptions(Options):
+    """Options of `raster`."""
 
     headset: Annotated[str, described("A device or a model file.")]
     scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")]
@@ -81,20 +80,16 @@ class CompareOptions(Options):
         described("Viewpoint from the centre of the eye box, device frame: X Y Z in mm."),
         Range(at_least=-100, at_most=100),
     ] = (0.0, 0.0, 0.0)
-    raster_camera: RasterCamera = "nearest"
-    map_from: MapFrom = "depth"
     backend: Backend = "auto"
     out: Annotated[Path, described("Output folder; each eye has a subfolder if both are compared.")] = Path(
-        "out/compare"
+        "out/benchmarks/raster"
     )
 
 
-@job
-def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> Report:
+def run(options: RasterOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Draw a frame by rasterisation and by ray tracing and compare them; writes both, and the error map as .tiff.
 
-    The table has a row for each way of rasterising (`METHODS`). Its first row, the verdict, the frame and the error map
-    are of the way that `raster_camera` and `map_from` choose.
+    The table has a row for each of `METHODS`; the verdict, the frame and the error map belong to the first.
 
     Raises:
         BadInputError: faulty headset or scene, or a viewpoint outside the eye box.
@@ -123,7 +118,7 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
     files: list[Path] = []
     with raster.context:
         for eye, mappings in eyes.items():
-            compared = _compare_eye(mappings, viewpoints[eye], raster, renderer, options, progress)
+            compared = _compare_eye(mappings, viewpoints[eye], raster, renderer, progress)
             title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {eye} eye"
             drawn = compared.write(output_folder(folder_of_eye(folder, eye, options.eye)), title)
             picture = Picture(f"Both frames and their difference, {eye} eye", drawn[-1], "Red: disoccluded.")
@@ -142,7 +137,7 @@ def compare(options: CompareOptions, *, progress: ProgressArgument = SILENT) -> 
         files=files,
         record={"viewpoint_in_device_m": viewpoints},
     )
-    return save_report(report, folder)
+    return save_report(report, folder, "raster")
 
 
 def _compare_eye(
@@ -150,17 +145,18 @@ def _compare_eye(
     viewpoint: FloatArray,
     raster: SceneRaster,
     renderer: RayRenderer,
-    options: CompareOptions,
     progress: Progress,
 ) -> "_Compared":
     traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
-    chosen = (options.raster_camera, options.map_from, 1.0)
-    methods = sorted(METHODS, key=lambda method: METHODS[method] != chosen)  # the chosen one first
     rows: list[list[Cell]] = []
     first: tuple[Frame, _Error] | None = None
-    for method in progress(iter(methods), len(methods), f"{mappings.eye} eye, methods"):
-        raster_camera, map_from, resolution = METHODS[method]
-        painter = raster_painter(mappings, raster, renderer, map_from, resolution, raster_camera)
+    for method in progress(iter(METHODS), len(METHODS), f"{mappings.eye} eye, methods"):
+        raster_camera, from_mesh, resolution = METHODS[method]
+        painter: Painter = (
+            MeshWarpedPainter(mappings, raster, renderer, resolution, raster_camera)
+            if from_mesh
+            else WarpedPainter(mappings, raster, resolution, raster_camera)
+        )
         frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
         error = _error(frame, traced, renderer.tracer)
         rows.append(_row(method, error, frame.colour, traced.colour))
@@ -179,7 +175,7 @@ class _Error:
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """Both frames of an eye, the error of the chosen way to rasterise, and a row of figures for each way."""
+    """Both frames of an eye, the error of the first method, and a row of figures for each way."""
 
     rastered: NDArray[np.uint8]
     traced: NDArray[np.uint8]
@@ -187,7 +183,7 @@ class _Compared:
     rows: list[list[Cell]]
 
     def verdict(self, eye: str) -> str:
-        """The result of the chosen way to rasterise in one sentence."""
+        """Return the result of the first method in one sentence."""
         _, median, p95, maximum, hidden, *_ = (cell_text(cell) for cell in self.rows[0])
         return (
             f"The rastered frame of the {eye} eye shows world points {median}' off in the median ({p95}' at 95 %, "

@@ -1,7 +1,9 @@
+"""Registration error of frames whose world points are known."""
+
 import numpy as np
 import pytest
 
-from wlr_render.evaluation.raster_error import raster_error
+from benchmarks.raster.raster_error import raster_error
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.view import View

@@ -1,0 +1,61 @@
+"""The raster of the paper (section 4.2): its warp map comes from the mesh."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wlr_render.geometry import transforms
+from wlr_render.mappings import EyeMappings
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.rendering.painters import Frame, TracedPainter, by_colour, channels_of
+from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.sampling import remap
+from wlr_render.rendering.scene_raster import SceneRaster
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+from wlr_render.rendering.view import View
+
+
+class MeshWarpedPainter:
+    """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
+
+    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour
+    is that of what hides it. Colours are bilinear in linear light, without the filter of `WarpedPainter`.
+    """
+
+    def __init__(
+        self,
+        mappings: EyeMappings | Sequence[EyeMappings],
+        raster: SceneRaster,
+        renderer: RayRenderer,
+        resolution: float = 1.0,
+        raster_camera: RasterPlace = "nearest",
+    ) -> None:
+        """Prepare, as `WarpedPainter`; `renderer` is of the same scene."""
+        channels = channels_of(mappings)
+        panel = channels[0].display.panel
+        self._plan = EyePlan.of(channels, (panel.width_px, panel.height_px), resolution, raster_camera)
+        self._traced = TracedPainter(mappings, renderer)
+        self._raster = raster
+        self._background = renderer.scene.background
+
+    def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
+        """See `Painter`."""
+        traced = self._traced.paint(viewpoint, world_from_device, with_geometry=True)
+        view = self._plan.view(viewpoint, world_from_device)
+        image = self._raster.draw(view)
+        sources = tuple(source_of_position(view, position) for position in traced.traced)
+        light = decode_srgb(image.colour)
+        colours = [encode_srgb(remap(light, source[..., :2], self._background)[0]) for source in sources]
+        colour = by_colour(colours)
+        return Frame(
+            colour, traced.solve_ray_maps, traced=traced.traced, sources=sources, view=view, intermediate=image
+        )
+
+
+def source_of_position(view: View, position: Float32Array) -> Float32Array:
+    """World points (height, width, 3) -> where the view's camera sees them and their inverse depth; NaN stays NaN."""
+    in_camera = transforms.apply(transforms.inverse(view.world_from_camera), position.astype(np.float64))
+    inverse = -1.0 / in_camera[..., 2]
+    pixel = view.camera.pixel_of_tangents(in_camera[..., :2] * inverse[..., None])
+    return np.concatenate([pixel, inverse[..., None]], axis=-1).astype(np.float32)

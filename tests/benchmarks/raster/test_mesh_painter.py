@@ -1,0 +1,55 @@
+"""The raster of the paper: whatever a pixel shows lies on that pixel's bent world ray, and its source shows it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gl_scenes import at, lit
+
+from benchmarks.raster.mesh_painter import MeshWarpedPainter, source_of_position
+from wlr_render.compositing.raster_painter import WarpedPainter
+from wlr_render.geometry import transforms
+from wlr_render.rendering.painters import TracedPainter, position_of_source
+from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.rendering.sampling import remap
+from wlr_render.rendering.scene_raster import SceneRaster
+from wlr_render.rendering.shapes import construction
+from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+
+HEAD_POSE = at(0.1, 1.5, 0.3, transforms.rotation_about("y", 0.5) @ transforms.rotation_about("x", -0.1))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A beach ball 0.8 m and a wall 3 m before the device that fill its whole field."""
+    wall, ball = construction.plane(9, 7, (0.3, 0.4, 0.5)), construction.ball(0.12)
+    return lit((wall, HEAD_POSE @ at(0, 0, -3)), (ball, HEAD_POSE @ at(0.05, 0, -0.8)))
+
+
+def test_its_map_is_that_of_the_traced_points_and_of_the_depth_image(flat_image_headset, scene, gl_context):
+    viewpoint, renderer = flat_image_headset.eye_box.at(np.array([0.7, -0.9, 0.8])), RayRenderer(scene)
+    raster = SceneRaster(gl_context, scene)
+    painters = MeshWarpedPainter(flat_image_headset, raster, renderer), WarpedPainter(flat_image_headset, raster)
+    mesh, depth = (each.paint(viewpoint, HEAD_POSE, with_geometry=True) for each in painters)
+    traced = TracedPainter(flat_image_headset, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
+    np.testing.assert_array_equal(mesh.position, traced.position)
+    np.testing.assert_allclose(position_of_source(mesh.view, mesh.source), mesh.position, atol=2e-5)
+    np.testing.assert_allclose(source_of_position(depth.view, depth.position), depth.source, atol=2e-3)
+    # At the ball's rim as well: from where the rays come, the image hides nothing of what they meet.
+    assert np.linalg.norm((depth.source - mesh.source)[..., :2], axis=-1).max() < 0.01
+
+
+def test_each_colour_is_pulled_through_the_map_of_its_own_rays(flat_image_headset, scene, gl_context):
+    channels = [
+        replace(flat_image_headset, see_through=replace(flat_image_headset.see_through, prism=p))
+        for p in (0.0, 0.03, 0.08)
+    ]
+    viewpoint, renderer = flat_image_headset.eye_box.centre, RayRenderer(scene)
+    painter = MeshWarpedPainter(channels, SceneRaster(gl_context, scene), renderer)
+    frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
+    light = decode_srgb(frame.intermediate.colour)
+    for k, mappings in enumerate(channels):
+        alone = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
+        np.testing.assert_array_equal(frame.sources[k], source_of_position(frame.view, alone.position))
+        pulled, _ = remap(light, frame.sources[k][..., :2], scene.background)
+        np.testing.assert_array_equal(frame.colour[..., k], encode_srgb(pulled)[..., k])
