@@ -1,6 +1,7 @@
-"""Assembly errors of a headset: the combiner and the panel stand elsewhere than in the prescription.
+"""Assembly errors of a headset: poses of the combiner and the panel that differ from the prescription.
 
-Metres and radians inside, device frame; the values of the errors are in millimetres and degrees, as in prescriptions.
+The code uses metres and radians in the device frame; values of errors are in millimetres and degrees, as in
+prescriptions.
 """
 
 from dataclasses import dataclass, replace
@@ -18,13 +19,13 @@ _FORWARD = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class AssemblyError:
-    """One rigid motion of the combiner or of the panel, in three numbers.
+    """One rigid motion of the combiner or of the panel, given by three numbers.
 
     Attributes:
-        name: as in reports.
+        name: name in reports.
         axes: names of the numbers.
         unit: "deg" or "mm".
-        plausible_size: (3,) standard deviations of what is met in practice, in that unit.
+        plausible_size: (3,) standard deviations of real headsets, in that unit.
     """
 
     name: str
@@ -47,9 +48,10 @@ ASSEMBLY_SIZES = np.concatenate([error.plausible_size for error in ASSEMBLY_ERRO
 
 
 def assembled(optics: EyeOptics, values: FloatArray) -> EyeOptics:
-    """The optics with assembly errors `values` (12,), in the order of `ASSEMBLY_NAMES`; zeros leave them unchanged.
+    """Return the optics with assembly errors `values` (12,), in the order of `ASSEMBLY_NAMES`.
 
-    All surfaces move together: they are turned about the combiner's middle, then shifted. The panel moves in its own
+    Zeros leave the optics unchanged. All surfaces move together: they are turned about the combiner's middle, then
+    shifted. The panel moves in its own
     frame: it is shifted along its axes, then turned about its centre.
     """
     tilt, shift, panel_shift, panel_rotation = np.asarray(values, dtype=np.float64).reshape(4, 3)
@@ -58,12 +60,12 @@ def assembled(optics: EyeOptics, values: FloatArray) -> EyeOptics:
 
 
 def combiner_middle(optics: EyeOptics) -> FloatArray:
-    """Where the line of sight from the middle of the eye box meets the first surface, else its origin; (3,)."""
+    """Return the point (3,) where the nominal line of sight meets the first surface, or the surface's origin."""
     if not optics.display.steps:
         return optics.eye_box.centre
-    seen = trace(Path(optics.display.steps[:1]), optics.eye_box.centre, _FORWARD, GREEN_UM)
+    first = trace(Path(optics.display.steps[:1]), optics.eye_box.centre, _FORWARD, GREEN_UM)
     origin = optics.display.steps[0].surface.device_from_surface[:3, 3]
-    return np.where(np.isfinite(seen.origin), seen.origin, origin)
+    return np.where(np.isfinite(first.origin), first.origin, origin)
 
 
 def combiner_turned(optics: EyeOptics, tilt_deg: FloatArray) -> EyeOptics:

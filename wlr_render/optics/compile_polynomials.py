@@ -26,23 +26,23 @@ from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
 
 GOAL_ARCMIN = 0.003
-"""Rms error at which the orders stop growing: a tenth of what 25 camera positions with 0.25' of noise leave."""
+"""Rms error at which the orders stop growing: a tenth of the error of 25 camera positions with 0.25' of noise."""
 
 Limits = tuple[int, int, int]
-"""Limits of the joint order of the first two inputs, of the last two, and of all four."""
+"""Limits of the total order of the first two inputs, of the last two, and of all four."""
 
 DISPLAY_LIMITS: tuple[Limits, ...] = ((8, 5, 8), (10, 5, 10), (10, 6, 10), (12, 6, 12))
-"""Of (pixel, place), in the order in which they are tried."""
+"""Order limits of (pixel, place), in the order in which they are tried."""
 SEE_THROUGH_LIMITS: tuple[Limits, ...] = ((4, 6, 7), (4, 8, 8), (6, 8, 10), (6, 10, 12))
-"""Of (place, direction)."""
+"""Order limits of (place, direction)."""
 
-_SEARCH = np.linspace(-2.0, 2.0, 41)  # tangents in which the box of pixels is looked for: 63 degrees to each side
-_SEARCHED_AGAIN = 25  # directions per axis and place, within what was found
-_BORDER = BOX_SLACK  # samples reach so far beyond the box; farther out the basis continues to first order
-_RIDGE = 1e-12  # times (1 + order)^2, beside the mean square of a term
+_SEARCH = np.linspace(-2.0, 2.0, 41)  # tangents that are searched for the box of pixels: 63 degrees to each side
+_SEARCHED_AGAIN = 25  # directions per axis and place in the second search, within the range of the first
+_BORDER = BOX_SLACK  # share by which samples extend beyond the box; farther out the basis is linear
+_RIDGE = 1e-12  # ridge, times (1 + order)^2, relative to the mean square of a term
 _CHECKED = 4000  # rays that are traced for the error and not fitted
 _TANGENT_STEP = 1e-6
-_VALUE_STEP = 1e-4  # of the assembly errors, degrees or millimetres
+_VALUE_STEP = 1e-4  # step of the assembly errors, degrees or millimetres
 _NOT_REACHED = (
     "hardly any ray of the captured box of places and pixels passes the optics of the prescription; check that it is "
     "of this headset and this eye, and in the device frame."
@@ -77,7 +77,7 @@ def compile_display(
         optics: the prescription.
         values: see `assembled`.
         plane: the base plane; (x, y) is where a ray meets it.
-        box: of the inputs.
+        box: box of the inputs.
         wavelength_um: micrometres, vacuum.
 
     Raises:
@@ -104,7 +104,7 @@ class _Samples:
     Attributes:
         place: (n, 2) on the base plane.
         tangents: (n, 2) of the view direction.
-        inputs, outputs: (n, 4), (n, outputs) of the polynomial.
+        inputs, outputs: (n, 4), (n, outputs) inputs and outputs of the polynomial.
         reached: fraction of the rays of the box that passed.
     """
 
@@ -116,11 +116,11 @@ class _Samples:
 
 
 class _Rays(Protocol):
-    """How rays of a map are chosen and traced."""
+    """Sampling and tracing of the rays of a map."""
 
     @property
     def box(self) -> Box:
-        """Of the inputs."""
+        """Box of the inputs."""
 
     def lattice(self, limits: Limits) -> tuple[FloatArray, FloatArray]:
         """Return the places and tangents, (n, 2) each, enough for these orders."""
@@ -129,7 +129,7 @@ class _Rays(Protocol):
         """Return the places and tangents, (n, 2) each."""
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
-        """Trace rays, and keep those that pass, in the box grown by `border` of its size."""
+        """Trace rays and keep the rays that pass, in the box grown by `border` of its size."""
 
     def by_values(self, samples: _Samples) -> FloatArray:
         """Return (n, outputs, 12) derivatives of the outputs by the assembly errors, at constant inputs."""
@@ -173,7 +173,7 @@ def _ridge_regression(inputs: FloatArray, orders: IntArray, box: Box) -> Callabl
 
 @dataclass(frozen=True, eq=False)
 class _DisplayRays:
-    """See `_Rays`; rays are traced from the eye, and meet the panel in whatever pixel they meet."""
+    """Rays of the display, traced from the eye; each meets the panel in some pixel."""
 
     optics: EyeOptics
     values: FloatArray
@@ -193,35 +193,35 @@ class _DisplayRays:
         """Return lowest and highest tangents (n, 2) that reach the box from places (n, 2), of a grid `axes` (m, 2)."""
         grid = _grid(axes[:, 0], axes[:, 1])
         pixel, passes = self._traced(self.values, np.repeat(place, len(grid), axis=0), np.tile(grid, (len(place), 1)))
-        found = (self._in_box(pixel, _BORDER) & passes).reshape(len(place), -1, 1)
+        reaching = (self._in_box(pixel, _BORDER) & passes).reshape(len(place), -1, 1)
         step = axes[1] - axes[0]
-        low = np.where(found, grid, np.inf).min(axis=1) - step
-        return low, np.where(found, grid, -np.inf).max(axis=1) + step
+        low = np.where(reaching, grid, np.inf).min(axis=1) - step
+        return low, np.where(reaching, grid, -np.inf).max(axis=1) + step
 
     def _reach(self) -> FloatArray:
-        """Return (m, 2) tangents per axis in which the box of pixels is seen from anywhere."""
+        """Return the range of tangents per axis, (m, 2), in which the box of pixels is visible from anywhere."""
         low, high = self._bounds(_nodes_2d(self.box, (2, 3), 3), np.stack([_SEARCH, _SEARCH], axis=1))
         if not np.isfinite(low).any():
             raise BadInputError(_NOT_REACHED)
         return np.linspace(low.min(axis=0), high.max(axis=0), _SEARCHED_AGAIN)
 
     def lattice(self, limits: Limits) -> tuple[FloatArray, FloatArray]:
-        """See `_Rays`; the directions from each place are those that see the box of pixels from there."""
+        """Return places, and from each place the directions in which the box of pixels is visible."""
         place = _nodes_2d(self.box, (2, 3), limits[1] + 3)
         low, high = self._bounds(place, self._reach())
-        seen = np.isfinite(low).all(axis=1)
-        place, low, high = place[seen], low[seen, None], high[seen, None]
+        visible = np.isfinite(low).all(axis=1)
+        place, low, high = place[visible], low[visible, None], high[visible, None]
         unit = 0.5 * (1.0 + _grid(_nodes(limits[0] + 6), _nodes(limits[0] + 6)))
         return np.repeat(place, len(unit), axis=0), (low + unit * (high - low)).reshape(-1, 2)
 
     def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """See `_Rays`."""
+        """Return random places and tangents, as `_Rays` does."""
         place = rng.uniform(self.box.low[2:], self.box.high[2:], (_CHECKED, 2))
         reach = self._reach()
         return place, rng.uniform(reach[0], reach[-1], (_CHECKED, 2))
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
-        """See `_Rays`."""
+        """Trace rays, as `_Rays` does."""
         pixel, passes = self._traced(self.values, place, tangents)
         meant = self._in_box(pixel, border)
         kept = meant & passes
@@ -229,7 +229,7 @@ class _DisplayRays:
         return _Samples(place[kept], tangents[kept], inputs, tangents[kept], float(reached))
 
     def by_values(self, samples: _Samples) -> FloatArray:
-        """See `_Rays`: dt/dvalue = -(dpixel/dt)^-1 dpixel/dvalue, the latter along the ray that stays."""
+        """Return the derivatives dt/dvalue = -(dpixel/dt)^-1 dpixel/dvalue, the last along a fixed ray."""
         place, tangents = samples.place, samples.tangents
         pixel = samples.inputs[:, :2]
         shifted = [self._traced(self.values, place, tangents + _TANGENT_STEP * axis)[0] for axis in np.eye(2)]
@@ -239,13 +239,13 @@ class _DisplayRays:
         return np.asarray(-np.linalg.solve(by_tangents, by_value))
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
-        """See `_Rays`."""
+        """Return the angles between the view directions."""
         return _angle_arcmin(samples.tangents, difference)
 
 
 @dataclass(frozen=True, eq=False)
 class _SeeThroughRays:
-    """See `_Rays`."""
+    """Rays of the see-through mapping, traced from the eye to the world."""
 
     optics: EyeOptics
     values: FloatArray
@@ -256,41 +256,41 @@ class _SeeThroughRays:
     def _traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the deviations (n, 4), and which rays pass."""
         start, path = self.plane.lift(place), assembled(self.optics, values).see_through
-        seen = trace(path, start, dir_of_tangents(tangents), self.wavelength_um)
-        beyond = tangents_of_dir(seen.direction)
-        back = (seen.origin[:, 2] - start[:, 2])[:, None] * beyond
-        return _joined(beyond - tangents, seen.origin[:, :2] + back - place), np.asarray(seen.status == Status.OK)
+        traced = trace(path, start, dir_of_tangents(tangents), self.wavelength_um)
+        beyond = tangents_of_dir(traced.direction)
+        back = (traced.origin[:, 2] - start[:, 2])[:, None] * beyond
+        return _joined(beyond - tangents, traced.origin[:, :2] + back - place), np.asarray(traced.status == Status.OK)
 
     def lattice(self, limits: Limits) -> tuple[FloatArray, FloatArray]:
-        """See `_Rays`."""
+        """Return places and tangents, as `_Rays` does."""
         place, tangents = _nodes_2d(self.box, (0, 1), limits[0] + 3), _nodes_2d(self.box, (2, 3), limits[1] + 4)
         return np.repeat(place, len(tangents), axis=0), np.tile(tangents, (len(place), 1))
 
     def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """See `_Rays`."""
+        """Return random places and tangents, as `_Rays` does."""
         inputs = rng.uniform(self.box.low, self.box.high, (_CHECKED, 4))
         return inputs[:, :2], inputs[:, 2:]
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
-        """See `_Rays`; all rays are chosen in the box."""
+        """Trace rays, all of which are in the box."""
         deviation, passes = self._traced(self.values, place, tangents)
         place, tangents = place[passes], tangents[passes]
         return _Samples(place, tangents, _joined(place, tangents), deviation[passes], float(passes.mean()))
 
     def by_values(self, samples: _Samples) -> FloatArray:
-        """See `_Rays`."""
+        """Return the derivatives of the outputs, as `_Rays` does."""
         changed = [self._traced(values, samples.place, samples.tangents)[0] for values in _stepped(self.values)]
         return np.stack([moved - samples.outputs for moved in changed], axis=-1) / _VALUE_STEP
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
-        """See `_Rays`; the larger of the errors at the nearest point and at infinity."""
+        """Return the larger of the errors at the nearest point and at infinity."""
         far, offset = difference[:, :2], difference[:, 2:] / _NEAREST_M
         angles = [_angle_arcmin(samples.tangents, each) for each in (far, far + offset)]
         return np.maximum(*angles)
 
 
 def _stepped(values: FloatArray) -> FloatArray:
-    """Return (12, 12) values with one of them changed by `_VALUE_STEP`."""
+    """Return (12, 12) values, each row with one of them changed by `_VALUE_STEP`."""
     return np.asarray(values + _VALUE_STEP * np.eye(len(values)))
 
 
@@ -303,7 +303,7 @@ def _grid(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _nodes(count: int) -> FloatArray:
-    """`count` Chebyshev points, stretched so that the outermost ones are -1 and 1."""
+    """Return `count` Chebyshev points, stretched so that the outermost ones are -1 and 1."""
     x = -np.cos((np.arange(count) + 0.5) * np.pi / count)
     return np.asarray(x / x[-1])
 

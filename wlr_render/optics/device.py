@@ -15,7 +15,7 @@ from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Shape
 
 MIRROR_X = np.diag([-1.0, 1.0, 1.0, 1.0])
-"""Takes one eye's half of the device to the other eye's."""
+"""Mirror image that maps one eye's half of the device to the other's."""
 
 
 class Interaction(StrEnum):
@@ -112,7 +112,7 @@ class PlacedPanel:
     def pixel_of_ray(self, origin: FloatArray, direction: FloatArray) -> FloatArray:
         """Return pixels (..., 2) where rays (..., 3), (..., 3) in the device frame meet the panel or its continuation.
 
-        NaN where a ray meets it nowhere ahead. Of two places, the one near to where the ray meets the plane z = 0.
+        NaN where a ray does not meet it ahead. Of two intersections, the one nearer to the plane z = 0 counts.
         """
         pose = self.panel_from_device
         start, along = origin @ pose[:3, :3].T + pose[:3, 3], direction @ pose[:3, :3].T
@@ -132,8 +132,8 @@ class EyeOptics:
     """Optics, panel and eye box of one eye.
 
     Attributes:
-        display: from the eye to the panel.
-        see_through: from the eye to the world.
+        display: path from the eye to the panel.
+        see_through: path from the eye to the world.
         panel: the display panel.
         eye_box: box of valid viewpoints; its centre is the nominal viewpoint.
         field: the nominal field of view, over which errors are stated; None for the whole panel.
@@ -170,8 +170,8 @@ class Device:
 
     Attributes:
         name: short name.
-        source: source of its numbers.
-        eyes: by "left" and "right"; a device may have only one.
+        source: source of the numbers.
+        eyes: eyes by name, "left" and "right"; a device may have only one.
     """
 
     name: str
@@ -202,7 +202,7 @@ def mirrored(eye: EyeOptics) -> EyeOptics:
     u of the panel still runs to the wearer's right, so pixel (u, v) of one eye is (width - u, v) of the other.
     """
     reflected = eye.with_surfaces(lambda s: replace(s, device_from_surface=MIRROR_X @ s.device_from_surface))
-    # Two reflections make the panel's pose rigid again, and turn u round.
+    # Two reflections make the panel's pose rigid again, and reverse u.
     device_from_panel = MIRROR_X @ eye.panel.device_from_panel @ MIRROR_X
     box, field = eye.eye_box, eye.field
     turned = np.array([-1.0, 1.0])

@@ -47,16 +47,16 @@ MM = 1e-3
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0])
 
 _ABBE_NUMBERS = 5.0, 200.0
-_FAR_MM = 2000.0  # of anything in a headset from its origin
-_OPEN_MM = 10.0  # half the width of a surface without an aperture, at least
-_STEEPEST_SLOPE = 20.0  # of a surface given by its sag: 87 degrees
-_FLAT_MM = 1e12  # radii of surfaces that are all but flat are written so
+_FAR_MM = 2000.0  # largest distance of a part of a headset from the origin
+_OPEN_MM = 10.0  # least half width of a surface without an aperture
+_STEEPEST_SLOPE = 20.0  # largest slope of a surface given by its sag: 87 degrees
+_FLAT_MM = 1e12  # radius written for a practically flat surface
 _EYE_BOX_LEAST_MM = 0.1
 _PANEL_LEAST_MM = 0.5
-_STEEPEST_DEG = 89.0  # of a field of view, which is described by tangents
-_HIGHEST_POWER = 20  # of x and y together
-_MOST = 100  # surfaces, steps of a path, media, terms
-_DEEPEST = 6  # surfaces stated by an earlier one: the time for a ray grows exponentially with it
+_STEEPEST_DEG = 89.0  # largest angle of a field of view, which is described by tangents
+_HIGHEST_POWER = 20  # highest total power of x and y
+_MOST = 100  # most surfaces, steps of a path, media, or terms
+_DEEPEST = 6  # deepest nesting of surfaces based on others: the time for a ray grows exponentially with it
 _OTHER_SIDE = {"right": "left", "left": "right"}
 
 
@@ -88,7 +88,7 @@ def placed_surface(table: Table, frame: FloatArray, earlier: dict[str, PlacedSur
 def _require_smooth(table: Table, shape: SagSurface, aperture: ClearAperture) -> None:
     """Refuse a sag too steep for optics within the aperture, or near the vertex along an axis that is open.
 
-    Newton's method does not settle on it, and takes minutes to find that out for every pixel.
+    Newton's method does not converge on it, and takes minutes to fail for every pixel.
     """
     low, high = (
         np.where(np.isinf(side), np.sign(side) * MM * _OPEN_MM, side)[:2] for side in (aperture.low, aperture.high)
@@ -113,7 +113,7 @@ def _form_error(table: Table, frame: FloatArray, base: PlacedSurface) -> FormErr
 
 
 def _aperture(table: Table) -> ClearAperture:
-    """`aperture_x_mm`, `aperture_y_mm`, `aperture_z_mm`; open along an axis that is left out."""
+    """Read `aperture_x_mm`, `aperture_y_mm`, `aperture_z_mm`; open along an axis that is left out."""
     keys = [f"aperture_{axis}_mm" for axis in "xyz"]
     sides = [_lengths(table, key, 2) if table.has(key) else np.array([-np.inf, np.inf]) for key in keys]
     low, high = np.stack(sides, axis=1)
@@ -123,7 +123,7 @@ def _aperture(table: Table) -> ClearAperture:
 
 
 def _pose(table: Table, frame: FloatArray) -> FloatArray:
-    """`origin_mm`, the axes by `rotate_x_deg` or by the two vectors `x_axis` and `z_axis`, and `mirrored`."""
+    """Read `origin_mm`, the axes by `rotate_x_deg` or by the vectors `x_axis` and `z_axis`, and `mirrored`."""
     if table.has("z_axis"):
         rotation = axes(table, "z_axis", "x_axis")[:, [1, 2, 0]]
     else:
@@ -155,7 +155,7 @@ def _xy_polynomial(table: Table) -> XYPolynomial:
     sag = table.table("sag_mm")
     powers = {key: _powers(sag, key) for key in sag.keys()}  # noqa: SIM118 (a Table is no dictionary)
     if not powers:
-        raise sag.fail("there is no coefficient; give at least one, such as x2.")
+        raise sag.fail("the coefficients are missing; give at least one, such as x2.")
     coefficients = np.zeros(np.max(list(powers.values()), axis=0) + 1)
     for key, (m, n) in powers.items():
         coefficients[m, n] = sag.number(key) * MM ** (1 - m - n)
@@ -166,10 +166,10 @@ def _xy_polynomial(table: Table) -> XYPolynomial:
 
 
 def _powers(sag: Table, key: str) -> tuple[int, int]:
-    """Return the powers of x and y that a key such as "x2y", "y3" stands for."""
+    """Return the powers of x and y in a key such as "x2y" or "y3"."""
     match = re.fullmatch(r"(?:x(\d*))?(?:y(\d*))?", key)
     if not key or match is None:
-        raise sag.fail(f"{shown(key)} is no term in x and y; write x2, xy3, y4 and so on.")
+        raise sag.fail(f"{shown(key)} is not a term in x and y; write x2, xy3, y4 and so on.")
     m, n = (0 if power is None else int((power or "1")[:9]) for power in match.groups())
     if m + n > _HIGHEST_POWER:
         raise sag.fail(f"{shown(key)} is of order {m + n}; {_HIGHEST_POWER} is the highest that is read.")
@@ -180,7 +180,7 @@ def _asphere(table: Table) -> Asphere:
     sag = table.table("sag_mm")
     powers = {key: _power_of_r(sag, key) for key in sag.keys()}  # noqa: SIM118 (a Table is no dictionary)
     if not powers:
-        raise sag.fail("there is no coefficient; give at least one, such as r4.")
+        raise sag.fail("the coefficients are missing; give at least one, such as r4.")
     coefficients = [0.0] * (max(powers.values()) - 1)
     for key, power in powers.items():
         coefficients[power - 2] = sag.number(key) * MM ** (1 - power)
@@ -191,7 +191,7 @@ def _asphere(table: Table) -> Asphere:
 def _power_of_r(sag: Table, key: str) -> int:
     match = re.fullmatch(r"r(\d{1,2})", key)
     if match is None or not 2 <= int(match[1]) <= _HIGHEST_POWER:
-        raise sag.fail(f"{shown(key)} is no term of an asphere; write r2, r4 and so on, up to r{_HIGHEST_POWER}.")
+        raise sag.fail(f"{shown(key)} is not a term of an asphere; write r2, r4 and so on, up to r{_HIGHEST_POWER}.")
     return int(match[1])
 
 
@@ -233,12 +233,12 @@ _SHAPES: dict[str, Callable[[Table], Shape]] = {
 
 
 def base_chain(shape: Shape) -> list[Shape]:
-    """Return the shape itself and, if it is displaced from a base, its base, and so on."""
+    """Return the shape itself and, if it is displaced from a base, the base, its base, and so on."""
     return [shape, *base_chain(shape.base)] if isinstance(shape, Offset | Raised | RaisedSag) else [shape]
 
 
 def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] | dict[str, Medium]) -> str:
-    """Return a key that refers to something defined in the file by its name."""
+    """Return a key that names something defined in the file."""
     name = entry.text(key)
     if name not in choices:
         raise entry.fail(
@@ -285,7 +285,7 @@ def device_path(spec: str | FilePath) -> FilePath:
     """Return the path of a device file, given a shipped device's name or a path.
 
     Raises:
-        BadInputError: there is no such device, or the file holds JSON, as fitted models do.
+        BadInputError: the device does not exist, or the file holds JSON, as fitted models do.
     """
     path = named_or_path("devices", spec)
     if path.suffix.lower() == ".json":
@@ -351,7 +351,7 @@ def _named_glass(table: Table, name: str) -> Medium:
 
 
 def _squared(table: Table, name: str) -> Medium:
-    """n^2 by terms of Sellmeier, by powers of the wavelength, or by the sum of both."""
+    """Read n^2 as terms of Sellmeier, as powers of the wavelength, or as the sum of both."""
     pairs = {key: table.vectors(key, 2) if table.has(key) else np.empty((0, 2)) for key in ("sellmeier", "schott")}
     for key, given in pairs.items():
         if len(given) > _MOST:
@@ -415,7 +415,7 @@ def _eye(table: Table, frame: FloatArray, media: dict[str, Medium]) -> EyeOptics
 
 
 def _path(entries: list[Table], surfaces: dict[str, PlacedSurface], media: dict[str, Medium]) -> Path:
-    """Return steps written as { at = surface, do = interaction, into = medium }; `into` belongs to refractions only."""
+    """Read steps written as { at = surface, do = interaction, into = medium }; `into` is for refractions only."""
     medium = AIR
     steps = []
     for entry in entries:
@@ -447,7 +447,7 @@ def _panel(table: Table, frame: FloatArray) -> PlacedPanel:
 
 
 def _field(table: Table) -> FieldOfView | None:
-    """Return the angles as the wearer has them, right and up positive, whatever the file's axes."""
+    """Read the angles from the wearer's view, right and up positive, whatever the file's axes."""
     if not table.has("field_deg"):
         return None
     angles = table.vector("field_deg", 4)

@@ -35,20 +35,20 @@ from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 from wlr_render.toml_files import write_toml
 
 Content = dict[str, Any]
-"""A table of the file, in plain lists and numbers, so that two of them can be compared."""
+"""A table of the file, in plain lists and numbers, so that two tables can be compared."""
 
 
 def save_device(device: Device, path: str | FilePath) -> FilePath:
-    """Write a device so that `load_device` reads the same one, to the rounding of its numbers.
+    """Write a device that `load_device` reads back, to the rounding of its numbers.
 
-    Media of one name that differ between the eyes get the side added to the name. A displaced surface whose base stands
-    elsewhere, or is in no path, gets a base of its own.
+    Media of one name that differ between the eyes get the side added to the name. A displaced surface gets a separate
+    base if its base has another pose or is not in a path.
     """
     return write_toml(path, device_content(device))
 
 
 def device_content(device: Device) -> Content:
-    """Return what `save_device` writes: two devices are the same if it is."""
+    """Return the content that `save_device` writes; two devices are the same if it is equal."""
     names = _medium_names(device)
     head = {"name": device.name, "source": device.source, "frame": "openxr"}
     media = [_medium(name, medium) for medium, name in names.items() if medium != AIR]
@@ -57,7 +57,7 @@ def device_content(device: Device) -> Content:
 
 
 def _medium_names(device: Device) -> dict[Medium, str]:
-    """Return a name for each medium in use, its own one where no other medium has it."""
+    """Return a name for each medium in use: its own name, unless another medium has it."""
     names = {AIR: AIR.name}
     for side, eye in device.eyes.items():
         for step in eye.display.steps + eye.see_through.steps:
@@ -74,7 +74,7 @@ def _medium(name: str, medium: Medium) -> Content:
         if (medium.terms, medium.powers) == (glass.terms, glass.powers):
             return {"name": name, "formula": glass.name} | shift
     poles = [list(term) for term in medium.terms if term[1]]
-    # A term of Sellmeier with a pole of 0 is a constant of n^2, as is a factor of the power 0.
+    # A Sellmeier term with a pole of 0 is a constant of n^2, and so is a factor of the power 0.
     constant = sum(strength for strength, pole in medium.terms if not pole)
     constant += sum(factor for factor, power in medium.powers if not power)
     powers = [[factor, power] for factor, power in medium.powers if power]
@@ -87,7 +87,7 @@ def _medium(name: str, medium: Medium) -> Content:
 
 
 def _eyes(device: Device, names: dict[Medium, str]) -> list[Content]:
-    """Return one table for both eyes where one is the mirror image of the other, else one for each."""
+    """Return one table for both eyes if one is the mirror image of the other, else one for each."""
     first, *others = device.eyes
     tables = {side: _eye(eye, names) for side, eye in device.eyes.items()}
     if others and tables[others[0]] == _eye(mirrored(device.eyes[first]), names):
@@ -131,7 +131,7 @@ def _panel(panel: PlacedPanel) -> Content:
 
 
 def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
-    """Return all surfaces and the bases that displaced ones need besides, each base before what is stated by it."""
+    """Return all surfaces and the bases that displaced ones need, each base before the surfaces that refer to it."""
     placed, bases = list(surfaces), dict[str, str]()
     for surface in placed:  # grows by the bases, which may be displaced too
         if not isinstance(surface.shape, Offset | Raised | RaisedSag):
@@ -145,7 +145,7 @@ def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
 
 
 def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> PlacedSurface:
-    """Return the base of a displaced surface: a surface of the base's shape that stands in its place, or a new one."""
+    """Return the surface that is the base of a displaced one: an existing surface in its place, or a new one."""
     for other in placed:
         if other.shape is shape and np.array_equal(other.device_from_surface, surface.device_from_surface):
             return other
@@ -200,13 +200,13 @@ def _base_conic(shape: Conic | Asphere | XYPolynomial) -> Content:
 
 
 def _polynomial(coefficients: FloatArray) -> Content:
-    """Return the terms by keys such as x2y3, without those that are zero unless all are."""
+    """Return non-zero terms with keys such as x2y3; one zero term if all vanish."""
     powers = [(int(m), int(n)) for m, n in np.argwhere(coefficients)] or [(0, 0)]
     return {_term_key(m, n): float(coefficients[m, n]) / MM ** (1 - m - n) for m, n in powers}
 
 
 def _term_key(m: int, n: int) -> str:
-    """Such as x2y3 or y4; x0 for the constant."""
+    """Return the key of a term, such as x2y3 or y4; x0 for the constant."""
     return f"x{m}" * (m > 0) + f"y{n}" * (n > 0) or "x0"
 
 
@@ -240,7 +240,7 @@ def _pose(device_from_surface: FloatArray) -> Content:
 
 
 def _aperture(aperture: ClearAperture) -> Content:
-    """Return a pair for each axis along which the aperture is not open."""
+    """Return a pair (low, high) for each axis on which the aperture is bounded."""
     sides = zip("xyz", aperture.low, aperture.high, strict=True)
     return {f"aperture_{axis}_mm": _mm(np.array(side)) for axis, *side in sides if np.isfinite(side).any()}
 

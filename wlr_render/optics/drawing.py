@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-_RAYS = 5  # of each kind and view
-_BEYOND = 1.3  # see-through rays are drawn to so many times the distance of what lies farthest
-_CUT_TO = 1.2  # of that distance, to which surfaces are drawn
-_LOST_ANGLE = np.deg2rad(15.0)  # to each side, of the rays that are drawn where none reaches the panel
-_LOST_LENGTH = 0.3  # of the device's size, to which a lost ray is drawn behind the last surface that it meets
-_ARROW = 0.6  # of the panel's edge: the length of the arrows that show where u and v grow
-_END_ON = 0.05  # of the panel's longer edge; an arrow that appears shorter is left out
+_RAYS = 5  # number of rays of each kind and view
+_BEYOND = 1.3  # length of see-through rays, in distances of the farthest part
+_CUT_TO = 1.2  # extent of drawn surfaces, in distances of the farthest part
+_LOST_ANGLE = np.deg2rad(15.0)  # half angle of the fan of rays drawn if none reaches the panel
+_LOST_LENGTH = 0.3  # length of a lost ray behind the last surface that it meets, in sizes of the device
+_ARROW = 0.6  # length of the arrows along u and v, in lengths of the panel's edge
+_END_ON = 0.05  # shortest drawn arrow, in lengths of the panel's longer edge
 _FAN = np.deg2rad(np.arange(-180.0, 180.0, 0.1))
 _EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
 _SURFACE_COLOURS = ("tab:purple", "tab:brown", "tab:olive", "tab:pink", "tab:cyan", "tab:gray")
@@ -61,9 +61,9 @@ VIEWS = (
 def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     """Write a drawing of one eye as a picture of the format that the path's suffix names (.png, .pdf, .svg).
 
-    Surfaces are cut by the plane of the view through the nominal viewpoint, as far as their clear apertures go; the
-    panel, the eye box and the rays, which start in that plane, are projected onto it. Arrows on the panel show where
-    u and v grow.
+    Surfaces are cut by the plane of the view through the nominal viewpoint, up to their clear apertures; the panel, the
+    eye box and the rays, which start in that plane, are projected onto it. Arrows on the panel show the directions of u
+    and v.
 
     Raises:
         BadInputError: the device has no such eye, or the path cannot be written.
@@ -77,7 +77,7 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     for axes, view in zip(figure.subplots(1, 2), VIEWS, strict=True):
         _draw_view(axes, optics, view)
     handles: dict[str, Artist] = {}
-    for axes in figure.axes:  # what is in one view only is in the legend as well
+    for axes in figure.axes:  # parts in one view only are in the legend as well
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False)
@@ -108,15 +108,15 @@ def _draw_view(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
     centre = optics.eye_box.centre
     for surface, colour in zip(optics.surfaces(), itertools.cycle(_SURFACE_COLOURS), strict=False):
         cut = cut_surface(surface, centre, view)
-        # A surface without an aperture has no end; the drawing shows what is near the other parts.
+        # A surface without an aperture is unlimited; the drawing shows the region near the other parts.
         cut[np.linalg.norm(cut - centre, axis=-1) > _CUT_TO * _size(optics)] = np.nan
         axes.plot(*view.in_mm(cut), lw=2.5, color=colour, label=surface.name.replace("_", " "))
     if view.up == 0:
-        axes.invert_yaxis()  # seen from above and looking to the right, the right-hand side is below
+        axes.invert_yaxis()  # top view: with the eye looking to the right, the wearer's right is below
 
 
 def _draw_panel_axes(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
-    """Arrows along the panel's edges from its first pixel on: where u and v grow, unless they are seen end on."""
+    """Draw arrows along u and v from the panel's first pixel, unless they are seen end on."""
     ends = optics.panel.point_of_pixel(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]) * optics.panel.pixels.size_px)
     along, up = view.in_mm(ends)
     longest = 1e3 * float(optics.panel.size.max())
@@ -140,7 +140,7 @@ def _draw_eye_box(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
 def cut_surface(surface: PlacedSurface, centre: FloatArray, view: DrawingView) -> FloatArray:
     """Return the points of a surface in the plane of the view through `centre`, (n, 3); NaN separates pieces.
 
-    They are found by a fan of straight rays, whatever the shape.
+    A fan of straight rays finds them for any shape.
     """
     alone = Path((Step(surface, Interaction.REFLECT, AIR),))
     met = trace(alone, centre, view.directions(_FAN), GREEN_UM)
@@ -148,10 +148,10 @@ def cut_surface(surface: PlacedSurface, centre: FloatArray, view: DrawingView) -
 
 
 def _size(optics: EyeOptics) -> float:
-    """Distance in metres from the eye to the farthest corner of the panel or the farthest surface on the way to it.
+    """Return the distance in metres from the eye to the farthest panel corner or surface on the way.
 
-    Surfaces count by their places, or by where the ray to the middle of the field meets them, whichever is nearer:
-    the vertex of a conic may be far from the part that is used.
+    The position of a surface is its origin or the point where the ray to the middle of the field meets it, whichever is
+    nearer: the vertex of a conic may be far from its used part.
     """
     centre = optics.eye_box.centre
     corners = optics.panel.point_of_pixel(_EDGES * optics.panel.pixels.size_px)
@@ -168,15 +168,15 @@ def _size(optics: EyeOptics) -> float:
 
 
 def _draw_rays(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
-    """Rays to the panel, evenly over the angles at which it is seen in this plane, and the world's rays there.
+    """Draw rays to the panel, evenly spread over its angles in this plane, and the world's rays in the same directions.
 
-    Where the panel is not seen, rays within 15 degrees of straight ahead show where they are lost.
+    If the panel is not visible, rays within 15 degrees of straight ahead show where they are lost.
     """
     centre, size = optics.eye_box.centre, _size(optics)
     ahead = _FAN[np.abs(_FAN) < 0.5 * np.pi]
     mapping = TracedDisplay(optics, GREEN_UM)
-    seen = mapping.pixel_of_view_dir(view.directions(ahead), centre).ok
-    ends = (ahead[seen].min(), ahead[seen].max()) if seen.any() else (-_LOST_ANGLE, _LOST_ANGLE)
+    visible = mapping.pixel_of_view_dir(view.directions(ahead), centre).ok
+    ends = (ahead[visible].min(), ahead[visible].max()) if visible.any() else (-_LOST_ANGLE, _LOST_ANGLE)
     view_dir = view.directions(np.linspace(*ends, _RAYS))
     world = trace(optics.see_through, centre, view_dir, GREEN_UM)
     gone = np.linalg.norm(world.origin - centre, axis=-1)
@@ -191,7 +191,7 @@ def _draw_rays(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:
 
 
 def _draw_lost(axes: "Axes", optics: EyeOptics, view: DrawingView, view_dir: FloatArray, size: float) -> None:
-    """Rays that do not reach the panel, to the last surface they meet and a little on."""
+    """Draw rays that do not reach the panel up to the last surface they meet and a little farther."""
     steps, label = optics.display.steps, "display rays that are lost"
     for direction in view_dir:
         points, heading = [optics.eye_box.centre], direction
@@ -207,7 +207,7 @@ def _draw_lost(axes: "Axes", optics: EyeOptics, view: DrawingView, view_dir: Flo
 
 
 def _draw_lines(axes: "Axes", view: DrawingView, parts: list[FloatArray], colour: str, label: str) -> None:
-    """One line per ray through its start (3,), the points between (n, steps, 3) and its end (n, 3)."""
+    """Draw one line per ray through its start (3,), the points between (n, steps, 3) and its end (n, 3)."""
     start, between, end = parts
     if len(end) == 0:
         return

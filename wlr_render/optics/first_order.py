@@ -20,14 +20,14 @@ _EYE_STEP_M = 1e-4
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """How the panel is imaged around the middle of the field, along x and y of the device.
+    """First-order imaging of the panel around the middle of the field, along x and y of the device.
 
     Attributes:
         focal_length_m: distance on the panel for a tangent of 1.
         vergence_per_m: inverse distance of the virtual image; negative where it lies behind the eye.
-        distortion_rms: departure of places on the panel from the scale at the middle, over the distance from it of
-            the farthest; rms over the field.
-        distortion_max: the largest.
+        distortion_rms: departure of positions on the panel from the scale at the middle, relative to the farthest
+            position; rms over the field.
+        distortion_max: largest departure.
         u_direction: unit vector (to the wearer's right, up) in which u of the panel grows in the view.
         v_direction: the same for v.
     """
@@ -41,7 +41,7 @@ class FirstOrder:
 
     @property
     def magnification(self) -> tuple[float, float]:
-        """Size of the virtual image over that of the panel; infinite for an image at infinity."""
+        """Size of the virtual image relative to the panel; infinite for an image at infinity."""
         x, y = (
             1.0 / abs(vergence * focal) if vergence and focal else np.inf
             for vergence, focal in zip(self.vergence_per_m, self.focal_length_m, strict=True)
@@ -59,10 +59,10 @@ def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
     tangents = tangents_of_dir(judged_directions(optics))
     place = _place(optics, tangents, optics.eye_box.centre, wavelength_um)
     pixel = optics.panel.pixel_of_local(place)
-    seen = np.all((pixel >= 0.0) & (pixel <= optics.panel.pixels.size_px), axis=-1)
-    if not seen.any():
+    on_panel = np.all((pixel >= 0.0) & (pixel <= optics.panel.pixels.size_px), axis=-1)
+    if not on_panel.any():
         return None
-    tangents, place = tangents[seen], place[seen]
+    tangents, place = tangents[on_panel], place[on_panel]
     nearest = int(np.argmin(np.linalg.norm(tangents - tangents.mean(axis=0), axis=-1)))
     middle = tangents[nearest]
     steps = np.concatenate([np.eye(2), -np.eye(2)])
@@ -73,7 +73,7 @@ def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
     shift = ((by_eye[:2] - by_eye[2:]) / (2.0 * _EYE_STEP_M)).T
     if not (np.isfinite(scale).all() and np.isfinite(shift).all()) or np.linalg.det(scale) == 0.0:
         return None
-    # A place on the panel stays the same if the eye moves by e and the tangent by -e / distance.
+    # A position on the panel stays the same if the eye moves by e and the tangent by -e / distance.
     vergence = np.linalg.solve(scale, shift)
     straight = (tangents - middle) @ scale.T
     away = np.linalg.norm(place - place[nearest] - straight, axis=-1)
@@ -92,7 +92,7 @@ def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
 
 
 def _place(optics: EyeOptics, tangents: FloatArray, viewpoint: FloatArray, wavelength_um: float) -> FloatArray:
-    """Return the places on the panel (n, 2) in metres from its middle; NaN for rays that are lost."""
+    """Return positions on the panel (n, 2) in metres from its middle; NaN for lost rays."""
     traced = trace(optics.display, viewpoint, dir_of_tangents(tangents), wavelength_um)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
     local = (pixel / optics.panel.pixels.size_px - 0.5) * optics.panel.size

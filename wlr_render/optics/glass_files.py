@@ -27,11 +27,11 @@ class GlassEntry:
     """One glass of a catalogue, as its lines NM, GC, CD and LD state it.
 
     Attributes:
-        name: of the glass.
+        name: name of the glass.
         formula: number of the dispersion formula.
         place: file and line, for messages.
-        source: comment.
-        coefficients: of the formula.
+        source: comment with the source.
+        coefficients: coefficients of the formula.
         range_um: shortest and longest wavelength of the formula.
     """
 
@@ -69,7 +69,7 @@ class GlassEntry:
 
 
 def read_glass_file(path: Path) -> dict[str, GlassEntry]:
-    """Read a catalogue: its glasses by name in capitals; of two with one name, the first.
+    """Read a catalogue: its glasses by name in capitals; the first of two glasses with one name counts.
 
     Raises:
         BadInputError: the file cannot be read, or is not a catalogue.
@@ -122,7 +122,7 @@ def fraction(strength: float, pole: float) -> tuple[list[tuple[float, float]], l
 def herzberger(name: str, coefficients: Sequence[float]) -> Medium:
     """Return a medium of n = A + B M + C M^2 + D L^2 + E L^4 + F L^6 with M = 1 / (L^2 - 0.028).
 
-    M is expanded in powers of 0.028 / L^2 up to L^-20: from 0.4 micrometres on, n is met to 1e-7.
+    M is expanded in powers of 0.028 / L^2 up to L^-20: from 0.4 micrometres on, n is exact to 1e-7.
     """
     a, b, c, *rest = coefficients
     factors = [(a, 0.0), *zip(rest, (2.0, 4.0, 6.0), strict=True)]
@@ -134,38 +134,38 @@ def herzberger(name: str, coefficients: Sequence[float]) -> Medium:
 
 
 def _powers(*powers: float) -> Callable[[str, Sequence[float]], Medium]:
-    """Reader of n^2 = sum of coefficient L^power."""
+    """Return a reader of n^2 = sum of coefficient L^power."""
     return lambda name, values: Medium.squared(name, (), zip(values, powers, strict=True))
 
 
 def _sellmeier_2(name: str, values: Sequence[float]) -> Medium:
-    """n^2 = 1 + A + B L^2 / (L^2 - p^2) + C / (L^2 - q^2)."""
+    """Return a medium of n^2 = 1 + A + B L^2 / (L^2 - p^2) + C / (L^2 - q^2)."""
     a, b, p, c, q = values
     terms, powers = fraction(c, q * q)
     return Medium.squared(name, [(b, p * p), *terms], [(1.0 + a, 0.0), *powers])
 
 
 def _handbook_1(name: str, values: Sequence[float]) -> Medium:
-    """n^2 = A + B / (L^2 - C) - D L^2."""
+    """Return a medium of n^2 = A + B / (L^2 - C) - D L^2."""
     a, b, c, d = values
     terms, powers = fraction(b, c)
     return Medium.squared(name, terms, [(a, 0.0), (-d, 2.0), *powers])
 
 
 def _handbook_2(name: str, values: Sequence[float]) -> Medium:
-    """n^2 = A + B L^2 / (L^2 - C) - D L^2."""
+    """Return a medium of n^2 = A + B L^2 / (L^2 - C) - D L^2."""
     a, b, c, d = values
     return Medium.squared(name, [(b, c)], [(a, 0.0), (-d, 2.0)])
 
 
 def _sellmeier_4(name: str, values: Sequence[float]) -> Medium:
-    """n^2 = A + B L^2 / (L^2 - C) + D L^2 / (L^2 - E)."""
+    """Return a medium of n^2 = A + B L^2 / (L^2 - C) + D L^2 / (L^2 - E)."""
     a, b, c, d, e = values
     return Medium.squared(name, [(b, c), (d, e)], [(a, 0.0)])
 
 
 def _conrady(name: str, values: Sequence[float]) -> Medium:
-    """n = A + B / L + C / L^3.5."""
+    """Return a medium of n = A + B / L + C / L^3.5."""
     return Medium.cauchy(name, tuple(zip(values, (0.0, -1.0, -3.5), strict=True)))
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 FRAUNHOFER_F_D_C_UM = (0.48613270, 0.58756180, 0.65627250)
-"""Blue and red of hydrogen, yellow of helium between them: the lines that an Abbe number is stated for."""
+"""Wavelengths that define an Abbe number: blue (F) and red (C) of hydrogen, and yellow (d) of helium."""
 GREEN_UM = 0.55
-"""Wavelength of the green light by which optics are traced where no colour is named."""
+"""Wavelength at which optics are traced by default, green."""
 INDICES = 1.0, 5.0
 """Smallest and largest refractive index of a transparent medium."""
 _DISPLAYED_UM = 0.45, GREEN_UM, 0.65  # wavelengths at which a medium must have a plausible index
@@ -20,11 +20,11 @@ class Medium:
     """A transparent medium: n^2 = 1 + sum of strength L^2 / (L^2 - pole) + sum of factor L^power, and a shift of n.
 
     Attributes:
-        name: in the device file.
-        terms: of Sellmeier, pairs (strength, pole in square micrometres); a pole of 0 is a constant index, and a
+        name: name in the device file.
+        terms: Sellmeier terms, pairs (strength, pole in square micrometres); a pole of 0 is a constant index, and a
             negative one lies at no real wavelength.
         index_shift: added to n at every wavelength: the difference of a sample from the published formula.
-        powers: of Schott and Cauchy, pairs (factor in micrometres^-power, power).
+        powers: powers of Schott and Cauchy, pairs (factor in micrometres^-power, power).
     """
 
     name: str
@@ -63,7 +63,7 @@ class Medium:
     def abbe(cls, name: str, index: float, number: float, deviation: float = 0.0) -> "Medium":
         """Return a medium by its index n_d and its Abbe number V_d = (n_d - 1) / (n_F - n_C).
 
-        Both are met exactly, by three terms of Cauchy. The third follows from the partial dispersion
+        Both are exact, by three Cauchy terms. The third follows from the partial dispersion
         P_gF = (n_g - n_F) / (n_F - n_C), which is `deviation` above Schott's normal line 0.6438 - 0.001682 V_d.
         """
         g_line, (f_line, d_line, c_line) = 0.4358343, FRAUNHOFER_F_D_C_UM
@@ -78,7 +78,7 @@ class Medium:
         return replace(self, index_shift=self.index_shift + delta)
 
     def renamed(self, name: str) -> "Medium":
-        """Return the same medium by another name."""
+        """Return the same medium with another name."""
         return replace(self, name=name)
 
     def index(self, wavelength_um: float) -> float:
@@ -88,11 +88,11 @@ class Medium:
             return np.nan
         n_squared = 1.0 + sum(strength * square / (square - pole) for strength, pole in self.terms)
         n_squared += sum(factor * wavelength_um**power for factor, power in self.powers)
-        # The index of no medium is below 1: beyond a pole, NaN instead of a complex number.
+        # An index is at least 1: beyond a pole it is NaN instead of a complex number.
         return float(n_squared**0.5) + self.index_shift if n_squared >= 0.0 else np.nan
 
     def fault(self) -> str | None:
-        """Return the sentence on an index that no transparent medium has in visible light; None if all is plausible."""
+        """Describe an index that no transparent medium has in visible light; None if all is plausible."""
         low, high = INDICES
         for wavelength_um in _DISPLAYED_UM:
             if not low <= (index := self.index(wavelength_um)) <= high:
@@ -110,4 +110,4 @@ class Medium:
 
 
 AIR = Medium("air")
-"""Where every path starts and ends; its index is taken as 1."""
+"""The medium at both ends of every path; its index is 1."""

@@ -15,11 +15,11 @@ _REACH = 1e-2  # metres: form errors are far smaller
 
 @dataclass(frozen=True, eq=False)
 class FormError:
-    """By how much a surface is raised, as a function of position across an axis.
+    """Height of a form error as a function of position across an axis.
 
     Attributes:
-        sag: height over x and y, in metres; its z means nothing here.
-        surface_from_error: (4, 4) pose of its axes in those of the surface; orthogonal, improper in a mirrored eye.
+        sag: height over x and y, in metres; its position along z is not used.
+        surface_from_error: (4, 4) pose of its axes in the surface's axes; orthogonal, improper in a mirrored eye.
     """
 
     sag: SagSurface
@@ -54,7 +54,7 @@ class Raised(_WithErrors, DisplacedShape):
     """A surface raised by form errors along its unit normal.
 
     The height is a function of the point itself, not of its foot. Then the surface is F(p) = h(p), where F is the
-    distance of a point from the base, and its normal is grad F - grad h: the curvature of the base does not enter.
+    distance of a point from the base, and its normal is grad F - grad h: independent of the curvature of the base.
 
     Attributes:
         base: the surface as prescribed.
@@ -66,21 +66,21 @@ class Raised(_WithErrors, DisplacedShape):
 
     @property
     def footing(self) -> Shape:
-        """See `DisplacedShape`: normals of an offset are those of its base, so that one contraction finds both."""
+        """Shape of the feet; an offset has the normals of its base, so that one contraction finds both."""
         return self.base.base if isinstance(self.base, Offset) else self.base
 
     def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """See `DisplacedShape`."""
+        """Return the displacement of points from their feet."""
         offset = self.base.distance if isinstance(self.base, Offset) else 0.0
         return np.asarray((self.height_and_gradient(point)[0] + offset) * normal)
 
     @property
     def reach(self) -> float:
-        """See `DisplacedShape`."""
+        """Largest shift of a root in metres."""
         return _REACH
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """See `surfaces.Shape`; leads to the side that the base's normal leads to."""
+        """Return the unit normals, on the side of the base's normals."""
         return unit(self.foot_normal(point) - self.height_and_gradient(point)[1])
 
 
@@ -97,19 +97,19 @@ class RaisedSag(_WithErrors, LevelSurface):
     errors: tuple[FormError, ...]
 
     def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `LevelSurface`: z above the surface."""
+        """Return the height z of points above the surface, and its derivative along directions."""
         height, gradient = self.height_and_gradient(point)
         above, slope = self.base.level(point, direction)
         return above - height, slope - dot(gradient, direction)
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """See `surfaces.Shape`; points to +z at the vertex."""
+        """Return the unit normals, which point to +z at the vertex."""
         _, slope_x, slope_y = self.base.sag_and_slopes(point[0], point[1])
         return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]) - self.height_and_gradient(point)[1])
 
 
 def raised(shape: Shape, *errors: FormError) -> Shape:
-    """Return a shape with form errors, in addition to those that it has."""
+    """Return a shape with form errors, in addition to any that it has."""
     match shape:
         case Raised() | RaisedSag():
             return replace(shape, errors=(*shape.errors, *errors))

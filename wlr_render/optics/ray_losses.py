@@ -1,4 +1,4 @@
-"""Where the rays of the display path are lost, surface by surface, and which single change would let them arrive."""
+"""Losses of the display path's rays, surface by surface, and the single changes that would let them arrive."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -15,24 +15,24 @@ from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.optics.tracer import Trace, trace
 
 _COLUMNS, _ROWS = 25, 21
-_CONE_TANGENT = 0.4  # of the rays that are tried where no nominal field is stated
+_CONE_TANGENT = 0.4  # tangent of the cone of test rays if no nominal field is stated
 _TURNED = np.diag([1.0, 1.0, -1.0, 1.0])
-_MANY = 0.5  # of the rays; fewer are called lost
-_BETTER = 2.0  # times as many rays, and most of them, say that a change is right
-_TILTED = 1e-6  # component of the normal across the line of sight, from which a mirror is turned
-_AS_GOOD = 0.9  # of the rays that the best change lets arrive
+_MANY = 0.5  # share of the rays; fewer count as lost
+_BETTER = 2.0  # factor by which an accepted change increases the passing rays, which must also be most of all
+_TILTED = 1e-6  # component of the normal across the line of sight from which a mirror counts as tilted
+_AS_GOOD = 0.9  # share of the best change's rays from which another change counts as equally good
 
 
 @dataclass(frozen=True)
 class SurfaceLosses:
-    """What becomes of the rays that reach a surface, or the panel.
+    """Fate of the rays that reach a surface, or the panel.
 
     Attributes:
-        name: of the surface.
-        interaction: as the device file has it; "panel" for the panel.
+        name: name of the surface.
+        interaction: interaction in the device file; "panel" for the panel.
         reached: rays that were not lost before.
         passed: rays that go on, or that end on the panel.
-        reasons: how many are lost, by reason, in words that follow "rays".
+        reasons: number of lost rays by reason, in words that follow "rays".
     """
 
     name: str
@@ -47,7 +47,7 @@ class SurfaceLosses:
         return self.reached - self.passed
 
     def sentence(self) -> str:
-        """Return why rays are lost here, as a part of a sentence."""
+        """Return the reasons for losses here, as a part of a sentence."""
         return ", ".join(f"{count} {reason}" for reason, count in self.reasons.items() if count)
 
 
@@ -89,7 +89,7 @@ def display_losses(optics: EyeOptics, wavelength_um: float) -> tuple[SurfaceLoss
 
 
 def on_panel(optics: EyeOptics, pixel: FloatArray) -> BoolArray:
-    """Return which pixels (..., 2) lie on the panel's lit area; not those that are NaN."""
+    """Return which pixels (..., 2) lie on the panel's lit area; False for NaN."""
     return np.asarray(np.all((pixel >= 0.0) & (pixel <= optics.panel.pixels.size_px), axis=-1))
 
 
@@ -123,14 +123,14 @@ def _lies_behind(step: Step, arriving: Trace) -> BoolArray:
 
 
 def reach_panel(optics: EyeOptics, wavelength_um: float) -> int:
-    """Return how many of the judged rays end on the panel."""
+    """Return the number of judged rays that end on the panel."""
     traced = trace(optics.display, optics.eye_box.centre, judged_directions(optics), wavelength_um)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
     return int(np.sum((traced.status == Status.OK) & on_panel(optics, pixel)))
 
 
 def turned_round(surface: PlacedSurface) -> PlacedSurface:
-    """Return the surface bent to the other side: as if the sign of its radius and of all terms were changed."""
+    """Return the surface with reversed curvature: as if the sign of its radius and of all terms were changed."""
     aperture = surface.aperture
     low, high = aperture.low.copy(), aperture.high.copy()
     low[2], high[2] = -aperture.high[2], -aperture.low[2]
@@ -143,11 +143,11 @@ def turned_round(surface: PlacedSurface) -> PlacedSurface:
 
 @dataclass(frozen=True, eq=False)
 class TriedChange:
-    """An eye with one likely mistake of its description undone.
+    """An eye with one likely mistake of its description corrected.
 
     Attributes:
         condition: the change, as the beginning of a sentence: "With ...".
-        check: what to check in the device file if the change helps.
+        check: advice on the device file if the change helps.
         optics: the changed eye.
     """
 
@@ -157,7 +157,7 @@ class TriedChange:
 
 
 def curvature_changes(optics: EyeOptics) -> Iterator[TriedChange]:
-    """Yield each curved surface of the display path bent to the other side, and each one of its two radii alone."""
+    """Yield each curved surface of the display path with reversed curvature, and with each of two radii reversed."""
     for surface in _surfaces_of_display(optics):
         if surface.shape == Conic(0.0):
             continue
@@ -175,7 +175,7 @@ def curvature_changes(optics: EyeOptics) -> Iterator[TriedChange]:
 
 
 def path_changes(optics: EyeOptics) -> Iterator[TriedChange]:
-    """Yield each two neighbouring steps of the display path exchanged, and each plane mirror turned the other way."""
+    """Yield each pair of neighbouring display steps exchanged, and each plane mirror turned the other way."""
     steps = optics.display.steps
     for place, (first, second) in enumerate(pairwise(steps)):
         if first.surface.name != second.surface.name:
@@ -208,7 +208,7 @@ def _with_surface(optics: EyeOptics, changed: PlacedSurface) -> EyeOptics:
 
 
 def _one_radius_reversed(shape: Shape) -> Iterator[tuple[str, Shape]]:
-    """For a shape of two radii: the axis of each, and the shape with that radius of the other sign."""
+    """Yield each axis of a shape of two radii, and the shape with that radius reversed."""
     if isinstance(shape, Toroid):
         yield "x", replace(shape, radius_x=-shape.radius_x)
         yield "y", replace(shape, radius_y=-shape.radius_y)
@@ -221,7 +221,7 @@ def _one_radius_reversed(shape: Shape) -> Iterator[tuple[str, Shape]]:
 
 
 def helpful_changes(optics: EyeOptics, wavelength_um: float) -> list[tuple[TriedChange, int]]:
-    """Return the changes with which most rays would reach the panel, and how many would; the best first."""
+    """Return the changes with which most rays would reach the panel, and the number of these rays; the best first."""
     total, now = len(judged_directions(optics)), reach_panel(optics, wavelength_um)
     changes = [*curvature_changes(optics), *path_changes(optics)]
     counted = [(change, reach_panel(change.optics, wavelength_um)) for change in changes]

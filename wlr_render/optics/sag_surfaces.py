@@ -14,21 +14,21 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.surfaces import SurfaceIntersections, unit
 
 _MAX_STEPS = 25
-_STEPS_OF_ALL = 6  # most rays have converged by then; those that never do must not cost as much as all
+_STEPS_OF_ALL = 6  # Newton steps on all rays; most have converged by then, and only the others go on
 # Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
 _LAST_STEP = 1e-10
 
 
 class LevelSurface:
-    """A shape as the zero of a function near z = 0, met by Newton's method from where a ray crosses z = 0; one root."""
+    """A shape as the zero of a function near z = 0, solved by Newton's method from the point at z = 0; one root."""
 
     def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The function in metres at points (3, n), (n,), and its derivative along unit directions (3, n), (n,)."""
+        """Return the function (n,) in metres at points (3, n), and its derivative (n,) along unit directions (3, n)."""
         raise NotImplementedError
 
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `surfaces.Shape`."""
+        """Return the intersection of rays with the shape."""
         distance = -origin[2] / direction[2]
         step = distance.copy()
         rays: slice | NDArray[np.int64] = slice(None)  # all; soon, the few that have not converged
@@ -53,13 +53,13 @@ class SagSurface(LevelSurface):
         raise NotImplementedError
 
     def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """See `LevelSurface`: z above the surface."""
+        """Return the height z of points above the surface, and its derivative along directions."""
         (x, y, z), (dx, dy, dz) = point, direction
         sag, slope_x, slope_y = self.sag_and_slopes(x, y)
         return np.asarray(z - sag), np.asarray(dz - slope_x * dx - slope_y * dy)
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """See `surfaces.Shape`; points to +z at the vertex."""
+        """Return the unit normals, which point to +z at the vertex."""
         _, slope_x, slope_y = self.sag_and_slopes(point[0], point[1])
         return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]))
 
@@ -77,7 +77,7 @@ class Toroid(SagSurface):
     radius_y: float
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `SagSurface`."""
+        """Return the sag and slopes; see `SagSurface`."""
         curvature = 1.0 / self.radius_y
         root = np.sqrt(1.0 - curvature * curvature * y * y)
         profile = curvature * y * y / (1.0 + root)
@@ -89,7 +89,7 @@ class Toroid(SagSurface):
 def _conicoid(
     x: FloatArray, y: FloatArray, curvature: tuple[float, float], conic: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return biconic sag (cx x^2 + cy y^2) / (1 + sqrt(1 - (1 + kx) cx^2 x^2 - (1 + ky) cy^2 y^2)) and its slopes."""
+    """Return the sag (cx x^2 + cy y^2) / (1 + sqrt(1 - (1 + kx) cx^2 x^2 - (1 + ky) cy^2 y^2)) and its slopes."""
     (cx, cy), (kx, ky) = curvature, conic
     px, py = (1.0 + kx) * cx * cx, (1.0 + ky) * cy * cy
     root = np.sqrt(1.0 - px * x * x - py * y * y)
@@ -104,8 +104,8 @@ class Asphere(SagSurface):
     """A conicoid of revolution with terms in powers of the distance r from its axis.
 
     Attributes:
-        coefficients: by power of r from r^2 on; that of r^k in metres^(1 - k).
-        curvature: of the conic base in 1/m; 0 is none.
+        coefficients: coefficients by power of r from r^2 on; the coefficient of r^k in metres^(1 - k).
+        curvature: curvature of the conic base in 1/m; 0 for a plane base.
         conic: k of the conic base.
     """
 
@@ -114,7 +114,7 @@ class Asphere(SagSurface):
     conic: float = 0.0
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `SagSurface`; Horner in r, after r^2 is taken out."""
+        """Return the sag and slopes by Horner's scheme in r, after r^2 is factored out."""
         sag, slope_x, slope_y = _conicoid(x, y, (self.curvature, self.curvature), (self.conic, self.conic))
         r_squared = x * x + y * y
         if not any(self.coefficients[1::2]):
@@ -129,7 +129,7 @@ class Asphere(SagSurface):
 
 @dataclass(frozen=True)
 class SumOfProfiles(SagSurface):
-    """A conic profile of x plus a conic profile of y, each with a root of its own.
+    """A conic profile of x plus a conic profile of y, each with a separate root.
 
     Attributes:
         curvature: (cx, cy) in 1/m.
@@ -140,7 +140,7 @@ class SumOfProfiles(SagSurface):
     conic: tuple[float, float] = (0.0, 0.0)
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `SagSurface`."""
+        """Return the sag and slopes; see `SagSurface`."""
         (cx, cy), (kx, ky) = self.curvature, self.conic
         sag_x, slope_x, _ = _conicoid(x, np.zeros_like(x), (cx, 0.0), (kx, 0.0))
         sag_y, _, slope_y = _conicoid(np.zeros_like(y), y, (0.0, cy), (0.0, ky))
@@ -153,7 +153,7 @@ class XYPolynomial(SagSurface):
 
     Attributes:
         coefficients: (M + 1, N + 1); C[m, n] in metres^(1 - m - n).
-        curvature: of the conic base in 1/m; 0 is none.
+        curvature: curvature of the conic base in 1/m; 0 for a plane base.
         conic: k of the conic base.
     """
 
@@ -163,11 +163,11 @@ class XYPolynomial(SagSurface):
 
     @cached_property
     def _columns(self) -> list[list[float]]:
-        """Per power of y, the coefficients by power of x without their trailing zeros."""
+        """Coefficients by power of x without trailing zeros, for each power of y."""
         return [np.trim_zeros(column, "b").tolist() for column in self.coefficients.T]
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `SagSurface`; nested Horner, in x within powers of y."""
+        """Return the sag and slopes by nested Horner schemes, in x within powers of y."""
         sag, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
         for column in reversed(self._columns):
             value, slope = _horner(column, x)
@@ -181,7 +181,7 @@ class XYPolynomial(SagSurface):
 
 
 def _horner(coefficients: Sequence[float], x: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
-    """Return the value and derivative of a polynomial, lowest power first; plain numbers where it is constant."""
+    """Return the value and derivative of a polynomial, lowest power first; plain numbers for a constant."""
     if not coefficients:
         return 0.0, 0.0
     value: FloatArray | float = coefficients[-1]
@@ -214,7 +214,7 @@ class AnamorphicAsphere(SagSurface):
     Attributes:
         curvature: (cx, cy) in 1/m.
         conic: (kx, ky).
-        terms: added to the biconic sag.
+        terms: terms that are added to the biconic sag.
     """
 
     curvature: tuple[float, float]
@@ -222,7 +222,7 @@ class AnamorphicAsphere(SagSurface):
     terms: tuple[AnamorphicTerm, ...] = ()
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `SagSurface`."""
+        """Return the sag and slopes; see `SagSurface`."""
         sag, slope_x, slope_y = _conicoid(x, y, self.curvature, self.conic)
         for term in self.terms:
             ax, ay = 1.0 - term.asymmetry, 1.0 + term.asymmetry
@@ -247,7 +247,7 @@ class GaussianBump(SagSurface):
     width: float
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """See `SagSurface`."""
+        """Return the sag and slopes; see `SagSurface`."""
         square = self.width * self.width
         sag = self.height * np.exp(-0.5 * (x * x + y * y) / square)
         return sag, -sag * x / square, -sag * y / square

@@ -1,7 +1,7 @@
 """Surface shapes in closed form, and parallel offsets of any shape.
 
-A shape lives in its own frame, in metres. Inside the tracer rays are columns: points and directions are (3, n)
-arrays, so that each coordinate is contiguous. Shapes know nothing of apertures and poses (see `device`).
+A shape has its own frame, in metres. Inside the tracer rays are columns: points and directions are (3, n) arrays, so
+that each coordinate is contiguous. Shapes have no apertures and poses (see `device`).
 """
 
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class SurfaceIntersections:
-    """Where rays meet a shape.
+    """Intersections of rays with a shape.
 
     Attributes:
-        distance: (k, n) distances along the rays, ascending over k, of either sign; NaN where there is no such root.
-        converged: (n,) bool; False where an iteration did not settle, which is not the same as a miss.
+        distance: (k, n) distances along the rays, ascending over k, of either sign; NaN without such a root.
+        converged: (n,) bool; False where an iteration did not converge, which is not a miss.
     """
 
     distance: FloatArray
@@ -46,13 +46,13 @@ def dot(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(first[0] * second[0] + first[1] * second[1] + first[2] * second[2])
 
 
-@np.errstate(invalid="ignore", divide="ignore")  # what has no root becomes NaN
+@np.errstate(invalid="ignore", divide="ignore")  # NaN without a root
 def _quadratic_roots(a: FloatArray, half_b: FloatArray, c: FloatArray) -> FloatArray:
     """Return both roots of a t^2 + 2 half_b t + c, ascending, (2, n); without cancellation, also where a is 0."""
     q = -(half_b + np.copysign(np.sqrt(half_b * half_b - a * c), half_b))
     first, second = q / a, c / q
     first[~np.isfinite(first)] = np.nan
-    # fmin and fmax: a single root takes both places, and NaN only stays where there is none.
+    # fmin and fmax: a single root fills both rows, and NaN remains only without a root.
     return np.stack([np.fmin(first, second), np.fmax(first, second)])
 
 
@@ -71,7 +71,7 @@ class Conic:
     conic: float = 0.0
 
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `Shape`; the equation is c (x^2 + y^2 + (1 + k) z^2) - 2 z = 0."""
+        """Return the intersections with c (x^2 + y^2 + (1 + k) z^2) - 2 z = 0."""
         c, p = self.curvature, 1.0 + self.conic
         (ox, oy, oz), (dx, dy, dz) = origin, direction
         a = c * (dx * dx + dy * dy + p * dz * dz)
@@ -82,7 +82,7 @@ class Conic:
         return SurfaceIntersections(distance, np.ones(ox.shape, dtype=bool))
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """See `Shape`; points to +z at the vertex."""
+        """Return the unit normals, which point to +z at the vertex."""
         c = self.curvature
         x, y, z = point
         return unit(np.stack([-c * x, -c * y, 1.0 - (1.0 + self.conic) * c * z]))
@@ -99,29 +99,29 @@ class Ellipsoid:
     semi_axes: FloatArray
 
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `Shape`; |o / s + t d / s| = 1."""
+        """Return the intersections with |o / s + t d / s| = 1."""
         scale = self.semi_axes[:, None]
         o, d = origin / scale, direction / scale
         distance = _quadratic_roots(dot(d, d), dot(o, d), dot(o, o) - 1.0)
         return SurfaceIntersections(distance, np.ones(distance.shape[1], dtype=bool))
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """See `Shape`; points outwards."""
+        """Return the unit normals, which point outwards."""
         return unit(point / (self.semi_axes * self.semi_axes)[:, None])
 
 
 class DisplacedShape:
     """A shape whose points lie at a displacement from another shape, its base; intersected by contraction.
 
-    A ray meets the displaced surface at p = q + d(p, q) where the ray shifted by -d meets the base at q. Repeating
-    that with the last d contracts by about d / radius of curvature, or by the slope of d, a turn.
+    A ray meets the displaced surface at p = q + d(p, q) where the ray shifted by -d meets the base at q. Each iteration
+    shrinks the error by about d / radius of curvature, or by the slope of d.
     """
 
     base: Shape
 
     @property
     def footing(self) -> Shape:
-        """The shape that feet lie on."""
+        """Shape that the feet lie on."""
         return self.base
 
     def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
@@ -130,16 +130,16 @@ class DisplacedShape:
 
     @property
     def reach(self) -> float:
-        """Distance in metres by which a root may be moved; roots of the base farther behind a ray stay behind it."""
+        """Distance in metres by which a root may move; roots of the base farther behind a ray stay behind it."""
         raise NotImplementedError
 
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """See `Shape`."""
+        """Return the intersections of rays with the displaced shape."""
         start = self.footing.meet(origin, direction)
         distance, converged = start.distance.copy(), start.converged.copy()
         for row in range(len(distance)):
             if row and np.array_equal(start.distance[row], start.distance[row - 1], equal_nan=True):
-                distance[row] = distance[row - 1]  # the only root with a plane takes both places
+                distance[row] = distance[row - 1]  # the only root with a plane fills both rows
                 continue
             near = distance[row] > -self.reach
             if near.any():
@@ -148,7 +148,7 @@ class DisplacedShape:
         return SurfaceIntersections(distance, converged)
 
     def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Follow one root of the base to the displaced surface: distance (n,), and where it settled (n,)."""
+        """Follow one root of the base to the displaced surface; returns distance and convergence, (n,) each."""
         shift = np.zeros_like(origin)
         for _ in range(_MAX_TURNS):
             shifted = origin - shift
@@ -185,18 +185,18 @@ class Offset(DisplacedShape):
     distance: float
 
     def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """See `DisplacedShape`."""
+        """Return the displacement of points from their feet."""
         return self.distance * normal
 
     @property
     def reach(self) -> float:
-        """See `DisplacedShape`: a root that far behind comes ahead only if the ray grazes at under six degrees."""
+        """Largest shift of a root: roots farther behind come ahead only at grazing angles below 6 degrees."""
         return 10.0 * abs(self.distance)
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """See `Shape`; the base's normal at the foot of the point."""
+        """Return the unit normals of the base at the feet of points."""
         return self.foot_normal(point)
 
 
 _MAX_TURNS = 40
-_SETTLED = 1e-17  # metres, some ten rounding units of a shift of a few millimetres
+_SETTLED = 1e-17  # change in metres at convergence: about ten rounding units of a shift of a few millimetres

@@ -24,40 +24,40 @@ from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.tracer import trace
 
 TRACED = " (traced)"
-"""End of the name of mappings that trace a device exactly."""
+"""Suffix of the name of mappings that trace a device exactly."""
 
 _DEGREE = 4
 _VIEWPOINTS = 60
-_SEARCH = np.linspace(-2.0, 2.0, 61)  # tangents in which the panel is looked for: 63 degrees to each side
+_SEARCH = np.linspace(-2.0, 2.0, 61)  # tangents that are searched for the panel: 63 degrees to each side
 _GRID = 15  # directions per axis and viewpoint
-_MARGIN = 0.1  # of the field, for it moves with the viewpoint
+_MARGIN = 0.1  # margin of the field, which moves with the viewpoint
 
 _AHEAD = dir_of_tangents(np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 9)] * 2), axis=-1).reshape(-1, 2))
 
 _BLOCK = 65_536  # queries solved at a time: bounds the memory that a whole panel takes
-_TANGENT_STEP = 1e-7  # of the forward differences
+_TANGENT_STEP = 1e-7  # step of the forward differences
 _PIXEL_TOLERANCE = 1e-9  # pixels
 _ANGLE_TOLERANCE = 1e-13  # radians
-_MOST_UNSOLVED = 0.2  # of the panel: a pixel that is never solved takes a thousand times as long as others
+_MOST_UNSOLVED = 0.2  # largest share of unsolved pixels: an unsolved pixel takes a thousand times as long as others
 _WAVELENGTHS_UM = 0.3, 3.0
-_EDGE_PX = 1e-6  # by so much a pixel may lie outside the panel, so that its very edge survives rounding
+_EDGE_PX = 1e-6  # distance outside the panel that still counts as on it, so that its edge survives rounding
 
 
 def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
-    """Fit tangents to (u, v, x, y, z): directions traced from all over the eye box that reach the panel.
+    """Fit tangents to (u, v, x, y, z), from directions traced over the whole eye box that reach the panel.
 
     Raises:
         BadInputError: no direction from the nominal viewpoint reaches the panel.
     """
     panel, eye_box = display.panel, display.optics.eye_box
     search = np.stack(np.meshgrid(_SEARCH, _SEARCH), axis=-1).reshape(-1, 2)
-    found = search[_reaches(panel, *display.plane_pixel(dir_of_tangents(search), eye_box.centre))]
-    if len(found) == 0:
+    hits = search[_reaches(panel, *display.plane_pixel(dir_of_tangents(search), eye_box.centre))]
+    if len(hits) == 0:
         raise BadInputError(
             f"{display.name}: no ray from the middle of the eye box reaches the panel; check the paths and "
             "apertures, and that all lengths are in mm."
         )
-    low, high = found.min(axis=0), found.max(axis=0)
+    low, high = hits.min(axis=0), hits.max(axis=0)
     margin = _MARGIN * (high - low) + (_SEARCH[1] - _SEARCH[0])
     axes = np.linspace(low - margin, high + margin, _GRID)
     tangents = np.stack(np.meshgrid(axes[:, 0], axes[:, 1]), axis=-1).reshape(-1, 2)
@@ -77,7 +77,7 @@ def _fit_first_guess(display: "TracedDisplay") -> Polynomial:
 
 
 def _guessed(guess: Polynomial, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Return pixels (n, 2), viewpoints (n, 3) -> tangents (n, 2); taken from the nearest fitted inputs if outside."""
+    """Return the guessed tangents (n, 2) of pixels (n, 2) from viewpoints (n, 3), with inputs clipped to the fit."""
     return guess(np.clip(np.concatenate([pixel, viewpoint], axis=-1), guess.box.low, guess.box.high))
 
 
@@ -88,7 +88,7 @@ def _reaches(panel: Panel, pixel: FloatArray, status: StatusArray) -> NDArray[np
 
 
 def _spread(count: int) -> FloatArray:
-    """Return points spread evenly over -1..1 in three axes, (count, 3): multiples of the powers of a root, modulo 1.
+    """Return points (count, 3) evenly spread over -1..1 in three axes: multiples of the powers of a root, modulo 1.
 
     The root solves g^4 = g + 1, the generalised golden ratio for three axes.
     """
@@ -97,15 +97,15 @@ def _spread(count: int) -> FloatArray:
 
 
 Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
-"""(tangents (k, m, 2), index (m,) into the queries) -> by how much the rays miss their targets, (k, m, 2)."""
+"""(tangents (k, m, 2), index (m,) into the queries) -> misses of the rays at their targets, (k, m, 2)."""
 
 
 def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_UM) -> EyeMappings:
     """Return the mappings of one eye of a device at one vacuum wavelength in micrometres.
 
     Raises:
-        BadInputError: the device has no such eye, its see-through path loses every ray, or a wavelength that is not
-            one of visible or near-visible light.
+        BadInputError: the device has no such eye, its see-through path loses every ray, or the wavelength is not of
+            visible or near-visible light.
     """
     shortest, longest = _WAVELENGTHS_UM
     if not shortest <= wavelength_um <= longest:
@@ -131,12 +131,12 @@ def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_
 
 @dataclass(frozen=True, eq=False)
 class TracedDisplay:
-    """Exact `mappings.DisplayMapping`.
+    """Exact `mappings.DisplayMapping` by ray tracing.
 
     Attributes:
         optics: the eye.
         wavelength_um: micrometres.
-        name: of the device, for messages.
+        name: name of the device, for messages.
     """
 
     optics: EyeOptics
@@ -145,13 +145,13 @@ class TracedDisplay:
 
     @property
     def panel(self) -> Panel:
-        """See `DisplayMapping`."""
+        """The panel of the eye."""
         return self.optics.panel.pixels
 
     def pixel_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """See `DisplayMapping`: one trace. CLIPPED outside the panel, MISS where it is never met."""
+        """Answer the backward query by one trace: CLIPPED outside the panel, MISS if the ray does not meet it."""
         pixel, status = self.plane_pixel(view_dir, viewpoint)
         outside = ~self._on_panel(pixel)
         return _mapped(pixel, np.where((status == Status.OK) & outside, Status.CLIPPED, status))
@@ -159,7 +159,7 @@ class TracedDisplay:
     def view_dir_of_pixel(
         self, pixel: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """See `DisplayMapping`: solved to 1e-9 pixels; CLIPPED for pixels outside the panel."""
+        """Answer the forward query, solved to 1e-9 pixels; CLIPPED for pixels outside the panel."""
         lead = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
         wanted, eyes = _flat(pixel, lead), _flat(viewpoint, lead)
         outside = ~self._on_panel(wanted)
@@ -174,7 +174,7 @@ class TracedDisplay:
         return np.asarray(np.all((pixel >= -_EDGE_PX) & (pixel <= self.panel.size_px + _EDGE_PX), axis=-1))
 
     def plane_pixel(self, view_dir: FloatArray, viewpoint: FloatArray) -> tuple[FloatArray, StatusArray]:
-        """Pixel on the panel, continued beyond its edges, (..., 2), and status; CLIPPED rays keep their value."""
+        """Return the pixel (..., 2) on the panel, continued beyond its edges, and the status; CLIPPED rays keep it."""
         traced = trace(self.optics.display, viewpoint, view_dir, self.wavelength_um)
         pixel = self.optics.panel.pixel_of_ray(traced.origin, traced.direction)
         status = np.where(np.isnan(pixel[..., 0]) & (traced.status == Status.OK), Status.MISS, traced.status)
@@ -183,7 +183,7 @@ class TracedDisplay:
     def _solve(
         self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3), and where they were found."""
+        """Return the tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3), and a mask of convergence."""
 
         def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
             return self.plane_pixel(dir_of_tangents(tangents), viewpoint[index])[0] - pixel[index]
@@ -192,7 +192,7 @@ class TracedDisplay:
 
     @cached_property
     def _guess(self) -> Polynomial:
-        """First guess of tangents; refuses a display of which many pixels are not found from it."""
+        """First guess of tangents; refuses a display if Newton's method fails from it for over 20 % of the panel."""
         guess = _fit_first_guess(self)
         pixel = self.panel.grid(_GRID, _GRID).reshape(-1, 2)
         viewpoint = np.broadcast_to(self.optics.eye_box.centre, (len(pixel), 3))
@@ -207,12 +207,12 @@ class TracedDisplay:
 
 @dataclass(frozen=True, eq=False)
 class TracedSeeThrough:
-    """Exact `mappings.SeeThroughMapping`.
+    """Exact `mappings.SeeThroughMapping` by ray tracing.
 
     Attributes:
         optics: the eye.
         wavelength_um: micrometres.
-        name: of the device, for messages.
+        name: name of the device, for messages.
     """
 
     optics: EyeOptics
@@ -222,14 +222,14 @@ class TracedSeeThrough:
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """See `SeeThroughMapping`: one trace; the ray's point lies on the last surface."""
+        """Answer the forward query by one trace; the ray's point lies on the last surface."""
         traced = trace(self.optics.see_through, viewpoint, view_dir, self.wavelength_um)
         return _mapped(rays.pack(traced.origin, traced.direction), traced.status)
 
     def view_dir_of_real_point(
         self, point: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None
     ) -> QueryResult:
-        """See `SeeThroughMapping`: solved to 1e-13 rad as seen from the viewpoint, starting with the straight line.
+        """Answer the backward query, solved to 1e-13 rad at the viewpoint, starting with the straight line.
 
         MISS for points that are not in front of the eye or not beyond the optics.
         """
@@ -255,7 +255,7 @@ class TracedSeeThrough:
     def _passing(
         self, view_dir: FloatArray, viewpoint: FloatArray, point: FloatArray
     ) -> tuple[FloatArray, FloatArray, StatusArray]:
-        """Return how the world rays pass points: offset of the nearest place from the point, distance to it, status."""
+        """Return the closest approach of each world ray to its point: offset, distance, status."""
         traced = trace(self.optics.see_through, viewpoint, view_dir, self.wavelength_um)
         gap = traced.origin - point
         along = -np.sum(gap * traced.direction, axis=-1)
@@ -263,7 +263,7 @@ class TracedSeeThrough:
 
 
 def _across(direction: FloatArray) -> FloatArray:
-    """Return two unit vectors across each direction (n, 3) that looks forward, z < 0: (n, 2, 3)."""
+    """Return two unit vectors perpendicular to each direction (n, 3) that looks forward, z < 0: (n, 2, 3)."""
     x, _, z = np.moveaxis(direction, -1, 0)
     first = normalised(np.stack([-z, np.zeros_like(x), x], axis=-1))
     return np.stack([first, np.cross(first, direction)], axis=-2)
@@ -274,7 +274,7 @@ def _flat(array: FloatArray, lead: tuple[int, ...]) -> FloatArray:
 
 
 def _start(warm_start: FloatArray | None, cold: FloatArray) -> FloatArray:
-    """Return the caller's warm start where there is one, else the cold start, (n, 2)."""
+    """Return the warm start where it is finite, else the cold start, (n, 2)."""
     if warm_start is None:
         return cold
     warm = warm_start.reshape(cold.shape)
@@ -283,7 +283,7 @@ def _start(warm_start: FloatArray | None, cold: FloatArray) -> FloatArray:
 
 
 def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the tangents (n, 2) for which `miss` vanishes, and where that was reached, block by block."""
+    """Return the tangents (n, 2) at which `miss` vanishes, and a mask of convergence, block by block."""
     tangents, converged = np.empty_like(start), np.empty(len(start), dtype=bool)
     shifts = _TANGENT_STEP * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
     for first in range(0, len(start), _BLOCK):

@@ -37,7 +37,7 @@ class Trace:
     status: StatusArray
 
 
-@np.errstate(all="ignore")  # a ray that overflows is lost, and its status says so
+@np.errstate(all="ignore")  # a ray that overflows is lost, and its status reports it
 def trace(path: Path, origin: FloatArray, direction: FloatArray, wavelength_um: float) -> Trace:
     """Trace rays along a path.
 
@@ -70,12 +70,12 @@ def _follow(
 ) -> None:
     """Trace one chunk of columns (3, n) into `result`: points (n, steps, 3), directions (n, 3), status (n,)."""
     points, end, status = result
-    # A NaN in the start is no ray; it must not come out as OK where the path is empty.
+    # A ray that starts with NaN must not end as OK on an empty path.
     status[:] = np.where(np.isfinite(origin).all(axis=0) & np.isfinite(direction).all(axis=0), Status.OK, Status.MISS)
     index = AIR.index(wavelength_um)
     for number, step in enumerate(path.steps):
-        origin, normal, found = _meet(step.surface, origin, direction)
-        _keep_first(status, found)
+        origin, normal, failure = _meet(step.surface, origin, direction)
+        _keep_first(status, failure)
         points[:, number] = origin.T
         next_index = step.medium.index(wavelength_um)
         if step.interaction is Interaction.REFRACT:
@@ -89,14 +89,14 @@ def _follow(
     end[:] = direction.T
 
 
-def _keep_first(status: StatusArray, found: NDArray[np.integer]) -> None:
-    """Keep the first failure of each ray."""
-    np.copyto(status, found, where=status == Status.OK, casting="unsafe")
+def _keep_first(status: StatusArray, failure: NDArray[np.integer]) -> None:
+    """Record the first failure of each ray."""
+    np.copyto(status, failure, where=status == Status.OK, casting="unsafe")
 
 
 @np.errstate(invalid="ignore")
 def _refracted(direction: FloatArray, normal: FloatArray, ratio: float) -> FloatArray:
-    """Return the Snell's law in vector form, `ratio` = n before / n after; NaN where the ray is totally reflected."""
+    """Refract by Snell's law in vector form, `ratio` = n before / n after; NaN at total reflection."""
     cosine = dot(direction, normal)
     root = np.sqrt(1.0 - ratio * ratio * (1.0 - cosine * cosine))
     return np.asarray(ratio * direction + (np.copysign(root, cosine) - ratio * cosine) * normal)
@@ -117,8 +117,8 @@ def _meet(
 ) -> tuple[FloatArray, FloatArray, StatusArray]:
     """Intersect rays with one surface: points (3, n) and normals (3, n) in the device frame, and status (n,).
 
-    Takes the first intersection ahead inside the clear aperture; if there is none, the one nearest to the aperture, as
-    CLIPPED.
+    The result is the first intersection ahead inside the clear aperture; without one, the intersection nearest to the
+    aperture, as CLIPPED.
     """
     pose = surface.surface_from_device
     local_origin = pose[:3, :3] @ origin + pose[:3, 3:]

@@ -1,7 +1,7 @@
-"""Headsets that differ from their prescription: parts stand elsewhere, and surfaces have another shape.
+"""Headsets that differ from their prescription in the poses of parts and the shapes of surfaces.
 
-Errors are drawn in terms of their own (turns about random points, parts of a mould scaled in one axis), not in those
-that a fit of the prescription knows.
+The errors have other parameters (rotations about random points, parts of a mould scaled in one axis) than a fit of the
+prescription, so that the fit cannot reproduce them exactly.
 """
 
 from dataclasses import replace
@@ -15,23 +15,23 @@ from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
 
-_PIVOT_M = 0.02  # how far from a part's own origin the points lie about which it turns
+_PIVOT_M = 0.02  # distance of a part's centre of rotation from its origin
 
 
 def wrong_headset(
     optics: EyeOptics, rng: np.random.Generator, turn_deg: float = 0.2, shift_mm: float = 0.3, shape: float = 0.0
 ) -> EyeOptics:
-    """Optics whose combiner and panel are displaced, and whose surfaces are misshapen.
+    """Return optics with a displaced combiner and panel and misshapen surfaces.
 
     Args:
         optics: the prescription.
         rng: source of the displacements.
         turn_deg, shift_mm: standard deviations per axis of the displacements.
-        shape: relative error of the first semi-axis of each ellipsoid; where there is none, of the curvature of each
+        shape: relative error of the first semi-axis of each ellipsoid; without ellipsoids, of the curvature of each
             sphere, or of the vertex curvature of each polynomial along x, or along y if it is flat along x.
 
     Raises:
-        BadInputError: there are no surfaces, or a surface of another type has an error of its shape.
+        BadInputError: the optics have no surfaces, or a surface of another type has a shape error.
     """
     if not optics.surfaces():
         raise BadInputError("the headset has no surfaces that could differ from its prescription.")
@@ -61,7 +61,7 @@ def misshapen(shape: Shape, relative: float) -> Shape:
 
 
 def _bent(shape: XYPolynomial, relative: float) -> FloatArray:
-    """Coefficients of a polynomial whose curvature along x, conic base included, has a relative error; see above."""
+    """Return the coefficients of a polynomial with a relative error of its curvature along x, conic base included."""
     stated = shape.coefficients
     coefficients = np.zeros(np.maximum(stated.shape, 3))
     coefficients[: stated.shape[0], : stated.shape[1]] = stated

@@ -43,12 +43,12 @@ _VISIBLE_UM = 0.45, 0.65
 
 @dataclass(frozen=True)
 class Glass:
-    """A glass as it was found.
+    """Result of looking up a glass.
 
     Attributes:
         medium: the glass.
-        note: where it was found, if it is not in a catalogue that the user named; may be empty.
-        is_other: whether its index may differ from the index of the named glass.
+        note: where it was found, unless in a catalogue that the user named; may be empty.
+        is_other: True if its index may differ from the index of the named glass.
     """
 
     medium: Medium
@@ -67,11 +67,11 @@ class GlassCatalogue:
 
     Attributes:
         files: catalogue files (.agf), searched first, in this order.
-        found: glasses looked up so far, by name and manufacturers.
+        cache: glasses looked up so far, by name and manufacturers.
     """
 
     files: tuple[Path, ...] = ()
-    found: dict[tuple[str, tuple[str, ...]], Glass | None] = field(default_factory=dict)
+    cache: dict[tuple[str, tuple[str, ...]], Glass | None] = field(default_factory=dict)
 
     def find(self, name: str, manufacturers: Sequence[str] = ()) -> Glass | None:
         """Find a glass by its name, of one of the manufacturers if any are given; None if it is in no catalogue.
@@ -80,9 +80,9 @@ class GlassCatalogue:
             BadInputError: a catalogue cannot be read, or the glass in it is faulty.
         """
         key = (name.upper(), tuple(each.lower() for each in manufacturers))
-        if key not in self.found:
-            self.found[key] = self._find(name, key[1])
-        return self.found[key]
+        if key not in self.cache:
+            self.cache[key] = self._find(name, key[1])
+        return self.cache[key]
 
     def require(self, name: str, where: str, manufacturers: Sequence[str] = ()) -> Glass:
         """Find a glass as `find` does; refuse one that no catalogue has. `where` begins the sentence."""
@@ -112,31 +112,31 @@ class GlassCatalogue:
         return Glass(medium, text, True)
 
     def _in_order(self, manufacturers: tuple[str, ...]) -> list[dict[str, GlassEntry]]:
-        """Return glasses of the files: first of those named as a manufacturer, in the order of the manufacturers."""
+        """Return the glasses of the files, files named as a manufacturer first, in the order of the manufacturers."""
         places = {maker: place for place, maker in enumerate(manufacturers)}
         ordered = sorted(self.files, key=lambda path: places.get(path.stem.lower(), len(places)))
         return [self._entries[path] for path in ordered]
 
     @functools.cached_property
     def _entries(self) -> dict[Path, dict[str, GlassEntry]]:
-        """Glasses of each file."""
+        """Return the glasses of each file."""
         return {path: read_glass_file(path) for path in self.files}
 
 
 def _letters(name: str) -> str:
-    """Letters and digits of a name in capitals. Glasses do not differ in spaces and dashes alone."""
+    """Return the letters and digits of a name in capitals: spaces and dashes do not distinguish glasses."""
     return re.sub(r"[\W_]", "", name).upper()
 
 
 def _by_name(entries: dict[str, GlassEntry], name: str) -> GlassEntry | None:
-    """Return the glass of a name, or of the same letters and digits with other spaces and dashes."""
+    """Return the glass of a name, or one whose name differs in spaces and dashes only."""
     if name.upper() in entries:
         return entries[name.upper()]
     return next((entry for each, entry in entries.items() if _letters(each) == _letters(name)), None)
 
 
 def _note_on(entry: GlassEntry, name: str, note: str) -> tuple[str, bool]:
-    """Note on a glass that was found, and whether its index may differ from the index of the named glass."""
+    """Return a note on a glass, and whether its index may differ from the index of the named glass."""
     parts = [note] if note else []
     if entry.name.upper() != name.upper():
         parts.insert(0, f"taken as {entry.name}")
@@ -151,7 +151,7 @@ def _note_on(entry: GlassEntry, name: str, note: str) -> tuple[str, bool]:
 
 
 def model_glass(index: float, abbe: float, where: str, name: str = "", deviation: float = 0.0) -> Medium:
-    """Return a glass by n_d and V_d, without dispersion if V_d is not positive, and its deviation from the normal line.
+    """Return a glass by n_d and V_d, without dispersion unless V_d is positive, and its deviation from the normal line.
 
     Raises:
         BadInputError: no glass has such numbers; `where` begins the sentence.
@@ -162,14 +162,14 @@ def model_glass(index: float, abbe: float, where: str, name: str = "", deviation
 
 
 def require_glass(medium: Medium, where: str) -> Medium:
-    """Return the medium; refuse one with an implausible index in visible light."""
+    """Return the medium; refuse it if its index in visible light is implausible."""
     if fault := medium.fault():
         raise BadInputError(f"{where}: {fault}")
     return medium
 
 
 def unknown_glass_remedy() -> str:
-    """Return the sentence that says how to give a glass that no catalogue has."""
+    """Return the remedy for a glass that no catalogue has."""
     return (
         "Name Zemax's catalogue file with --glasses FILE.agf, or install the database of refractiveindex.info "
         f"(1.3 GB): {install_command('glasses')}"
@@ -190,8 +190,8 @@ def _glass_of_optiland(name: str, manufacturers: tuple[str, ...]) -> Medium | No
         except (ValueError, KeyError):
             continue
         # Optiland takes the nearest name if it has no such glass: N-SF5 for SF5, which is another one.
-        found = Path(file).stem
-        return require_glass(_of_database_file(file, name if found.upper() == name.upper() else found), file)
+        stem = Path(file).stem
+        return require_glass(_of_database_file(file, name if stem.upper() == name.upper() else stem), file)
     return None
 
 
@@ -220,7 +220,7 @@ def _of_database_file(path: str, name: str) -> Medium:
 
 
 def _of_fractions(name: str, values: list[float]) -> Medium:
-    """Formula 4: n^2 = c1 + c2 L^c3 / (L^2 - c4^c5) + c6 L^c7 / (L^2 - c8^c9) + c10 L^c11 and so on."""
+    """Return a medium of formula 4: n^2 = c1 + c2 L^c3 / (L^2 - c4^c5) + c6 L^c7 / (L^2 - c8^c9) + c10 L^c11 + ..."""
     values = [*values, *[0.0] * (9 - len(values))]
     terms: list[tuple[float, float]] = []
     powers = [(values[0], 0.0), *zip(values[9::2], values[10::2], strict=False)]

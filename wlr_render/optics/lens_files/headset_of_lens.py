@@ -1,4 +1,4 @@
-"""A headset from a sequential prescription: which surface is the eye and which the panel, and what the file lacks."""
+"""Build a headset from a sequential prescription: choose eye and panel, and add the data that the file lacks."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +18,9 @@ from wlr_render.optics.media import AIR, GREEN_UM
 from wlr_render.optics.surfaces import Conic
 from wlr_render.optics.tracer import trace
 
-_PROBE = 0.01  # tangent, by which the image on the panel is found upright or not
-_MOST_SURFACES = 100  # that a device file may have
-_SAME_UM = 0.1  # a difference between two forms of a panel that is not worth a word
+_PROBE = 0.01  # tangent of the rays that test whether the image on the panel is upright
+_MOST_SURFACES = 100  # most surfaces of a device file
+_SAME_UM = 0.1  # difference between two forms of a panel below which no note is written
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,18 +28,18 @@ class HeadsetChoices:
     """Choices about a headset that a lens file does not state; lengths in metres.
 
     Attributes:
-        name: of the device.
-        source: of its numbers.
+        name: name of the device.
+        source: source of its numbers.
         starts_at: where the light of the file begins.
         pupil: number of the surface at the eye's pupil; None for the aperture stop.
         eye_relief: distance of the pupil from the first surface that bends rays, in place of `pupil`.
         panel: number of the panel's surface; None for the image, or for the object if the light starts there.
         panel_size: (width, height) of the lit area.
-        pixels: of the panel.
+        pixels: pixels of the panel.
         eye_box_size: (3,) along right, up and back.
         eye_centre: (3,) the pupil in the device.
-        side: of the eye.
-        use_semi_diameters: whether the semi-diameters up to which surfaces are drawn are clear apertures.
+        side: side of the eye.
+        use_semi_diameters: True to use the semi-diameters of drawn surfaces as clear apertures.
     """
 
     name: str
@@ -58,16 +58,17 @@ class HeadsetChoices:
 
 @dataclass(frozen=True, eq=False)
 class ImportedHeadset:
-    """A headset and how it came from the file.
+    """A headset, and the choices that were made on import.
 
     Attributes:
-        device: the headset, of one eye, whose real world is seen past the optics.
+        device: the headset, of one eye, which sees the real world without the optics.
         path: numbers of the surfaces that the display path passes, from the eye to the panel.
         passed_over: surfaces between eye and panel without effect on rays.
         ignored: keys of the file, and the panel's form, that the device does not have.
         panel_number: surface of the panel.
-        pupil_text: where the pupil was put.
-        is_reached: whether rays from the middle of the pupil meet the panel, which shows what is upright on it.
+        pupil_text: description of the pupil's position.
+        is_reached: True if rays from the middle of the pupil meet the panel, which then defines its upright
+            orientation.
     """
 
     device: Device
@@ -83,12 +84,12 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
     """Build a headset of one eye from a sequential prescription.
 
     Args:
-        path: of the lens file, for messages.
-        lens: its content.
-        choices: about the headset, beyond the file.
+        path: path of the lens file, for messages.
+        lens: content of the file.
+        choices: choices that the file does not state.
 
     Raises:
-        BadInputError: the pupil or the panel cannot be told, or nothing lies between them.
+        BadInputError: the pupil or the panel cannot be determined, or nothing lies between them.
     """
     places = {surface.number: place for place, surface in enumerate(lens.surfaces)}
     from_eye = choices.starts_at == "eye"
@@ -138,7 +139,7 @@ def headset_of_lens(path: Path, lens: LensFile, choices: HeadsetChoices) -> Impo
 
 
 def _unread_types(lens: LensFile) -> str:
-    """Return the clause on surfaces that bend rays and are of a type that is not read; may be empty."""
+    """Return a clause on surfaces that bend rays and have an unsupported type; may be empty."""
     unread = [f"surface {note.surface} ({note.value})" for note in lens.ignored if note.part == "shape"]
     return f" and the types that are not read: {', '.join(unread[:5])}" if unread else ""
 
@@ -167,7 +168,7 @@ def _place(path: Path, places: dict[int, int], number: int, option: str) -> int:
 def _pupil(
     path: Path, lens: LensFile, choices: HeadsetChoices, places: dict[int, int], bending: list[int]
 ) -> tuple[FloatArray, str]:
-    """Return the frame of the pupil in the file, the eye looking along its z, and where it was put."""
+    """Return the frame of the pupil in the file, with the eye looking along z, and a description of its position."""
     from_eye = choices.starts_at == "eye"
     nearest = bending[0] if from_eye else bending[-1]
     mirrors = sum(lens.surfaces[place].reflects for place in bending)
@@ -199,7 +200,7 @@ def _pupil(
 
 
 def _device_from_pupil(choices: HeadsetChoices) -> FloatArray:
-    """Return the eye looks along -z of the device and along z of the pupil's frame; y is up in both."""
+    """Return the rotation from the pupil's frame (looking along z) to the device (looking along -z)."""
     return rigid(np.diag([-1.0, 1.0, -1.0]), np.array(choices.eye_centre))
 
 
@@ -218,7 +219,7 @@ def _aperture(surface: LensSurface, use_semi_diameters: bool) -> ClearAperture:
 def _panel(
     device_from_surface: FloatArray, display: RayPath, viewpoint: FloatArray, choices: HeadsetChoices
 ) -> tuple[PlacedPanel, bool]:
-    """The panel in its surface's plane, turned by steps of 90 degrees to be seen upright, and whether rays reach it."""
+    """Return the panel in its surface's plane, turned in steps of 90 degrees to be upright, and whether it is met."""
     flat = PlacedPanel(device_from_surface, np.ones(2), Panel(1, 1))
     tangents = _PROBE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     traced = trace(display, viewpoint, dir_of_tangents(tangents), GREEN_UM)
@@ -226,7 +227,7 @@ def _panel(
     jacobian = np.stack([right - left, up - down], axis=-1)
     is_reached = bool(np.isfinite(jacobian).all())
     if not is_reached:
-        jacobian = np.diag([-1.0, 1.0])  # as in the file
+        jacobian = np.diag([-1.0, 1.0])  # the orientation in the file
     along = int(np.argmax(np.abs(jacobian[:, 0])))
     axes = np.zeros((3, 3))
     axes[along, 0] = np.copysign(1.0, jacobian[along, 0])
@@ -237,7 +238,7 @@ def _panel(
 
 
 def _bowed(panel: PlacedPanel, surface: LensSurface, device_from_file: FloatArray) -> tuple[PlacedPanel, list[Ignored]]:
-    """Return the panel with the curvature of its surface, which a device file has as a paraboloid."""
+    """Return the panel with the curvature of its surface, as the paraboloid of a device file."""
     shape = surface.shape
     if not isinstance(shape, Conic):
         note = Ignored(

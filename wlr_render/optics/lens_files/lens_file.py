@@ -15,7 +15,7 @@ _KINDS = "a lens file of Zemax (.zmx, sequential), Optiland (.json) or rayoptics
 
 
 def read_lens_file(path: Path, catalogue: GlassCatalogue) -> tuple[str, LensFile]:
-    """Read a lens file: the program it is of, and its content.
+    """Read a lens file; returns the program that wrote it, and its content.
 
     Raises:
         BadInputError: the file has none of the three formats, or breaks its format; the sentence says where.

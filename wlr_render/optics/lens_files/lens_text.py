@@ -30,5 +30,5 @@ def decode_lens_text(path: Path, content: bytes, kind: str) -> str:
 
 
 def lines_of(text: str) -> list[str]:
-    """Lines of a text. Unlike `str.splitlines`, a comment's other separators, such as Latin-1's 0x85, end no line."""
+    """Split a text into lines; unlike `str.splitlines`, only at line ends, not at separators such as Latin-1's 0x85."""
     return re.split("\r\n|\r|\n", text)

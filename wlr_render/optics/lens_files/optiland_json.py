@@ -1,4 +1,4 @@
-"""Read the JSON files of Optiland: every surface has its place in one frame."""
+"""Reader of the JSON files of Optiland: every surface has a pose in one frame."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,8 +30,8 @@ from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.toml_files import Table
 
 _MM = 1e-3
-_MOST_TERMS = 21  # powers of x or y, from 0 on
-_DEEPEST = 20  # frames stated in other frames
+_MOST_TERMS = 21  # most powers of x or y, from 0 on
+_DEEPEST = 20  # deepest nesting of frames
 _OPEN = (-np.inf, -np.inf), (np.inf, np.inf)
 
 
@@ -39,12 +39,12 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
     """Read a file that Optiland's `save_optiland_file` wrote.
 
     Args:
-        path: for messages.
-        file: its content.
-        catalogue: where glasses that it names are looked up.
+        path: path of the file, for messages.
+        file: content of the file.
+        catalogue: catalogue for the glasses that the file names.
 
     Raises:
-        BadInputError: something is missing or no number, or a glass is in no catalogue.
+        BadInputError: a value is missing or not a number, or no catalogue has a glass.
     """
     entries = file.table("surface_group").tables("surfaces", most=1000)
     require_surfaces(path, len(entries))
@@ -53,7 +53,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
     medium = AIR
     for number, entry in enumerate(entries):
         geometry = entry.table("geometry")
-        # Files of older versions have no model: the surface itself says whether it is a mirror.
+        # Files of older versions have no model: the surface itself states whether it is a mirror.
         has_model = entry.unchecked("interaction_model") is not None
         model = entry.table("interaction_model") if has_model else entry
         reflects = model.flag("is_reflective", default=False)
@@ -76,7 +76,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
 
 
 def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
-    """Return a frame by its place and its turns about the axes x, y, z of the frame it is stated in, in this order."""
+    """Return the pose of a frame from its origin and its rotations about x, y, z of its parent frame, in this order."""
     if depth > _DEEPEST:
         raise frame.fail(f"frames are stated in one another more than {_DEEPEST} deep; write them in the global frame.")
     x, y, z = (number_of(frame, key, 0.0, infinite and key == "z") for key in "xyz")
@@ -135,7 +135,7 @@ def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
 
 
 def _curvature(geometry: Table, key: str = "radius") -> float:
-    """1 / radius in 1/mm; 0 for a radius that is infinite or 0."""
+    """Return the curvature in 1/mm; 0 for a radius that is infinite or 0."""
     radius = number_of(geometry, key, np.inf, infinite=True)
     return 1.0 / radius if radius and np.isfinite(radius) else 0.0
 
@@ -165,7 +165,7 @@ def _conic(geometry: Table, number: int, notes: Notes) -> Shape:
 
 
 def _asphere_of(step: int) -> Callable[[Table, int, Notes], Shape]:
-    """Reader of terms r^step, r^(2 step), ..."""
+    """Return a reader of terms r^step, r^(2 step), ..."""
 
     def read(geometry: Table, number: int, notes: Notes) -> Shape:
         terms: dict[int, float] = {step * (k + 1): c for k, c in enumerate(_coefficients(geometry).ravel().tolist())}
@@ -192,7 +192,7 @@ def _polynomial(geometry: Table, number: int, notes: Notes) -> Shape:
 
 
 def _biconic(geometry: Table, number: int, notes: Notes) -> Shape:
-    """Optiland adds two profiles, where Zemax and others have one root of both coordinates."""
+    """Return the sum of two profiles, Optiland's biconic; Zemax and others have one root of both coordinates."""
     x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
     if not x and not y:
         return Conic(0.0)
@@ -222,10 +222,10 @@ _SHAPES: dict[str, Callable[[Table, int, Notes], Shape]] = {
     "BiconicGeometry": _biconic,
     "ToroidalGeometry": _toroid,
 }
-"""By Optiland's class of geometry; all others are read as their conic, and noted."""
+"""Readers by Optiland's class of geometry; other classes are read as their conic, with a note."""
 
 
 def is_optiland(content: Table) -> bool:
-    """Return whether a JSON file is one of Optiland."""
+    """Return whether a JSON file was written by Optiland."""
     group = content.unchecked("surface_group")
     return isinstance(group, dict) and "surfaces" in group

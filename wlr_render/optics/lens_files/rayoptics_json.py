@@ -33,7 +33,7 @@ from wlr_render.optics.sag_surfaces import SumOfProfiles, Toroid
 from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.toml_files import Table
 
-_INFINITE = 1e10  # rayoptics writes an object at infinity so, in its own unit
+_INFINITE = 1e10  # distance that rayoptics writes for an object at infinity, in the file's unit
 _SELLMEIER_MAKERS = ("SchottGlass", "OharaGlass")
 _POWERS_OF_MAKERS = {
     "HoyaGlass": SCHOTT_POWERS,
@@ -45,7 +45,7 @@ _POWERS_OF_MAKERS = {
 
 
 def is_rayoptics(content: Table) -> bool:
-    """Return whether a JSON file is one of rayoptics."""
+    """Return whether a JSON file was written by rayoptics."""
     return isinstance(content.unchecked("optical_model"), dict)
 
 
@@ -53,12 +53,12 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
     """Read a .roa file.
 
     Args:
-        path: for messages.
-        file: its content.
-        catalogue: where glasses are looked up that the file names without coefficients.
+        path: path of the file, for messages.
+        file: content of the file.
+        catalogue: catalogue for the glasses that the file names without coefficients.
 
     Raises:
-        BadInputError: something is missing or no number, or a glass is in no catalogue.
+        BadInputError: a value is missing or not a number, or no catalogue has a glass.
     """
     model = file.table("optical_model").table("attributes")
     system = model.table("system_spec").table("attributes")
@@ -111,7 +111,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
 
 
 def _class_of(entry: Table) -> str:
-    """Return the name of an object's class, which stands behind that of its module."""
+    """Return the name of an object's class, which follows the name of its module."""
     return entry.texts("__instance_type__")[-1]
 
 
@@ -126,14 +126,14 @@ def _array(table: Table, key: str, size: int | None = None) -> list[float]:
 
 
 def _step(before: Table | None, thickness: float, decentre: Table | None, unit: float) -> FloatArray:
-    """From the frame behind one surface to the frame of the next, (4, 4): turn, shift along the gap, turn."""
+    """Return the pose (4, 4) of the next surface in the frame behind one: rotation, shift along the gap, rotation."""
     turn_before, shift_before = _decentre(before, "after", unit)
     turn_after, shift_after = _decentre(decentre, "before", unit)
     return np.asarray(turn_before @ shift_before @ shift(z=unit * thickness) @ shift_after @ turn_after)
 
 
 def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, FloatArray]:
-    """Turn and shift that a decentre has before or after its surface."""
+    """Return the rotation and shift of a decentre before or after its surface."""
     if table is None:
         return np.eye(4), np.eye(4)
     kind = table.unchecked("_dtype") or table.unchecked("dtype")

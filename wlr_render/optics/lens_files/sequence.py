@@ -1,6 +1,6 @@
-"""A sequential prescription of a lens design program: surfaces in the order of the light, and keys left out.
+"""A sequential prescription of a lens design program: surfaces in the order of the light, and ignored keys.
 
-Lengths are in metres and poses in the file's own frame, whose z axis the light follows before the first mirror.
+Lengths are in metres and poses in the file's frame, whose z axis the light follows before the first mirror.
 """
 
 import math
@@ -35,14 +35,14 @@ Part = Literal["shape", "glass", "other"]
 
 @dataclass(frozen=True)
 class Ignored:
-    """A key of the file that the device does not have.
+    """A key of the file that has no counterpart in the device.
 
     Attributes:
-        surface: its number in the file; None for the file as a whole.
-        key: its name in the file.
-        value: as the file has it, shortened.
-        reason: why it was left out, and its substitute.
-        bends_rays: whether rays run otherwise without it.
+        surface: number of the surface in the file; None for the file as a whole.
+        key: name of the key in the file.
+        value: value in the file, shortened.
+        reason: reason for leaving it out, and its substitute.
+        bends_rays: True if it changes rays.
         part: "shape" for a surface of a type that is not read, "glass" for a glass that is taken approximately.
     """
 
@@ -66,7 +66,7 @@ def ignore(
     bends_rays: bool = False,
     part: Part = "other",
 ) -> None:
-    """Note a key that is not read, or is read otherwise than the file states it."""
+    """Note a key that is not read, or is read with another meaning than in the file."""
     notes.append(Ignored(surface, key, shown(value, quoted=False), reason, bends_rays, part))
 
 
@@ -75,15 +75,15 @@ class LensSurface:
     """One surface of a sequential prescription.
 
     Attributes:
-        number: in the file, which counts the object as 0.
+        number: number in the file, where the object is 0.
         label: comment in the file; may be empty.
-        shape: in local axes.
+        shape: shape in local axes.
         file_from_surface: (4, 4); NaN for an object at infinity.
-        medium: behind the surface, for light in the order of the file.
-        reflects: whether it is a mirror.
-        is_stop: whether it is the aperture stop.
+        medium: medium behind the surface, for light in the order of the file.
+        reflects: True for a mirror.
+        is_stop: True for the aperture stop.
         aperture: clear aperture that stops rays in the file.
-        semi_diameter: metres, up to which it is drawn in the file; NaN if not stated.
+        semi_diameter: semi-diameter of the drawn surface in the file, metres; NaN if not stated.
     """
 
     number: int
@@ -127,10 +127,10 @@ def require_surfaces(path: object, count: int) -> None:
 
 
 def finite(value: object, where: str, infinite: bool = False) -> float:
-    """Return a number of a lens file; `infinite` admits infinity.
+    """Return a number of a lens file; `infinite` allows infinity.
 
     Raises:
-        BadInputError: the value is no number, or none of a lens; `where` begins the sentence.
+        BadInputError: the value is not a number, or too large for a lens; `where` begins the sentence.
     """
     try:
         number = float(value) if isinstance(value, str | int | float) and not isinstance(value, bool) else np.nan
@@ -142,10 +142,10 @@ def finite(value: object, where: str, infinite: bool = False) -> float:
 
 
 def number_of(table: Table, key: str, default: float | None = None, infinite: bool = False) -> float:
-    """Return a number of a JSON file; `default` stands for one that is missing or null, and `infinite` admits infinity.
+    """Return a number of a JSON file, `default` if it is missing or null; `infinite` allows infinity.
 
     Raises:
-        BadInputError: the value is no number, or none of a lens.
+        BadInputError: the value is not a number, or too large for a lens.
     """
     value = table.unchecked(key)
     if value is None and default is not None:
@@ -159,10 +159,10 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> FloatArray:
 
 
 def conic_or_asphere(curvature: float, conic: float, terms: Sequence[float], unit: float) -> Shape:
-    """Return a conicoid, with `terms` an asphere.
+    """Return a conic, or an asphere if `terms` is given.
 
     Args:
-        curvature: in 1 / file unit.
+        curvature: curvature in 1 / file unit.
         conic: k.
         terms: factors of r^2, r^3, ... in file units.
         unit: metres of a file unit.
@@ -175,5 +175,5 @@ def conic_or_asphere(curvature: float, conic: float, terms: Sequence[float], uni
 
 
 def box_aperture(low: Sequence[float], high: Sequence[float]) -> ClearAperture:
-    """Return a clear aperture of two sides in x and y, metres; open along z."""
+    """Return a clear aperture bounded in x and y, metres; open along z."""
     return ClearAperture(np.array([*low, -np.inf]), np.array([*high, np.inf]))

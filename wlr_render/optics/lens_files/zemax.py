@@ -37,14 +37,14 @@ _HARMLESS = {
     *("HIDE", "MIRR", "SLAB", "POPS", "MEMA", "VDSZ", "FIMP", "BLNK", "PPAR", "PKUP", "VPAR", "COAT", "EDGE", "MAZH"),
     *("OPDX", "SCOL", "SDMA", "PZUP", "TCED", "CSOP", "GCOL", "RSCE", "VCON", "MEAS", "OEMA", "SSID"),
 }
-"""Keys of a surface that say how it is drawn, coated, solved for or optimised."""
+"""Keys of a surface for drawing, coating, solves and optimisation."""
 _BENDING_KEYS = {
     "SCBD": (3, "a tilt or shift of the surface's properties is not read: write a coordinate break"),
     "IGNR": (0, "the file ignores this surface, which is taken: delete it from the file"),
 }
-"""Keys of a surface that are not read, and bend rays if one of their numbers from a place on is not 0."""
+"""Keys of a surface that are not read, and bend rays if one of their numbers from an index on is not 0."""
 _NOT_STATED = (1.5, 40.0), (0.0, 0.0)
-"""Index and Abbe number of a `GLAS` line that does not state them."""
+"""Default index and Abbe number of a `GLAS` line."""
 _MODEL_GLASS = "1"
 _ROOM = 20.0, 1.0
 """Temperature in degrees Celsius and pressure in atmospheres that the indices of catalogues are stated for."""
@@ -54,8 +54,8 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
     """Read a .zmx file of sequential mode.
 
     Raises:
-        BadInputError: the file is not one, is not sequential, has a value that is not a number, or names a
-            glass that is in no catalogue.
+        BadInputError: the file is not a Zemax file, is not sequential, has a value that is not a number, or names a
+            glass that no catalogue has.
     """
     reading = ZemaxReading(path, catalogue)
     header, surfaces = _split(path, decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), _KIND))
@@ -71,7 +71,7 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
             pose = pose @ _coordinate_break(reading, surface) @ shift(z=thickness)
             continue
         reflects, medium = _glass(reading, surface, medium)
-        # The object stands before the first surface, where the file's frame begins.
+        # The object lies before the first surface, where the file's frame begins.
         placed = pose @ shift(z=-thickness) if surface.number == 0 and np.isfinite(thickness) else pose
         taken.append(
             LensSurface(
@@ -93,16 +93,16 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
 
 
 def _split(path: Path, text: str) -> tuple[dict[str, tuple[list[str], int]], list[SurfaceLines]]:
-    """Return the keys of the head, and the lines of each surface."""
+    """Return the keys of the header, and the lines of each surface."""
     header: dict[str, tuple[list[str], int]] = {}
     surfaces: list[SurfaceLines] = []
     within = False
     for number, line in enumerate(lines_of(text), 1):
         key, *words = line.split() or [""]
         if key == "SURF":
-            found = words[0] if words else ""
-            if found != str(len(surfaces)):
-                raise BadInputError(f"{path}: line {number}: surface {shown(found)} follows {len(surfaces) - 1}.")
+            stated = words[0] if words else ""
+            if stated != str(len(surfaces)):
+                raise BadInputError(f"{path}: line {number}: surface {shown(stated)} follows {len(surfaces) - 1}.")
             surfaces.append(SurfaceLines(len(surfaces)))
             within = True
         elif surfaces and key and (key in _TAKEN or (within and line[:1].isspace())):
@@ -137,7 +137,7 @@ def _read_header(reading: ZemaxReading, header: dict[str, tuple[list[str], int]]
 
 
 def _note_environment(reading: ZemaxReading, header: dict[str, tuple[list[str], int]]) -> None:
-    """Note a temperature and pressure at which the glasses have other indices than in their catalogues."""
+    """Note a temperature and pressure at which the indices differ from the catalogues."""
     words, line = header.get("ENVD", ([], 0))
     if len(words) > 1 and tuple(reading.number(words, place, line, "ENVD") for place in (0, 1)) != _ROOM:
         reason = "the indices are those at 20 degrees Celsius and 1 atmosphere; another environment is not read"
@@ -145,12 +145,12 @@ def _note_environment(reading: ZemaxReading, header: dict[str, tuple[list[str], 
 
 
 def _kind(surface: SurfaceLines) -> str:
-    found = surface.last("TYPE")
-    return found[0][0].upper() if found and found[0] else "STANDARD"
+    last = surface.last("TYPE")
+    return last[0][0].upper() if last and last[0] else "STANDARD"
 
 
 def _list_other_keys(reading: ZemaxReading, surface: SurfaceLines) -> None:
-    """Note the keys that are not read, unless they say nothing about the rays."""
+    """Note the keys that are not read, unless they do not affect rays."""
     for key, words, _ in surface.lines:
         if key in _TAKEN or key in _HARMLESS:
             continue
@@ -160,7 +160,7 @@ def _list_other_keys(reading: ZemaxReading, surface: SurfaceLines) -> None:
 
 
 def _coordinate_break(reading: ZemaxReading, surface: SurfaceLines) -> FloatArray:
-    """Shift, then turns about the new x, y and z, or with a flag in the opposite order."""
+    """Return the pose of a coordinate break: shift, then rotations about x, y and z, or reversed with a flag."""
     values = reading.numbered(surface, "PARM")
     x, y, *degrees = (values.get(place, 0.0) for place in range(1, 6))
     about_x, about_y, about_z = (rotation_about(axis, np.deg2rad(a)) for axis, a in zip("xyz", degrees, strict=True))
@@ -172,10 +172,10 @@ def _coordinate_break(reading: ZemaxReading, surface: SurfaceLines) -> FloatArra
 
 def _glass(reading: ZemaxReading, surface: SurfaceLines, before: Medium) -> tuple[bool, Medium]:
     """Return whether the surface is a mirror, and the medium behind it."""
-    found = surface.last("GLAS")
-    if found is None or not found[0]:
+    entry = surface.last("GLAS")
+    if entry is None or not entry[0]:
         return False, AIR
-    words, line = found
+    words, line = entry
     name = words[0]
     if name.upper() == "MIRROR":
         return True, before
@@ -194,7 +194,7 @@ def _glass(reading: ZemaxReading, surface: SurfaceLines, before: Medium) -> tupl
 def _stated_glass(
     reading: ZemaxReading, surface: SurfaceLines, words: list[str], line: int, model: bool
 ) -> Medium | None:
-    """Return the glass by the index and Abbe number in its line, or by a name of six digits; None without them."""
+    """Return the glass from the index and Abbe number in its line, or from a six-digit name; None without them."""
     name, where = words[0], f"{reading.path}: line {line}: glass {shown(words[0])}"
     if len(words) > 4:
         index, abbe = (reading.number(words, place, line, "GLAS") for place in (3, 4))
@@ -222,13 +222,13 @@ def _refuse_unknown_glasses(reading: ZemaxReading) -> None:
 
 
 def _aperture(reading: ZemaxReading, surface: SurfaceLines) -> ClearAperture:
-    """Return the aperture that stops rays: circles by the square around them."""
+    """Return the aperture that stops rays; a circle becomes the square around it."""
     x, y = 0.0, 0.0
-    if found := surface.last("OBDC"):
-        x, y = (reading.number(found[0], place, found[1], "OBDC") for place in (0, 1))
+    if line := surface.last("OBDC"):
+        x, y = (reading.number(line[0], place, line[1], "OBDC") for place in (0, 1))
     for key in ("CLAP", "FLAP", "SQAP", "ELAP"):
-        if found := surface.last(key):
-            first, second = (reading.number(found[0], place, found[1], key) for place in (0, 1))
+        if line := surface.last(key):
+            first, second = (reading.number(line[0], place, line[1], key) for place in (0, 1))
             half = (first, second) if key in ("SQAP", "ELAP") else (second, second)
             if key == "ELAP":
                 reading.ignore(surface, key, f"{first:g} {second:g}", "an ellipse: the rectangle around it is clear")

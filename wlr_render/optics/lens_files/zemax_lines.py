@@ -8,7 +8,7 @@ from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.sequence import Notes, Part, finite, ignore
 
 MOST_NUMBERED = 500
-"""Most parameters of a surface."""
+"""Largest number of a parameter of a surface."""
 
 
 @dataclass
@@ -20,8 +20,8 @@ class SurfaceLines:
 
     def last(self, key: str) -> tuple[list[str], int] | None:
         """Return the words and line number of the last line with a key."""
-        found = [(words, line) for each, words, line in self.lines if each == key]
-        return found[-1] if found else None
+        lines = [(words, line) for each, words, line in self.lines if each == key]
+        return lines[-1] if lines else None
 
 
 @dataclass
@@ -43,8 +43,8 @@ class ZemaxReading:
 
     def value(self, surface: SurfaceLines, key: str, default: float = 0.0, infinite: bool = False) -> float:
         """Return the first number of a surface's key."""
-        found = surface.last(key)
-        return default if found is None else self.number(found[0], 0, found[1], key, infinite)
+        line = surface.last(key)
+        return default if line is None else self.number(line[0], 0, line[1], key, infinite)
 
     def numbered(self, surface: SurfaceLines, key: str) -> dict[int, float]:
         """Return the values of `PARM` or `XDAT`, by their number."""
@@ -55,7 +55,7 @@ class ZemaxReading:
                 if not 0 <= place <= MOST_NUMBERED:
                     raise BadInputError(f"{self.path}: line {line}: {key} has the number {place:g}; correct it.")
                 values[int(place)] = self.number(words, 1, line, key)
-        values.pop(0, None)  # means nothing to any surface that is read
+        values.pop(0, None)  # has no meaning for the surfaces that are read
         return values
 
     def ignore(
@@ -67,5 +67,5 @@ class ZemaxReading:
         bends_rays: bool = False,
         part: Part = "other",
     ) -> None:
-        """Note a key of a surface, or of the head, that is not read as it stands."""
+        """Note a key of a surface, or of the header, that is not read as it stands."""
         ignore(self.notes, None if surface is None else surface.number, key, value, reason, bends_rays, part)

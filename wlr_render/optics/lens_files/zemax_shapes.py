@@ -16,12 +16,12 @@ _CONIC_WITHOUT_TERMS = {
     *("BINARY_1", "BINARY_2", "DGRATING", "FZERNPHA", "FZERNSAG", "IRREGULA", "QED_TYPE", "SZERNPHA", "SZERNSAG"),
     *("XODDASPH",),
 }
-"""Types that are not read and are their conic if all their parameters are 0. Others, such as FRESNELS and PARAXIAL,
+"""Unsupported types that equal their conic if all their parameters are 0. Others, such as FRESNELS and PARAXIAL,
 bend rays in another way even then."""
 
 
 def shape_of(reading: ZemaxReading, surface: SurfaceLines, kind: str) -> Shape:
-    """Return the shape of a surface by its type; note a type that is not read, whose conic stands in its place."""
+    """Return the shape of a surface by its type; an unsupported type is noted and replaced by its conic."""
     curvature, conic = reading.value(surface, "CURV"), reading.value(surface, "CONI")
     read = _SHAPES.get(kind)
     base = Conic(curvature / reading.unit, conic)
@@ -82,7 +82,7 @@ def _asphere(reading: ZemaxReading, surface: SurfaceLines, base: Conic, terms: l
 
 
 def _biconic(reading: ZemaxReading, surface: SurfaceLines, base: Conic) -> Shape:
-    """`CURV` and `CONI` are along y, the first two `PARM` radius and conic along x; a radius of 0 is straight."""
+    """Read a biconic: `CURV` and `CONI` along y, the first two `PARM` radius and conic along x (radius 0: straight)."""
     values = reading.numbered(surface, "PARM")
     radius = reading.unit * values.get(1, 0.0)
     if not radius and not base.curvature:
@@ -91,7 +91,7 @@ def _biconic(reading: ZemaxReading, surface: SurfaceLines, base: Conic) -> Shape
 
 
 def _toroid(reading: ZemaxReading, surface: SurfaceLines, base: Conic) -> Shape:
-    """`CURV` is along y, the first `PARM` the radius of rotation, 0 for a cylinder; further ones terms of y."""
+    """Read a toroid: `CURV` along y, the first `PARM` the radius of rotation (0: a cylinder), then terms of y."""
     values = reading.numbered(surface, "PARM")
     radius = reading.unit * values.get(1, 0.0)
     further = {place: value for place, value in values.items() if place > 1 and value}
@@ -132,4 +132,4 @@ _SHAPES: dict[str, Callable[[ZemaxReading, SurfaceLines, Conic], Shape]] = {
     "TOROIDAL": _toroid,
     "XPOLYNOM": _extended_polynomial,
 }
-"""By type of surface; all others are read as their conic, and noted."""
+"""Readers by type of surface; other types are read as their conic, with a note."""
