@@ -19,27 +19,27 @@ from wlr_render.simulation import viewpoints
 
 SeeThroughRays = Literal["backward", "forward"]
 LEAST_SIGMA_ARCMIN = 1e-3
-"""Stated by captures of a camera without noise on a stage with errors: 0 would state that the camera stood exactly."""
+"""Sigma that captures state for a noiseless camera on a stage with errors: 0 would state exact camera positions."""
 
 
 @dataclass(frozen=True, eq=False)
 class CaptureSetup:
-    """What a calibration is simulated with; errors of zero make it exact.
+    """Setup of a simulated calibration; errors of zero make it exact.
 
     Attributes:
-        truth: the device's own mappings, and the eye box to be covered.
+        truth: exact mappings of the device, and the eye box to cover.
         camera_noise_arcmin: standard deviation of a measured direction about each transverse axis. One pixel of a
             camera with one pixel per arcminute is 1.
-        stage_error_m: standard deviation of the true camera position about the reported one, independent per visit of
-            a position and per axis.
+        stage_error_m: standard deviation of the true camera position about the reported one, independent per visit and
+            axis.
         stage_turn_rad: standard deviation of the camera's rotation about each axis, likewise independent.
         stage_curve: (reported positions (m, 3)) -> (m, 6) rotation (rad) and displacement (m) of the camera, the same
             in every visit; None for none.
-        camera_field: the part of the display's field that is photographed, by a grid of camera pixels; None for all
-            of it, by a grid of panel pixels.
+        camera_field: photographed part of the display's field, sampled by a grid of camera pixels; None for the whole
+            field, sampled by a grid of panel pixels.
         grid: columns and rows of the pixels that are decoded at each position, and of the dots on each target.
         target_depths_m: depths of the flat targets in front of the eye box, at least two different ones.
-        see_through_rays: "backward" solves for the direction of each dot, as a photograph of a target sees it.
+        see_through_rays: "backward" solves for the direction of each dot, as in a photograph of a target.
             "forward" traces a grid of camera pixels through the optics to the target planes (paper: section 4.3):
             one trace per reading and no solve.
 
@@ -75,7 +75,7 @@ class CaptureSetup:
             )
 
     def camera_positions(self, kind: str, count: int) -> FloatArray:
-        """Positions (count, 3) for a model type: "volumetric" in the eye box, "static" one, else in the base plane."""
+        """Return camera positions (count, 3) for a model type: volumetric, static (one), or else in the base plane."""
         box = self.truth.eye_box
         if kind == "static":
             return viewpoints.nominal(box)
@@ -87,16 +87,16 @@ class CaptureSetup:
 
     @property
     def stated_sigma_arcmin(self) -> float:
-        """Sigma of a measured direction that captures state; 0 only where they are exact."""
+        """Sigma of a measured direction that captures state; 0 only for exact ones."""
         has_stage_errors = self.stage_error_m > 0 or self.stage_turn_rad > 0 or self.stage_curve is not None
         return self.camera_noise_arcmin or (LEAST_SIGMA_ARCMIN if has_stage_errors else 0.0)
 
     @cached_property
     def field(self) -> FieldOfView:
-        """What the camera sees of the display from the centre and the corners of the eye box.
+        """The display's field from the centre and the corners of the eye box.
 
         Raises:
-            BadInputError: no pixel is seen from there.
+            BadInputError: no pixel is visible from there.
         """
         if self.camera_field is not None:
             return self.camera_field
@@ -104,8 +104,8 @@ class CaptureSetup:
         corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         viewpoint = box.at(np.concatenate([np.zeros((1, 3)), corners]))
         pixel = np.stack(np.meshgrid(*[np.linspace(0.0, 1.0, 9)] * 2), axis=-1).reshape(-1, 2) * panel.size_px
-        seen = self.truth.display.view_dir_of_pixel(pixel[None], viewpoint[:, None])
-        tangents = directions.tangents_of_dir(seen.value[seen.usable])
+        view = self.truth.display.view_dir_of_pixel(pixel[None], viewpoint[:, None])
+        tangents = directions.tangents_of_dir(view.value[view.usable])
         if len(tangents) == 0:
             raise BadInputError(
                 f"capture setup: no panel pixel of {self.truth.name} is seen from its eye box; check the device."
@@ -113,11 +113,11 @@ class CaptureSetup:
         return FieldOfView(np.nanmin(tangents, axis=0), np.nanmax(tangents, axis=0))
 
     def camera_dirs(self) -> FloatArray:
-        """Return the directions of the camera pixels that are decoded, (n, 3), from edge to edge of the field."""
+        """Return the directions of the decoded camera pixels, (n, 3), from edge to edge of the field."""
         return self.field.directions(*self.grid)
 
     def dots(self, depth_m: float, viewpoint: FloatArray) -> FloatArray:
-        """Dots of a flat target, (n, 3) device frame, wide enough to fill the field from all viewpoints (m, 3)."""
+        """Return the dots of a flat target, (n, 3) device frame, that fill the field from all viewpoints (m, 3)."""
         low = viewpoint[:, :2].min(axis=0) + depth_m * self.field.low
         high = viewpoint[:, :2].max(axis=0) + depth_m * self.field.high
         x, y = np.meshgrid(*(np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1)))
@@ -126,15 +126,15 @@ class CaptureSetup:
 
 
 def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> DisplayCaptures:
-    """Decode the panel from camera positions; what is not seen from there is left out.
+    """Decode the panel from camera positions; invisible pixels are left out.
 
     Args:
-        setup: what stands on the bench, and its errors.
+        setup: the bench and its errors.
         viewpoint: (m, 3) positions that the stage reports; the true ones differ by the stage errors.
         rng: source of the stage errors and the camera noise.
 
     Raises:
-        BadInputError: nothing is seen from anywhere.
+        BadInputError: nothing is visible from any position.
     """
     position, pixel, view_dir = _decoded(setup, _visited(setup, viewpoint, rng))
     captures = DisplayCaptures(
@@ -153,18 +153,18 @@ def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.
 
 @dataclass(frozen=True)
 class _Visits:
-    """Where the camera stood at m visits of the stage.
+    """True camera poses at m visits of the stage.
 
     Attributes:
         position: (m, 3) true positions.
-        turned: (m, 3, 3) rotations from measured to true directions; None for a stage that does not turn the camera.
+        turned: (m, 3, 3) rotations from measured to true directions; None for a stage without rotation errors.
     """
 
     position: FloatArray
     turned: FloatArray | None
 
     def measured(self, view_dir: FloatArray) -> FloatArray:
-        """Measured directions (m, n, 3) of true directions (m, n, 3)."""
+        """Return the measured directions (m, n, 3) of true directions (m, n, 3)."""
         return view_dir if self.turned is None else np.asarray(view_dir @ self.turned)
 
     def true(self, measured: FloatArray) -> FloatArray:
@@ -188,12 +188,12 @@ def _visited(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generato
 
 
 def _decoded(setup: CaptureSetup, visits: _Visits) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
-    """Return which position (n,) saw which panel pixel (n, 2) in which measured direction (n, 3)."""
+    """Return the position number (n,), panel pixel (n, 2) and measured direction (n, 3) of each reading."""
     if setup.camera_field is None:
         pixel = setup.truth.display.panel.grid(*setup.grid).reshape(-1, 2)
-        seen = setup.truth.display.view_dir_of_pixel(pixel[None], visits.position[:, None])
-        position, column = np.nonzero(seen.usable)
-        return position, pixel[column], visits.measured(seen.value)[position, column]
+        view = setup.truth.display.view_dir_of_pixel(pixel[None], visits.position[:, None])
+        position, column = np.nonzero(view.usable)
+        return position, pixel[column], visits.measured(view.value)[position, column]
     view_dir = setup.camera_dirs()
     shown = setup.truth.display.pixel_of_view_dir(visits.true(view_dir[None]), visits.position[:, None])
     position, column = np.nonzero(shown.usable)
@@ -201,15 +201,15 @@ def _decoded(setup: CaptureSetup, visits: _Visits) -> tuple[NDArray[np.int64], F
 
 
 def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> SeeThroughCaptures:
-    """Photograph every target through the optics; the camera's field is the display's.
+    """Photograph every target through the optics, with the display's field as the camera's field.
 
     Args:
-        setup: what stands on the bench, and its errors.
+        setup: the bench and its errors.
         viewpoint: (m, 3) positions that the stage reports; it is driven anew for each target.
         rng: source of the stage errors and the camera noise.
 
     Raises:
-        BadInputError: nothing is seen from anywhere.
+        BadInputError: nothing is visible from any position.
     """
     parts = [_one_target(setup, number, viewpoint, rng) for number in range(len(setup.target_depths_m))]
     return with_camera_noise(concatenate(parts), setup.camera_noise_arcmin, rng)
@@ -218,8 +218,10 @@ def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.ran
 def _one_target(
     setup: CaptureSetup, number: int, viewpoint: FloatArray, rng: np.random.Generator
 ) -> SeeThroughCaptures:
-    seen = _met_by_camera_pixels if setup.see_through_rays == "forward" else _seen_dots
-    position, view_dir, point = seen(setup, setup.target_depths_m[number], viewpoint, _visited(setup, viewpoint, rng))
+    readings_of = _met_by_camera_pixels if setup.see_through_rays == "forward" else _seen_dots
+    position, view_dir, point = readings_of(
+        setup, setup.target_depths_m[number], viewpoint, _visited(setup, viewpoint, rng)
+    )
     return SeeThroughCaptures(
         device=setup.truth.name,
         eye=setup.truth.eye,
@@ -234,28 +236,28 @@ def _one_target(
 
 
 def _seen_dots(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visits: _Visits) -> _Readings:
-    """Return the directions of the dots of a target, solved for."""
+    """Return the directions of a target's dots, by solving for them."""
     dot = setup.dots(depth_m, viewpoint)
-    seen = setup.truth.see_through.view_dir_of_real_point(dot[None], visits.position[:, None])
-    view_dir = visits.measured(seen.value)
-    position, column = np.nonzero(seen.usable & setup.field.contains(view_dir))
+    view = setup.truth.see_through.view_dir_of_real_point(dot[None], visits.position[:, None])
+    view_dir = visits.measured(view.value)
+    position, column = np.nonzero(view.usable & setup.field.contains(view_dir))
     return position, view_dir[position, column], dot[column]
 
 
 def _met_by_camera_pixels(setup: CaptureSetup, depth_m: float, viewpoint: FloatArray, visits: _Visits) -> _Readings:
-    """Where the world rays of camera pixels meet the plane of a target; rays that do not reach it are left out."""
+    """Return the points where world rays of camera pixels meet a target's plane; rays that miss it are left out."""
     view_dir = setup.camera_dirs()
-    seen = setup.truth.see_through.real_ray_of_view_dir(visits.true(view_dir[None]), visits.position[:, None])
-    position, column = np.nonzero(seen.usable & (seen.value[..., 5] < 0.0))
-    ray = seen.value[position, column]
+    world = setup.truth.see_through.real_ray_of_view_dir(visits.true(view_dir[None]), visits.position[:, None])
+    position, column = np.nonzero(world.usable & (world.value[..., 5] < 0.0))
+    ray = world.value[position, column]
     point = rays.split(rays.at_z(ray, setup.truth.eye_box.centre[2] - depth_m))[0]
-    # A plane that lies among the optics is met before the world ray begins.
+    # The world ray begins behind a plane that lies among the optics.
     beyond = point[:, 2] <= ray[:, 2]
     return position[beyond], view_dir[column[beyond]], point[beyond]
 
 
 def with_pixel_noise(captures: AnyCaptures, sigma_px: float, rng: np.random.Generator) -> AnyCaptures:
-    """Displace every measured direction as noise of a pinhole camera's pixels does, and record its sigma.
+    """Displace every measured direction by a pinhole camera's pixel noise, and record its sigma.
 
     The camera looks along -z; a pixel in its middle is an arcminute wide. Off axis the same pixel covers a smaller
     angle: `sigma_arcmin` is the geometric mean of the radial and the other axis. (Paper, section 4.3.)
@@ -270,7 +272,7 @@ def with_pixel_noise(captures: AnyCaptures, sigma_px: float, rng: np.random.Gene
 def with_camera_noise(captures: AnyCaptures, sigma_arcmin: float, rng: np.random.Generator) -> AnyCaptures:
     """Turn every measured direction by Gaussian angles about two transverse axes, and record their sigma.
 
-    The noise is equal in all directions at every place in the field, as of a camera that is turned towards the dot.
+    The noise is isotropic everywhere in the field, as for a camera that is turned towards the dot.
     """
     if sigma_arcmin == 0.0:
         return captures

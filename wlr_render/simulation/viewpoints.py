@@ -1,8 +1,9 @@
 """Viewpoint designs: in one plane, in the eye box, at its centre; and random test viewpoints.
 
 A total-degree polynomial of degree N is determined only by viewpoints with more than N levels on every axis: a k x k
-grid carries no term of degree k in one variable, whatever k^2 is. The designs here therefore give every viewpoint
-its own level, and crowd them towards the edges as Chebyshev points do, where least squares is weakest.
+grid does not determine terms of degree k in one variable, however large k^2 is. The designs here therefore give every
+viewpoint a separate level, and crowd levels towards the edges like Chebyshev points, because least squares is weakest
+there.
 """
 
 import numpy as np
@@ -15,10 +16,10 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 def planar(eye_box: EyeBox, reach: FloatArray, count: int) -> FloatArray:
-    """Viewpoints in the plane z = centre of the eye box: a rank-1 Chebyshev lattice (Cools & Poppe 2011), golden step.
+    """Return viewpoints in the plane through the eye box's centre: a rank-1 Chebyshev lattice (Cools & Poppe 2011).
 
-    The region covered is where rays of the display through any viewpoint of the eye box meet the plane; a smaller one
-    would make the projected viewpoints leave the fitted box.
+    The lattice has the golden step. It covers the region where the display's rays through any viewpoint of the eye box
+    meet the plane; in a smaller region the projected viewpoints would leave the fitted box.
 
     Args:
         eye_box: the eye box.
@@ -36,7 +37,7 @@ def planar(eye_box: EyeBox, reach: FloatArray, count: int) -> FloatArray:
 
 
 def volumetric(eye_box: EyeBox, count: int) -> FloatArray:
-    """Return viewpoints in the whole eye box: the first points of Sobol's sequence, Chebyshev-spaced; (count, 3)."""
+    """Return viewpoints (count, 3) in the whole eye box: the first points of Sobol's sequence, Chebyshev-spaced."""
     from scipy.stats import qmc
 
     power = int(np.ceil(np.log2(_at_least_one(count))))
@@ -45,17 +46,17 @@ def volumetric(eye_box: EyeBox, count: int) -> FloatArray:
 
 
 def nominal(eye_box: EyeBox) -> FloatArray:
-    """Return the centre of the eye box alone, (1, 3): all that a static map is fitted on."""
+    """Return the centre of the eye box, (1, 3), the only viewpoint that a static map is fitted on."""
     return np.array(eye_box.centre, dtype=np.float64)[None]
 
 
 def random_in_eye_box(eye_box: EyeBox, count: int, rng: np.random.Generator) -> FloatArray:
-    """Uniformly random viewpoints in the eye box, (count, 3): where models are tested, mostly off the plane."""
+    """Return uniformly random viewpoints in the eye box, (count, 3), for tests of models, mostly off the plane."""
     return eye_box.at(rng.uniform(-1.0, 1.0, (_at_least_one(count), 3)))
 
 
 def _chebyshev_spaced(unit: FloatArray) -> FloatArray:
-    """0..1 -> -1..1, crowded towards the ends, stretched so that the outermost points lie on the boundary."""
+    """Map 0..1 to -1..1, crowded towards the ends and stretched to the boundary."""
     spaced = -np.cos(np.pi * unit)
     return np.asarray(spaced / np.maximum(np.abs(spaced).max(axis=0), 1e-9))
 

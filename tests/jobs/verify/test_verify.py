@@ -185,7 +185,7 @@ def of_another_device(session, options):
 @pytest.mark.parametrize(
     ("spoil", "complaint"),
     [
-        (not_simulated, "has no simulation.toml, so it is no simulated session"),
+        (not_simulated, "has no simulation.toml, so the session is not simulated"),
         (without("model.json"), "holds no model.json; run `wlr-render calibrate photos"),
         (without("station-right.json"), "`calibrate photos` writes it"),
         (of_another_device, "is a calibration of birdbath28, right eye, .* and not of"),

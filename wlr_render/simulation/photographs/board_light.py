@@ -9,17 +9,17 @@ from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.simulation.photographs.printed_board import PrintedBoard
 
-_BOW_STEPS = 3  # of the intersection with a bowed board; each leaves a hundredth of the error before
+_BOW_STEPS = 3  # iterations of the intersection with a bowed board; each reduces the error a hundredfold
 
 
 @dataclass(frozen=True)
 class FarWall:
-    """A background so far away that only the direction counts: smooth patches, lighter and darker than their mean.
+    """A background at infinity: smooth patches, lighter and darker than their mean, that depend on direction only.
 
     Attributes:
-        brightness: its mean.
-        contrast: how far the patches are from the mean, as a part of it.
-        patch_rad: from a light patch to the next light one, roughly.
+        brightness: mean brightness.
+        contrast: amplitude of the patches, relative to the mean.
+        patch_rad: approximate distance of neighbouring light patches, radians.
     """
 
     brightness: float = 0.1
@@ -27,7 +27,7 @@ class FarWall:
     patch_rad: float = 0.15
 
     def __call__(self, ray: Float32Array) -> Float32Array:
-        """See `camera_view.Radiance`."""
+        """Return the brightness of the background along rays."""
         x, y, z = np.moveaxis(ray[..., 3:] * np.float32(2.0 * np.pi / self.patch_rad), -1, 0)
         patches = (np.sin(x + 0.7 * z) + np.sin(y + 1.3 * z) + np.sin(0.61 * (x + y))) / 3.0
         return np.asarray(self.brightness * (1.0 + self.contrast * patches))
@@ -35,16 +35,15 @@ class FarWall:
 
 @dataclass(frozen=True, eq=False)
 class BoardLight:
-    """Radiance of a dot board before a background, as `CameraView.world_light` takes it.
+    """Radiance of a dot board before a background, for `CameraView.world_light`.
 
     Attributes:
-        board: the board, flat and exact, or as it was printed.
+        board: the board, flat and exact, or as printed.
         frame_from_target: (4, 4) pose of the board in the frame of the view; it is seen from its front only.
         wall: the background.
-        white: brightness of its white.
-        black: brightness of its dots.
-        softness: part of a pixel's footprint by which the edges of dots are softened; of `n` rays per pixel each
-            stands for 1 / sqrt(n).
+        white: brightness of the white.
+        black: brightness of the dots.
+        softness: width of the dots' soft edges in pixel footprints; 1 / sqrt(n) for n rays per pixel.
     """
 
     board: Board | PrintedBoard
@@ -55,7 +54,7 @@ class BoardLight:
     softness: float = 0.25
 
     def __call__(self, ray: Float32Array) -> Float32Array:
-        """See `camera_view.Radiance`."""
+        """Return the brightness of the board or the background along rays."""
         place = self._place(ray)
         reflectance = self.board.reflectance(place, self.softness * _footprint(place))
         light = np.asarray(self.black + (self.white - self.black) * reflectance, dtype=np.float32)
@@ -64,7 +63,7 @@ class BoardLight:
         return light
 
     def _place(self, ray: Float32Array) -> Float32Array:
-        """Where rays (h, w, 6) meet the board from its front: x and y (h, w, 2), board frame; else NaN."""
+        """Return the positions (h, w, 2) on the board where rays (h, w, 6) meet its front; NaN elsewhere."""
         target_from_frame = inverse(self.frame_from_target).astype(np.float32)
         rotation, shift = target_from_frame[:3, :3], target_from_frame[:3, 3]
         origin, direction = ray[..., :3] @ rotation.T + shift, ray[..., 3:] @ rotation.T
@@ -76,7 +75,7 @@ class BoardLight:
 
 
 def _on_plane(origin: Float32Array, direction: Float32Array, depth: Float32Array) -> Float32Array:
-    """x and y (h, w, 2) where rays reach a plane whose z is `depth` (h, w) below their origins'; NaN from behind."""
+    """Return x and y (h, w, 2) where rays reach a plane at `depth` (h, w) below their origins; NaN from behind."""
     with np.errstate(divide="ignore", invalid="ignore"):
         along = -depth / direction[..., 2]
     along[~((along > 0.0) & (direction[..., 2] > 0.0))] = np.nan
@@ -85,6 +84,6 @@ def _on_plane(origin: Float32Array, direction: Float32Array, depth: Float32Array
 
 
 def _footprint(place: Float32Array) -> Float32Array:
-    """Return the width (h, w) of a camera pixel on the board, metres, from places (h, w, 2): the root of its area."""
+    """Return the width (h, w) of a camera pixel on the board, metres, from positions (h, w, 2): root of its area."""
     (x_down, x_right), (y_down, y_right) = np.gradient(place[..., 0]), np.gradient(place[..., 1])
     return np.asarray(np.sqrt(np.abs(x_right * y_down - y_right * x_down)))

@@ -16,7 +16,7 @@ from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 
-_CANDIDATES = 2000  # sets of samples among which the most even one is taken
+_CANDIDATES = 2000  # candidate sample sets; the most uniform one is used
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +24,9 @@ class SimulatedLens:
     """A camera with an entrance pupil of finite size: sharp in one plane only.
 
     Attributes:
-        camera: where the rays through the middle of the pupil land.
-        pupil_diameter_m: of the entrance pupil; 0 is a pinhole.
-        focus_m: depth of the plane that is sharp; infinite for a lens set to infinity.
+        camera: projection of the rays through the middle of the pupil.
+        pupil_diameter_m: diameter of the entrance pupil; 0 for a pinhole.
+        focus_m: depth of the plane in focus; infinite for a lens set to infinity.
 
     Raises:
         BadInputError: a negative pupil, or a focus that is not in front of the lens.
@@ -39,12 +39,12 @@ class SimulatedLens:
     def __post_init__(self) -> None:
         if not (0.0 <= self.pupil_diameter_m < np.inf and self.focus_m > 0.0):
             raise BadInputError(
-                f"A lens of {self.pupil_diameter_m} m pupil diameter focused at {self.focus_m} m cannot be; give a "
+                f"A lens of {self.pupil_diameter_m} m pupil diameter focused at {self.focus_m} m is impossible; give a "
                 "diameter of 0 or more and a positive focus (inf for infinity)."
             )
 
     def ray_of_pixel(self, pixel: FloatArray, pupil_point: FloatArray) -> FloatArray:
-        """Return the ray by which image points see, (..., 6), camera frame, from the pupil outwards.
+        """Return the rays (..., 6) of image points, camera frame, from the pupil outwards.
 
         All rays of an image point meet where the ray through the middle of the pupil crosses the plane in focus.
 
@@ -57,9 +57,9 @@ class SimulatedLens:
         return rays.pack(np.array([*pupil_point, 0.0]), normalised(forward))
 
     def samples(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Where in the pixel and in the pupil rays are sent, the same for all pixels.
+        """Return the samples in the pixel and in the pupil, the same for all pixels.
 
-        Both are centred exactly, so that no number of samples moves a picture.
+        Both are centred exactly, so that the number of samples does not move a picture.
 
         Returns:
             Offsets from a pixel's centre (count, 2) in pixels, and the pupil points (count, 2) in metres.
@@ -72,8 +72,8 @@ class SimulatedLens:
 def _even_samples(count: int) -> FloatArray:
     """Return the points (count, 4) of the cube -0.5..0.5, symmetric about 0, every axis stratified.
 
-    Of many such Latin hypercubes the one of least centred discrepancy: F. J. Hickernell, "A generalized discrepancy
-    and quadrature error bound", Math. Comp. 67 (1998) 299.
+    The result is the Latin hypercube with the least centred discrepancy among many: F. J. Hickernell, "A generalized
+    discrepancy and quadrature error bound", Math. Comp. 67 (1998) 299.
     """
     if count < 1:
         raise BadInputError(f"{count} samples per pixel make no picture; give 1 or more.")
@@ -96,7 +96,7 @@ def _discrepancy(points: FloatArray) -> float:
 
 
 def _disc_of_square(square: FloatArray) -> FloatArray:
-    """Carry points (n, 2) of the square -1..1 to the unit disc, areas in proportion.
+    """Map points (n, 2) of the square -1..1 to the unit disc, preserving relative areas.
 
     P. Shirley and K. Chiu, "A low distortion map between disk and square", J. Graphics Tools 2 (1997) 45.
     """
@@ -114,18 +114,18 @@ class Sensor:
     """A grey sensor with shot noise and read noise.
 
     Attributes:
-        bits: of a grey value, 1 to 16; up to 8 are stored as uint8, more as uint16.
-        exposure: by which light is multiplied; 1 is then full scale.
+        bits: bits of a grey value, 1 to 16; up to 8 are stored as uint8, more as uint16.
+        exposure: factor on the light; full scale is then 1.
         full_well_e: electrons at full scale.
         read_noise_e: standard deviation, electrons.
-        vignetting: part of the light that is lost in the corners; it grows with the square of the distance from the
+        vignetting: fraction of light lost in the corners; the loss grows with the square of the distance from the
             middle.
         gamma: grey values are the signal to the power of 1 / gamma.
         black_clip: part of full scale subtracted from the signal: a black level that is too low, so that dark pixels
             are clipped to 0.
 
     Raises:
-        BadInputError: a value that no sensor has.
+        BadInputError: a value is impossible for a sensor.
     """
 
     bits: int = 8
@@ -141,17 +141,17 @@ class Sensor:
         parts = 0.0 <= self.vignetting <= 1.0 and 0.0 <= self.black_clip < 1.0
         if not (1 <= self.bits <= 16 and positive and self.read_noise_e >= 0.0 and parts):
             raise BadInputError(
-                f"{self} cannot be; give 1 to 16 bits, a positive exposure, full well and gamma, a read noise of 0 or "
-                "more, vignetting between 0 and 1, and a black_clip below 1."
+                f"{self} is impossible; give 1 to 16 bits, a positive exposure, full well and gamma, a read noise of 0 "
+                "or more, vignetting between 0 and 1, and a black_clip below 1."
             )
 
     @classmethod
     def with_snr(
         cls, snr: float, bits: int = 8, exposure: float = 1.0, read_noise_e: float = 5.0, vignetting: float = 0.0
     ) -> "Sensor":
-        """Return the sensor whose full well gives light 1 in the middle of the picture this ratio of signal to noise.
+        """Return a sensor with this signal-to-noise ratio for light 1 in the middle of the picture.
 
-        The signal of N electrons has the noise sqrt(N + read noise^2); quantisation is not counted.
+        A signal of N electrons has the noise sqrt(N + read noise^2); quantisation is neglected.
         """
         electrons = 0.5 * snr * (snr + float(np.hypot(snr, 2.0 * read_noise_e)))
         return cls(bits, exposure, electrons / exposure, read_noise_e, vignetting)
@@ -168,7 +168,7 @@ class Sensor:
         return np.asarray(np.rint(grey), dtype=np.uint8 if self.bits <= 8 else np.uint16)
 
     def _falloff(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Return what is left of the light in each pixel, (h, w)."""
+        """Return the remaining fraction of light in each pixel, (h, w)."""
         height, width = shape
         x = (np.arange(width, dtype=np.float32) + 0.5) / width - 0.5
         y = (np.arange(height, dtype=np.float32) + 0.5) / height - 0.5

@@ -1,7 +1,7 @@
 """Simulated camera at one pose: light from panel and world through exact optics, or from the world alone.
 
-Light is a part of full scale, linear. A pixel's light is the mean over a fixed set of rays spread over the pixel and
-the pupil; each ray is traced exactly, or interpolated with a bounded error.
+Light is linear, as a fraction of full scale. A pixel's light is the mean over a fixed set of rays spread over the pixel
+and the pupil; each ray is traced exactly, or interpolated with a bounded error.
 """
 
 from collections.abc import Callable
@@ -24,17 +24,17 @@ from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.pixel_map import PixelMap
 
 Radiance = Callable[[Float32Array], NDArray[np.floating]]
-"""Rays (h, w, 6) of some rows, away from the lens, NaN where no light comes -> how bright what they meet is, (h, w)."""
+"""Rays (h, w, 6) of some rows, away from the lens, NaN without light -> brightness (h, w) of the objects they meet."""
 
 PANEL_GAMMA = 2.2
 _PANEL_TOLERANCE_PX = 0.003
 _WORLD_TOLERANCE = np.array([2e-7, 2e-7, 1e-6, 1e-6])  # metres in the pupil's plane, tangents
-_ROWS = 64  # of the picture at a time: what is computed of the world stays in the processor's cache
-_OFF_PANEL = -10.0  # a place of which the nearest pixels are all beyond the panel
+_ROWS = 64  # rows of the picture at a time: intermediate results stay in the processor's cache
+_OFF_PANEL = -10.0  # a position whose nearest pixels are all outside the panel
 _FARTHEST = 32_000.0  # cv2.remap indexes with 16 bits
 WAVELENGTH_UM = 0.55
-_BLUR_STEP = 16  # of the pixels from which the blur is judged
-_NARROWEST_PX = 1e-3  # of a ramp between two panel pixels
+_BLUR_STEP = 16  # step between the pixels that determine the blur
+_NARROWEST_PX = 1e-3  # narrowest ramp between two panel pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ class CameraView:
         lens: the lens.
         frame_from_camera: (4, 4) rigid; the frame is the device's through the optics, any without the headset.
         panel: the panel; None without the headset.
-        on_panel: per sample, the place on the panel in its pixels; empty without the headset.
-        in_world: per sample, the world's ray: x, y in the plane z = 0 of the camera, and its two tangents there.
+        on_panel: position on the panel of each sample, panel pixels; empty without the headset.
+        in_world: world ray of each sample: x, y in the plane z = 0 of the camera, and its two tangents there.
     """
 
     lens: SimulatedLens
@@ -63,7 +63,7 @@ class CameraView:
         device_from_camera: FloatArray,
         samples: int = 16,
     ) -> "CameraView":
-        """Return the lens in the place of an eye; its rays are traced exactly at 0.55 micrometres."""
+        """Return the view of a lens in place of an eye; its rays are traced exactly at 0.55 micrometres."""
         display, see_through = TracedDisplay(optics, WAVELENGTH_UM), TracedSeeThrough(optics, WAVELENGTH_UM)
         camera_from_device = inverse(device_from_camera)
 
@@ -86,7 +86,7 @@ class CameraView:
 
     @classmethod
     def without_headset(cls, lens: SimulatedLens, frame_from_camera: FloatArray, samples: int = 16) -> "CameraView":
-        """Return the lens in free air: an eyeball camera on the bare stage, or a headset's own tracking camera."""
+        """Return the view of a lens in free air: an eyeball camera on the bare stage, or the tracking camera."""
 
         def in_world(pupil_point: FloatArray, pixel: FloatArray) -> tuple[FloatArray, BoolArray]:
             return _offset_and_slope(lens.ray_of_pixel(pixel, pupil_point))
@@ -116,7 +116,7 @@ class CameraView:
         return total / np.float32(len(self.on_panel))
 
     def world_light(self, radiance: Radiance) -> Float32Array:
-        """Return the light from the world, (h, w); dark where no ray comes in or `radiance` is NaN."""
+        """Return the light from the world, (h, w); dark where no ray arrives or `radiance` is NaN."""
         width, height = self.lens.camera.size_px
         total = np.zeros((height, width), dtype=np.float32)
         for field in self.in_world:
@@ -140,7 +140,7 @@ class CameraView:
 
     @cached_property
     def _panel_maps(self) -> list[Float32Array]:
-        """Per sample, (2, h, w): where to read the panel's image with `cv2.remap`, bilinearly."""
+        """Return the maps (2, h, w) of each sample for reading the panel's image with `cv2.remap`, bilinearly."""
         places = [field.planes() for field in self.on_panel]
         blur = _panel_blur(places, [field.lit for field in self.on_panel])
         for place, field in zip(places, self.on_panel, strict=True):
@@ -163,33 +163,34 @@ def _maps(
 
 
 def _offset_and_slope(ray_in_camera: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return rays (n, 6) as x, y in the plane z = 0 and their tangents there (n, 4), and which of them lead forward."""
+    """Return rays (n, 6) as x, y in the plane z = 0 and their tangents (n, 4), and a mask of forward rays."""
     forward = ray_in_camera[:, 5] > 0.0
     ray = rays.at_z(np.where(forward[:, None], ray_in_camera, np.nan), 0.0)
     return np.concatenate([ray[:, :2], ray[:, 3:5] / ray[:, 5:]], axis=-1), forward
 
 
 def _panel_blur(places: list[Float32Array], lit: list[BoolArray]) -> FloatArray:
-    """(2,) panel pixels in u and v that one sample of a pixel stands for: the reach of all of them over sqrt(samples).
+    """Return the panel pixels (2,) in u and v that one sample covers: the spread of all samples over sqrt(samples).
 
-    A box of the standard deviation sigma is sqrt(12) sigma wide. One value, the median over the picture, serves all.
+    A box of the standard deviation sigma is sqrt(12) sigma wide. The median over the picture serves as the single
+    value.
     """
     some = (slice(None, None, _BLUR_STEP), slice(None, None, _BLUR_STEP))
     everywhere = np.logical_and.reduce([one[some] for one in lit])
-    seen = np.array([place[:, some[0], some[1]][:, everywhere] for place in places])
-    reach = np.sqrt(12.0 / len(places)) * seen.std(axis=0)
+    sampled = np.array([place[:, some[0], some[1]][:, everywhere] for place in places])
+    reach = np.sqrt(12.0 / len(places)) * sampled.std(axis=0)
     return np.median(reach, axis=-1) if reach.size else np.zeros(2)
 
 
 def _sharpen(place: Float32Array, blur: FloatArray) -> None:
-    """Turn places on the panel (2, h, w) into OpenCV's, moved so that a bilinear look-up shows square pixels.
+    """Convert positions on the panel (2, h, w) to OpenCV's, shifted so that a bilinear look-up shows square pixels.
 
-    Between two pixels' centres it then gives one pixel's value, the other's, and a ramp as wide as `blur`.
+    Between two pixel centres the look-up then gives one pixel's value, a ramp as wide as `blur`, and the other's value.
     """
-    for own, width in zip(place, np.clip(blur, _NARROWEST_PX, 1.0).astype(np.float32), strict=True):
-        own -= np.float32(0.5)
-        whole = np.floor(own)
-        own[...] = whole + np.clip((own - whole - np.float32(0.5)) / width + np.float32(0.5), 0.0, 1.0)
+    for axis, width in zip(place, np.clip(blur, _NARROWEST_PX, 1.0).astype(np.float32), strict=True):
+        axis -= np.float32(0.5)
+        whole = np.floor(axis)
+        axis[...] = whole + np.clip((axis - whole - np.float32(0.5)) / width + np.float32(0.5), 0.0, 1.0)
 
 
 def panel_position(
@@ -198,7 +199,7 @@ def panel_position(
     device_from_camera: FloatArray,
     pixel: FloatArray,
 ) -> QueryResult:
-    """Return which place on the panel camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
+    """Return the panel positions that camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
     direction = rotate(device_from_camera, camera.dir_of_pixel(pixel))
     return TracedDisplay(optics, WAVELENGTH_UM).pixel_of_view_dir(direction, device_from_camera[:3, 3])
 
@@ -209,6 +210,6 @@ def pixel_of_real_point(
     device_from_camera: FloatArray,
     point: FloatArray,
 ) -> FloatArray:
-    """The camera pixels (..., 2) that see real points (..., 3), device frame, through the optics; NaN where not."""
-    seen = TracedSeeThrough(optics, WAVELENGTH_UM).view_dir_of_real_point(point, device_from_camera[:3, 3])
-    return camera.pixel_of_point(rotate(inverse(device_from_camera), seen.value))
+    """Return the camera pixels (..., 2) of real points (..., 3), device frame, through the optics; NaN if not seen."""
+    view = TracedSeeThrough(optics, WAVELENGTH_UM).view_dir_of_real_point(point, device_from_camera[:3, 3])
+    return camera.pixel_of_point(rotate(inverse(device_from_camera), view.value))

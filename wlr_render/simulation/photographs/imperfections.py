@@ -10,7 +10,7 @@ LensKind = Literal["brown", "rational", "thin-prism", "fisheye"]
 
 @dataclass(frozen=True)
 class BenchImperfections:
-    """Sizes of the errors of a photographic bench. The signs and directions are drawn from the bench's seed.
+    """Sizes of the errors of a photographic bench; signs and directions are drawn from the bench's seed.
 
     "rms" is the root mean square over the range of one stage axis; "random" a standard deviation.
 
@@ -18,27 +18,26 @@ class BenchImperfections:
         turn_urad: rms pitch, yaw and roll (each) of the carriage along each stage axis, cubic curves of it.
         turn_jitter_urad: random rotation of each visit, per axis.
         straightness_um: rms departure from a straight line along each stage axis, in each direction.
-        arm_mm: distance of the pupil from the point about which the carriage turns. The turns displace the pupil by it.
+        arm_mm: lever arm from the point about which the carriage turns to the pupil, which the turns displace.
         repeatability_um: random displacement of each visit, per axis.
         readback_um: random error of the reading that session.toml states, per axis.
         axes_skew_mrad: each pair of stage axes departs from a right angle by this much.
-        creep_um: displacement of the stage by temperature from the first photograph to the last. It slows down
-            exponentially.
+        creep_um: thermal displacement of the stage from the first photograph to the last, exponentially decaying.
         bow_mm: height of the board's corners over its middle; see `printed_board`.
         twist_mm: height of the board's corners by twist, of alternating sign.
-        anisotropy: the board is printed longer in y than in x by this part.
-        scale_error: the whole board is printed larger or smaller by this part.
+        anisotropy: fraction by which the board is printed longer in y than in x.
+        scale_error: fraction by which the whole board is printed larger or smaller.
         dot_error_um: random displacement of each dot on the board, per axis.
         lens: kind of the true eyeball lens and tracking lens, see `geometry.lens_camera.LENS_KINDS`.
-        lens_px: rms in pixels per axis that a fit of the five Brown terms leaves of a "rational" or "thin-prism" lens.
+        lens_px: rms residual in pixels per axis of a fit of the five Brown terms to a "rational" or "thin-prism" lens.
         decentring: tangential distortion added to each lens, p1 and p2 each.
         focus_breathing: relative change of the eyeball camera's focal length between the farthest and nearest target.
         extrinsics_mm: random error of the stated position of the tracking camera, per axis.
         extrinsics_deg: random error of its stated rotation, per axis.
-        black_clip: part of full scale that the sensor's black level is too low by; darker pixels become 0.
+        black_clip: fraction of full scale by which the sensor's black level is too low; darker pixels become 0.
         gamma_error: departure of the sensors' response from a straight line, as a departure of gamma from 1.
         vibration_px: standard deviation of the motion blur of each photograph, along a random direction.
-        stray_light: part of the light that is spread over the picture (veiling glare).
+        stray_light: fraction of the light spread over the picture (veiling glare).
     """
 
     turn_urad: float = 100.0
@@ -71,7 +70,7 @@ class BenchImperfections:
                 raise BadInputError(f"The imperfection '{name}' is {value}; give a finite size of 0 or more.")
         if not (self.gamma_error < 1.0 and self.black_clip < 1.0 and self.anisotropy < 0.1 and self.scale_error < 0.1):
             raise BadInputError(
-                f"{self} cannot be; 'gamma_error' and 'black_clip' must be below 1, 'anisotropy' and 'scale_error' "
+                f"{self} is impossible; 'gamma_error' and 'black_clip' must be below 1, 'anisotropy' and 'scale_error' "
                 "below 0.1."
             )
 
@@ -81,7 +80,7 @@ class BenchImperfections:
         return cls().scaled(0.0)
 
     def scaled(self, factor: float) -> "BenchImperfections":
-        """All sizes times a factor, 0 or more; a factor of 0 makes the lens a "brown" one, others keep its kind."""
+        """Return all sizes times a factor, 0 or more; a factor of 0 makes the lens a "brown" one."""
         return BenchImperfections(
             **{name: factor * size for name, size in self._sizes().items()}, lens=self.lens if factor else "brown"
         )

@@ -1,4 +1,4 @@
-"""A simulated photographic bench with known true values, and the photographs a session takes on it."""
+"""A simulated photographic bench with known true values, and the photographs of a session on it."""
 
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -24,16 +24,16 @@ from wlr_render.simulation.photographs.true_lens import true_lens
 from wlr_render.simulation.simulate_captures import CaptureSetup
 from wlr_render.simulation.viewpoints import planar, volumetric
 
-_MARGIN = 1.08  # by how much the camera sees more than the display's field
-_BOARD_MARGIN = 1.15  # by how much the board is larger than that field at the farthest pose, where it can be
-_LARGEST_BOARD_M = (1.189, 0.841)  # A0, what a plotter prints
-_PITCH_PX = 24.0  # of the board at its farthest place, camera pixels
-_EXPOSURE = 0.85  # of a white panel: just below full scale
+_MARGIN = 1.08  # field of the camera over the display's field
+_BOARD_MARGIN = 1.15  # size of the board over that field at the farthest pose, if it can be printed
+_LARGEST_BOARD_M = (1.189, 0.841)  # A0, the largest sheet of a plotter
+_PITCH_PX = 24.0  # pitch of the board at its farthest pose, camera pixels
+_EXPOSURE = 0.85  # exposure of a white panel: just below full scale
 _TRACKING_SNR = 60.0
 _STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS = range(101, 106)  # streams of random numbers
 
-_CLEAR = np.linspace(-1.2, 1.2, 49)  # tangents among which the edge of the optics is looked for
-_BEYOND_CLEAR = 1.25  # by how much a camera in the hand sees more than the clear field of the optics
+_CLEAR = np.linspace(-1.2, 1.2, 49)  # tangents that are searched for the edge of the optics
+_BEYOND_CLEAR = 1.25  # field of a hand-held camera over the clear field of the optics
 
 StageKind = Literal["xyz", "xy", "x", "hand"]
 Sampling = Literal["planar", "volumetric"]
@@ -47,18 +47,18 @@ class PhotoBenchOptions:
 
     Attributes:
         camera_px: width and height of the eyeball camera's photographs.
-        bits: of the eyeball camera.
+        bits: bits of the eyeball camera.
         pupil_mm: diameter of its entrance pupil.
-        focus_m: where it is focused, for all photographs.
-        snr: of a panel at full white: signal over noise.
-        target_depths_m: where the target stands, in front of the eye box; one pose each.
-        seed: of all random numbers.
+        focus_m: focus distance, for all photographs.
+        snr: signal-to-noise ratio of a panel at full white.
+        target_depths_m: distances of the target in front of the eye box; one pose each.
+        seed: seed of all random numbers.
         imperfections: errors of stage, board, lenses, extrinsics and sensors.
-        stage: its axes that move, or "hand" for a camera that is held: then the eyeball camera sees the target past the
-            optics, too, by a wider lens.
-        sampling: where the camera stands: in the middle plane of the eye box, or anywhere in it.
-        stated_axes_deg: standard deviation of the rotation that session.toml states of the stage's axes against the
-            camera; the bare target is then photographed once. 0: session.toml states nothing.
+        stage: moving axes, or "hand" for a hand-held camera, which also sees the target past the optics, with a wider
+            lens.
+        sampling: camera positions: in the middle plane of the eye box, or anywhere in it.
+        stated_axes_deg: standard deviation of the error of the stage rotation in session.toml; the bare target is then
+            photographed once. 0 if session.toml does not state the rotation.
         tracking_px: width and height of the tracking camera's photographs.
     """
 
@@ -93,16 +93,16 @@ class PhotoBench:
         device: the headset.
         eye: which of its eyes.
         board: the target as board.toml states it.
-        printed: the target as it is.
-        eyeball, tracking: the lenses of the camera in the place of the eye, and of the headset's own camera.
-        eyeball_sensor, tracking_sensor: what is behind them.
-        device_from_camera: (4, 4) where the eyeball camera is when the stage stands at zero.
-        stage_axes: (3, 3) its displacement in the device frame = axes @ position of the stage, but for `stage_errors`.
+        printed: the target as printed and mounted.
+        eyeball, tracking: lenses of the camera in place of the eye, and of the headset's tracking camera.
+        eyeball_sensor, tracking_sensor: sensors of these cameras.
+        device_from_camera: (4, 4) pose of the eyeball camera at stage reading zero.
+        stage_axes: (3, 3) displacement in the device frame = axes @ position of the stage, plus `stage_errors`.
         stage_errors: smooth errors of the stage.
-        device_from_tracking: (4, 4) where the headset's camera sits.
-        stated_device_from_tracking: (4, 4) where session.toml says that it sits.
+        device_from_tracking: (4, 4) pose of the tracking camera.
+        stated_device_from_tracking: (4, 4) pose of the tracking camera in session.toml.
         device_from_target: (k, 4, 4) the target's poses.
-        options: what the bench was designed from.
+        options: options of the design.
     """
 
     device: Device
@@ -127,11 +127,11 @@ class PhotoBench:
         return self.device.eyes[self.eye]
 
     def camera_at(self, position: FloatArray, error: FloatArray | None = None) -> FloatArray:
-        """device_from_camera (4, 4) at a stage position (3,).
+        """Return device_from_camera (4, 4) at a stage position (3,).
 
         Args:
-            position: of the stage, metres.
-            error: (6,) rotation vector (rad) and displacement (m) beside the smooth errors, device frame.
+            position: position of the stage, metres.
+            error: (6,) rotation vector (rad) and displacement (m) in addition to the smooth errors, device frame.
         """
         motion = self.stage_errors.motion(position)
         motion = motion if error is None else motion + error
@@ -139,7 +139,7 @@ class PhotoBench:
         return transforms.rigid(transforms.rotations_of_vectors(motion[:3]) @ rotation, origin + motion[3:])
 
     def eyeball_focused(self, target_pose: int) -> SimulatedLens:
-        """The eyeball lens while it photographs the target: the focal length depends on the distance (breathing)."""
+        """Return the eyeball lens focused on the target; its focal length depends on the distance (breathing)."""
         nearness = 1.0 / np.linalg.norm(self.device_from_target[:, :3, 3] - self.optics.eye_box.centre, axis=-1)
         reach = float(np.ptp(nearness))
         if reach == 0.0 or self.options.imperfections.focus_breathing == 0.0:
@@ -152,11 +152,11 @@ class PhotoBench:
 
 @dataclass(frozen=True, eq=False)
 class _Aim:
-    """How the display is seen from the eye box.
+    """View of the display from the eye box.
 
     Attributes:
-        device_from_looking: (3, 3) axes x right, y down, z towards the middle of what is seen.
-        half_tangents: (2,) reach of what is seen across and along that view.
+        device_from_looking: (3, 3) axes x right, y down, z towards the middle of the view.
+        half_tangents: (2,) half extent of the view, horizontal and vertical.
     """
 
     device_from_looking: FloatArray
@@ -164,10 +164,10 @@ class _Aim:
 
     @classmethod
     def at(cls, truth: EyeMappings) -> "_Aim":
-        field = CaptureSetup(truth).field  # refuses a panel that is not seen
+        field = CaptureSetup(truth).field  # refuses an invisible panel
         box, pixel = truth.eye_box, truth.display.panel.grid(15, 11).reshape(-1, 2)
-        seen = truth.display.view_dir_of_pixel(pixel, box.at(_CORNERS)[:, None])
-        view_dir = seen.value[seen.usable]
+        view = truth.display.view_dir_of_pixel(pixel, box.at(_CORNERS)[:, None])
+        view_dir = view.value[view.usable]
         forward = dir_of_tangents(0.5 * (field.low + field.high))
         for _ in range(3):  # the middle depends on the view, and the view on the middle
             looking = _looking(forward)
@@ -188,13 +188,14 @@ def _looking(forward: FloatArray) -> FloatArray:
 
 
 def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = PhotoBenchOptions()) -> PhotoBench:
-    """Return a bench on which the display's whole field is photographed, with the small errors that a real one has.
+    """Return a bench that photographs the display's whole field, with the small errors of a real bench.
 
     Raises:
-        BadInputError: the device has no such eye, its panel is not seen from the eye box, or the options cannot be.
+        BadInputError: the device has no such eye, its panel is not visible from the eye box, or the options are
+            impossible.
     """
     truth = traced_eye(device, eye)
-    CaptureSetup(truth, target_depths_m=options.target_depths_m)  # refuses depths that give no ray
+    CaptureSetup(truth, target_depths_m=options.target_depths_m)  # refuses depths that do not determine a ray
     aim, sizes = _Aim.at(truth), options.imperfections
     box = device.eyes[eye].eye_box
     stage, printing, lenses, extrinsics, sensors = (
@@ -229,7 +230,7 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
 
 
 def _past_optics(aim: _Aim, optics: EyeOptics) -> _Aim:
-    """The same view, of all that the optics let through from the middle of the eye box and some more on every side."""
+    """Return the same view, widened to the clear field of the optics from the middle of the eye box and a margin."""
     tangents = np.stack(np.meshgrid(_CLEAR, _CLEAR), axis=-1).reshape(-1, 2)
     clear = np.abs(tangents[passes_optics(aim.device_from_looking, tangents, optics, optics.eye_box.centre)])
     half = np.maximum(aim.half_tangents, clear.max(axis=0, initial=0.0))
@@ -239,25 +240,25 @@ def _past_optics(aim: _Aim, optics: EyeOptics) -> _Aim:
 def passes_optics(
     device_from_looking: FloatArray, tangents: FloatArray, optics: EyeOptics, viewpoint: FloatArray
 ) -> BoolArray:
-    """Which directions (n, 2), tangents in a frame looking along z (3, 3), see the world through the optics, (n,)."""
+    """Return which directions (n, 2), tangents in a frame looking along z, see the world through the optics, (n,)."""
     looking = normalised(np.concatenate([tangents, np.ones((len(tangents), 1))], axis=-1))
     through = TracedSeeThrough(optics, WAVELENGTH_UM).real_ray_of_view_dir(looking @ device_from_looking.T, viewpoint)
     return np.asarray(through.usable)
 
 
 def _half_travel(truth: EyeMappings) -> FloatArray:
-    """Return (3,) the farthest that a session's readings reach from the middle."""
+    """Return the largest distances (3,) of a session's readings from the middle."""
     size, reach = truth.eye_box.size, CaptureSetup(truth).field.reach
     return np.asarray(0.5 * size + [*(0.5 * size[2] * reach), 0.0])
 
 
 def _skewed(skew_mrad: float, rng: np.random.Generator) -> FloatArray:
-    """Return (3, 3) axes of unit length to first order, each pair off a right angle by `skew_mrad`."""
+    """Return axes (3, 3) of unit length to first order, each pair off a right angle by `skew_mrad`."""
     return np.asarray(np.eye(3) + 1e-3 * skew_mrad * np.triu(rng.choice([-1.0, 1.0], (3, 3)), 1))
 
 
 def _misstated(true: FloatArray, sizes: BenchImperfections, rng: np.random.Generator) -> FloatArray:
-    """Return the pose (4, 4) with random errors of its place and of its rotation about its own origin."""
+    """Return the pose (4, 4) with random errors of its position and of its rotation about its origin."""
     turn, shift = rng.standard_normal((2, 3))
     rotation = transforms.rotations_of_vectors(np.deg2rad(sizes.extrinsics_deg) * turn) @ true[:3, :3]
     return transforms.rigid(rotation, true[:3, 3] + 1e-3 * sizes.extrinsics_mm * shift)
@@ -269,11 +270,11 @@ def _imperfect(sensor: Sensor, sizes: BenchImperfections, rng: np.random.Generat
 
 
 def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m: float = 0.0) -> FloatArray:
-    """device_from_target (4, 4) of the target brought before the display's field at another depth.
+    """Return device_from_target (4, 4) of the target in front of the display's field at another depth.
 
     Args:
-        bench: where.
-        depth_m: along the middle of the view.
+        bench: the bench.
+        depth_m: depth along the middle of the view.
         tilt_deg: further rotation about the vertical axis of the view.
         shift_m: displacement to the right; half as much down.
     """
@@ -285,7 +286,7 @@ def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m:
 
 
 def stage_readings(bench: PhotoBench, count: int) -> FloatArray:
-    """Readings (count, 3) that cover the base plane or the eye box, rounded to micrometres as a stage shows them."""
+    """Return readings (count, 3) that cover the base plane or the eye box, rounded to micrometres like a stage's."""
     box = bench.optics.eye_box
     if bench.options.sampling == "volumetric":
         return np.asarray(np.round(volumetric(box, count) - box.centre, 6))
@@ -304,7 +305,7 @@ def _turned(x_deg: float, y_deg: float, z_deg: float) -> FloatArray:
 
 
 def _board(aim: _Aim, depth_m: float, camera: LensCamera) -> DotBoard:
-    """Large enough to fill the display's field at its farthest place, if so large a one can be printed."""
+    """Return a board that fills the display's field at its farthest pose, if it can be printed."""
     wanted = 2 * aim.half_tangents * depth_m * _BOARD_MARGIN
     largest = _LARGEST_BOARD_M if wanted[0] >= wanted[1] else _LARGEST_BOARD_M[::-1]
     pitch = 1e-3 * np.ceil(1e3 * _PITCH_PX * depth_m / float(camera.focal_px[0]))
@@ -313,7 +314,7 @@ def _board(aim: _Aim, depth_m: float, camera: LensCamera) -> DotBoard:
 
 
 def _tracking_pose(aim: _Aim, eye: FloatArray) -> FloatArray:
-    """Above the eye, on the outside of the headset, looking where the display is seen."""
+    """Return the tracking camera's pose: above the eye, outside the headset, looking at the display's field."""
     return transforms.rigid(aim.device_from_looking @ _turned(-1.5, 2.0, -1.0), eye + [-0.012, 0.045, -0.06])
 
 

@@ -1,4 +1,4 @@
-"""Plan a simulated session: where the cameras are told to stand, where they really stand, and its session.toml."""
+"""Plan a simulated session: commanded and true poses of the cameras, and the session.toml."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,23 +29,23 @@ from wlr_render.simulation.photographs.photo_bench import PhotoBench, stage_read
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
 _TILTS_DEG = ((0, 0), (28, 0), (-28, 0), (0, 28), (0, -28), (20, 20), (-20, 20), (20, -20), (-20, -20))
-_GROUND_PX = 4.0  # around a dot that is measured
-_FILL = (0.75, 1.1)  # of the picture's width by the board, by turns
+_GROUND_PX = 4.0  # width of the ground around a measured dot
+_FILL = (0.75, 1.1)  # shares of the picture's width that the board fills, alternating
 _PLACES, _TURNS, _READINGS, _CREEP, _HAND, _STATED = range(17, 23)  # streams of random numbers
-_CREEP_TIME = 0.3  # of the session, in which the creep falls to 1 / e
-_HAND_TURN_DEG = 1.5  # of each axis, standard deviation
-_READING_DIGITS = 8  # of metres: an encoder of 10 nm
+_CREEP_TIME = 0.3  # share of the session in which the creep falls to 1 / e
+_HAND_TURN_DEG = 1.5  # standard deviation of a hand's rotation about each axis
+_READING_DIGITS = 8  # decimals of a reading in metres: an encoder of 10 nm
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoPlan:
-    """Places of the photographs of a session.
+    """Commanded positions of the photographs of a session.
 
     Attributes:
         sweep: (m, 3) stage readings for the panel, and for the target through the optics.
         bare: (n, 3) stage readings for the target without the headset, along all axes.
-        bare_poses: the target's poses that are photographed without the headset: the first before it is mounted, the
-            last after it is taken off again, so that a target that moved in between is noticed.
+        bare_poses: target poses that are photographed without the headset: the first before it is mounted, the last
+            after it is removed again, so that a target that moved in between is noticed.
         eyeball_boards, tracking_boards: (k, 4, 4) camera_from_board, for the intrinsics of each camera.
     """
 
@@ -81,8 +81,8 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
 
 
 def unreadable_targets(bench: PhotoBench) -> list[str]:
-    """Sentences about target poses of which a photograph shows too few whole dots, or too small ones, to be read."""
-    found = []
+    """Return warnings about target poses at which photographs show too few whole dots, or too small dots."""
+    warnings = []
     for number, target in enumerate(bench.device_from_target):
         for name, lens, camera in (
             ("eyeball", bench.eyeball.camera, bench.device_from_camera),
@@ -97,12 +97,12 @@ def unreadable_targets(bench: PhotoBench) -> list[str]:
             try:
                 identify(index[whole], bench.board.large[index[whole, 1], index[whole, 0]], bench.board.large)
             except BoardNotFoundError as error:
-                found.append(f"Target pose {number}: {size} to identify the board: {error}")
+                warnings.append(f"Target pose {number}: {size} to identify the board: {error}")
             if np.any(np.pi * radius[whole] ** 2 < LEAST_AREA_PX):
-                found.append(
+                warnings.append(
                     f"Target pose {number}: {size}: dots of {2 * radius[whole].min():.2g} pixels are not found."
                 )
-    return found
+    return warnings
 
 
 def bare_steps(axes: int, in_depth: bool) -> FloatArray:
@@ -110,10 +110,10 @@ def bare_steps(axes: int, in_depth: bool) -> FloatArray:
 
     Args:
         axes: number of axes of the stage.
-        in_depth: whether the sweep travels along z, too.
+        in_depth: True if the sweep travels along z, too.
     """
     steps = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 2, [0.0]), axis=-1).reshape(-1, 3)
-    # At three levels of an axis a cubic error of the stage looks like a linear one: five levels tell them apart.
+    # With three levels of an axis a cubic error of the stage looks linear: five levels distinguish them.
     between = [[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, -0.5, 0.0], [0.0, 0.5, 0.0]]
     if in_depth:
         between += [[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]
@@ -122,7 +122,7 @@ def bare_steps(axes: int, in_depth: bool) -> FloatArray:
 
 
 def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
-    """camera_from_board (k, 4, 4): the board tilted every way, filling the picture or more, also off its middle."""
+    """Return camera_from_board (k, 4, 4): the board tilted in all directions, filling the picture, also off centre."""
     poses = []
     for number, tilt in enumerate(_TILTS_DEG):
         for fill, side in zip(_FILL, (1, -1), strict=True):
@@ -135,12 +135,12 @@ def _boards_before(camera: LensCamera, board_m: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """The camera at one place, from arriving until leaving.
+    """The camera at one position, from arriving until leaving.
 
     Attributes:
-        reading: (m,) what the encoders of the stage say, metres; None for a camera in the hand.
-        device_from_camera: (4, 4) where the eyeball camera really is.
-        place: name of the place of a camera in the hand; "" on a stage.
+        reading: (m,) readings of the stage's encoders, metres; None for a hand-held camera.
+        device_from_camera: (4, 4) true pose of the eyeball camera.
+        place: name of the position of a hand-held camera; "" on a stage.
     """
 
     reading: FloatArray | None
@@ -168,7 +168,7 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
 
     The stage travels through the bare positions of the first target pose, the sweep of each target pose with a return
     to its first position, and the bare positions of the other bare target pose. It creeps in this order. A hand holds
-    the camera anywhere in the eye box, at as many places for each target pose.
+    the camera anywhere in the eye box, at the same number of positions for each target pose.
     """
     axes = stage_axis_count(bench)
     if not axes:
@@ -179,7 +179,7 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     bare_count = bare * len(plan.bare_poses)
     taken = np.concatenate([np.arange(bare), np.arange(bare, bare_count) + poses * len(sweep)])
     taken = np.concatenate([taken, bare + np.arange(poses * len(sweep))])
-    # In this order since the first sessions were simulated with the first sweep and the bare visits alone.
+    # The order is fixed by earlier simulated sessions, whose random numbers must not change.
     drawn = np.concatenate([bare_count + np.arange(places), np.arange(bare_count)])
     drawn = np.concatenate([drawn, np.arange(bare_count + places, len(commanded))])
 
@@ -191,16 +191,16 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     error = np.concatenate([turns, np.outer(_creep(taken), _whole_creep(bench))], axis=1)
     stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), _READING_DIGITS)
     visits = tuple(
-        Visit(own[:axes], bench.camera_at(at, off)) for own, at, off in zip(stated, position, error, strict=True)
+        Visit(row[:axes], bench.camera_at(at, off)) for row, at, off in zip(stated, position, error, strict=True)
     )
     through = visits[bare_count:]
     return SessionVisits(visits[:bare_count], through, through[:places])
 
 
 def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Generator) -> tuple[Visit, ...]:
-    """Visits of the stage to commanded positions (n, 3) after the session, with random errors of the session's sizes.
+    """Return visits of the stage to commanded positions (n, 3) after the session, with the session's random errors.
 
-    Axes that the stage does not have stand still. The creep stays as it was at the session's end.
+    Axes that the stage lacks do not move. The creep keeps its value at the end of the session.
     """
     sizes, axes = bench.options.imperfections, stage_axis_count(bench)
     commanded = commanded * (np.arange(3) < axes)
@@ -210,7 +210,7 @@ def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Genera
     creep = np.broadcast_to(_whole_creep(bench), commanded.shape)
     error = np.concatenate([sizes.turn_jitter_urad * turn, creep], axis=1)
     return tuple(
-        Visit(own[:axes], bench.camera_at(at, off)) for own, at, off in zip(stated, position, error, strict=True)
+        Visit(row[:axes], bench.camera_at(at, off)) for row, at, off in zip(stated, position, error, strict=True)
     )
 
 
@@ -226,13 +226,13 @@ def _visits_by_hand(bench: PhotoBench, count: int) -> SessionVisits:
 
 
 def _whole_creep(bench: PhotoBench) -> FloatArray:
-    """Return (3,) displacement of the stage by temperature, metres, from the first photograph to the last."""
+    """Return the thermal displacement (3,) of the stage, metres, from the first photograph to the last."""
     direction = np.random.default_rng([bench.options.seed, _CREEP, int(bench.eye == "left")]).standard_normal(3)
     return np.asarray(1e-6 * bench.options.imperfections.creep_um * direction / np.linalg.norm(direction))
 
 
 def _creep(taken: FloatArray) -> FloatArray:
-    """Return (n,) part of the whole creep at the photographs number `taken` (n,)."""
+    """Return the fraction (n,) of the whole creep at the photographs number `taken` (n,)."""
     part = 1.0 - np.exp(-taken / (_CREEP_TIME * max(1, len(taken) - 1)))
     return np.asarray(part / (1.0 - np.exp(-1.0 / _CREEP_TIME)))
 
@@ -240,14 +240,14 @@ def _creep(taken: FloatArray) -> FloatArray:
 def planned_session(
     root: Path, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits, pattern: Pattern
 ) -> PhotoSession:
-    """The session of these visits, whose photographs are to lie in the folder `root`; nothing of the truth is in it."""
+    """Return the session of these visits, with photographs in the folder `root`, without the true values."""
     poses = range(len(bench.device_from_target))
     eyeball = _camera(root / "intrinsics" / "eyeball", bench.eyeball, bench.eyeball_sensor, len(plan.eyeball_boards))
     tracking = _camera(
         root / "intrinsics" / "tracking", bench.tracking, bench.tracking_sensor, len(plan.tracking_boards)
     )
     bare = [f"bare/pose{pose}_{n:02d}.png" for pose in plan.bare_poses for n in range(len(plan.bare))]
-    # The first reading once more at the end of each sweep: what moved meanwhile shows there.
+    # Each sweep ends with its first reading again, which reveals any motion in between.
     sweep = len(visits.see_through) // len(poses)
     through = [
         (pose, f"pose{pose}_{n:02d}.png", visits.see_through[pose * sweep + n]) for pose in poses for n in range(sweep)
@@ -294,7 +294,7 @@ def planned_session(
 
 
 def _described_stage(bench: PhotoBench) -> StageDescription:
-    """The stage as session.toml describes it: stated axes are at right angles, and all rotated by one random error."""
+    """Return the stage description of session.toml: axes at right angles, all rotated by one random error."""
     options, axes = bench.options, stage_axis_count(bench)
     if not options.stated_axes_deg:
         return StageDescription((StageAxis(),) * axes)
@@ -302,7 +302,7 @@ def _described_stage(bench: PhotoBench) -> StageDescription:
     sigma = float(np.radians(options.stated_axes_deg))
     error = transforms.rotations_of_vectors(sigma * rng.standard_normal(3))
     true = bench.device_from_camera[:3, :3].T @ bench.stage_axes
-    left, _, right = np.linalg.svd(true)  # the nearest rotation: a stage's skew is nothing that a lab states
+    left, _, right = np.linalg.svd(true)  # the nearest rotation: a lab does not state the skew of a stage
     stated = error @ left @ right
     return StageDescription(tuple(StageAxis("linear", each, sigma, is_in_camera=True) for each in stated.T[:axes]))
 

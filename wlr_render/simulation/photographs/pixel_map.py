@@ -1,8 +1,8 @@
 """Interpolate an expensive quantity, such as a traced ray, to every pixel of an image.
 
-It is known exactly on a grid of nodes and carried to the pixels by polynomials of degree 5 through the nearest 6 x 6
-nodes. Of each cell of the grid the middle is known exactly too: where the polynomial misses it, or the corners and
-the middle do not agree whether there is light at all (the edge of an aperture), every pixel of the cell is computed.
+The quantity is computed exactly on a grid of nodes and interpolated by polynomials of degree 5 through the nearest 6 x
+6 nodes. It is also computed exactly in the middle of each cell: where the polynomial misses that value, or the corners
+and the middle disagree about light (the edge of an aperture), every pixel of the cell is computed.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 
 Exact = Callable[[FloatArray], tuple[FloatArray, BoolArray]]
-"""Places in the image (n, 2) -> the quantity (n, k) and where there is light (n,). Values without light may be NaN."""
+"""Positions in the image (n, 2) -> the quantity (n, k) and a mask of light (n,). Values without light may be NaN."""
 
 _SPACING_PX = 16.0
 _STENCIL = 6
@@ -22,12 +22,12 @@ _STENCIL = 6
 
 @dataclass(frozen=True, eq=False)
 class PixelMap:
-    """A quantity of k components at one place in every pixel.
+    """A quantity of k components at one position in every pixel.
 
     Attributes:
         nodes: (k, rows, columns) values on the grid.
         from_rows, from_columns: (height, rows) and (width, columns), grid -> pixels.
-        lit: (height, width) where there is light.
+        lit: (height, width) mask of pixels with light.
         alone: (n, 2) (row, column) of pixels that are computed one by one.
         alone_value: (n, k) their values.
     """
@@ -41,13 +41,13 @@ class PixelMap:
 
     @classmethod
     def of(cls, exact: Exact, size_px: tuple[int, int], offset: FloatArray, tolerance: FloatArray) -> "PixelMap":
-        """Sample the quantity on the grid, and pixel by pixel where the tolerance is not met.
+        """Compute the quantity on the grid, and pixel by pixel where the tolerance is not met.
 
         Args:
-            exact: the quantity.
+            exact: function that computes the quantity.
             size_px: width and height of the picture.
             offset: (2,) from a pixel's centre, within half a pixel.
-            tolerance: (k,) by how much each component may be wrong.
+            tolerance: (k,) largest error of each component.
         """
         columns, rows = (_Axis.of(size, shift) for size, shift in zip(size_px, offset, strict=True))
         value, lit_node = _on_grid(exact, columns.node, rows.node)
@@ -64,7 +64,7 @@ class PixelMap:
         return cls(nodes, rows.to_pixel, columns.to_pixel, lit, alone, alone_value.astype(np.float32))
 
     def planes(self) -> Float32Array:
-        """Return the quantity in all pixels, (k, height, width); what it holds outside `lit` means nothing."""
+        """Return the quantity in all pixels, (k, height, width); values outside `lit` have no meaning."""
         value = np.asarray(self.from_rows @ self.nodes @ self.from_columns.T, dtype=np.float32)
         value[:, self.alone[:, 0], self.alone[:, 1]] = self.alone_value.T
         return value
@@ -72,7 +72,7 @@ class PixelMap:
 
 @dataclass(frozen=True, eq=False)
 class _Axis:
-    """One axis of the grid: places of its nodes and cell middles, each pixel's cell, and how values are carried."""
+    """One axis of the grid: positions of nodes and cell middles, the cell of each pixel, and interpolation matrices."""
 
     node: FloatArray
     middle: FloatArray
@@ -96,19 +96,19 @@ class _Axis:
 
 
 def _lagrange(nodes: int, place: FloatArray) -> Float32Array:
-    """Return (n, nodes): values at 0, 1, ... -> values at places (n,), by the polynomial through the nearest six."""
+    """Return the matrix (n, nodes) of interpolation at (n,) by the polynomial through the nearest six of 0, 1, ..."""
     start = np.clip(place.astype(np.int64) - _STENCIL // 2 + 1, 0, nodes - _STENCIL)
     local = place - start
     matrix = np.zeros((len(place), nodes), dtype=np.float32)
-    for own in range(_STENCIL):
-        others = np.delete(np.arange(_STENCIL), own)
-        weight = np.prod((local[:, None] - others) / (own - others), axis=1)
-        matrix[np.arange(len(place)), start + own] = weight
+    for node in range(_STENCIL):
+        others = np.delete(np.arange(_STENCIL), node)
+        weight = np.prod((local[:, None] - others) / (node - others), axis=1)
+        matrix[np.arange(len(place)), start + node] = weight
     return matrix
 
 
 def _on_grid(exact: Exact, u: FloatArray, v: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the quantity (k, rows, columns) and where there is light (rows, columns)."""
+    """Return the quantity (k, rows, columns) and a mask of light (rows, columns)."""
     place = np.stack(np.meshgrid(u, v), axis=-1)
     value, lit = exact(place.reshape(-1, 2))
     return np.moveaxis(value.reshape(*place.shape[:-1], -1), -1, 0), lit.reshape(place.shape[:-1])

@@ -1,11 +1,11 @@
-"""A board as it was printed and hangs: bowed, twisted, scaled unequally, its features off their places.
+"""A board as printed and mounted: bowed, twisted, unevenly scaled, with displaced features.
 
-Where the design has a feature at (x, y, 0), the print has it at (scale * (x, y) + its offset, height), in the same
-frame. With hx and hy half the width and height of the features' grid, the height is
+A feature at (x, y, 0) of the design is at (scale * (x, y) + offset, height) of the print, in the same frame. With hx
+and hy half the width and height of the features' grid, the height is
 
     bow * (w (x / hx)^2 + (1 - w) (y / hy)^2) + twist * (x / hx) (y / hy)
 
-less its mean over the features: `bow` is how far the corners stand off the middle, w how much of it is along x.
+less its mean over the features: `bow` is the distance of the corners from the plane of the middle, w the share along x.
 """
 
 from dataclasses import dataclass
@@ -19,15 +19,15 @@ from wlr_render.captures.boards.board import Board, RealArray
 from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 
-_CELLS = 512  # across and along a board, of each of which the nearest feature is known
+_CELLS = 512  # cells across and along a board; each stores its nearest feature
 
 
 @dataclass(frozen=True, eq=False)
 class PrintedBoard:
-    """True places of a board's features.
+    """True positions of a board's features.
 
     Attributes:
-        design: the board as board.toml states it.
+        design: the board in board.toml.
         scale: (2,) printed length per length of the design, x and y.
         bow_m, twist_m: heights as above; positive away from the viewer, who sees the board from -z.
         bow_along_x: w above, 0 to 1.
@@ -43,7 +43,7 @@ class PrintedBoard:
 
     @classmethod
     def draw(cls, design: Board, sizes: BenchImperfections, rng: np.random.Generator) -> "PrintedBoard":
-        """Return a print of the sizes given, with random signs."""
+        """Draw a print of the given sizes, with random signs."""
         larger, longer, bow, twist = rng.choice([-1.0, 1.0], 4)
         along_x = float(rng.uniform(0.2, 0.8))
         return cls(
@@ -57,17 +57,17 @@ class PrintedBoard:
 
     @property
     def is_flat(self) -> bool:
-        """Whether the board has neither bow nor twist."""
+        """True if the board has neither bow nor twist."""
         return self.bow_m == self.twist_m == 0.0
 
     @cached_property
     def points(self) -> FloatArray:
-        """True places (n, 3) of all features, board frame, in the order of `design.indices()`."""
+        """True positions (n, 3) of all features, board frame, in the order of `design.indices()`."""
         place = self._designed * self.scale + self.offset_m
         return np.concatenate([place, self.height(place)[:, None]], axis=-1)
 
     def point_of(self, index: IntArray) -> FloatArray:
-        """Return the true places (..., 3), board frame, of features by (column, row), (..., 2)."""
+        """Return the true positions (..., 3), board frame, of features by (column, row), (..., 2)."""
         all_indices = self.design.indices()
         number = np.zeros(all_indices.max(axis=0) + 1, dtype=np.int64)
         number[tuple(all_indices.T)] = np.arange(len(all_indices))
@@ -79,7 +79,7 @@ class PrintedBoard:
         return np.asarray(shape - np.asarray(self._mean_height, dtype=on_sheet.dtype))
 
     def reflectance(self, on_sheet: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """As `Board.reflectance`, of the print at places (..., 2), x and y: a feature's neighbourhood moves with it."""
+        """Return the reflectance of the print at positions (..., 2): a feature's neighbourhood moves with it."""
         place = on_sheet / self.scale.astype(on_sheet.dtype)
         if np.any(self.offset_m):
             cell = (place / self.design.size_m.astype(on_sheet.dtype) + 0.5) * _CELLS
@@ -110,7 +110,7 @@ class PrintedBoard:
 
     @cached_property
     def _offset_of_cell(self) -> Float32Array:
-        """(cells, cells, 2) offset of the feature nearest to each cell of the design, by y and x."""
+        """Offset (cells, cells, 2) of the feature nearest to each cell of the design, by y and x."""
         middle = (np.arange(_CELLS) + 0.5) / _CELLS - 0.5
         cells = np.stack(np.meshgrid(middle, middle), axis=-1) * self.design.size_m
         nearest = cKDTree(self._designed).query(cells)[1]

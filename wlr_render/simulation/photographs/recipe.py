@@ -1,4 +1,4 @@
-"""simulation.toml: how the photographs of a simulated session were made."""
+"""Read and write simulation.toml: the recipe of a simulated session's photographs."""
 
 import hashlib
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -27,19 +27,19 @@ _OWN_TYPES = (
     "sampling",
     "stated_axes_deg",
     "tracking_px",
-)  # fields that are no required number
+)  # fields other than required numbers
 
 
 @dataclass(frozen=True)
 class SimulationRecipe:
-    """All that decides what a simulated session's photographs show.
+    """All inputs that determine the photographs of a simulated session.
 
     Attributes:
         device: a shipped device by name, or a device file.
         eye: "left" or "right".
         viewpoints: camera positions of the sweeps.
         pattern: name of the panel's code.
-        bench: what the bench is made of.
+        bench: options of the bench.
     """
 
     device: str
@@ -54,7 +54,7 @@ class SimulationRecipe:
 
 
 def save_recipe(folder: Path, recipe: SimulationRecipe) -> Path:
-    """Write simulation.toml; a device file of one's own is copied beside it."""
+    """Write simulation.toml; a device file that is not shipped is copied next to it."""
     content = asdict(recipe)
     if Path(recipe.device).suffix == ".toml":
         write_bytes(folder / _DEVICE_COPY, read_bytes(recipe.device, LIMITS.text_bytes))
@@ -66,23 +66,23 @@ def load_recipe(folder: Path) -> SimulationRecipe:
     """Read simulation.toml.
 
     Raises:
-        BadInputError: there is none, so the session is not a simulated one, or it breaks the format.
+        BadInputError: the file is missing, so the session is not simulated, or it breaks the format.
     """
     if not (folder / FILE).is_file():
         raise BadInputError(
-            f"{folder}: has no {FILE}, so it is no simulated session; `wlr-render simulate` writes one."
+            f"{folder}: has no {FILE}, so the session is not simulated; `wlr-render simulate` writes one."
         )
     file = read_toml(folder / FILE)
     table = file.table("bench")
     imperfections = _imperfections(table)
     numbers = [each.name for each in fields(PhotoBenchOptions) if each.name not in _OWN_TYPES]
-    own: dict[str, Any] = {name: _value(table, name) for name in numbers}
-    own["stage"] = table.text("stage", PhotoBenchOptions.stage, get_args(StageKind))
-    own["sampling"] = table.text("sampling", PhotoBenchOptions.sampling, get_args(Sampling))
-    own["stated_axes_deg"] = table.number("stated_axes_deg", PhotoBenchOptions.stated_axes_deg)
+    values: dict[str, Any] = {name: _value(table, name) for name in numbers}
+    values["stage"] = table.text("stage", PhotoBenchOptions.stage, get_args(StageKind))
+    values["sampling"] = table.text("sampling", PhotoBenchOptions.sampling, get_args(Sampling))
+    values["stated_axes_deg"] = table.number("stated_axes_deg", PhotoBenchOptions.stated_axes_deg)
     if table.has("tracking_px"):
-        own["tracking_px"] = _value(table, "tracking_px")
-    bench = PhotoBenchOptions(**own, imperfections=imperfections)
+        values["tracking_px"] = _value(table, "tracking_px")
+    bench = PhotoBenchOptions(**values, imperfections=imperfections)
     table.finish()
     device = file.file_stem("device")
     recipe = SimulationRecipe(
@@ -97,7 +97,7 @@ def load_recipe(folder: Path) -> SimulationRecipe:
 
 
 def difference(first: SimulationRecipe, second: SimulationRecipe) -> str:
-    """What makes two sessions' photographs differ, in words, wherever a device file lies; empty if nothing does."""
+    """Describe the difference between two sessions' photographs, wherever a device file lies; empty if equal."""
     one, other = (_flat(recipe) for recipe in (first, second))
     return ", ".join(f"{key} {one[key]} there, {other[key]} here" for key in one if one[key] != other[key])
 
@@ -113,7 +113,7 @@ def _flat(recipe: SimulationRecipe) -> dict[str, Any]:
 
 
 def _imperfections(bench: Table) -> BenchImperfections:
-    """Those of a table [bench]; sessions from before they were simulated state the stage's repeatability alone."""
+    """Read the table [bench]; sessions of an earlier version state the stage's repeatability only."""
     if bench.has("stage_error_um"):
         return replace(BenchImperfections.none(), repeatability_um=bench.number("stage_error_um"))
     table = bench.table("imperfections")
@@ -121,9 +121,9 @@ def _imperfections(bench: Table) -> BenchImperfections:
         each.name: table.number(each.name) for each in fields(BenchImperfections) if each.name != "lens"
     }
     sizes["lens"] = table.text("lens", choices=get_args(LensKind))
-    found = BenchImperfections(**sizes)
+    imperfections = BenchImperfections(**sizes)
     table.finish()
-    return found
+    return imperfections
 
 
 def _value(table: Table, name: str) -> Any:

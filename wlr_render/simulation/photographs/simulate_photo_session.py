@@ -1,7 +1,7 @@
-"""Write a session's folder as a lab would: every photograph taken through the true optics, and session.toml.
+"""Write a session's folder as a lab would: every photograph, taken through the true optics, and session.toml.
 
-`simulation.toml`, beside it, says how the photographs were made, so that interrupted work goes on and verification can
-take more photographs on the same bench. Calibration never opens it.
+`simulation.toml`, in the same folder, states how the photographs were made, so that interrupted work can be resumed and
+verification can take more photographs on the same bench. Calibration never opens it.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -38,16 +38,16 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
 
 BOARD = "board.toml"
-_MOST_WORKERS = 4  # each takes up to 0.4 GB
+_MOST_WORKERS = 4  # most workers by default: each takes up to 0.4 GB
 
 
 @dataclass(frozen=True)
 class TakenPhotographs:
-    """What a run did for a session.
+    """Photographs that a run took for a session.
 
     Attributes:
         taken, kept: numbers of photographs taken by this run, and kept from an earlier one.
-        changed: those of an earlier run that were no longer as it had taken them, and were taken again.
+        changed: photographs of an earlier run that had changed since, and were taken again.
     """
 
     taken: int
@@ -61,13 +61,13 @@ def simulate_photo_session(
     """Take all photographs of a session that an earlier run has not taken.
 
     Raises:
-        BadInputError: an unknown device, eye or pattern, or the folder holds a session made in another way or with
-            other input files.
+        BadInputError: an unknown device, eye or pattern, or the folder holds a session made with other options or input
+            files.
     """
     if recipe.bench.stage == "hand":
         raise BadInputError("Photographs past the optics are not rendered; choose a stage of 1 to 3 axes.")
     with hashes_of_inputs() as inputs:
-        bench = recipe.build()  # what cannot be simulated is refused before a folder is made
+        bench = recipe.build()  # impossible options are refused before a folder is made
     root = output_folder(folder)
     pattern = make_pattern(recipe.pattern, bench.optics.panel.pixels)
     if (root / recipe_file.FILE).is_file():
@@ -79,7 +79,7 @@ def simulate_photo_session(
         raise BadInputError(f"{root}: holds a session that was not simulated; choose another folder.")
     else:
         recipe_file.save_recipe(root, recipe)
-    # By content: the same device file may lie elsewhere.
+    # Device files are compared by content: the same file may lie elsewhere.
     finished = FinishedFiles(root, digest_of(sorted(inputs.values())))
     plan = plan_photographs(bench, recipe.viewpoints)
     visits = true_camera_poses(bench, plan)
@@ -106,7 +106,7 @@ def _take(task: tuple[CameraPose, Sequence[Path]]) -> dict[Path, Signature]:
 def camera_poses(
     session: PhotoSession, bench: PhotoBench, plan: PhotoPlan, visits: SessionVisits
 ) -> Iterator[CameraPose]:
-    """Yield all photographs; those that the eyeball camera takes from one pose with one lens are traced together."""
+    """Yield all photographs; photographs from one pose with one lens of the eyeball camera are traced together."""
     pose = poses_on(bench, bench.options.seed)
     eyeball = partial(pose, bench.eyeball, bench.eyeball_sensor)
     tracking = partial(pose, bench.tracking, bench.tracking_sensor, optics=None)
@@ -132,7 +132,7 @@ def camera_poses(
 
 
 def poses_on(bench: PhotoBench, seed: int) -> Callable[..., CameraPose]:
-    """`CameraPose` with the board, vibration and stray light of a bench, and the seed of the noise."""
+    """Return a maker of `CameraPose` with the board, vibration, stray light and noise seed of a bench."""
     sizes = bench.options.imperfections
     return partial(
         CameraPose,

@@ -8,7 +8,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 
 _DEGREES = np.arange(1, 4)
-_TURN_PARTS = np.array([1.0, 0.5, 0.25])  # of the linear, quadratic and cubic term in the rms turn
+_TURN_PARTS = np.array([1.0, 0.5, 0.25])  # shares of the linear, quadratic and cubic term in the rms turn
 _BEND_PARTS = np.array([0.0, 1.0, 0.5])  # a linear departure from a straight line is a skew axis, not a bend
 
 
@@ -17,10 +17,10 @@ class StageErrors:
     """Cubic curves of each stage axis, device frame; zero at the reading zero.
 
     Attributes:
-        half_travel_m: (3,) readings from the middle to the end of each axis.
+        half_travel_m: (3,) half the travel of each axis.
         turn_rad: (3, 3, 3) coefficients by rotation axis, stage axis and degree of the Legendre polynomial.
         bend_m: (3, 3, 3) the same for the displacement.
-        arm_m: (3,) from the point about which the carriage turns to the pupil.
+        arm_m: (3,) lever arm from the point about which the carriage turns to the pupil.
     """
 
     half_travel_m: FloatArray
@@ -30,7 +30,7 @@ class StageErrors:
 
     @classmethod
     def draw(cls, sizes: BenchImperfections, half_travel_m: FloatArray, rng: np.random.Generator) -> "StageErrors":
-        """Return the curves of random signs and the rms sizes of `turn_urad` and `straightness_um`."""
+        """Draw curves of random signs, with the rms sizes `turn_urad` and `straightness_um`."""
         signs = rng.choice([-1.0, 1.0], (2, 3, 3, 3))
         return cls(
             half_travel_m,
@@ -40,17 +40,17 @@ class StageErrors:
         )
 
     def motion(self, position: FloatArray) -> FloatArray:
-        """Small motion (6,), rotation vector (rad) then displacement of the pupil (m), at a stage position (3,)."""
+        """Return the error (6,), rotation vector (rad) then displacement of the pupil (m), at a stage position (3,)."""
         terms = _legendre(position / self.half_travel_m) - _legendre(np.zeros(3))
         turn = np.einsum("rad,ad->r", self.turn_rad, terms)
         return np.concatenate([turn, np.einsum("rad,ad->r", self.bend_m, terms) + np.cross(turn, self.arm_m)])
 
 
 def _of_unit_rms(parts: FloatArray) -> FloatArray:
-    """Legendre coefficients of a curve whose standard deviation over -1..1 is 1."""
+    """Return Legendre coefficients of a curve whose standard deviation over -1..1 is 1."""
     return np.asarray(parts / np.linalg.norm(parts) * np.sqrt(2.0 * _DEGREES + 1.0))
 
 
 def _legendre(unit: FloatArray) -> FloatArray:
-    """Return (3,) -> (3, 3): P1, P2 and P3 of each."""
+    """Return P1, P2 and P3 of each of (3,) values: (3, 3)."""
     return np.stack([unit, 1.5 * unit**2 - 0.5, 2.5 * unit**3 - 1.5 * unit], axis=-1)

@@ -20,9 +20,9 @@ from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.printed_board import PrintedBoard
 
 _SMALL_PX = 64
-_SPREAD = 0.1  # of the picture's sides, standard deviation
+_SPREAD = 0.1  # standard deviation of veiling glare, in sides of the picture
 _WIDEST_STEP_PX2 = 0.25  # variance that a kernel of 3 x 3 pixels can have without much ringing
-_DARK_ROOM = FarWall(brightness=0.03)  # while the panel is photographed
+_DARK_ROOM = FarWall(brightness=0.03)  # background while the panel is photographed
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class BoardShot:
     """A photograph of the board.
 
     Attributes:
-        path: where it is written.
-        frame_from_board: (4, 4) in the frame of its camera pose.
+        path: path of the photograph.
+        frame_from_board: (4, 4) pose of the board in the frame of its camera pose.
     """
 
     path: Path
@@ -42,10 +42,10 @@ class Pictures(Protocol):
     """Pictures that a panel shows one after the other: a `Pattern`, or any others."""
 
     def names(self) -> tuple[str, ...]:
-        """Return what they show, in the order of showing."""
+        """Return the names of the pictures, in the order of showing."""
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """Return (panel height, panel width) grey picture number `index`."""
+        """Return the grey picture number `index`, (panel height, panel width)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,15 +53,15 @@ class PanelShots:
     """Photographs of the panel, one for each picture shown.
 
     Attributes:
-        folder: where they are written.
-        pictures: what is shown.
+        folder: folder of the photographs.
+        pictures: pictures that the panel shows.
     """
 
     folder: Path
     pictures: Pictures
 
     def paths(self) -> list[Path]:
-        """In the order of showing."""
+        """Return the paths in the order of showing."""
         names = [name.replace(" ", "_") for name in self.pictures.names()]
         return [self.folder / f"{number:03d}_{name}.png" for number, name in enumerate(names)]
 
@@ -73,13 +73,13 @@ class CameraPose:
     Attributes:
         lens, sensor: the camera.
         frame_from_camera: (4, 4); the frame is the device's if `optics` are given.
-        optics: what it looks through; None without the headset.
-        board: the target, flat and exact, or as it was printed.
+        optics: the optics before the camera; None without the headset.
+        board: the target, flat and exact, or as printed.
         boards, panels: the photographs.
-        seed: of the noise.
-        eye: "left" or "right", so that both eyes do not get mirrored noise.
+        seed: seed of the noise.
+        eye: "left" or "right", so that the noise of the eyes is not mirrored.
         vibration_px: standard deviation of each photograph's motion blur, along a random direction.
-        stray_light: part of the light that is spread over the picture.
+        stray_light: fraction of the light spread over the picture.
     """
 
     lens: SimulatedLens
@@ -95,12 +95,12 @@ class CameraPose:
     stray_light: float = 0.0
 
     def paths(self) -> list[Path]:
-        """Of all photographs."""
+        """Return the paths of all photographs."""
         return [shot.path for shot in self.boards] + [path for shots in self.panels for path in shots.paths()]
 
 
 def take(pose: CameraPose, missing: Sequence[Path] | None = None) -> list[Path]:
-    """Take the photographs that are missing, by default all; returns their paths."""
+    """Take the missing photographs, by default all; returns their paths."""
     missing = pose.paths() if missing is None else missing
     if pose.optics is None:
         view = CameraView.without_headset(pose.lens, pose.frame_from_camera)
@@ -120,7 +120,7 @@ def take(pose: CameraPose, missing: Sequence[Path] | None = None) -> list[Path]:
 
 
 def _photograph(pose: CameraPose, light: Float32Array, path: Path) -> None:
-    """Expose light (h, w). Random numbers are the same whenever and in whatever order photographs are taken."""
+    """Expose light (h, w) and write it; its random numbers do not depend on the order of photographs."""
     seed = [pose.seed, zlib.crc32("/".join(path.parts[-2:]).encode()), int(pose.eye == "left")]
     if pose.stray_light:
         light = light + np.float32(pose.stray_light) * veiling_glare(light)
@@ -131,7 +131,7 @@ def _photograph(pose: CameraPose, light: Float32Array, path: Path) -> None:
 
 
 def veiling_glare(light: Float32Array) -> Float32Array:
-    """Light (h, w) blurred over a tenth of the picture; dark beyond its edge. It is smooth: a small copy serves."""
+    """Return light (h, w) blurred over a tenth of the picture, dark outside; computed on a small copy."""
     height, width = light.shape
     small = cv2.resize(light, (_SMALL_PX, _SMALL_PX), interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(small, (0, 0), _SPREAD * _SMALL_PX, borderType=cv2.BORDER_CONSTANT)
@@ -139,7 +139,7 @@ def veiling_glare(light: Float32Array) -> Float32Array:
 
 
 def blurred(light: Float32Array, deviation_px: FloatArray) -> Float32Array:
-    """Light (h, w) blurred along a line with a standard deviation of (2,) pixels: a kernel of those second moments."""
+    """Return light (h, w) blurred along a line with a standard deviation of (2,) pixels, by a matching kernel."""
     steps = int(np.ceil(np.sum(deviation_px**2) / _WIDEST_STEP_PX2))
     (xx, xy), (_, yy) = np.outer(deviation_px, deviation_px) / steps
     second = 0.5 * np.array([[0.5 * xy, yy, -0.5 * xy], [xx, -2 * (xx + yy), xx], [-0.5 * xy, yy, 0.5 * xy]])

@@ -1,4 +1,4 @@
-"""True lenses of a simulated bench: of kinds that a fit of the five Brown terms does not quite contain."""
+"""True lenses of a simulated bench: lens models slightly outside the five-term Brown family."""
 
 from dataclasses import replace
 
@@ -10,23 +10,23 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 
 _DENOMINATOR = np.array([0.3, 0.2, 1.5])  # k4 to k6 times the corner's tangent to the power 2, 4 and 6
-_PRISM = np.array([1.0, -0.6, -0.8, 0.5])  # s1 to s4, likewise of powers 2 and 4, times a common factor
+_PRISM = np.array([1.0, -0.6, -0.8, 0.5])  # s1 to s4, times the powers 2 and 4 and a common factor
 _FISHEYE = np.array([-0.02, 0.006, -0.003, 0.0008])
 _GRID = (33, 27)
 _ROUNDS = 4
 
 
 def true_lens(brown: LensCamera, sizes: BenchImperfections, rng: np.random.Generator) -> LensCamera:
-    """The lens that takes the place of a Brown lens: of another kind, decentred, with about the same field of view.
+    """Return the true lens for a Brown lens: of another kind, decentred, with about the same field of view.
 
     The distortion of "rational" and "thin-prism" lenses is scaled so that a fit of the Brown terms, focal lengths and
-    centre, over the whole picture, leaves `sizes.lens_px` rms.
+    centre, over the whole picture, has the rms residual `sizes.lens_px`.
 
     Raises:
         BadInputError: an unknown kind of lens.
     """
     if sizes.lens not in LENS_KINDS:
-        raise BadInputError(f"There is no lens of the kind '{sizes.lens}'; choose one of {', '.join(LENS_KINDS)}.")
+        raise BadInputError(f"Unknown kind of lens '{sizes.lens}'; choose one of {', '.join(LENS_KINDS)}.")
     decentring = sizes.decentring * rng.choice([-1.0, 1.0], 2)
     k1, k2, p1, p2, k3 = brown.distortion
     tangential = np.array([p1, p2]) + decentring
@@ -34,7 +34,7 @@ def true_lens(brown: LensCamera, sizes: BenchImperfections, rng: np.random.Gener
         return replace(brown, distortion=np.array([k1, k2, *tangential, k3]))
     half = 0.5 * np.array(brown.size_px) / brown.focal_px
     if sizes.lens == "fisheye":
-        # The picture's edges see what they saw: the focal length is in pixels per radian.
+        # The field of view stays the same: the focal length is in pixels per radian.
         ratio = float(np.max(half / np.arctan(half)))
         return replace(brown, kind="fisheye", focal_px=brown.focal_px * ratio, distortion=_FISHEYE)
 
@@ -42,13 +42,13 @@ def true_lens(brown: LensCamera, sizes: BenchImperfections, rng: np.random.Gener
         np.meshgrid(*(np.linspace(0, length, n) for length, n in zip(brown.size_px, _GRID, strict=True))), -1
     )
     lens = brown
-    for _ in range(_ROUNDS):  # what the picture shows depends on the distortion, which depends on what it shows
+    for _ in range(_ROUNDS):  # the field depends on the distortion, and the distortion on the field
         lens = _rational(brown, tangential, sizes, lens.tangents_of_pixel(grid.reshape(-1, 2)))
     return lens
 
 
 def _rational(brown: LensCamera, tangential: FloatArray, sizes: BenchImperfections, tangents: FloatArray) -> LensCamera:
-    """Return a "rational" or "thin-prism" lens that leaves `sizes.lens_px` at these tangents (n, 2)."""
+    """Return a "rational" or "thin-prism" lens with the residual `sizes.lens_px` at these tangents (n, 2)."""
     square = np.sum(tangents**2, axis=-1)
     powers = float(square.max()) ** np.array([1.0, 2.0, 3.0])
     k1, k2 = brown.distortion[:2]
@@ -67,7 +67,7 @@ def _rational(brown: LensCamera, tangential: FloatArray, sizes: BenchImperfectio
 
 
 def _left_px(shift: FloatArray, tangents: FloatArray, focal_px: FloatArray) -> float:
-    """Return the pixels rms, per axis, that a fit of the Brown terms leaves of a shift (n, 2) of tangents (n, 2)."""
+    """Return the rms residual per axis, pixels, of a fit of the Brown terms to a shift (n, 2) of tangents (n, 2)."""
     x, y = tangents.T
     square, none, one = x * x + y * y, np.zeros_like(x), np.ones_like(x)
     columns = [(x, none), (none, y), (one, none), (none, one)]
@@ -75,6 +75,6 @@ def _left_px(shift: FloatArray, tangents: FloatArray, focal_px: FloatArray) -> f
     columns += [(2 * x * y, square + 2 * y * y), (square + 2 * x * x, 2 * x * y)]
     design = np.stack([np.concatenate(column) for column in columns], axis=-1)
     wanted = shift.T.ravel()
-    found = np.linalg.lstsq(design / np.linalg.norm(design, axis=0), wanted, rcond=None)[0]
-    left = (wanted - design / np.linalg.norm(design, axis=0) @ found).reshape(2, -1) * focal_px[:, None]
+    solution = np.linalg.lstsq(design / np.linalg.norm(design, axis=0), wanted, rcond=None)[0]
+    left = (wanted - design / np.linalg.norm(design, axis=0) @ solution).reshape(2, -1) * focal_px[:, None]
     return float(np.sqrt(np.mean(left**2)))
