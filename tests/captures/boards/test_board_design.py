@@ -37,7 +37,7 @@ def test_a_board_is_the_same_on_every_machine_and_another_for_another_seed():
     ("arguments", "sentence"),
     [
         ({"large_m": 0.0095}, "nearly touch at a pitch of 10 mm"),
-        ({"large_m": 0.004}, "too much alike"),
+        ({"large_m": 0.004}, "are too similar"),
         ({"small_m": 0.007}, "must be larger"),
         ({"margin_m": 0.001}, "leaves no white"),
         ({"columns": 4}, "at least 5 x 5"),

@@ -25,21 +25,21 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 _CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])  # (column, row) of a tag's corners, clockwise from the top left
-_LEAST_TAGS = 2  # one tag alone does not tell which way up the dictionary's tags were printed
+_LEAST_TAGS = 2  # one tag alone does not show the orientation in which the dictionary's tags were printed
 _GROWN = (1.0, 1.07, 1.14, 1.21)
-"""Of a tag as detected. The small squares touch the tags, and then OpenCV may find the inner edge of a band along the
-border in place of the border."""
+"""Growth of a detected tag. The small squares touch the tags, so that OpenCV may detect the inner edge of a band along
+the border instead of the border."""
 _SUB_PIXEL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.05)
-_CLEARLY = 3.0  # by so much another order of the tags fits better, to be named
-_FITTING = 0.02  # of a tag's side: the error of a fitting order of the tags, seen by a lens without distortion
-_MOST_COLUMNS = 60  # of boards whose order is compared
+_CLEARLY = 3.0  # factor by which another order of the tags must fit better to be reported
+_FITTING = 0.02  # error of the right order of the tags without lens distortion, in sides of a tag
+_MOST_COLUMNS = 60  # most columns of boards whose orders are compared
 _FIRST_TAGS = ("top-left", "bottom-left")
-_USUAL_BORDERS = (2, 1)  # bits: Kalibr's, and those of others
-_MANY_MORE = 1.5  # times as many tags found with another border, to be named
+_USUAL_BORDERS = (2, 1)  # bits: Kalibr's border, and the border of others
+_MANY_MORE = 1.5  # factor by which another border must find more tags to be reported
 _OTHER_FAMILIES = ("DICT_APRILTAG_36h10", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5")
-_LEAST_OF_OTHERS = 4  # tags of another family; fewer may be chance
-_LEAST_SPACINGS = 8  # pairs of tags whose median tells the spacing
-_SPACING_ERROR = 0.01  # of the spacing seen through a lens of 90 degrees
+_LEAST_OF_OTHERS = 4  # fewest tags of another family that are not chance
+_LEAST_SPACINGS = 8  # fewest pairs of tags for a median spacing
+_SPACING_ERROR = 0.01  # error of the spacing measured through a lens of 90 degrees
 _MOST_PRINT_ERRORS = 10.0  # standard deviations
 
 
@@ -56,7 +56,7 @@ class AprilGrid(CellBoard):
         first_at_bottom: tags are counted from the bottom left upwards, as Kalibr does, instead of from the top left
             downwards.
         margin_m: white around the outermost tags' small squares.
-        tolerances: how far the print may differ.
+        tolerances: tolerances of the print.
     """
 
     tag_columns: int
@@ -111,7 +111,7 @@ class AprilGrid(CellBoard):
         return int(dictionary_of(DICTIONARY).markerSize + 2 * self.border_bits)
 
     def _tag_of(self, number: IntArray) -> IntArray:
-        """Return (n, 2) column and row of tags, from the top left, by number."""
+        """Return the (column, row) of tags, (n, 2), from the top left, by number."""
         row, column = np.divmod(number - self.first_id, self.tag_columns)
         return np.stack([column, self.tag_rows - 1 - row if self.first_at_bottom else row], axis=-1)
 
@@ -119,7 +119,7 @@ class AprilGrid(CellBoard):
     def _pattern(self) -> CellPattern:
         dictionary, count = dictionary_of(DICTIONARY), self.tag_columns * self.tag_rows
         corner = self.point_of(self.indices())[:, :2]
-        # Around each corner the small square lies diagonally opposite of the tag.
+        # The small square at a corner lies diagonally opposite the tag.
         low = np.where(self.indices() % 2 == 0, corner - self.gap_m, corner)
         painted, black = [np.concatenate([low, low + self.gap_m], axis=1)], [np.ones(len(low), dtype=bool)]
         numbers = self.first_id + np.arange(count)
@@ -132,10 +132,10 @@ class AprilGrid(CellBoard):
         return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
 
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """As `Board.find`; any part of the board with two tags or more is enough.
+        """Find the board; any part of it with two tags or more is enough.
 
         Raises:
-            BoardNotFoundError: fewer tags of the board are in the picture, or they are not where this board has them.
+            BoardNotFoundError: fewer tags of the board are in the picture, or their order differs from this board's.
         """
         grey = as_bytes(image)
         corners, numbers = self._detect(grey)
@@ -145,21 +145,21 @@ class AprilGrid(CellBoard):
         if fault is None and on_board.sum() < _LEAST_TAGS:
             fault = self._why_nothing(grey, numbers)
         if fault is None:
-            seen = corners[~on_board], numbers[~on_board]
+            others = corners[~on_board], numbers[~on_board]
             corners, numbers = corners[on_board], numbers[on_board]
             turn, error = self._turned(numbers, corners)
-            fault = self._other_layout(numbers, corners, error) or self._further_tags(seen, numbers, corners, turn)
+            fault = self._other_layout(numbers, corners, error) or self._further_tags(others, numbers, corners, turn)
         if fault is not None:
             raise BoardNotFoundError(f"{name}: {fault}")
         index, place = self._corner_indices(numbers, turn), self._places(numbers, turn)
         reach = 0.9 * min(self.border_bits / self._bits, self.spacing)
-        found = observe_corners(image, index, place, _starts(grey, corners, reach), reach, name=name)
-        if fault := self._other_spacing(found):
+        observation = observe_corners(image, index, place, _starts(grey, corners, reach), reach, name=name)
+        if fault := self._other_spacing(observation):
             raise BoardNotFoundError(f"{name}: {fault}")
-        return replace(found, unidentified=4 * foreign)
+        return replace(observation, unidentified=4 * foreign)
 
     def _has(self, numbers: IntArray) -> BoolArray:
-        """Return which tags (n,) are of this board, by number."""
+        """Return which tags (n,) belong to this board, by number."""
         return np.asarray((numbers >= self.first_id) & (numbers <= self._last_id))
 
     @property
@@ -167,7 +167,7 @@ class AprilGrid(CellBoard):
         return self.first_id + self.tag_columns * self.tag_rows - 1
 
     def _detect(self, grey: NDArray[np.uint8], family: str = DICTIONARY) -> tuple[FloatArray, IntArray]:
-        """Return the corners (n, 4, 2) and numbers (n,) of the tags seen; a number seen twice is dropped."""
+        """Return the corners (n, 4, 2) and numbers (n,) of the detected tags; a number that occurs twice is dropped."""
         how = cv2.aruco.DetectorParameters()
         how.markerBorderBits = self.border_bits
         corners, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(family), how).detectMarkers(grey)
@@ -177,17 +177,17 @@ class AprilGrid(CellBoard):
         return pixel[once], numbers[once]
 
     def _corner_indices(self, number: IntArray, turn: int) -> IntArray:
-        """Return (4 n, 2) column and row of the corners of tags (n,), printed by so many quarter turns."""
+        """Return the (column, row) of the corners of tags (n,), (4 n, 2), printed with `turn` quarter turns."""
         return np.asarray(2 * self._tag_of(number)[:, None, :] + np.roll(_CORNERS, -turn, axis=0)).reshape(-1, 2)
 
     def _places(self, number: IntArray, turn: int) -> FloatArray:
-        """Return (4 n, 2) their places, in sides of a tag."""
+        """Return the positions (4 n, 2) of these corners, in sides of a tag."""
         return self.point_of(self._corner_indices(number, turn))[:, :2] / self.tag_m
 
     def _turned(self, number: IntArray, corners: FloatArray) -> tuple[int, float]:
-        """By how many quarter turns the tags are printed against the dictionary, and the median error of the fit in px.
+        """Return the quarter turns of the printed tags against the dictionary, and the median error of the fit in px.
 
-        Printers of grids differ in which way up they print tags; the places of the tags tell.
+        Printers of grids differ in the orientation of tags; the positions of the tags reveal it.
         """
         tried = []
         for turn in range(4):
@@ -202,32 +202,32 @@ class AprilGrid(CellBoard):
         return turn, error
 
     def _other_design(self, grey: NDArray[np.uint8], numbers: IntArray) -> str | None:
-        """Sentence about another border or other numbers of the tags seen than this board's; None if these fit."""
+        """Describe another border or other numbers of the detected tags; None if they match this board."""
         on_board = self._has(numbers)
-        seen, foreign = int(on_board.sum()), numbers[~on_board]
-        if len(foreign) > seen:
+        count, foreign = int(on_board.sum()), numbers[~on_board]
+        if len(foreign) > count:
             return (
                 f"tag {foreign.max()} is in the picture, but a board of {self.tag_columns} x {self.tag_rows} tags has "
                 f"{self.first_id} to {self._last_id}; is it another board, or 'first_id' another number?"
             )
-        if seen == self.tag_columns * self.tag_rows:
+        if count == self.tag_columns * self.tag_rows:
             return None
         for bits in set(_USUAL_BORDERS) - {self.border_bits}:
             other = replace(self, border_bits=bits)
             with_other = int(other._has(other._detect(grey)[1]).sum())
-            if with_other >= max(_LEAST_TAGS, _MANY_MORE * seen):
+            if with_other >= max(_LEAST_TAGS, _MANY_MORE * count):
                 return (
-                    f"{with_other} tags of the board are found if their borders are {bits} bits wide, {seen} with "
+                    f"{with_other} tags of the board are found if their borders are {bits} bits wide, {count} with "
                     f"border_bits = {self.border_bits}; set border_bits = {bits} in board.toml."
                 )
         return None
 
     def _other_layout(self, numbers: IntArray, corners: FloatArray, error: float) -> str | None:
-        """Return sentence about the arrangement that fits the tags clearly better than this board's; None if none does.
+        """Describe an arrangement that fits the tags clearly better than this board's; None if no such one exists.
 
         Args:
-            numbers, corners: (n,) and (n, 4, 2), of the tags seen.
-            error: of this board's arrangement, as `_turned` returns it.
+            numbers, corners: (n,) and (n, 4, 2), of the detected tags.
+            error: error of this board's arrangement, from `_turned`.
         """
         side = float(np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners])))
         if error < _FITTING * side or self.tag_columns * self.tag_rows == 1:
@@ -258,11 +258,11 @@ class AprilGrid(CellBoard):
     def _further_tags(
         self, foreign: tuple[FloatArray, IntArray], numbers: IntArray, corners: FloatArray, turn: int
     ) -> str | None:
-        """Return the sentence about tags with foreign numbers that continue the board's order; None if there are none.
+        """Describe tags with foreign numbers that continue the board's order; None without such tags.
 
         Args:
-            foreign: corners (m, 4, 2) and numbers (m,) of tags that this board does not have.
-            numbers, corners, turn: of the tags that it has, and their print's quarter turns.
+            foreign: corners (m, 4, 2) and numbers (m,) of tags that this board lacks.
+            numbers, corners, turn: tags that it has, and the quarter turns of their print.
         """
         homography, _ = cv2.findHomography(self._places(numbers, turn), corners.reshape(-1, 2))
         if not len(foreign[1]) or homography is None:
@@ -276,12 +276,12 @@ class AprilGrid(CellBoard):
             "correct tag_rows or first_id."
         )
 
-    def _other_spacing(self, found: BoardObservation) -> str | None:
-        """Return the sentence about gaps between the tags that are clearly others than `spacing`; None if these fit."""
-        seen = _spacings_seen(found)
-        if len(seen) < _LEAST_SPACINGS:
+    def _other_spacing(self, observation: BoardObservation) -> str | None:
+        """Describe gaps between the tags that clearly differ from `spacing`; None if they fit."""
+        measured = _measured_spacings(observation)
+        if len(measured) < _LEAST_SPACINGS:
             return None
-        spacing = float(np.median(seen))
+        spacing = float(np.median(measured))
         off_m = 0.5 * self.tag_m * abs(1 - (1 + spacing) / (1 + self.spacing))
         print_error_m = max(self.tolerances.print_error_m, USUAL_TOLERANCES.print_error_m)
         if off_m < _MOST_PRINT_ERRORS * print_error_m or abs(spacing - self.spacing) < _SPACING_ERROR:
@@ -293,30 +293,30 @@ class AprilGrid(CellBoard):
         )
 
     def _why_nothing(self, grey: NDArray[np.uint8], numbers: IntArray) -> str:
-        seen = int(self._has(numbers).sum())
-        if len(self._detect(np.ascontiguousarray(grey[:, ::-1]))[1]) >= max(_LEAST_TAGS, seen + 1):
+        count = int(self._has(numbers).sum())
+        if len(self._detect(np.ascontiguousarray(grey[:, ::-1]))[1]) >= max(_LEAST_TAGS, count + 1):
             return MIRRORED
         for family in _OTHER_FAMILIES:
             for bits in _USUAL_BORDERS:
-                found = replace(self, border_bits=bits)._detect(grey, family)[1]
-                if len(found) >= _LEAST_OF_OTHERS:
+                foreign = replace(self, border_bits=bits)._detect(grey, family)[1]
+                if len(foreign) >= _LEAST_OF_OTHERS:
                     return (
-                        f"{len(found)} tags of {family} are in the picture, and boards here have {DICTIONARY}; print a "
-                        "board of these."
+                        f"{len(foreign)} tags of {family} are in the picture, and boards here have {DICTIONARY}; print "
+                        "a board of these."
                     )
         return (
-            f"{seen} tags of the board are in the picture, and {_LEAST_TAGS} are needed; show more of it, expose it "
+            f"{count} tags of the board are in the picture, and {_LEAST_TAGS} are needed; show more of it, expose it "
             "more, or check border_bits in board.toml (Kalibr prints 2, others 1)."
         )
 
 
 def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[FloatArray]:
-    """Return the guesses (4 n, 2) of the corners' pixels: as detected, grown, and refined by OpenCV.
+    """Return guesses (4 n, 2) of the corners' pixels: as detected, grown, and refined by OpenCV.
 
     Args:
         grey: the picture.
         corners: (n, 4, 2) as detected.
-        reach: of the fit, tags.
+        reach: reach of the fit, in tags.
     """
     middle = corners.mean(axis=1, keepdims=True)
     starts = [(middle + grown * (corners - middle)).reshape(-1, 2) for grown in _GROWN]
@@ -328,12 +328,12 @@ def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[
     return [*starts, nearer[:, 0].astype(np.float64) - OPENCV_PIXEL_SHIFT]
 
 
-def _spacings_seen(found: BoardObservation) -> FloatArray:
-    """Gap over side (n,) of each pair of neighbouring tags, from the cross-ratio of their four corners in a line.
+def _measured_spacings(observation: BoardObservation) -> FloatArray:
+    """Return the gap of each pair of neighbouring tags, in sides (n,), from the cross-ratio of their corners.
 
-    The cross-ratio does not depend on the perspective.
+    The cross-ratio of the four corners in a line does not depend on the perspective.
     """
-    at = {tuple(index): pixel for index, pixel in zip(found.index.tolist(), found.pixel, strict=True)}
+    at = {tuple(index): pixel for index, pixel in zip(observation.index.tolist(), observation.pixel, strict=True)}
     ratios = []
     for column, row in at:
         for right, down in ((1, 0), (0, 1)):

@@ -1,4 +1,4 @@
-"""The protocol of calibration boards: flat targets with features at known places that a photograph identifies.
+"""Protocol of calibration boards: flat targets with identifiable features at known positions.
 
 Board frame: x right along the columns, y down along the rows, z into the board, origin in the middle of the features'
 grid (OpenCV's axes, as a camera sees a board that hangs upright before it). Metres. A feature's index is its
@@ -24,17 +24,17 @@ MIRRORED = "the picture is mirrored; photograph the board directly, or switch th
 
 
 class BoardNotFoundError(BadInputError):
-    """The photograph shows no board, too little of it, or another one; the sentence says which."""
+    """The photograph shows no board, too little of it, or another one; the sentence states the reason."""
 
 
 @dataclass(frozen=True)
 class BoardTolerances:
-    """How far a board may differ from its file: standard deviations, prior knowledge of an adjustment.
+    """Tolerances of the print: standard deviations that an adjustment uses as prior.
 
     Attributes:
-        scale_sigma: relative, of the scale along x and along y, each by itself: printers scale.
-        flatness_m: of the board's bow and twist, at its edge.
-        print_error_m: of single features' places, per axis.
+        scale_sigma: relative standard deviation of the scale, independent along x and y: printers scale.
+        flatness_m: standard deviation of the board's bow and twist, at its edge.
+        print_error_m: standard deviation of the positions of single features, per axis.
     """
 
     scale_sigma: float = 5e-4
@@ -43,7 +43,7 @@ class BoardTolerances:
 
 
 USUAL_TOLERANCES = BoardTolerances()
-"""Of a board printed on paper and glued to a plate."""
+"""Tolerances of a board printed on paper and glued to a plate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +52,14 @@ class BoardObservation:
 
     Attributes:
         index: (n, 2) column and row of each feature on the board.
-        pixel: (n, 2) where the feature is seen, camera pixels from the outer corner of the top-left pixel; of a dot its
-            *centre*, without the bias of a perspective view of a disc.
+        pixel: (n, 2) positions of the features, camera pixels from the outer corner of the top-left pixel; for a dot
+            its *centre*, without the bias of a perspective view of a disc.
         sigma_px: (n,) estimated standard deviation of `pixel` per axis.
-        unidentified: number of features that were seen but not identified.
-        disagreeing: number of features that are not as the board has them there, e.g. dots of another size.
-        ambiguous_half_turn: the board looks the same turned by 180 degrees, so that the indices may be those of the
-            board turned; `half_turned` has the others.
-        discs: of dots, from which `pixel` is found again once the lens is known; None for corners.
+        unidentified: number of features that were detected but not identified.
+        disagreeing: number of features that differ from the board's, e.g. dots of another size.
+        ambiguous_half_turn: True if the board looks the same after a half turn, so that the indices may belong to the
+            turned board; `half_turned` has the others.
+        discs: discs of dots, from which `pixel` is computed again once the lens is known; None for corners.
     """
 
     index: IntArray
@@ -85,11 +85,11 @@ class BoardObservation:
 
 
 class Board(Protocol):
-    """A calibration board: what is on it, how it looks, and how it is found in a photograph."""
+    """A calibration board: its features, its appearance, and its detection in a photograph."""
 
     @property
     def tolerances(self) -> BoardTolerances:
-        """How far the board may differ from its file."""
+        """Tolerances of the print against its file."""
 
     @property
     def size_m(self) -> FloatArray:
@@ -105,16 +105,16 @@ class Board(Protocol):
 
     @property
     def half_turn_symmetric(self) -> bool:
-        """Whether the board looks the same turned by 180 degrees."""
+        """True if the board looks the same turned by 180 degrees."""
 
     def indices(self) -> IntArray:
         """Return (column, row) of all features, (n, 2), row by row."""
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Return the places (..., 3), metres in the board frame, of features by (column, row), (..., 2)."""
+        """Return the positions (..., 3), metres in the board frame, of features by (column, row), (..., 2)."""
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """Return how bright the board is at places (..., 2), x and y: 1 white, 0 black, NaN beyond its edge.
+        """Return the reflectance at positions (..., 2), x and y: 1 white, 0 black, NaN beyond the board's edge.
 
         Args:
             in_board: (..., 2) metres, board frame.
@@ -122,14 +122,14 @@ class Board(Protocol):
         """
 
     def svg_shapes(self) -> list[str]:
-        """Return the SVG elements of what is black, in millimetres from the board's top left corner."""
+        """Return the SVG elements of the black shapes, in millimetres from the board's top left corner."""
 
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """Find and identify the board's features in a photograph.
 
         Args:
             image: (h, w) grey, of any exposure.
-            name: of the photograph, for the error.
+            name: name of the photograph, for the error.
 
         Raises:
             BoardNotFoundError: the board is not in the picture or too little of it, or another board is.
@@ -143,10 +143,10 @@ def grid_indices(columns: int, rows: int) -> IntArray:
 
 
 def grid_points(index: NDArray[np.integer], columns: int, rows: int, pitch_m: float) -> FloatArray:
-    """Return places (..., 3), board frame, in an even grid by (column, row), (..., 2)."""
+    """Return the positions (..., 3), board frame, in an even grid by (column, row), (..., 2)."""
     return flat_points((np.asarray(index) - 0.5 * (np.array([columns, rows]) - 1)) * pitch_m)
 
 
 def flat_points(in_plane: FloatArray) -> FloatArray:
-    """Return places (..., 3) with z = 0 from x and y, (..., 2)."""
+    """Return positions (..., 3) with z = 0 from x and y, (..., 2)."""
     return np.concatenate([in_plane, np.zeros((*in_plane.shape[:-1], 1))], axis=-1)

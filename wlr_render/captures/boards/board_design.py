@@ -14,7 +14,7 @@ WINDOW = 5
 DISTANCE = 3
 
 _LARGE, _SMALL, _MARGIN = 0.6, 0.38, 1.0  # usual sizes in pitches: areas 2.5 to 1, and a clear gap between large dots
-_MOST_STEPS = 10_000  # of the search beyond one per dot, before it gives up
+_MOST_STEPS = 10_000  # most steps of the search beyond one per dot, before it gives up
 _IntArray = NDArray[np.int64]
 _NOTHING: _IntArray = np.zeros(0, dtype=np.int64)
 
@@ -28,17 +28,17 @@ def design_board(
     margin_m: float | None = None,
     seed: int = 1,
 ) -> DotBoard:
-    """A board on which every 5 x 5 window is its own: see `WINDOW`. The same arguments give the same board everywhere.
+    """Design a board with unique 5 x 5 windows (see `WINDOW`); the same arguments give the same board everywhere.
 
     Args:
         columns, rows: number of dots along x and y.
         pitch_m: distance of neighbouring dots.
         large_m, small_m: diameters; without, 0.6 and 0.38 of the pitch.
         margin_m: white from the outermost dots' centres to the edge; without, one pitch.
-        seed: another number gives another board.
+        seed: seed of the design.
 
     Raises:
-        BadInputError: the dots overlap or are too much alike, or the board is too small or too large for `WINDOW`.
+        BadInputError: the dots overlap or are too similar, or the board is too small or too large for `WINDOW`.
     """
     large_m = _LARGE * pitch_m if large_m is None else large_m
     small_m = _SMALL * pitch_m if small_m is None else small_m
@@ -64,7 +64,7 @@ def check_sizes(pitch_m: float, large_m: float, small_m: float, margin_m: float)
             f"Large dots of {_mm(large_m)} nearly touch at a pitch of {_mm(pitch_m)}; take at most 0.85 of the pitch."
         )
     if large_m < 1.25 * small_m:
-        raise BadInputError(f"Dots of {_mm(large_m, small_m)} are too much alike; take diameters 1.25 to 1 or more.")
+        raise BadInputError(f"Dots of {_mm(large_m, small_m)} are too similar; take diameters 1.25 to 1 or more.")
     if margin_m < 0.75 * large_m:
         raise BadInputError(
             f"A margin of {_mm(margin_m)} leaves no white around dots of {_mm(large_m)}; "
@@ -77,10 +77,10 @@ def _mm(*lengths_m: float) -> str:
 
 
 def _choose_sizes(columns: int, rows: int, seed: int) -> BoolArray:
-    """Dot by dot, row by row, stepping back where both sizes would repeat a window.
+    """Choose sizes dot by dot, row by row, backtracking where both sizes would repeat a window.
 
     Raises:
-        BadInputError: no room for so many windows.
+        BadInputError: the board is too large for unique windows.
     """
     large = _random_bits(columns * rows, seed).reshape(rows, columns)
     taken = _TakenWindows()
@@ -107,7 +107,7 @@ def _choose_sizes(columns: int, rows: int, seed: int) -> BoolArray:
 
 
 def _window_ending_at(large: BoolArray, dot: int) -> BoolArray:
-    """Return the window that a dot, counted row by row, is the last of; empty for a dot that completes none."""
+    """Return the window whose last dot, counted row by row, this is; empty for a dot that completes none."""
     row, column = divmod(dot, large.shape[1])
     if min(row, column) < WINDOW - 1:
         return large[:0, :0]
@@ -115,16 +115,16 @@ def _window_ending_at(large: BoolArray, dot: int) -> BoolArray:
 
 
 def _random_bits(number: int, seed: int) -> BoolArray:
-    """Return (number,) bits that do not depend on any library's version."""
+    """Return bits (number,) that do not depend on the version of a library."""
     stream = hashlib.shake_256(f"two-size dot board {seed}".encode()).digest(number // 8 + 1)
     return np.unpackbits(np.frombuffer(stream, np.uint8))[:number].astype(bool)
 
 
 class _TakenWindows:
-    """The windows on the board so far, each as number, in all 8 positions, with everything that is one dot away.
+    """The windows on the board so far as integer codes in all 8 orientations, plus all codes at Hamming distance 1.
 
-    Two windows differ in `DISTANCE` = 3 sizes or more exactly if nothing is within one dot of both, so that what
-    belongs to different windows never overlaps and can be released again.
+    Two windows differ in `DISTANCE` = 3 sizes or more exactly if no code is within one dot of both, so that the codes
+    of different windows never overlap and can be released again.
     """
 
     def __init__(self) -> None:
@@ -135,7 +135,7 @@ class _TakenWindows:
         self._positions = np.array([np.rot90(each, q).ravel() for each in (square, square.T) for q in range(4)])
 
     def take(self, name: int, window: BoolArray) -> bool:
-        """Take a window if nothing on the board, nor itself turned, is like it; an empty one always."""
+        """Take a window if it differs enough from all others and from itself turned; an empty window always."""
         if not window.size:
             return True
         numbers = window.ravel()[self._positions] @ (1 << np.arange(WINDOW**2))
@@ -147,5 +147,5 @@ class _TakenWindows:
         return True
 
     def release(self, name: int) -> None:
-        """Give a window free again."""
+        """Release a window."""
         self._taken[self._near.pop(name, _NOTHING)] = False

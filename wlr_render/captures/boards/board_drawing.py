@@ -1,6 +1,6 @@
 """Drawings of boards for printing: SVG in exact millimetres, and PNG.
 
-Both drawings carry a ruler, since printers scale: what its ends measure, over what is written beside it, is the scale
+Both drawings have a ruler, because printers scale: its measured length over the length written next to it is the scale
 of the print.
 """
 
@@ -16,10 +16,10 @@ from wlr_render.atomic_files import write_bytes, write_text
 from wlr_render.captures.boards.board import Board
 from wlr_render.errors import BadInputError
 
-_STRIP_MM = 12.0  # below the board, for ruler and text
-_EDGE_MM = 5.0  # from the left edge to the ruler
-_RULER_TEXT_MM = 20.0  # to the right of the ruler
-_LEAST_WIDTH_MM = 50.0  # of the sheet, for the ruler and text of a tiny board
+_STRIP_MM = 12.0  # height of the strip below the board, for ruler and text
+_EDGE_MM = 5.0  # distance of the ruler from the left edge
+_RULER_TEXT_MM = 20.0  # width of the text to the right of the ruler
+_LEAST_WIDTH_MM = 50.0  # least width of the sheet, for the ruler and text of a tiny board
 _TICK_MM = 3.0
 _LINE_MM = 0.2
 _TEXT_MM = 3.0
@@ -29,12 +29,12 @@ _MOST_PIXELS = 400_000_000
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Where things lie on the sheet, millimetres from its top left corner.
+    """Layout of the sheet, millimetres from its top left corner.
 
     Attributes:
-        width, height: of the sheet: the board at its top left, a strip below.
+        width, height: size of the sheet: the board at its top left, a strip below.
         ruler: length of the ruler, whole centimetres.
-        ruler_y: height of its line.
+        ruler_y: y of its line.
     """
 
     width: float
@@ -97,7 +97,7 @@ def write_board_png(board: Board, path: str | Path, dots_per_inch: float = 600.0
     draw.line([at(_EDGE_MM, sheet.ruler_y), at(end, sheet.ruler_y)], 0, line)
     for x in (_EDGE_MM, end):
         draw.line([at(x, sheet.ruler_y - half), at(x, sheet.ruler_y + half)], 0, line)
-    # A font's size is its height from line to line; Pillow's own font always comes with it.
+    # A font's size is its line height; Pillow's bundled font is always available.
     font = ImageFont.load_default(_TEXT_MM * pixels_per_mm)
     draw.text(at(end + 2, sheet.ruler_y - 0.6 * _TEXT_MM), f"{sheet.ruler:g} mm", 0, font)
     small = ImageFont.load_default(_text_mm(sheet, board) * pixels_per_mm)
@@ -115,12 +115,12 @@ def _sheet(board: Board) -> _Sheet:
 
 
 def _text_mm(sheet: _Sheet, board: Board) -> float:
-    """Return the height of the title's letters, so that it fits the width; letters are about half as wide as high."""
+    """Return the height of the title's letters that fits the width; letters are about half as wide as high."""
     return min(_TEXT_MM, (sheet.width - 2 * _EDGE_MM) / (0.55 * len(board.title)))
 
 
 def _raster(board: Board, width: int, height: int, pixel_mm: float) -> NDArray[np.uint8]:
-    """Return (h, w) the board and white below it, a strip of rows at a time to save memory."""
+    """Return the picture (h, w) of the board with white below it, computed in strips of rows to save memory."""
     picture = np.empty((height, width), np.uint8)
     x = 1e-3 * pixel_mm * (np.arange(width) + 0.5) - 0.5 * board.size_m[0]
     for top in range(0, height, 256):

@@ -1,4 +1,4 @@
-"""Board files: board.toml with the design of a board of any kind and how far the print may differ from it.
+"""Board files: board.toml with the design of a board of any kind and the tolerances of its print.
 
 Kalibr's target files are read, too.
 """
@@ -27,10 +27,10 @@ from wlr_render.toml_files import Table, read_toml, write_toml
 KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles")
 """Values of `kind`."""
 
-_LENGTH_M = (5e-5, 2.0)  # of a square, dot or gap: beyond, lengths are in another unit
+_LENGTH_M = (5e-5, 2.0)  # plausible size of a square, dot or gap: beyond, lengths are in another unit
 _LARGEST_PITCH_MM = 50.0
 _MOST_SIGMA = {"scale_sigma": 0.5, "flatness_mm": 100.0, "print_error_um": 10_000.0}
-_MOST = 2000  # rows or columns
+_MOST = 2000  # most rows or columns
 
 _COMMENT = """A calibration board. Lengths are millimetres as measured on the print:
 where the printer scaled it, measure the ruler and multiply all of them by measured / written.
@@ -39,11 +39,11 @@ _DOTS_COMMENT = "\nsizes: one text per row of dots, from the top; 1 large, 0 sma
 _FIRST_TAGS = ("top-left", "bottom-left")
 _KALIBR_SUFFIXES = (".yaml", ".yml")
 _KALIBR_TARGETS = ("aprilgrid", "checkerboard", "circlegrid")
-_CLASSES = (DotBoard, CharucoBoard, AprilGrid, Chessboard, CircleGrid)  # in the order of KINDS
+_CLASSES = (DotBoard, CharucoBoard, AprilGrid, Chessboard, CircleGrid)  # classes in the order of KINDS
 
 
 def save_board(board: Board, path: str | Path) -> Path:
-    """Write a board as TOML, so that `load_board` gives the same one back."""
+    """Write a board as TOML that `load_board` reads back."""
     return write_toml(path, board_table(board), _COMMENT + (_DOTS_COMMENT if isinstance(board, DotBoard) else ""))
 
 
@@ -80,14 +80,14 @@ def _design_keys(board: Board) -> dict[str, Any]:
 
 
 def load_board(path: str | Path) -> Board:
-    """Read a board of any kind; a file without `kind` is a board of dots, a .yaml file is a target of Kalibr.
+    """Read a board of any kind: dots without a `kind`, a target of Kalibr in a .yaml file.
 
-    With `screen = true` the board is shown on a monitor: `pixel_pitch_mm` is the monitor's, and all lengths are given
-    in its pixels (`square_px` in place of `square_mm`).
+    With `screen = true` the board is shown on a monitor: `pixel_pitch_mm` is the pitch of its pixels, and all lengths
+    are given in pixels (`square_px` in place of `square_mm`).
 
     Raises:
-        BadInputError: the file is missing or not as `save_board` writes it, or its features cannot be distinguished;
-            the sentence has the key.
+        BadInputError: the file is missing or breaks the format of `save_board`, or its features cannot be
+            distinguished; the sentence has the key.
     """
     if Path(path).suffix.lower() in _KALIBR_SUFFIXES:
         return board_of_table(_kalibr_target(Path(path)))
@@ -95,10 +95,10 @@ def load_board(path: str | Path) -> Board:
 
 
 def _kalibr_target(path: Path) -> Table:
-    """The keys of board.toml for a target of Kalibr; its tags have borders of two bits, its numbers are inner corners.
+    """Return the keys of board.toml for a target of Kalibr: borders of two bits, numbers of inner corners.
 
     Raises:
-        BadInputError: the file is not a target of Kalibr, or the target is none of `KINDS`.
+        BadInputError: the file is not a target of Kalibr, or the target's kind is not one of `KINDS`.
     """
     kind, remedy = "a target of Kalibr", "write board.toml"
     stated = read_mapping(path, read_text(path, kind, remedy=remedy), kind, remedy)
@@ -156,7 +156,7 @@ def board_of_table(table: Table) -> Board:
 
 @dataclass(frozen=True)
 class _Lengths:
-    """Reads lengths of a file, in metres: from millimetres, or from pixels of a monitor."""
+    """Reader of lengths of a file, in metres: from millimetres, or from pixels of a monitor."""
 
     table: Table
     unit: str
@@ -175,7 +175,7 @@ class _Lengths:
         return f"{name}_{self.unit}"
 
     def number(self, name: str, default_m: float | None = None) -> float:
-        """Return a length; above zero unless there is a default, which is for margins."""
+        """Return a length; above zero unless there is a default, as for margins."""
         default = None if default_m is None else default_m / self.unit_m
         value = self.table.number(self.key(name), default)
         if value < 0 or (value == 0 and default is None):
@@ -199,8 +199,10 @@ def _charuco(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> Ch
         )
     dictionary, legacy = table.text("dictionary", choices=DICTIONARIES), table.flag("legacy", False)
     needed = (columns * rows + 1) // 2
-    if needed > (known := len(dictionary_of(dictionary).bytesList)):
-        raise table.fail(f"the board needs {needed} markers, but {dictionary} has {known}; is the dictionary right?")
+    if needed > (available := len(dictionary_of(dictionary).bytesList)):
+        raise table.fail(
+            f"the board needs {needed} markers, but {dictionary} has {available}; is the dictionary right?"
+        )
     margin = lengths.number("margin", 0.0)
     return CharucoBoard(columns, rows, square, marker, dictionary, legacy, margin, tolerances)
 
@@ -212,10 +214,10 @@ def _april_grid(table: Table, lengths: _Lengths, tolerances: BoardTolerances) ->
         raise table.fail(f"'spacing' is {spacing:g}; it is the gap between tags over their side, between 0 and 1.")
     border = table.whole("border_bits", 1, 10) if table.has("border_bits") else 2
     first = table.whole("first_id") if table.has("first_id") else 0
-    known = len(dictionary_of(DICTIONARY).bytesList)
-    if first + columns * rows > known:
+    available = len(dictionary_of(DICTIONARY).bytesList)
+    if first + columns * rows > available:
         raise table.fail(
-            f"the board needs tags up to {first + columns * rows - 1}, but 36h11 ends at {known - 1}; use fewer."
+            f"the board needs tags up to {first + columns * rows - 1}, but 36h11 ends at {available - 1}; use fewer."
         )
     at_bottom = table.text("first_tag", _FIRST_TAGS[1], choices=_FIRST_TAGS) == _FIRST_TAGS[1]
     margin = lengths.number("margin", 0.0)
@@ -299,5 +301,5 @@ def _sizes(table: Table) -> BoolArray:
 
 
 def _in_mm(length_m: float) -> float:
-    """Millimetres as a person would write them; a thousandth of a micrometre is no news of a print."""
+    """Return a length in millimetres, rounded to 1 nm; finer digits are meaningless for a print."""
     return round(1e3 * length_m, 9)

@@ -1,4 +1,4 @@
-"""Patterns of black and white rectangles between grid lines: how chessboards and boards of markers look."""
+"""Patterns of black and white rectangles between grid lines, for chessboards and boards of markers."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ class CellPattern:
     """Cells between lines across x and y.
 
     Attributes:
-        x: (m + 1,) lines, metres, board frame, rising; the first and last are the board's edges.
-        y: (n + 1,) the same.
-        white: (n, m) which cells are white.
+        x: (m + 1,) lines, metres, board frame, ascending; the first and last are the board's edges.
+        y: (n + 1,) lines across y, likewise.
+        white: (n, m) mask of white cells.
     """
 
     x: FloatArray
@@ -28,7 +28,7 @@ class CellPattern:
         """Return the pattern of rectangles painted one after the other on a white board.
 
         Args:
-            size_m: (2,) of the board.
+            size_m: (2,) size of the board.
             corners: (k, 4) left, top, right and bottom of each, metres, board frame.
             black: (k,) black or white.
         """
@@ -44,7 +44,7 @@ class CellPattern:
         return cls(x, y, white)
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float) -> RealArray:
-        """How bright the pattern is at places (..., 2): its mean over a square of `softness_m`; NaN beyond its edge."""
+        """Return the mean reflectance over a square of `softness_m` at positions (..., 2); NaN beyond the edge."""
         x, y = in_board[..., 0].astype(np.float64), in_board[..., 1].astype(np.float64)
         softness = np.broadcast_to(np.asarray(softness_m, dtype=np.float64), x.shape)
         # The integral from the corner is bilinear between the lines, so that its differences are exact means; over a
@@ -85,7 +85,7 @@ class CellPattern:
 
 
 class CellBoard(ABC):
-    """Base of boards that consist of cells; no two views of such a board are alike unless a subclass says so."""
+    """Base of boards that consist of cells; by default no two views of such a board look the same."""
 
     @property
     @abstractmethod
@@ -93,11 +93,11 @@ class CellBoard(ABC):
 
     @property
     def half_turn_symmetric(self) -> bool:
-        """Whether the board looks the same turned by 180 degrees."""
+        """True if the board looks the same turned by 180 degrees."""
         return False
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """As `Board.reflectance`."""
+        """Return the reflectance; see `Board.reflectance`."""
         return self._pattern.reflectance(in_board, softness_m)
 
     def svg_shapes(self) -> list[str]:
@@ -106,7 +106,7 @@ class CellBoard(ABC):
 
 
 def _lines(places: FloatArray, half: float) -> FloatArray:
-    """Return the different places within the board, rising; what lies within a nanometre is one line."""
+    """Return the distinct positions within the board, ascending; positions within a nanometre are one line."""
     rising = np.unique(np.clip(places, -half, half))
     return np.asarray(rising[np.concatenate([[True], np.diff(rising) > 1e-9])])
 
@@ -116,7 +116,7 @@ def _nearest(lines: FloatArray, places: FloatArray) -> IntArray:
 
 
 def _between(lines: FloatArray, place: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the line before each place, and how far towards the next it lies; NaN counts as the first line."""
+    """Return the line before each position, and the fraction of the way to the next; NaN counts as the first line."""
     place = np.where(np.isfinite(place), _clipped(place, lines), lines[0])
     before = np.clip(np.searchsorted(lines, place, side="right") - 1, 0, len(lines) - 2).astype(np.int64)
     return before, (place - lines[before]) / (lines[before + 1] - lines[before])

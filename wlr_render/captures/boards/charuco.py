@@ -23,10 +23,10 @@ from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_LEAST_MARKERS = 4  # fewer may be chance, or fit a homography anyhow
-_OTHER_MARKER = 0.2  # of the stated side; small markers are found larger or smaller by a pixel
-_FITTING = 0.1  # of a marker's side: the usual error of markers that lie as on the board
-_SQUARE_OFF = 0.5  # of a marker's side: the error of a marker that lies elsewhere
+_LEAST_MARKERS = 4  # fewest markers; fewer may be chance, or fit any homography
+_OTHER_MARKER = 0.2  # difference from the stated side; small markers are detected a pixel larger or smaller
+_FITTING = 0.1  # usual error of the board's markers, in sides of a marker
+_SQUARE_OFF = 0.5  # error of a marker in another square, in sides of a marker
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class CharucoBoard(CellBoard):
         legacy: the pattern of OpenCV before 4.6 (and of many printed boards), in which boards of an even number of
             rows begin with a white square.
         margin_m: white around the squares.
-        tolerances: how far the print may differ.
+        tolerances: tolerances of the print.
     """
 
     square_columns: int
@@ -103,67 +103,67 @@ class CharucoBoard(CellBoard):
         return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
 
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """As `Board.find`; any part of the board with two markers or more is enough.
+        """Find the board; any part of it with two markers or more is enough.
 
         Raises:
-            BoardNotFoundError: no marker of the board is in the picture, or the markers are not where this board has
-                them; it says if they are where the other pattern has them.
+            BoardNotFoundError: no marker of the board is in the picture, or their order differs from this board's; the
+                sentence states whether it is the order of the other pattern.
         """
         grey = as_bytes(image)
-        seen = self._detect(grey)
-        fault = self._other_sizes(seen) if len(seen.index) else self._why_nothing(grey, seen.numbers)
+        detected = self._detect(grey)
+        fault = self._other_sizes(detected) if len(detected.index) else self._why_nothing(grey, detected.numbers)
         if fault is not None:
             raise BoardNotFoundError(f"{name}: {fault}")
         margin = 0.5 * (1.0 - self.marker_m / self.square_m)
-        place = seen.index.astype(np.float64)
-        return observe_corners(image, seen.index, place, [seen.pixel], white_margin=margin, name=name)
+        place = detected.index.astype(np.float64)
+        return observe_corners(image, detected.index, place, [detected.pixel], white_margin=margin, name=name)
 
-    def _detect(self, grey: NDArray[np.uint8]) -> "_Seen":
+    def _detect(self, grey: NDArray[np.uint8]) -> "_Detected":
         board = self._opencv
         corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(grey)
         numbers = np.zeros(0, dtype=np.int64) if marker_ids is None else np.asarray(marker_ids, np.int64).ravel()
         marker = np.array(markers, dtype=np.float64).reshape(-1, 4, 2) - OPENCV_PIXEL_SHIFT
         if (ids is None or not len(ids)) and self._lie_as_here(marker, numbers):
-            # OpenCV's own check takes the distances in a steep view for those of another board.
+            # OpenCV's check mistakes the distances in a steep view for another board.
             how = cv2.aruco.CharucoParameters()
             how.checkMarkers = False
             corners, ids, _, _ = cv2.aruco.CharucoDetector(board, how).detectBoard(grey)
         if ids is None or not len(ids):
-            return _Seen(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), marker, numbers)
+            return _Detected(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), marker, numbers)
         row, column = np.divmod(np.asarray(ids, np.int64).ravel(), self.square_columns - 1)
         pixel = np.asarray(corners, np.float64).reshape(-1, 2) - OPENCV_PIXEL_SHIFT
-        return _Seen(np.stack([column, row], axis=-1), pixel, marker, numbers)
+        return _Detected(np.stack([column, row], axis=-1), pixel, marker, numbers)
 
     def _lie_as_here(self, marker: FloatArray, numbers: IntArray) -> bool:
-        """Return whether the homography of this board's places of the markers fits their corners (m, 4, 2)."""
-        known = numbers < len(self._opencv.getIds())
-        if known.sum() < _LEAST_MARKERS:
+        """Return whether the homography of this board's marker positions fits their corners (m, 4, 2)."""
+        on_board = numbers < len(self._opencv.getIds())
+        if on_board.sum() < _LEAST_MARKERS:
             return False
-        seen = marker[known]
-        place = np.array(self._opencv.getObjPoints(), dtype=np.float64)[numbers[known], :, :2]
-        homography, _ = cv2.findHomography(place.reshape(-1, 2), seen.reshape(-1, 2), cv2.LMEDS)
+        detected = marker[on_board]
+        place = np.array(self._opencv.getObjPoints(), dtype=np.float64)[numbers[on_board], :, :2]
+        homography, _ = cv2.findHomography(place.reshape(-1, 2), detected.reshape(-1, 2), cv2.LMEDS)
         if homography is None:
             return False
         expected = cv2.perspectiveTransform(place.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
-        side = np.sqrt([cv2.contourArea(corners.astype(np.float32)) for corners in seen])
-        off = np.linalg.norm(expected - seen, axis=-1).max(axis=1)
-        # Of the other pattern, or of other numbers of squares, some rows fit; the others are off by a square or more.
+        side = np.sqrt([cv2.contourArea(corners.astype(np.float32)) for corners in detected])
+        off = np.linalg.norm(expected - detected, axis=-1).max(axis=1)
+        # With the other pattern, or other numbers of squares, some rows fit; the others are off by a square or more.
         return bool(np.median(off / np.maximum(side, 1e-9)) < _FITTING and np.all(off < _SQUARE_OFF * side))
 
-    def _other_sizes(self, seen: "_Seen") -> str | None:
-        """Sentence about further rows, or another size of the markers, than this board has; None if these fit."""
+    def _other_sizes(self, detected: "_Detected") -> str | None:
+        """Describe further rows, or another size of the markers, than this board has; None if they fit."""
         last = len(self._opencv.getIds()) - 1
-        if len(seen.numbers) and (highest := int(seen.numbers.max())) > last:
-            # An even number of rows more keeps the colours of the squares.
+        if len(detected.numbers) and (highest := int(detected.numbers.max())) > last:
+            # An even number of further rows keeps the colours of the squares.
             more = 2 * -(-(highest - last) // self.square_columns)
-            if replace(self, square_rows=self.square_rows + more)._lie_as_here(seen.marker, seen.numbers):
+            if replace(self, square_rows=self.square_rows + more)._lie_as_here(detected.marker, detected.numbers):
                 return (
                     f"marker {highest} continues the board, which has 0 to {last} by board.toml; correct square_rows."
                 )
-        homography, _ = cv2.findHomography(seen.pixel, seen.index.astype(np.float64))
-        if homography is None or not len(seen.marker):
+        homography, _ = cv2.findHomography(detected.pixel, detected.index.astype(np.float64))
+        if homography is None or not len(detected.marker):
             return None
-        flat = cv2.perspectiveTransform(seen.marker.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
+        flat = cv2.perspectiveTransform(detected.marker.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
         side = float(np.median(np.linalg.norm(flat - np.roll(flat, 1, axis=1), axis=-1)))
         stated = self.marker_m / self.square_m
         if abs(side - stated) < _OTHER_MARKER * stated:
@@ -202,8 +202,8 @@ class CharucoBoard(CellBoard):
     def _why_no_marker(self, grey: NDArray[np.uint8]) -> str:
         best, most = "", _LEAST_MARKERS - 1
         for name in LARGEST_DICTIONARIES:
-            if (found := len(_markers_of(name, grey))) > most:
-                best, most = name, found
+            if (count := len(_markers_of(name, grey))) > most:
+                best, most = name, count
             if 2 * most > len(self._opencv.getIds()):
                 break
         if not best:
@@ -217,8 +217,8 @@ class CharucoBoard(CellBoard):
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """What a picture shows of a board, pixels from its outer corner.
+class _Detected:
+    """Parts of a board detected in a picture, pixels from its outer corner.
 
     Attributes:
         index, pixel: (n, 2) corners.

@@ -1,4 +1,4 @@
-"""Chessboards: found whole, by OpenCV; a board of another size than stated is refused."""
+"""Chessboards: detected as a whole, by OpenCV; a board of another size than stated is refused."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -26,10 +26,10 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _LEAST_HALVED_PX = 200  # smaller pictures are not halved
-_WITHIN = (0.2, 0.5, 0.8)  # of a square's side, where its colour is read
-_ALTERNATING = 0.9  # of those places that have the colour of a chessboard
-_BEYOND, _ASIDE = 1.3, 0.3  # where squares beyond the board are looked for: cells from the outermost corners
-_ALIKE = 0.5  # of the board's own contrast, and of the places along a side, that make a further row of squares
+_WITHIN = (0.2, 0.5, 0.8)  # positions at which a square's colour is read, in sides
+_ALTERNATING = 0.9  # share of these positions that must have the colour of a chessboard
+_BEYOND, _ASIDE = 1.3, 0.3  # positions that are searched for squares beyond the board: cells from the outer corners
+_ALIKE = 0.5  # share of the board's contrast, and of the positions along a side, that make a further row
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,10 @@ class Chessboard(CellBoard):
     """A chessboard of black and white squares; its features are the inner corners.
 
     Attributes:
-        columns, rows: of inner corners; one less than of squares.
+        columns, rows: numbers of inner corners, one less than of squares.
         square_m: side of a square.
         margin_m: white around the squares.
-        tolerances: how far the print may differ.
+        tolerances: tolerances of the print.
     """
 
     columns: int
@@ -66,7 +66,7 @@ class Chessboard(CellBoard):
 
     @property
     def half_turn_symmetric(self) -> bool:
-        """True where squares that are opposite each other have one colour: columns + rows is even."""
+        """True if opposite squares have one colour: columns + rows is even."""
         return (self.columns + self.rows) % 2 == 0
 
     def indices(self) -> IntArray:
@@ -86,7 +86,7 @@ class Chessboard(CellBoard):
         )
 
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """As `Board.find`; all inner corners must be in the picture.
+        """Find the board; all inner corners must be in the picture.
 
         Raises:
             BoardNotFoundError: no such chessboard is in the picture, or one of more squares.
@@ -105,20 +105,20 @@ class Chessboard(CellBoard):
             )
         index = self.indices()
         start = grid[index[:, 1], index[:, 0]]
-        found = observe_corners(image, index, index.astype(np.float64), [start], name=name)
-        if not np.array_equal(np.ptp(found.index, axis=0), np.ptp(index, axis=0)):
+        observation = observe_corners(image, index, index.astype(np.float64), [start], name=name)
+        if not np.array_equal(np.ptp(observation.index, axis=0), np.ptp(index, axis=0)):
             raise BoardNotFoundError(
                 f"{name}: of {self.columns} x {self.rows} inner corners a whole outer line does not look like corners; "
                 "the chessboard has fewer squares than board.toml says, or its edge is not seen: count the inner "
                 "corners of the whole board."
             )
-        return replace(found, ambiguous_half_turn=self.half_turn_symmetric)
+        return replace(observation, ambiguous_half_turn=self.half_turn_symmetric)
 
     def _grid(self, image: Photograph, name: str) -> FloatArray:
-        """Return (rows, columns, 2) pixels, in OpenCV's order.
+        """Return the pixels (rows, columns, 2), in OpenCV's order.
 
         Raises:
-            BoardNotFoundError: nothing is found, or only what is not a chessboard of this size.
+            BoardNotFoundError: no chessboard of this size is detected.
         """
         skipping = False
         for grid in self._detect(as_bytes(image)):
@@ -137,9 +137,9 @@ class Chessboard(CellBoard):
         )
 
     def _detect(self, grey: NDArray[np.uint8]) -> Iterator[FloatArray]:
-        """Yield (rows, columns, 2) pixels, from outer corners, by one detector after the other."""
+        """Yield pixels (rows, columns, 2) from outer corners, by one detector after the other."""
         shape = (self.columns, self.rows)
-        # Pictures of wide lenses, and blurred ones, may only be read at half their size.
+        # Pictures of wide lenses, and blurred ones, may be readable only at half their size.
         for scale in (1, 2):
             if scale > 1:
                 if min(grey.shape) < _LEAST_HALVED_PX:
@@ -149,20 +149,20 @@ class Chessboard(CellBoard):
                 (cv2.findChessboardCornersSB, _SECTORS),
                 (cv2.findChessboardCorners, _QUADS),
             ):
-                found, corners = detector(grey, shape, flags=flags)
-                if found:
+                is_detected, corners = detector(grey, shape, flags=flags)
+                if is_detected:
                     grid = np.asarray(corners, dtype=np.float64).reshape(self.rows, self.columns, 2)
                     yield scale * grid - OPENCV_PIXEL_SHIFT
 
 
 def _cross(grid: FloatArray) -> float:
-    """Positive where rows go clockwise of columns, as on a board that is not mirrored."""
+    """Return a positive number if rows go clockwise of columns, as on a board that is not mirrored."""
     right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     return float(right[0] * down[1] - right[1] * down[0])
 
 
 def _cells(image: Photograph, grid: FloatArray) -> FloatArray:
-    """Return (rows - 1, columns - 1, 9) grey values on each square between four corners."""
+    """Return nine grey values on each square between four corners, (rows - 1, columns - 1, 9)."""
     samples = []
     for down in _WITHIN:
         for right in _WITHIN:
@@ -180,10 +180,10 @@ def _first_is_light(image: Photograph, grid: FloatArray) -> bool:
 
 
 def _alternates(image: Photograph, grid: FloatArray) -> bool:
-    """Return whether the squares between the corners are of one colour each, and black and white in turn."""
+    """Return whether the squares between the corners are plain, and alternately black and white."""
     cells = _cells(image, grid)
     middle = np.median(cells, axis=-1)
-    # A window of three squares across has black and white nearly in balance; mirrored at the edges too.
+    # A window three squares wide has a near balance of black and white, also with mirrored edges.
     threshold = uniform_filter(middle, 3, mode="mirror")
     row, column = np.indices(middle.shape)
     light = (cells > threshold[..., None]) == ((row + column) % 2 == 0)[..., None]
@@ -192,7 +192,7 @@ def _alternates(image: Photograph, grid: FloatArray) -> bool:
 
 
 def _sides_with_more(image: Photograph, grid: FloatArray) -> list[str]:
-    """Return the sides of the corners' grid beyond whose outermost squares the pattern of black and white goes on."""
+    """Return the sides where the checker pattern continues beyond the grid."""
     turned = {"top": grid, "bottom": grid[::-1], "left": grid.swapaxes(0, 1), "right": grid.swapaxes(0, 1)[::-1]}
     return [side for side, lines in turned.items() if _goes_on(image, lines)]
 
@@ -200,15 +200,15 @@ def _sides_with_more(image: Photograph, grid: FloatArray) -> list[str]:
 def _goes_on(image: Photograph, grid: FloatArray) -> bool:
     """Return whether squares alternate before the first line of a grid (lines, along, 2) as they do behind it.
 
-    Around each corner of the line, the step from one side of it to the other is looked at: within the outermost
-    squares, and one square farther out, where a board of the right size is plain.
+    The test compares the steps across the grid lines at each corner within the outermost squares, and one square
+    farther out, where a board of the right size is plain.
     """
     inside = _steps(image, _extended(grid, -_ASIDE))
     beyond = _steps(image, _extended(grid, -_BEYOND))
     usable = np.isfinite(beyond) & np.isfinite(inside)
     if usable.sum() < 2:
         return False
-    # Beyond, black and white are exchanged; elsewhere than on a chessboard the signs are random or the steps small.
+    # Beyond the line, black and white are exchanged; off a chessboard the signs are random or the steps small.
     strength = -beyond[usable] * np.sign(inside[usable]) / np.median(np.abs(inside[usable]))
     return bool(np.median(strength) > _ALIKE)
 
@@ -220,7 +220,7 @@ def _extended(grid: FloatArray, at: float) -> FloatArray:
 
 
 def _steps(image: Photograph, line: FloatArray) -> FloatArray:
-    """(along - 2,) grey steps across each place of a line but its ends; NaN beyond the picture."""
+    """Return the grey steps (along - 2,) across each inner position of a line; NaN outside the picture."""
     before = line[1:-1] + _ASIDE * (line[:-2] - line[1:-1])
     after = line[1:-1] + _ASIDE * (line[2:] - line[1:-1])
     steps = _grey(image, after) - _grey(image, before)
@@ -228,6 +228,6 @@ def _steps(image: Photograph, line: FloatArray) -> FloatArray:
 
 
 def _grey(image: Photograph, pixel: FloatArray) -> FloatArray:
-    """Return the grey values (...) at pixels (..., 2); NaN beyond the picture."""
+    """Return the grey values (...) at pixels (..., 2); NaN outside the picture."""
     place = np.moveaxis(pixel[..., ::-1] - 0.5, -1, 0)
     return np.asarray(map_coordinates(image, place, np.float64, order=1, mode="constant", cval=np.nan))

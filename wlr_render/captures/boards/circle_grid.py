@@ -1,4 +1,4 @@
-"""Grids of equal dark circles, in rows or staggered: found whole."""
+"""Grids of equal dark circles, in rows or staggered: detected as a whole."""
 
 from dataclasses import dataclass
 
@@ -23,25 +23,25 @@ from wlr_render.captures.boards.lattice_shape import smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_TRIES = 3  # lattices, the largest first, that are compared with the grid
+_TRIES = 3  # number of lattices, the largest first, that are compared with the grid
 _OTHER_DIAMETER = 1.5  # ratio to the stated diameter; a radius is 2 times off
 _QUARTER = np.array([[0, 1], [-1, 0]])
 
 
 @dataclass(frozen=True, eq=False)
 class CircleGrid:
-    """Dark circles on white.
+    """A grid of dark circles on white.
 
     Attributes:
         columns: circles in a row.
         rows: numbers of rows.
-        pitch_m: distance of neighbouring rows; in a grid that is not staggered, of columns too. In a staggered one (as
-            OpenCV's asymmetric grid) circles of a row are twice as far apart, and every second row, from the second, is
-            shifted right by once the pitch.
-        diameter_m: of a circle.
+        pitch_m: distance of neighbouring rows and, in a grid that is not staggered, of columns. In a staggered grid
+            (OpenCV's asymmetric one) the circles of a row have twice this distance, and every second row, from the
+            second on, is shifted right by the pitch.
+        diameter_m: diameter of a circle.
         margin_m: white from the outermost circles' centres to the edge.
         staggered: every second row is shifted.
-        tolerances: how far the print may differ.
+        tolerances: tolerances of the print.
     """
 
     columns: int
@@ -54,7 +54,7 @@ class CircleGrid:
 
     @property
     def _extent(self) -> IntArray:
-        """(2,) width and height between outermost centres, in pitches."""
+        """Width and height between outermost centres (2,), in pitches."""
         width = 2 * self.columns - 1 if self.staggered else self.columns - 1
         return np.array([width, self.rows - 1])
 
@@ -78,7 +78,7 @@ class CircleGrid:
 
     @property
     def half_turn_symmetric(self) -> bool:
-        """True but for staggered grids with an odd number of rows."""
+        """True except for staggered grids with an odd number of rows."""
         return not self.staggered or self.rows % 2 == 0
 
     def indices(self) -> IntArray:
@@ -86,7 +86,7 @@ class CircleGrid:
         return grid_indices(self.columns, self.rows)
 
     def _pitches(self, index: NDArray[np.integer]) -> IntArray:
-        """Return (..., 2) places in pitches from the top left."""
+        """Return the positions (..., 2) in pitches from the top left."""
         index = np.asarray(index, dtype=np.int64)
         if not self.staggered:
             return np.asarray(index, dtype=np.int64)
@@ -98,11 +98,11 @@ class CircleGrid:
 
     @property
     def _lattice(self) -> FloatArray:
-        """(2, 2) so that places in pitches times it are those in the square lattice of the circles."""
+        """Matrix (2, 2) from positions in pitches to positions in the square lattice of the circles."""
         return np.array([[0.5, -0.5], [0.5, 0.5]]) if self.staggered else np.eye(2)
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """As `Board.reflectance`."""
+        """Return the reflectance; see `Board.reflectance`."""
         place = in_board / self.pitch_m + 0.5 * self._extent
         nearest = np.rint(np.nan_to_num(place) @ self._lattice) @ np.linalg.inv(self._lattice)
         x, y = np.rint(nearest[..., 0]), np.rint(nearest[..., 1])
@@ -117,12 +117,12 @@ class CircleGrid:
         return np.where(inside, white, np.nan).astype(in_board.dtype)
 
     def svg_shapes(self) -> list[str]:
-        """Return the circles."""
+        """Return the circles as SVG elements."""
         centre_mm = 1e3 * (self.point_of(self.indices())[:, :2] + 0.5 * self.size_m)
         return [f'<circle cx="{x:.4f}" cy="{y:.4f}" r="{500.0 * self.diameter_m:.4f}"/>' for x, y in centre_mm]
 
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """As `Board.find`; all circles must be in the picture.
+        """Find the board; all circles must be in the picture.
 
         Raises:
             BoardNotFoundError: no such grid is in the picture, or one of more circles.
@@ -136,14 +136,15 @@ class CircleGrid:
                 continue
             index, dot = placed[0], lattice.dot[placed[1]]
             measured = measure_dots(image, dots, dot)
-            seen = np.nonzero(np.isfinite(measured.sigma_px[dot]))[0]
+            whole = np.nonzero(np.isfinite(measured.sigma_px[dot]))[0]
             along = self._pitches(index) @ self._lattice
             unit = self.pitch_m * (np.sqrt(2.0) if self.staggered else 1.0)
-            rows, shape = smooth_rows(along[seen], measured.dots.centre[dot[seen]], LEAST_DOTS)
+            rows, shape = smooth_rows(along[whole], measured.dots.centre[dot[whole]], LEAST_DOTS)
             if shape is None:
                 continue
-            keep = seen[rows]
-            # Blur takes contrast from small circles: an area is between that of black circles and that at the contrast.
+            keep = whole[rows]
+            # Blur takes contrast from small circles: the area lies between the values for black and for the measured
+            # contrast.
             black = measured.darkness_px2[dot[keep]] / shape.cell_px2
             least_m, most_m = (
                 unit * float(np.sqrt(4 / np.pi * np.median(area)))
@@ -172,22 +173,22 @@ class CircleGrid:
         )
 
     def _placed(self, lattice: IntArray, name: str) -> tuple[IntArray, IntArray] | None:
-        """Index (n, 2) of each circle, and which of the lattice's dots (n,) it is; None if the grid is not in it.
+        """Return the index (n, 2) and the lattice's dot (n,) of each circle; None if the grid does not fit.
 
         Raises:
-            BoardNotFoundError: more circles than the grid has are in rows with it.
+            BoardNotFoundError: more circles than the grid's are in line with it.
         """
         index = self.indices()
-        own = np.rint(self._pitches(index) @ self._lattice).astype(np.int64)
-        own -= own.min(axis=0)
+        shifted = np.rint(self._pitches(index) @ self._lattice).astype(np.int64)
+        shifted -= shifted.min(axis=0)
         for turns in range(4):
             turned = lattice @ np.linalg.matrix_power(_QUARTER, turns)
             turned = turned - turned.min(axis=0)
-            if (turned.max(axis=0) < own.max(axis=0)).any():
+            if (turned.max(axis=0) < shifted.max(axis=0)).any():
                 continue
             there = _occupied(turned)
-            fits = np.argwhere(np.rint(correlate(there, _occupied(own), mode="valid")) == len(own))
-            extra = len(turned) - len(own)
+            fits = np.argwhere(np.rint(correlate(there, _occupied(shifted), mode="valid")) == len(shifted))
+            extra = len(turned) - len(shifted)
             if len(fits) > 1 or (len(fits) == 1 and extra >= 0.5 * min(self.columns, self.rows)):
                 raise BoardNotFoundError(
                     f"{name}: the grid seen has more circles than board.toml says ({self.columns} x {self.rows}): "
@@ -196,13 +197,13 @@ class CircleGrid:
             if len(fits) == 1:
                 which = np.full(there.shape, -1)
                 which[turned[:, 0], turned[:, 1]] = np.arange(len(turned))
-                at = own + fits[0]
+                at = shifted + fits[0]
                 return index, which[at[:, 0], at[:, 1]]
         return None
 
 
 def _occupied(place: IntArray) -> FloatArray:
-    """Return (m, n) 1 where a lattice's place is taken."""
+    """Return an array (m, n) with 1 where a position of the lattice is occupied."""
     taken: BoolArray = np.zeros(place.max(axis=0) + 1, dtype=bool)
     taken[place[:, 0], place[:, 1]] = True
     return taken.astype(np.float64)

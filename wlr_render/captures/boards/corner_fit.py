@@ -1,8 +1,8 @@
-"""Sub-pixel places of chessboard corners: a model of two blurred edges that cross, fitted to the grey values.
+"""Sub-pixel positions of chessboard corners: a model of two blurred edges that cross, fitted to the grey values.
 
 The model is (b + b_x x + b_y y) + (a + a_x x + a_y y) erf(e_1 / (sqrt(2) s)) erf(e_2 / (sqrt(2) s)), where e_1 and e_2
-are the distances from the two edges and s is the blur: uneven light and defocus are in it, so that neither shifts the
-corner. The sigma comes from the grey values that the model leaves and from how steeply it changes with the place.
+are the distances from the two edges and s is the blur: the model has uneven light and defocus, so that neither shifts
+the corner. The sigma comes from the residual grey values and from the model's derivatives by the position.
 """
 
 from dataclasses import dataclass
@@ -15,30 +15,30 @@ from scipy.special import erf
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _FIRST_BLUR_PX = 0.8
-_LEAST_BLUR_PX = 0.25  # a pixel is a square of 0.29 px
-_REACH_PART = 0.42  # of a cell, that the window reaches to either side
-_LEAST_REACH_PX, _LEAST_REACH_PART = 4.0, 0.7  # of small cells more, as far as no other corner comes in
-_MOST_REACH_PX = 8.0  # beyond, edges bend
-_GUARD_BLURS = 2.5  # distance from another shape that is not read, in blurs
-_LEAST_MARGIN = 0.5  # of the margin is read at any blur
+_LEAST_BLUR_PX = 0.25  # least blur: the standard deviation of a square pixel is 0.29 px
+_REACH_PART = 0.42  # half width of the window, in cells
+_LEAST_REACH_PX, _LEAST_REACH_PART = 4.0, 0.7  # least half width, limited in cells to exclude other corners
+_MOST_REACH_PX = 8.0  # largest half width: beyond it, edges are curved
+_GUARD_BLURS = 2.5  # unread distance from another shape, in blurs
+_LEAST_MARGIN = 0.5  # least share of the margin that is read
 _STEPS = 20
 _CONVERGED_PX = 1e-4
-_MOST_SHIFT_PART = 0.5  # of the window's reach: a fit that goes farther has found something else
+_MOST_SHIFT_PART = 0.5  # largest shift of a fit in half widths of the window; a larger one is another feature
 _LEAST_PIXELS = 20
-_LEAST_CONTRAST = 3.0  # half the step from black to white, in noises of a pixel
-_QUANTUM_VARIANCE = 1.0 / 12.0  # of rounding to whole grey values
-_MODEL_ERROR_PX = 0.005  # what pixels that are squares, and edges that bend, leave without any noise
+_LEAST_CONTRAST = 3.0  # least half step from black to white, in standard deviations of a pixel
+_QUANTUM_VARIANCE = 1.0 / 12.0  # variance of rounding to whole grey values
+_MODEL_ERROR_PX = 0.005  # error without noise, from square pixels and curved edges
 
 
 @dataclass(frozen=True, eq=False)
 class FittedCorners:
-    """Corners by fit; NaN where no corner is, or the window lies beyond the picture.
+    """Corners by fit; NaN where there is no corner, or the window lies outside the picture.
 
     Attributes:
-        pixel: (n, 2) from the outer corner of the top-left pixel.
+        pixel: (n, 2) positions from the outer corner of the top-left pixel.
         sigma_px: (n,) standard deviation per axis.
-        contrast: (n,) half the grey step from black to white, positive where the quadrant between the two positive
-            axes of the slope is the light one.
+        contrast: (n,) half the grey step from black to white, positive if the quadrant between the two positive axes of
+            the slope is light.
     """
 
     pixel: FloatArray
@@ -53,15 +53,15 @@ def fit_corners(
     reach: float = 1.0,
     white_margin: float | None = None,
 ) -> FittedCorners:
-    """Fit corners that are known to about a pixel.
+    """Fit corners from positions that are accurate to about a pixel.
 
     Args:
         image: (h, w) grey.
         start: (n, 2) pixels, from the outer corner of the top-left pixel.
-        slope: (n, 2, 2) pixels (rows) per cell (columns): the edges run along its columns.
-        reach: so many cells around a corner nothing but its two edges is seen.
-        white_margin: from the edges into the light quadrants, in cells, until another shape begins (the marker of a
-            ChArUco board); None for none.
+        slope: (n, 2, 2) pixels (rows) per cell (columns); the edges run along the columns.
+        reach: distance in cells around a corner within which only its two edges are visible.
+        white_margin: distance in cells from the edges into the light quadrants to another shape (the marker of a
+            ChArUco board); None without one.
     """
     grey = np.ascontiguousarray(image, dtype=np.float32)
     number = len(start)
@@ -84,9 +84,9 @@ def fit_corners(
 
 @dataclass(frozen=True, eq=False)
 class _Window:
-    """Grey values (m, p) around m corners at x, y (m, p) from their starts, and which of them are read.
+    """Grey values (m, p) around m corners at x, y (m, p) from their starts, and a mask of the values that are read.
 
-    `near_edges` is the distance (m, p) from the nearer edge, `margin_px` (m,) how far from it other shapes begin.
+    `near_edges` is the distance (m, p) from the nearer edge, `margin_px` (m,) the distance of other shapes from it.
     """
 
     grey: FloatArray
@@ -118,7 +118,7 @@ class _Window:
         along = inverse[:, :, :1] * x[:, None, :] + inverse[:, :, 1:] * y[:, None, :]  # (m, 2, p) cells
         read = (np.abs(along) <= reach[:, None, None]).all(axis=1)
         read &= (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        # Distance, in pixels, from the nearer edge: what lies deep in a light quadrant may be a marker.
+        # Distance, in pixels, from the nearer edge: a shape deep in a light quadrant may be a marker.
         per_px = np.linalg.norm(inverse, axis=2)[:, :, None]
         near = np.abs(along / per_px).min(axis=1)
         margin = np.full(len(start), np.inf) if white_margin is None else white_margin / per_px[:, :, 0].max(axis=1)
@@ -128,7 +128,7 @@ class _Window:
 def _fit(
     window: _Window, start: FloatArray, slope: FloatArray, reach_px: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Places, sigmas and contrasts of m corners by damped Gauss-Newton steps; the light is solved for in each."""
+    """Fit positions, sigmas and contrasts of m corners by damped Gauss-Newton steps that solve for the light."""
     count = len(start)
     # place x, y; angles of the edges along the slope's columns; log of the blur
     state = np.zeros((count, 5))
@@ -158,8 +158,8 @@ def _fit(
     used = read.sum(axis=1)
     variance = np.maximum(now.cost / np.maximum(used - 11, 1), _QUANTUM_VARIANCE)
     covariance = np.linalg.inv(now.normal + 1e-12 * _diagonal(now.normal) + 1e-12 * np.eye(5))
-    own = 0.5 * np.trace(covariance[:, :2, :2], axis1=1, axis2=2) * variance
-    sigma = np.hypot(np.sqrt(np.maximum(own, 0.0)), _MODEL_ERROR_PX)
+    noise = 0.5 * np.trace(covariance[:, :2, :2], axis1=1, axis2=2) * variance
+    sigma = np.hypot(np.sqrt(np.maximum(noise, 0.0)), _MODEL_ERROR_PX)
     sound = (used >= _LEAST_PIXELS) & (np.linalg.norm(state[:, :2], axis=1) <= _MOST_SHIFT_PART * reach_px)
     sound &= np.abs(now.contrast) > _LEAST_CONTRAST * np.sqrt(variance)
     sound &= (sigma < 0.25 * reach_px) & (damping < 1e6)
@@ -168,7 +168,7 @@ def _fit(
 
 
 def _readable(window: _Window, blur_px: FloatArray) -> BoolArray:
-    # Shapes beyond the margin lie alike in both light quadrants, so that little of their blur does no harm.
+    # Shapes beyond the margin are the same in both light quadrants, so that a little of their blur does no harm.
     allowed = np.maximum(window.margin_px - _GUARD_BLURS * blur_px, _LEAST_MARGIN * window.margin_px)
     return window.read & (window.near_edges < allowed[:, None])
 
@@ -191,7 +191,7 @@ class _Linearised:
         x, y = window.x - state[:, :1], window.y - state[:, 1:2]
         blur = np.exp(state[:, 4:])
         (cos_1, sin_1), (cos_2, sin_2) = ((np.cos(state[:, k : k + 1]), np.sin(state[:, k : k + 1])) for k in (2, 3))
-        # Beside the first axis' edge lies the sign of the second axis, and the other way round.
+        # Next to the first axis' edge the second axis has one sign, and vice versa.
         side = np.sign(cos_1 * sin_2 - sin_1 * cos_2)
         from_1, from_2 = side * (cos_1 * y - sin_1 * x), side * (sin_2 * x - cos_2 * y)
         edge_1, edge_2 = erf(from_1 / (np.sqrt(2.0) * blur)), erf(from_2 / (np.sqrt(2.0) * blur))
@@ -200,7 +200,7 @@ class _Linearised:
         )
         cross = edge_1 * edge_2
         weight = read.astype(np.float64)
-        # As many columns as unknowns of the light: its plane, and that of the contrast.
+        # One column for each unknown of the light: its plane, and the plane of the contrast.
         light = np.stack([np.ones_like(x), x, y, cross, x * cross, y * cross], axis=-1) * weight[..., None]
         transposed = np.swapaxes(light, 1, 2)
         normal = transposed @ light
@@ -223,7 +223,7 @@ class _Linearised:
             )
             * weight[..., None]
         )
-        # What a change of the light does as well is no news of the corner (variable projection).
+        # Project out the illumination parameters (variable projection).
         slopes = slopes - light @ (inverse @ (transposed @ slopes))
         turned = np.swapaxes(slopes, 1, 2)
         return cls((left**2).sum(axis=1), turned @ slopes, (turned @ left[..., None])[..., 0], solved[:, 3, 0])

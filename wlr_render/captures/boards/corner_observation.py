@@ -1,4 +1,4 @@
-"""From roughly known corners of a board to an observation: sub-pixel fit, and outliers left out."""
+"""From rough positions of a board's corners to an observation: sub-pixel fit, and rejection of outliers."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ from wlr_render.captures.boards.lattice_shape import lattice_shape, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_LEAST_FOR_OUTLIERS = 9  # fewer neighbours do not tell which of them is wrong
-_MOST_DEPARTURE = 0.1  # of a cell's side: median distance of corners from where their neighbours expect them
+_LEAST_FOR_OUTLIERS = 9  # fewest corners for a rejection; fewer do not show which of them is wrong
+_MOST_DEPARTURE = 0.1  # largest median distance of corners from their neighbours' prediction, in sides of a cell
 LEAST_CORNERS = 4
 
 
@@ -25,19 +25,18 @@ def observe_corners(
     white_margin: float | None = None,
     name: str = "photograph",
 ) -> BoardObservation:
-    """Return the observation of corners that are known to about a pixel; those that do not look like one are left out.
+    """Return the observation of corners from positions accurate to about a pixel; other shapes are rejected.
 
     Args:
         image: (h, w) grey.
         index: (n, 2) column and row.
-        place: (n, 2) on the board in cells, x right and y down.
-        starts: (n, 2) pixels each, from the outer corner of the top-left pixel; where the first leads to no corner, the
-            next is tried.
+        place: (n, 2) positions on the board in cells, x right and y down.
+        starts: guesses (n, 2), pixels from the outer corner of the top-left pixel; where one fails, the next is tried.
         reach, white_margin: see `corner_fit.fit_corners`.
-        name: of the photograph, for the error.
+        name: name of the photograph, for the error.
 
     Raises:
-        BoardNotFoundError: too few corners are left, or they lie otherwise than on the board.
+        BoardNotFoundError: too few corners are left, or their arrangement differs from the board's.
     """
     if len(index) < LEAST_CORNERS:
         raise _too_few(name, len(index))
@@ -54,7 +53,7 @@ def observe_corners(
         raise _too_few(name, len(rows))
     if _departure(place[rows], pixel[rows]) > _MOST_DEPARTURE:
         raise BoardNotFoundError(
-            f"{name}: the corners seen do not lie on a plane as those of the board do; correct the numbers of columns "
+            f"{name}: the detected corners do not lie on a plane as the board's do; correct the numbers of columns "
             "and rows in board.toml, or is it another board?"
         )
     rows = rows[np.lexsort(index[rows].T)]
@@ -63,10 +62,10 @@ def observe_corners(
 
 
 def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
-    """Return the rows of corners that lie where their neighbours expect them.
+    """Return the rows of corners that agree with the prediction from their neighbours.
 
-    Over few, large cells perspective is more than a smooth map of third order: then the corners are compared with the
-    best homography, and what it leaves must be smooth. Of a very wide lens the picture has none.
+    With few, large cells perspective exceeds a smooth map of third order: then the corners are compared with the best
+    homography, whose residual must be smooth. A very wide lens has no homography.
     """
     tried = [smooth_rows(place, pixel, _LEAST_FOR_OUTLIERS)[0]]
     homography, _ = cv2.findHomography(place, pixel, cv2.LMEDS)
@@ -79,9 +78,9 @@ def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
 
 
 def _departure(place: FloatArray, pixel: FloatArray) -> float:
-    """Return the median distance of corners from where their neighbours expect them, over the side of a cell.
+    """Return the median distance of corners from their neighbours' prediction, in sides of a cell.
 
-    Neighbours are mapped smoothly, or, where few corners are seen, by a homography: lenses bend the picture of a plane.
+    The prediction is a smooth map, or a homography for few corners: lenses distort the picture of a plane.
     """
     areas = [max(float(np.linalg.det(np.cov(each.T))), 1e-12) for each in (pixel, place)]
     cell = float(np.sqrt(np.sqrt(areas[0] / areas[1])))

@@ -1,9 +1,9 @@
-"""Round features of boards: the centres of discs from the centres of area of their pictures.
+"""Centres of the discs on a board, from the centres of area of their images.
 
-The two differ by the squared radius of the disc times the curvature of the map from the board to the picture. A finder
-knows that map from the neighbours of a dot. Where dots are far apart in the picture, a lens bends more from dot to dot
-than the third-order maps of `lattice_shape` hold, and centres are wrong by tenths of a pixel. Once the lens is known,
-only the map from the board to the lens has to be fitted to the neighbours.
+The two differ by the squared radius of the disc times the curvature of the map from the board to the picture. The
+detection estimates that map from the neighbours of a dot. If dots are far apart in the picture, a lens distorts more
+from dot to dot than the third-order maps of `lattice_shape` describe, and centres are wrong by tenths of a pixel. Once
+the lens is known, only the map from the board to the lens has to be fitted to the neighbours.
 """
 
 from dataclasses import dataclass
@@ -23,11 +23,11 @@ _STEPS = np.sqrt(0.5) * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.
 
 @dataclass(frozen=True, eq=False)
 class Discs:
-    """Round features as a photograph shows them.
+    """Round features in a photograph.
 
     Attributes:
         centroid: (n, 2) centres of area of their pictures, camera pixels.
-        radius_m: (n,) on the board.
+        radius_m: (n,) radii on the board.
     """
 
     centroid: FloatArray
@@ -41,30 +41,30 @@ class Discs:
         """Return the pixels (n, 2) of the centres of the discs.
 
         Args:
-            lens: of the camera, at least roughly.
-            point: (n, 3) places of the centres on the board, board frame, metres.
+            lens: lens of the camera, at least roughly.
+            point: (n, 3) positions of the centres on the board, board frame, metres.
             pixel: (n, 2) centres to a fraction of a pixel; returned where the lens has no direction.
         """
         direction = lens.dir_of_pixel(pixel)
-        known = np.isfinite(direction).all(axis=-1)
-        if known.sum() < 2:
+        finite = np.isfinite(direction).all(axis=-1)
+        if finite.sum() < 2:
             return pixel
         result = pixel.copy()
-        shift = _centroid_shift(lens, point[known, :2], direction[known], self.radius_m[known])
-        result[known] = np.where(np.isfinite(shift), self.centroid[known] - shift, pixel[known])
+        shift = _centroid_shift(lens, point[finite, :2], direction[finite], self.radius_m[finite])
+        result[finite] = np.where(np.isfinite(shift), self.centroid[finite] - shift, pixel[finite])
         return result
 
 
 def _centroid_shift(lens: Lens, place: FloatArray, direction: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return (n, 2) centre of area of each disc's picture less the picture of its centre, pixels.
+    """Return the centre of area of each disc's image minus the image of its centre, (n, 2) pixels.
 
-    The centre of area is the mean over the disc, weighted by the area of the picture.
+    The centre of area is the mean over the disc, weighted by the area of the image.
 
     Args:
-        lens: of the camera.
-        place: (n, 2) on the board.
-        direction: (n, 3) of the centres, camera frame.
-        radius: (n,) of the discs, in the units of `place`.
+        lens: lens of the camera.
+        place: (n, 2) positions on the board.
+        direction: (n, 3) directions of the centres, camera frame.
+        radius: (n,) radii of the discs, in the units of `place`.
     """
     unit = float(np.median(cKDTree(place).query(place, 2)[0][:, 1]))
     to_view = _looking_along(direction.mean(axis=0))
@@ -75,11 +75,11 @@ def _centroid_shift(lens: Lens, place: FloatArray, direction: FloatArray, radius
     for step in radius[:, None] / unit * _STEPS[:, None]:
         bend = np.einsum("nckl,nl->nck", shape.curvature, step)
         at = tangents + np.einsum("nck,nk->nc", shape.slope + 0.5 * bend, step)
-        seen = lens.project(_forward(at) @ to_view)
-        area = np.abs(np.linalg.det(seen.by_point @ to_view[:2].T @ (shape.slope + bend)))[:, None]
+        projection = lens.project(_forward(at) @ to_view)
+        area = np.abs(np.linalg.det(projection.by_point @ to_view[:2].T @ (shape.slope + bend)))[:, None]
         weight += area
-        total += area * seen.pixel
-    with np.errstate(invalid="ignore"):  # features in one row show no area
+        total += area * projection.pixel
+    with np.errstate(invalid="ignore"):  # features in one row have no area
         return np.asarray(total / weight - lens.pixel_of_point(_forward(tangents) @ to_view))
 
 
@@ -88,7 +88,7 @@ def _forward(tangents: FloatArray) -> FloatArray:
 
 
 def _looking_along(direction: FloatArray) -> FloatArray:
-    """Return (3, 3) rotation that turns a direction into z."""
+    """Return a rotation (3, 3) that turns a direction into z."""
     z = normalised(direction)
     x = normalised(np.cross(np.eye(3)[np.argmin(np.abs(z))], z))
     return np.stack([x, np.cross(z, x), z])

@@ -1,7 +1,7 @@
 """The two-size dot board: large and small dots on a square grid; every patch is unique.
 
-A smooth map around each dot (`lattice_shape`) predicts where the dot should be, how large a lattice cell is there, and
-the offset between the centre of a disc's picture and the picture of the disc's centre.
+A smooth map around each dot (`lattice_shape`) predicts the position of the dot, the size of a lattice cell there, and
+the offset between the centre of a disc's image and the image of the disc's centre.
 """
 
 from dataclasses import dataclass
@@ -27,8 +27,8 @@ from wlr_render.captures.boards.lattice_shape import LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_TRIES = 3  # lattices, the largest first, that are compared with the board
-_LARGE_ARE_DARKEST = 75  # percentile of contrasts nearby: about the middle one of the large dots, blurred least
+_TRIES = 3  # number of lattices, the largest first, that are compared with the board
+_LARGE_ARE_DARKEST = 75  # percentile of nearby contrasts: about the median of the large dots, which are blurred least
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class DotBoard:
         large_m: diameter of large dots.
         small_m: diameter of small dots.
         margin_m: white from the outermost dots' centres to the edge of the board.
-        large: (rows, columns) which dots are large.
-        tolerances: how far the print may differ.
+        large: (rows, columns) mask of the large dots.
+        tolerances: tolerances of the print.
     """
 
     pitch_m: float
@@ -53,12 +53,12 @@ class DotBoard:
 
     @property
     def rows(self) -> int:
-        """Dots along y."""
+        """Number of dots along y."""
         return int(self.large.shape[0])
 
     @property
     def columns(self) -> int:
-        """Dots along x."""
+        """Number of dots along x."""
         return int(self.large.shape[1])
 
     @property
@@ -98,7 +98,7 @@ class DotBoard:
         return grid_indices(self.columns, self.rows)
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """Return how bright the board is at places (..., 2), x and y: 1 white, 0 dot, NaN beyond its edge.
+        """Return the reflectance at positions (..., 2), x and y: 1 white, 0 dot, NaN beyond the board's edge.
 
         Args:
             in_board: (..., 2) metres, board frame.
@@ -119,7 +119,7 @@ class DotBoard:
         return np.where((np.abs(x) <= 0.5 * width) & (np.abs(y) <= 0.5 * height), white, np.nan)
 
     def svg_shapes(self) -> list[str]:
-        """Circles in millimetres from the top left corner; large dots have the class "large", small ones "small"."""
+        """Return the circles as SVG, millimetres from the top left corner, with the class "large" or "small"."""
         index = self.indices()
         centre_mm = 1e3 * (self.point_of(index)[:, :2] + 0.5 * self.size_m)
         return [
@@ -131,12 +131,11 @@ class DotBoard:
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """Find and identify the dots in a photograph.
 
-        Dots whose size is not as printed, or which lie beside the lattice of their neighbours, are left out and
-        counted.
+        Dots of another size than printed, or off the lattice of their neighbours, are left out and counted.
 
         Args:
             image: (h, w) grey, of any exposure.
-            name: of the photograph, for the error.
+            name: name of the photograph, for the error.
 
         Raises:
             BoardNotFoundError: the board is not in the picture or too little of it, another board is, the picture is
@@ -186,7 +185,7 @@ def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) ->
 
 
 def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattice, LatticeShape]:
-    """Return the dots that lie where their neighbours expect them, the worst taken out first.
+    """Return the dots that agree with the prediction from their neighbours, rejecting the worst first.
 
     Raises:
         BoardNotFoundError: too few are left.
@@ -199,7 +198,7 @@ def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattic
 
 
 def _large(measured: MeasuredDots, dot: IntArray, shape: LatticeShape, board: DotBoard) -> BoolArray:
-    """Return (k,) which dots are large: by area over the area of a lattice cell, which no view of the board changes."""
+    """Return the mask (k,) of large dots, by area over the area of a lattice cell, which no view changes."""
     contrast = measured.contrast[dot]
     nearby = np.concatenate([contrast[:, None], contrast[shape.neighbour]], axis=1)
     area: FloatArray = measured.darkness_px2[dot] / np.percentile(nearby, _LARGE_ARE_DARKEST, axis=1)

@@ -1,7 +1,7 @@
-"""Sub-pixel dot centres: moments of the darkness relative to the background.
+"""Sub-pixel dot centres from moments of the darkness relative to the background.
 
-Moments of the whole deficit are not biased by blur, as an edge at a threshold is. To keep noise out, only a band along
-the edge counts as photographed; inside the band a dot is as dark as its inside on average, outside it is ground.
+Moments of the whole deficit are not biased by blur, unlike an edge at a threshold. To reduce noise, only a band along
+the edge uses the photograph; inside the band a dot has the mean darkness of its interior, outside there is ground.
 """
 
 from collections.abc import Iterator
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.dot_detection import Dots
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_SIZE_STEP_PX = 4  # patches' half sides are rounded up to multiples, so that there are few sizes
+_SIZE_STEP_PX = 4  # half sides of patches are rounded up to multiples, so that there are few sizes
 _OUTSIDE = -1
 
-_PASSES = 4  # the last two only matter where blur is as wide as a small dot
+_PASSES = 4  # passes; the last two matter only where blur is as wide as a small dot
 _FIRST_BAND_PX, _FIRST_BAND_PART = 2.0, 0.15  # half width of the band: pixels, and parts of the radius
-_BAND_PX, _BAND_BLURS = 1.0, 2.5  # once the blur is known
+_BAND_PX, _BAND_BLURS = 1.0, 2.5  # half width once the blur is known: pixels, and blurs
 _RING_PX, _RING_PART = 2.0, 0.3  # width of the ring of ground around the band
 _LEAST_GROUND_PX = 10
-_LEAST_INSIDE_PX = 10  # for a noise of its own
-_SAMPLING_ERROR_PX = 0.004  # what squares of a pixel leave of a small dot without any noise
-_QUANTUM_VARIANCE = 1.0 / 12.0  # of rounding to whole grey values
+_LEAST_INSIDE_PX = 10  # fewest interior pixels for a noise estimate
+_SAMPLING_ERROR_PX = 0.004  # error of a small dot without noise, from square pixels
+_QUANTUM_VARIANCE = 1.0 / 12.0  # variance of rounding to whole grey values
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class _Patches:
     """Square patches around m dots, each as a row of p pixels.
 
     Attributes:
-        dot: (m,) which dots.
-        grey: (m, p).
+        dot: (m,) numbers of the dots.
+        grey: (m, p) grey values.
         x, y: (m, p) pixel centres from the dot's centre.
-        foreign: (m, p) in or near another dot.
-        outside: (m, p) beyond the edge of the picture.
+        foreign: (m, p) mask of pixels in or near another dot.
+        outside: (m, p) mask of pixels outside the picture.
     """
 
     dot: IntArray
@@ -50,14 +50,14 @@ class _Patches:
 def _patches_around(
     grey: FloatArray, dots: Dots, which: IntArray, near_px: FloatArray, reach_px: FloatArray
 ) -> Iterator[_Patches]:
-    """Yield the patches of those dots that have a place in the picture.
+    """Yield image patches around the dots that lie in the picture, batched by size.
 
     Args:
-        grey: (h, w).
-        dots: (n) all that is dark, since a neighbour is not ground; NaN for what was given up.
-        which: (m,) the dots that are wanted.
-        near_px: (n,) so far beyond its edge a pixel still belongs to a dot.
-        reach_px: (n,) so far beyond its edge the patch must reach.
+        grey: (h, w) grey values.
+        dots: (n) all dark shapes, since a neighbour is not ground; NaN for rejected ones.
+        which: (m,) numbers of the dots to cut out.
+        near_px: (n,) distance beyond its edge at which a pixel still belongs to a dot.
+        reach_px: (n,) distance beyond its edge that the patch must cover.
     """
     sound = dots.sound & np.all((dots.centre > 0) & (dots.centre < np.array(grey.shape)[::-1]), axis=-1)
     which = which[sound[which]]
@@ -95,12 +95,12 @@ def _of_one_size(
 
 
 def _owners(grey: FloatArray, dots: Dots, near_px: FloatArray, which: IntArray) -> NDArray[np.int32]:
-    """Return (h, w) which dot, counted from 1, a pixel is in or near; 0 for ground."""
+    """Return the dot (h, w), counted from 1, that a pixel is in or near; 0 for ground."""
     owner = np.zeros(grey.shape, np.int32)
     squares, axes = np.linalg.eigh(dots.spread[which])
     angle = np.rad2deg(np.arctan2(axes[:, 1, 0], axes[:, 0, 0])).tolist()
     centre = (dots.centre[which] - 0.5).tolist()
-    # The inner parts last: where what is near to two dots overlaps, the nearer one has it.
+    # The inner parts come last: a pixel near two dots belongs to the nearer one.
     for part in (1.0, 0.5, 0.0):
         size = (2.0 * (2.0 * np.sqrt(squares) + part * near_px[which, None])).tolist()
         for place, dot in enumerate(which.tolist()):
@@ -110,14 +110,14 @@ def _owners(grey: FloatArray, dots: Dots, near_px: FloatArray, which: IntArray) 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDots:
-    """Dots with all that a photograph says of them; NaN throughout for those that could not be measured.
+    """Measurements of dots; NaN for dots that could not be measured.
 
     Attributes:
-        dots: (n) the ellipses; their centres are centres of area, their spreads have the blur in them.
-        darkness_px2: (n,) light that the dot takes, in pixels of ground: its area, times how black it is.
-        contrast: (n,) how black the middle of the dot is: 1 for black, 0 for ground.
+        dots: (n) the ellipses; their centres are centres of area, their spreads include the blur.
+        darkness_px2: (n,) missing light of the dot in pixels of ground: its area times its contrast.
+        contrast: (n,) contrast of the middle of the dot: 1 for black, 0 for ground.
         sigma_px: (n,) standard deviation of the centres per axis.
-        blur_px: (n,) standard deviation of the blur of the edge, of pixels too.
+        blur_px: (n,) standard deviation of the edge's blur, pixel integration included.
     """
 
     dots: Dots
@@ -129,7 +129,7 @@ class MeasuredDots:
 
 @dataclass(frozen=True, eq=False)
 class _Regions:
-    """Which pixels (m, p) of patches are what; the ring is of ground, the middle the darkest part of the inside."""
+    """Classes of the pixels (m, p) of patches: the ring is ground, the middle the darkest part of the interior."""
 
     edge: BoolArray
     inside: BoolArray
@@ -139,12 +139,12 @@ class _Regions:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """A plane of light fitted to each ring.
+    """Plane of light fitted to each ring.
 
     Attributes:
-        level: (m,) at the dot's centre.
-        deficit: (m, p) what a pixel lacks of the ground's light there, as a part of it: light that falls unevenly on
-            a dot does not shift its centre.
+        level: (m,) light at the dot's centre.
+        deficit: (m, p) missing fraction of the ground's light at a pixel: uneven light on a dot does not shift its
+            centre.
         covariance: (m, 3, 3) of the plane's 1, x, y for pixels of unit noise.
     """
 
@@ -154,15 +154,16 @@ class _Ground:
 
 
 def measure_dots(image: NDArray[np.generic], dots: Dots, which: IntArray) -> MeasuredDots:
-    """Return the centres, areas and their noise for dots known to about a pixel.
+    """Measure the centres, areas and their noise, for dots whose positions are accurate to about a pixel.
 
     Args:
         image: (h, w) grey.
-        dots: (n) all dots near, since a neighbour is not ground.
-        which: (m,) those to be measured.
+        dots: (n) all dots nearby, since a neighbour is not ground.
+        which: (m,) numbers of the dots to measure.
 
     Returns:
-        Of n dots, NaN for those that were not wanted, are cut off by the edge of the picture, or have no ground.
+        Measurements of n dots, NaN for dots that are not in `which`, are cut off by the edge of the picture, or have no
+        ground.
     """
     grey = image.astype(np.float64)
     band = _FIRST_BAND_PX + _FIRST_BAND_PART * dots.radius
@@ -177,7 +178,7 @@ def measure_dots(image: NDArray[np.generic], dots: Dots, which: IntArray) -> Mea
 
 
 def _updated(dots: Dots, measured: Dots, which: IntArray, blur: float) -> Dots:
-    """Measured dots without their blur, and the others as they were; at most half of their width is taken for blur."""
+    """Return the measured dots without their blur (at most half their width), and the other dots unchanged."""
     centre, spread = dots.centre.copy(), dots.spread.copy()
     new = measured.spread[which]
     half_least = 0.5 * _determinant(new) / (new[:, 0, 0] + new[:, 1, 1])
@@ -187,7 +188,7 @@ def _updated(dots: Dots, measured: Dots, which: IntArray, blur: float) -> Dots:
 
 
 def _measured_once(grey: FloatArray, dots: Dots, which: IntArray, band: FloatArray) -> MeasuredDots:
-    """Return one pass with the windows where the dots were believed to be."""
+    """Measure once, with windows at the estimated positions of the dots."""
     number = len(dots)
     centre, spread = np.full((number, 2), np.nan), np.full((number, 2, 2), np.nan)
     darkness, contrast, sigma, blur = np.full((4, number), np.nan)
@@ -203,7 +204,7 @@ def _ring_width(dots: Dots) -> FloatArray:
 
 
 def _moments(patches: _Patches, dots: Dots, band: FloatArray) -> tuple[FloatArray, ...]:
-    """Centre, spread, darkness, contrast, sigma and blur of m dots; NaN where a dot is cut off or has no ground."""
+    """Return centre, spread, darkness, contrast, sigma and blur of m dots; NaN if cut off or without ground."""
     regions = _regions(patches, dots, band)
     ground = _ground(patches, regions.ring)
     x, y, deficit = patches.x, patches.y, ground.deficit
@@ -230,14 +231,14 @@ def _moments(patches: _Patches, dots: Dots, band: FloatArray) -> tuple[FloatArra
 
 def _regions(patches: _Patches, dots: Dots, band: FloatArray) -> _Regions:
     beyond_edge = _beyond_edge(patches, dots.spread)
-    width, own = band[:, None], ~patches.foreign
-    ring = (beyond_edge > width) & (beyond_edge < width + _ring_width(dots)[:, None]) & own & ~patches.outside
+    width, interior = band[:, None], ~patches.foreign
+    ring = (beyond_edge > width) & (beyond_edge < width + _ring_width(dots)[:, None]) & interior & ~patches.outside
     middle = beyond_edge < np.minimum(-0.5 * dots.radius, -1.0)[:, None]
-    return _Regions((np.abs(beyond_edge) <= width) & own, beyond_edge < -width, middle, ring)
+    return _Regions((np.abs(beyond_edge) <= width) & interior, beyond_edge < -width, middle, ring)
 
 
 def _beyond_edge(patches: _Patches, spread: FloatArray) -> FloatArray:
-    """Return (m, p) distance of pixels from an ellipse, negative inside, to first order of a cone through it."""
+    """Return the distance (m, p) of pixels from an ellipse, negative inside, to first order of a cone through it."""
     inverse = np.linalg.inv(spread)[..., None]
     steep_x = inverse[:, 0, 0] * patches.x + inverse[:, 0, 1] * patches.y
     steep_y = inverse[:, 1, 0] * patches.x + inverse[:, 1, 1] * patches.y
@@ -249,7 +250,7 @@ def _beyond_edge(patches: _Patches, spread: FloatArray) -> FloatArray:
 def _ground(patches: _Patches, ring: BoolArray) -> _Ground:
     basis = np.stack([np.ones_like(patches.x), patches.x, patches.y], axis=-1)
     of_ring = np.swapaxes(np.where(ring[..., None], basis, 0.0), 1, 2)
-    # A ring without pixels gives a plane of zero; it is refused for that.
+    # A ring without pixels gives a plane of zero, which is refused.
     covariance = np.linalg.inv(of_ring @ basis + 1e-6 * np.eye(3))
     plane = covariance @ (of_ring @ patches.grey[..., None])
     light = (basis @ plane)[..., 0]
@@ -258,8 +259,9 @@ def _ground(patches: _Patches, ring: BoolArray) -> _Ground:
 
 
 def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatArray:
-    """(m,) variance of first moments per axis for pixels of unit noise: of the band itself, and by the ground's plane
-    that is subtracted from all of it.
+    """(m,) variance of first moments per axis for pixels of unit noise.
+
+    It is the variance of the band itself, plus that of the ground's plane, which is subtracted everywhere.
     """
     x, y = np.where(edge, patches.x, 0.0), np.where(edge, patches.y, 0.0)
     xx, xy, yy = _dot(x, x), _dot(x, y), _dot(y, y)
@@ -271,7 +273,7 @@ def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatA
 
 
 def _noise_variance(deficit: FloatArray, regions: _Regions) -> FloatArray:
-    """Return (m,) of a pixel of the edge: the mean of the ground's and, where a dot has an inside, the dot's."""
+    """Return the variance (m,) of a pixel of the edge: mean of the ground's and, with an interior, the dot's."""
     ground_px, inside_px = regions.ring.sum(axis=1), regions.inside.sum(axis=1)
     ground = _dot(np.where(regions.ring, deficit, 0.0), deficit) / np.maximum(ground_px - 3, 1)
     off = np.where(regions.inside, deficit - _mean(deficit, regions.inside)[:, None], 0.0)
@@ -280,14 +282,14 @@ def _noise_variance(deficit: FloatArray, regions: _Regions) -> FloatArray:
 
 
 def _blur(depth: FloatArray, edge: BoolArray, variance: FloatArray, dots: Dots) -> FloatArray:
-    """(m,) standard deviation of the blur of an edge: across it, depth * (1 - depth) sums to that over root pi."""
+    """Return the standard deviation (m,) of an edge's blur: across it, depth * (1 - depth) sums to blur / root pi."""
     mixed = np.where(edge, depth * (1.0 - depth), 0.0).sum(axis=1) + edge.sum(axis=1) * variance
     perimeter = 2.0 * np.pi * np.sqrt(2.0 * (dots.spread[:, 0, 0] + dots.spread[:, 1, 1]))
     return np.asarray(np.sqrt(np.pi) * np.maximum(mixed, 0.0) / perimeter)
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return (m, p), (m, p) -> (m,)."""
+    """Return the row-wise scalar products (m,) of (m, p) and (m, p)."""
     return np.asarray((a[:, None, :] @ b[:, :, None])[:, 0, 0])
 
 

@@ -1,4 +1,4 @@
-"""Identify which part of a board a lattice fragment shows, over all positions and rotations."""
+"""Identification of the part of a board that a lattice fragment shows, over all positions and rotations."""
 
 import math
 from dataclasses import dataclass
@@ -9,22 +9,22 @@ from scipy.signal import correlate
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_LEAD = 3  # sizes by which the best place must be better than the second best: two misread dots cannot bridge it
-_CHANCE = 2e-3  # that dots of random sizes fit the board somewhere as well
+_LEAD = 3  # dots by which the best position must be better than the second best: two misread dots cannot bridge it
+_CHANCE = 2e-3  # largest probability that dots of random sizes fit the board somewhere equally well
 _QUARTER = np.array([[0, 1], [-1, 0]])
 _MIRROR = np.array([[0, 1], [1, 0]])
 _WAYS = [mirror @ np.linalg.matrix_power(_QUARTER, q) for mirror in (np.eye(2, dtype=int), _MIRROR) for q in range(4)]
-_PROPER = 4  # so many of the ways are no mirror images
+_PROPER = 4  # number of orientations that are not mirror images
 
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """A fragment laid on the board one way, at every place.
+    """A fragment laid on the board in one orientation, at every position.
 
     Attributes:
-        way: (2, 2) so that a dot's index times it, plus a shift, is its column and row.
-        disagreeing: (places of rows, places of columns) dots that are not as the board has them, or off the board.
-        first_shift: (2,) shift in columns and rows of the first place.
+        way: (2, 2) matrix; a dot's index times it, plus a shift, is its column and row.
+        disagreeing: (row shifts, column shifts) number of dots that differ from the board's, or are off the board.
+        first_shift: (2,) first shift in columns and rows.
     """
 
     way: IntArray
@@ -33,33 +33,34 @@ class _Placed:
 
 
 def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> IntArray:
-    """Return the column and row (k, 2) on the board of each dot of a fragment; some may lie beyond the board.
+    """Return the (column, row) on the board of each dot of a fragment, (k, 2); some may lie beyond the board.
 
     Args:
         index: (k, 2) lattice coordinates, the second axis clockwise of the first as in a picture.
-        is_large: (k,) sizes as seen, a few of them wrong.
-        board_large: (rows, columns) as printed.
+        is_large: (k,) measured sizes, a few of them wrong.
+        board_large: (rows, columns) printed sizes.
 
     Raises:
-        BoardNotFoundError: no place fits better than chance, or two fit about as well, or only the mirror image fits.
+        BoardNotFoundError: no position fits better than chance, or two fit about equally, or only the mirror image
+            fits.
     """
     placed = [_placed(index, is_large, board_large, way) for way in _WAYS]
     best = min(range(len(placed)), key=lambda way: placed[way].disagreeing.min())
     first, second = np.partition(np.concatenate([each.disagreeing.ravel() for each in placed]), 1)[:2]
-    seen = len(index)
+    count = len(index)
     places = len(_WAYS) * board_large.size
-    if places * _share_as_good(int(first), seen) > _CHANCE:
-        raise BoardNotFoundError(_too_few(seen, int(first), places))
+    if places * _share_as_good(int(first), count) > _CHANCE:
+        raise BoardNotFoundError(_too_few(count, int(first), places))
     if second - first < _LEAD:
         raise BoardNotFoundError(
-            f"{seen} dots in one piece were seen, and they fit the board in more than one place; "
-            f"more of them are needed, {seen + 10} in one piece or more."
+            f"{count} dots in one piece were seen, and they fit the board in more than one place; "
+            f"more of them are needed, {count + 10} in one piece or more."
         )
     if best >= _PROPER:
         raise BoardNotFoundError("the picture is mirrored: only the mirror image of its dots is on the board.")
-    found = placed[best]
-    row, column = np.unravel_index(int(found.disagreeing.argmin()), found.disagreeing.shape)
-    return np.asarray(index @ found.way + found.first_shift + np.array([column, row]))
+    position = placed[best]
+    row, column = np.unravel_index(int(position.disagreeing.argmin()), position.disagreeing.shape)
+    return np.asarray(index @ position.way + position.first_shift + np.array([column, row]))
 
 
 def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: IntArray) -> _Placed:
@@ -73,26 +74,26 @@ def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: I
     def over_all_places(of_board: FloatArray, of_fragment: FloatArray) -> IntArray:
         return np.asarray(np.rint(correlate(of_board, of_fragment, mode="full")), dtype=np.int64)
 
-    # On the board, dots that agree less dots that do not; and how many lie on the board.
+    # Dots on the board that agree minus dots that do not; and the number of dots on the board.
     balance = over_all_places(board, fragment)
     on_board = over_all_places(np.ones_like(board), np.abs(fragment))
     disagreeing = len(index) - (balance + on_board) // 2
     return _Placed(way, disagreeing, -low - np.array([columns - 1, rows - 1]))
 
 
-def _share_as_good(disagreeing: int, seen: int) -> float:
-    """Return the part of all size patterns of so many dots with as many disagreeing or fewer."""
-    as_good = sum(math.comb(seen, wrong) for wrong in range(disagreeing + 1))
-    # Whole numbers: a float overflows at a thousand dots.
-    share: float = as_good / 2**seen
+def _share_as_good(disagreeing: int, count: int) -> float:
+    """Return the share of all size patterns of this length with as few disagreeing dots."""
+    as_good = sum(math.comb(count, wrong) for wrong in range(disagreeing + 1))
+    # Integers: a float overflows at a thousand dots.
+    share: float = as_good / 2**count
     return share
 
 
-def _too_few(seen: int, disagreeing: int, places: int) -> str:
+def _too_few(count: int, disagreeing: int, places: int) -> str:
     needed = next(n for n in range(1, 10_000) if places * _share_as_good(0, n) <= _CHANCE)
-    if seen < needed:
-        return f"only {seen} dots in one piece were seen; at least {needed} are needed to tell which part it is."
+    if count < needed:
+        return f"only {count} dots in one piece were seen; at least {needed} are needed to tell which part it is."
     return (
-        f"{seen} dots in one piece were seen, but {disagreeing} of them have other sizes than the board has "
+        f"{count} dots in one piece were seen, but {disagreeing} of them have other sizes than the board has "
         "where they fit best; is it another board?"
     )

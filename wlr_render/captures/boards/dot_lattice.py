@@ -1,6 +1,6 @@
-"""Assign integer coordinates to dots of a square lattice, distorted by lens, perspective and optics.
+"""Integer coordinates for dots of a square lattice that lens, perspective and optics distort.
 
-A dot's ellipse says how the board is foreshortened there, but for a rotation; with that undone its neighbours form a
+A dot's ellipse shows the local foreshortening of the board, up to a rotation; with that undone its neighbours form a
 right-angled cross. From a clear cross the lattice grows, each step predicted by the steps around it.
 """
 
@@ -14,15 +14,15 @@ from scipy.spatial import cKDTree
 from wlr_render.captures.boards.dot_detection import Dots
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_NEIGHBOURS = 16  # that hold the four arms of the cross up to a foreshortening of 1 to 2
+_NEIGHBOURS = 16  # neighbours that include the four arms of the cross up to a foreshortening of 1 to 2
 _SHAPE_NEIGHBOURS = 7
-_CROSS_TOLERANCE = 0.3  # of an arm, for the other three
-_STEP_TOLERANCE = 0.22  # of a step, between where a dot is expected and found
-_INHERITED = 1.0  # weight of the parent's steps beside what the neighbours say
+_CROSS_TOLERANCE = 0.3  # tolerance of the other three arms, in lengths of an arm
+_STEP_TOLERANCE = 0.22  # largest distance of a dot from its prediction, in steps
+_INHERITED = 1.0  # weight of the parent's steps relative to a neighbour's
 LEAST_DOTS = 9
-"""Fewer are no lattice."""
+"""Fewest dots of a lattice."""
 
-_MOST_SEEDS = 60  # crosses from which growing is tried
+_MOST_SEEDS = 60  # most crosses from which a lattice is grown
 _AROUND = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if (i, j) != (0, 0)])
 _NEAR_FIRST = _AROUND[np.argsort(np.abs(_AROUND).max(axis=1) * 3 + np.abs(_AROUND).sum(axis=1), kind="stable")]
 
@@ -32,7 +32,7 @@ class DotLattice:
     """Dots that lie on one lattice.
 
     Attributes:
-        dot: (k,) which dots.
+        dot: (k,) numbers of the dots.
         index: (k, 2) their integer coordinates; the second axis lies clockwise of the first, as v of u.
     """
 
@@ -54,16 +54,16 @@ def link_lattices(dots: Dots) -> list[DotLattice]:
     tree = cKDTree(dots.centre)
     seeds, steps = _crosses(dots, tree)
     free = np.ones(len(dots), dtype=bool)
-    found: list[DotLattice] = []
+    lattices: list[DotLattice] = []
     for seed, step in zip(seeds, steps, strict=True):
-        if len(found) >= _MOST_SEEDS:
+        if len(lattices) >= _MOST_SEEDS:
             break
         if not free[seed]:
             continue
         lattice = _grown(dots.centre, tree, int(seed), step, free)
         free[lattice.dot] = False
-        found.append(lattice)
-    return sorted((each for each in found if len(each) >= LEAST_DOTS), key=len, reverse=True)
+        lattices.append(lattice)
+    return sorted((each for each in lattices if len(each) >= LEAST_DOTS), key=len, reverse=True)
 
 
 def _crosses(dots: Dots, tree: cKDTree) -> tuple[IntArray, FloatArray]:
@@ -76,10 +76,10 @@ def _crosses(dots: Dots, tree: cKDTree) -> tuple[IntArray, FloatArray]:
     length = np.linalg.norm(straightened, axis=-1)
     arm = np.take_along_axis(straightened, np.argsort(length, axis=1)[:, :4, None], axis=1)
     quarter = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
-    others = np.stack([arm, quarter, -arm, -quarter], axis=2)  # (n, arm, of the cross, 2)
+    others = np.stack([arm, quarter, -arm, -quarter], axis=2)  # (n, arm, direction in the cross, 2)
     away = np.linalg.norm(others[:, :, :, None, :] - straightened[:, None, None, :, :], axis=-1)
     off = away.min(axis=-1).max(axis=-1) / np.maximum(np.linalg.norm(arm, axis=-1), 1e-9)
-    # The shortest cross that is one: a longer one would skip dots.
+    # The shortest valid cross: a longer one would skip dots.
     first = np.argmax(off < _CROSS_TOLERANCE, axis=1)
     every = np.arange(len(dots))
     error = off[every, first]
@@ -99,24 +99,26 @@ def _straightening(dots: Dots, near: IntArray) -> FloatArray:
 
 
 def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free: NDArray[np.bool_]) -> DotLattice:
-    """Return all that hangs together with a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
+    """Return the connected lattice of a seed; `step` is (2, 2), pixels per unit of each coordinate in rows."""
     at = {(0, 0): seed}
     index_of = {seed: (0, 0)}
     steps_of = {seed: step}
     waiting = deque([seed])
     while waiting:
         dot = waiting.popleft()
-        own = np.array(index_of[dot])
-        around = [(offset, at.get((own[0] + offset[0], own[1] + offset[1]))) for offset in _NEAR_FIRST]
-        known = [(offset, other) for offset, other in around if other is not None]
-        steps_of[dot] = _local_step(centre, dot, known, steps_of[dot])
+        centre_index = np.array(index_of[dot])
+        around = [
+            (offset, at.get((centre_index[0] + offset[0], centre_index[1] + offset[1]))) for offset in _NEAR_FIRST
+        ]
+        linked = [(offset, other) for offset, other in around if other is not None]
+        steps_of[dot] = _local_step(centre, dot, linked, steps_of[dot])
         open_offsets = np.array([offset for offset, other in around if other is None])
         if not len(open_offsets):
             continue
         reach = _STEP_TOLERANCE * min(np.linalg.norm(steps_of[dot], axis=1))
         away, nearest = tree.query(centre[dot] + open_offsets @ steps_of[dot], distance_upper_bound=reach)
         for offset, other in zip(open_offsets[np.isfinite(away)], nearest[np.isfinite(away)], strict=True):
-            place = (int(own[0] + offset[0]), int(own[1] + offset[1]))
+            place = (int(centre_index[0] + offset[0]), int(centre_index[1] + offset[1]))
             if other in index_of or place in at or not free[other]:
                 continue
             at[place], index_of[int(other)], steps_of[int(other)] = int(other), place, steps_of[dot]
@@ -124,9 +126,11 @@ def _grown(centre: FloatArray, tree: cKDTree, seed: int, step: FloatArray, free:
     return DotLattice(np.array(list(index_of)), np.array(list(index_of.values())))
 
 
-def _local_step(centre: FloatArray, dot: int, known: list[tuple[IntArray, int]], inherited: FloatArray) -> FloatArray:
-    """(2, 2) least squares of the steps to known neighbours, held to the inherited ones where they say nothing."""
-    near = [(offset, other) for offset, other in known if np.abs(offset).max() == 1]
+def _local_step(
+    centre: FloatArray, dot: int, neighbours: list[tuple[IntArray, int]], inherited: FloatArray
+) -> FloatArray:
+    """Return the least-squares step (2, 2) to known neighbours, regularised towards the inherited steps."""
+    near = [(offset, other) for offset, other in neighbours if np.abs(offset).max() == 1]
     if not near:
         return inherited
     offsets = np.array([offset for offset, _ in near], dtype=np.float64)

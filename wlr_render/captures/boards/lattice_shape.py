@@ -1,7 +1,7 @@
 """Smooth maps from lattice coordinates to pixels around each feature of a board.
 
-Such a map predicts where a feature should be, how large a lattice cell is there, and the offset between the centre of a
-disc's picture and the picture of the disc's centre.
+Such a map predicts the position of a feature, the size of a lattice cell there, and the offset between the centre of a
+disc's image and the image of the disc's centre.
 """
 
 import math
@@ -12,29 +12,29 @@ from scipy.spatial import cKDTree
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_NEIGHBOURS = 24  # a 5 x 5 window without its middle
-_POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # of x and y: 1, x, y, x^2, x y, y^2, ...
-_STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to show them
+_NEIGHBOURS = 24  # number of neighbours: a 5 x 5 window without its middle
+_POWERS = [(total - j, j) for total in range(4) for j in range(total + 1)]  # powers of x and y: 1, x, y, x^2, x y, ...
+_STIFFNESS = 1e-3  # keeps second and third orders finite where a fragment is too narrow to determine them
 
-_LEAST_STIFFNESS = 1e-9  # of first orders: a row of dots alone has no slope across, and gets zero
+_LEAST_STIFFNESS = 1e-9  # stiffness of first orders: a single row of dots gets a slope of zero across it
 
-_OUTLIER_SPREADS = 6.0  # of the usual departure from the lattice
-_OUTLIER_CELLS = 0.005  # of a cell's side; less is never an outlier
-_LEAST_CELL = 0.05  # of the usual one; under a row of dots alone there are none
+_OUTLIER_SPREADS = 6.0  # outlier threshold, in usual departures from the lattice
+_OUTLIER_CELLS = 0.005  # least outlier threshold, in sides of a cell
+_LEAST_CELL = 0.05  # least area of a cell relative to the usual one; a single row of dots has no cells
 
 
 @dataclass(frozen=True, eq=False)
 class LatticeShape:
     """Third-order maps around n features, each fitted to its neighbours without itself.
 
-    At the edge of a fragment all neighbours lie on one side; with second orders only, third ones would pass for them.
+    At the edge of a fragment all neighbours lie on one side; a second-order map would mistake third orders for second.
 
     Attributes:
-        expected: (n, 2) pixel where the neighbours say that the dot is.
-        doubt: (n,) standard deviation per axis of the dot's distance from there, for dots of unit noise.
+        expected: (n, 2) pixels of the dots predicted from their neighbours.
+        doubt: (n,) standard deviation per axis of the dot's distance from the prediction, for dots of unit noise.
         slope: (n, 2, 2) pixels (rows) per lattice unit (columns).
         curvature: (n, 2, 2, 2) second derivatives: of pixel, by lattice unit, by lattice unit.
-        neighbour: (n, k) which dots were used.
+        neighbour: (n, k) numbers of the dots that were used.
     """
 
     expected: FloatArray
@@ -45,20 +45,20 @@ class LatticeShape:
 
     @property
     def cell_px2(self) -> FloatArray:
-        """(n,) area of a lattice cell in the picture."""
+        """Area of a lattice cell in the picture, (n,)."""
         return np.asarray(np.abs(np.linalg.det(self.slope)))
 
     def centroid_shift(self, radius: FloatArray) -> FloatArray:
-        """Return (n, 2) centre of area of a disc's picture less the picture of its centre, pixels.
+        """Return the centre of area of a disc's image minus the image of its centre, (n, 2) pixels.
 
         With f the map, J its slope and the disc's second moments radius^2 / 4 per axis: the integral of f |J| over the
-        integral of |J|, to second order. For a plane seen in perspective it is what J. Heikkila, "Geometric camera
-        calibration using circular control points", PAMI 22 (2000) 1066, corrects; lenses and optics are in it too.
+        integral of |J|, to second order. For a plane in perspective it is the correction of J. Heikkila, "Geometric
+        camera calibration using circular control points", PAMI 22 (2000) 1066; it includes lenses and optics.
 
         Args:
-            radius: (n,) of the discs, lattice units.
+            radius: (n,) radii of the discs, lattice units.
         """
-        growth = np.einsum("nlc,nckl->nk", np.linalg.inv(self.slope), self.curvature)  # of ln |J|
+        growth = np.einsum("nlc,nckl->nk", np.linalg.inv(self.slope), self.curvature)  # gradient of ln |J|
         mean_lift = 0.5 * np.einsum("nckk->nc", self.curvature)
         return np.asarray(0.25 * radius[:, None] ** 2 * (mean_lift + np.einsum("nck,nk->nc", self.slope, growth)))
 
@@ -83,12 +83,12 @@ def lattice_shape(index: FloatArray | IntArray, pixel: FloatArray) -> LatticeSha
 
 
 def smooth_rows(index: FloatArray | IntArray, pixel: FloatArray, least: int) -> tuple[IntArray, LatticeShape | None]:
-    """Return which features lie where their neighbours expect them, and their maps; the worst are taken out first.
+    """Return the features that agree with their neighbours, and their maps; the worst are rejected first.
 
     Args:
         index: (n, 2) lattice coordinates.
         pixel: (n, 2) where they are seen.
-        least: where fewer are left, the maps are None.
+        least: fewest features; if fewer are left, the maps are None.
     """
     rows = np.arange(len(index))
     while len(rows) >= least:

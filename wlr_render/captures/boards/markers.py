@@ -8,10 +8,10 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 
 def dictionary_of(name: str) -> cv2.aruco.Dictionary:
-    """Return OpenCV's dictionary of a name, e.g. "DICT_5X5_1000".
+    """Return OpenCV's dictionary by name, e.g. "DICT_5X5_1000".
 
     Raises:
-        BadInputError: there is no such dictionary; the sentence lists all.
+        BadInputError: the name is unknown; the sentence lists all names.
     """
     if name not in DICTIONARIES:
         raise BadInputError(f"there is no dictionary '{name}'; choose from {', '.join(DICTIONARIES)}.")
@@ -30,12 +30,12 @@ LARGEST_DICTIONARIES = tuple(
 def marker_cells(
     dictionary: cv2.aruco.Dictionary, number: int, corner: FloatArray, side: float, border_bits: int = 1
 ) -> tuple[FloatArray, BoolArray]:
-    """Return a marker's bits with its border as (k, 4) left, top, right, bottom, and (k,) which are black.
+    """Return a marker's bits with its border: (k, 4) left, top, right and bottom, and a mask (k,) of black ones.
 
     Args:
-        dictionary, number: which marker.
+        dictionary, number: the marker.
         corner: (2,) its top left corner, metres.
-        side: of the marker with its border, metres.
+        side: side of the marker with its border, metres.
         border_bits: width of the border in bits.
     """
     bits = dictionary.markerSize + 2 * border_bits
