@@ -19,6 +19,7 @@ from wlr_render.jobs.plan.search import chosen_design, find_design
 from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.report.blocks import Plot
 
 DEVICE = "birdbath28"
 ACCURACY = 0.2
@@ -212,7 +213,16 @@ def test_the_report_states_places_photographs_and_errors(search, tmp_path, monke
     assert (
         f"{stated:.2g}' at 95 % of the eye box, as predicted from a simulated session of this design" in report.verdict
     )
-    (designs,) = [each for each in report.tables if each.title == "Designs"]
+    (designs,) = [each for each in report.tables if each.title == "Predicted error by number of camera places"]
+    counts = [row[0] for row in designs.rows]
+    assert counts == sorted(counts)
+    assert sum(row[-1] == "recommended" for row in designs.rows) <= 1
+    assert all(row[3] < row[4] and row[5] < row[6] and row[7] < row[8] for row in designs.rows)
+    (plot,) = [each for each in report.blocks if isinstance(each, Plot) and each.title == designs.title]
+    spreads, *_, own, _ = plot.data
+    ends = [y + above for y, above in zip(spreads["y"], spreads["error_y"]["array"], strict=True)]
+    assert ends == pytest.approx([row[8] for row in designs.rows if row[1].startswith("spread")], rel=1e-3)
+    assert (own["x"], own["y"][0] + own["error_y"]["array"][0]) == ([count], pytest.approx(stated, rel=1e-3))
     assert f"itself then predicts {stated:.3g}' at 95 %, the figure stated above" in designs.notes[0]
     with (tmp_path / PLACES_FILE).open(newline="", encoding="utf-8") as file:
         rows = [[float(each) for each in row.values()] for row in csv.DictReader(file)]

@@ -1,6 +1,7 @@
 """Report of a planned session: how many places, where, how long, predicted error, and what limits it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
 from wlr_render.report.plots import axis, curves
 
 _CELLS = 25  # of the map, across the eye box
+_FIGURES = ("median (arcmin)", "95 % (arcmin)")
 _WORTH = 0.05  # part of the error that a change takes away, to be named
 
 
@@ -36,9 +38,9 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
     models = search.predictor.models(design.unit)
     blocks: list[Block] = [
         _errors_table(errors, simulated),
-        _limits_table(search),
         _designs_table(search),
         _curves(search, accuracy_arcmin),
+        _limits_table(search),
         error_map(*models, bench.truth.eye_box, bench.places(design.unit), search.predictor.tests),
         ReportTable(
             "Photographs",
@@ -159,32 +161,48 @@ def _limits_table(search: DesignSearch) -> ReportTable:
 
 
 def _designs_table(search: DesignSearch) -> ReportTable:
+    """Return the predicted errors of every design that was tried, by number of camera places."""
     rows: list[list[Cell]] = []
-    for tried in search.tried.values():
-        for each in sorted(tried, key=lambda one: len(one.design)):
-            mark = "recommended" if each.design is search.recommended.design else ""
-            found = each.errors.registration
-            total = sum(search.predictor.bench.photographs(len(each.design)).values())
-            rows.append([each.design.name, len(each.design), total, found.median, found.p95, mark])
-    columns = ["design", "places", "photographs", "registration, median (arcmin)", "registration, 95 % (arcmin)", ""]
+    every = [each for tried in search.tried.values() for each in tried]
+    for each in sorted(every, key=lambda one: len(one.design)):
+        total = sum(search.predictor.bench.photographs(len(each.design)).values())
+        sizes = (each.errors.display, each.errors.see_through, each.errors.registration)
+        figures = [figure for size in sizes for figure in (size.median, size.p95)]
+        mark = "recommended" if each.design is search.recommended.design else ""
+        rows.append([len(each.design), each.design.name, total, *figures, mark])
+    columns = ["places", "design", "photographs"]
+    columns += [f"{size}, {figure}" for size in ("display", "see-through", "registration") for figure in _FIGURES]
     notes = (
         "All predicted from one simulated session, the pilot, so that designs can be compared. The session of the "
         f"recommended design itself then predicts {search.recommended.p95:.3g}' at 95 %, the figure stated above.",
         "Spread: no two places share a column or a row. Chosen: the places with the least predicted variance over the "
         "eye box. A grid has few levels of x and y for its number of places.",
     )
-    return ReportTable("Designs", columns, rows, notes)
+    return ReportTable("Predicted error by number of camera places", [*columns, ""], rows, notes)
 
 
 def _curves(search: DesignSearch, accuracy_arcmin: float) -> Plot:
-    lines = {}
-    for family, tried in search.tried.items():
-        sorted_ = sorted(tried, key=lambda one: len(one.design))
-        lines[family] = ([len(one.design) for one in sorted_], [one.p95 for one in sorted_])
+    """Return the registration error by number of camera places, with a bar from the median to 95 % of the eye box."""
+    found = {family: sorted(tried, key=lambda one: len(one.design)) for family, tried in search.tried.items()}
+    found["recommended, from its own session"] = [search.recommended]
+    lines = {
+        name: ([len(each.design) for each in tried], [each.errors.registration.median for each in tried])
+        for name, tried in found.items()
+    }
     counts = [count for xs, _ in lines.values() for count in xs]
     wanted = ([min(counts), max(counts)], [accuracy_arcmin, accuracy_arcmin])
-    title = "Predicted registration error by number of camera places"
-    return curves(title, lines | {"wanted": wanted}, ("camera places", "95 % of the eye box (arcmin)"), log_y=True)
+    caption = "Points: median over the eye box and the field of view; bars: up to 95 % of it, which shall be as wanted."
+    axes = ("camera places", "registration error (arcmin)")
+    plot = curves("Predicted error by number of camera places", lines | {"wanted": wanted}, axes, caption=caption)
+    bars = [
+        {"array": [each.p95 - each.errors.registration.median for each in tried], "arrayminus": [0.0] * len(tried)}
+        for tried in found.values()
+    ]
+    with_bars = [
+        {**trace, "mode": "lines+markers", "error_y": {**bar, "symmetric": False}}
+        for trace, bar in zip(plot.data, bars, strict=False)
+    ]
+    return replace(plot, data=[*with_bars, plot.data[-1]])
 
 
 def _gains(search: DesignSearch) -> list[tuple[float, str, float]]:
