@@ -1,25 +1,22 @@
 """Write synthetic head and eye trajectories to files, and draw frames of both eyes along them."""
 
-from pathlib import Path
+import wlr_render as wlr
+from wlr_render.engine import eye_motion, head_motion
+from wlr_render.files import (
+    read_eye_trajectory,
+    read_head_trajectory,
+    write_eye_trajectory,
+    write_head_trajectory_tum,
+)
 
-from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, render
-from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
-from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
-from wlr_render.tracking.synthetic import eye_motion, head_motion
-
-pupils = {eye: open_eye("northstar", eye).eye_box.centre for eye in ("left", "right")}
+eyes = {name: wlr.open_eye("northstar", name) for name in ("left", "right")}
+pupils = {name: eye.eye_box.centre for name, eye in eyes.items()}
 write_head_trajectory_tum("head.tum", head_motion(seed=4, duration_s=1.0))
 write_eye_trajectory("eyes.txt", eye_motion(pupils, seed=4, duration_s=1.0))
 
-options = RenderOptions(
-    headset="northstar",
-    scene="sculpture",
-    head=Path("head.tum"),
-    eye_track=Path("eyes.txt"),
-    eye="both",
-    frame_limit=2,
-    out=Path("frames"),
-)
-print(render(options).verdict)
-print("again:", render(options).verdict)
+# `wlr-render render northstar sculpture --head head.tum --eye-track eyes.txt --eye both` draws the whole sequence.
+head, gaze, scene = read_head_trajectory("head.tum"), read_eye_trajectory("eyes.txt"), wlr.load_scene("sculpture")
+for time_s in (0.0, 0.5):
+    for name, eye in eyes.items():
+        frame = wlr.render(eye, scene, gaze.viewpoint_at(name, time_s), head.at(time_s), shadows=False)
+        print("wrote", frame.save(f"{name}-{1000 * time_s:.0f}-ms.png"))

@@ -8,11 +8,9 @@ import numpy as np
 import pyrender
 import trimesh
 
-from wlr_render.compositing import Compositor
-from wlr_render.geometry.directions import arcmin_between
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.image_files import write_png
+import wlr_render as wlr
+from wlr_render.files import write_png
+from wlr_render.geometry import arcmin_between
 
 scene = pyrender.Scene(bg_color=[0.0, 0.0, 0.0], ambient_light=[0.3, 0.3, 0.3])
 
@@ -35,11 +33,10 @@ color, depth = renderer.render(scene)
 print(f"pyrender alone: {color.shape[1]} x {color.shape[0]}, nearest at {depth[depth > 0].min():.2f} m")
 
 # ---- plug-in begins ----
-device = load_device("northstar")
-models = {eye: traced_eye(device, eye) for eye in ("left", "right")}  # or load_eye_model("model.json").mappings
+models = {eye: wlr.open_eye("northstar", eye) for eye in ("left", "right")}  # or your model.json
 head_pose = np.eye(4)  # world_from_device, from your head tracker
 pupils = {eye: each.eye_box.centre for eye, each in models.items()}  # device frame, metres, from your eye tracker
-with Compositor(models, size=(1440, 1600), context=os.environ["PYOPENGL_PLATFORM"]) as compositor:
+with wlr.Compositor(models, size=(1440, 1600), context=os.environ["PYOPENGL_PLATFORM"]) as compositor:
     for eye, wanted in compositor.begin_frame(head_pose, pupils).items():
         renderer.viewport_width, renderer.viewport_height = wanted.size_px
         (camera.fx, camera.fy), (camera.cx, camera.cy) = wanted.focal_px, wanted.centre_px

@@ -5,12 +5,9 @@ import time
 import moderngl
 import numpy as np
 
-from wlr_render.compositing import Compositor, DepthKind, StoredDepth
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.image_files import write_png
-from wlr_render.tracking.synthetic import eye_motion, head_motion
-from wlr_render.tracking.viewpoint_filter import ViewpointFilter
+import wlr_render as wlr
+from wlr_render.engine import DepthKind, eye_motion, head_motion
+from wlr_render.files import write_png
 
 SIZE, FRAMES, RATE_HZ, NEAR_M = (360, 400), 30, 90.0, 0.05
 TO_FIRST_ROW_S, SCAN_OUT_S = 0.010, 0.008  # from drawing to the panel's first row, and from its first row to its last
@@ -36,11 +33,11 @@ program = ctx.program(VERTEX, FRAGMENT)
 cubes = ctx.vertex_array(program, [], index_buffer=ctx.buffer(np.array(CUBE, np.uint32)))
 panel = ctx.framebuffer([ctx.texture(SIZE, 4)])  # in place of a headset's swap chain
 
-eye = traced_eye(load_device("northstar"))  # or models.model_file.load_eye_model("model.json").mappings
+eye = wlr.open_eye("northstar")  # or your model.json
 centre, duration_s = eye.eye_box.centre, FRAMES / RATE_HZ + 0.1
 head, gaze = head_motion(seed=3, duration_s=duration_s), eye_motion({"right": centre}, seed=3, duration_s=duration_s)
-tracker = ViewpointFilter(centre)
-compositor = Compositor(eye, SIZE, context=ctx)
+tracker = wlr.ViewpointFilter(centre)
+compositor = wlr.Compositor(eye, SIZE, context=ctx)
 
 wanted = compositor.begin_frame(head.at(0.0), centre)["right"]
 picture = ctx.framebuffer([ctx.texture(wanted.size_px, 4)], ctx.depth_texture(wanted.size_px))
@@ -65,7 +62,7 @@ for number in range(FRAMES):
     start = time.perf_counter()
     camera = compositor.begin_frame(head.at(t), compositor.within_reach("right", viewpoint))["right"]
     draw(camera)
-    compositor.submit(picture, stored=StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf))
+    compositor.submit(picture, stored=wlr.StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf))
     first_row_s = t + TO_FIRST_ROW_S
     newer = {"pose": head.at(first_row_s), "pose_at_last_row": head.at(first_row_s + SCAN_OUT_S)}
     frame = compositor.compose(into=panel, **newer)

@@ -5,19 +5,16 @@ Needs the extra `wgpu` and a Vulkan, Metal or Direct3D device; lavapipe (mesa-vu
 
 import numpy as np
 
-from wlr_render.atomic_files import resource
-from wlr_render.compositing import Compositor, DepthKind, StoredDepth, WarpMesh
-from wlr_render.extras import script_needs
+import wlr_render as wlr
+from wlr_render.engine import DepthKind, script_needs
+from wlr_render.files import resource, write_png
 from wlr_render.geometry import transforms
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.image_files import write_png
 
 with script_needs("wgpu"):
     import wgpu
 
 SIZE, NEAR_M = (720, 800), 0.2
-STORED = StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)
+STORED = wlr.StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)
 
 # The engine: cubes on a grid, whose sides blend from colour to colour.
 SCENE = """
@@ -72,8 +69,8 @@ def attributes(components, location):
 
 
 # Once: the mesh of the panel, textures and pipelines.
-eye = traced_eye(load_device("northstar"))  # or models.model_file.load_eye_model("model.json").mappings
-mesh = WarpMesh(eye, SIZE)
+eye = wlr.open_eye("northstar")  # or your model.json
+mesh = wlr.WarpMesh(eye, SIZE)
 drawn_pose = transforms.rigid(transforms.rotation_about("y", 0.1), np.array([0.05, 0.0, 0.0]))
 newest_pose = drawn_pose @ transforms.rigid(transforms.rotation_about("y", 0.005), np.array([0.004, 0.002, 0.0]))
 pupil = eye.eye_box.at(np.array([0.5, -0.5, 0.0]))
@@ -126,7 +123,7 @@ write_png("panel.png", shown)
 print(f"{device.adapter.info['device']}: {len(mesh.triangles)} triangles, rays within {mesh.bound_arcmin:.3f} arcmin")
 
 # The compositor's picture of the same colour and depth.
-with Compositor(eye, SIZE) as compositor:
+with wlr.Compositor(eye, SIZE) as compositor:
     wanted = compositor.begin_frame(drawn_pose, pupil)["right"]
     assert wanted.size_px == camera.size_px
     compositor.submit(read(picture, np.uint8), read(depth, np.float32)[..., 0], stored=STORED)

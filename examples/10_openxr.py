@@ -18,17 +18,10 @@ from pathlib import Path
 import moderngl
 import numpy as np
 
-from wlr_render.compositing import Compositor, DepthKind, StoredDepth
-from wlr_render.extras import script_needs
-from wlr_render.geometry import transforms
-from wlr_render.geometry.directions import normalised
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.framebuffers import TextureLayer
-from wlr_render.rendering.image_files import write_png
-from wlr_render.tracking.eye_model import RotatingEye
-from wlr_render.tracking.synthetic import eye_motion
-from wlr_render.tracking.viewpoint_filter import ViewpointFilter
+import wlr_render as wlr
+from wlr_render.engine import DepthKind, TextureLayer, eye_motion, script_needs
+from wlr_render.files import write_png
+from wlr_render.geometry import normalised, transforms
 
 with script_needs("xr"):
     import xr
@@ -40,8 +33,7 @@ STEREO = xr.ViewConfigurationType.PRIMARY_STEREO
 SWAP_CHAIN = sys.argv[1:] == ["swap-chain"]
 
 # The headset. Its optics are known in the device frame, where the runtime's VIEW space is this far from the origin.
-device = load_device("northstar")
-models = {eye: traced_eye(device, eye) for eye in ("left", "right")}  # or load_eye_model("model.json", eye).mappings
+models = {eye: wlr.open_eye("northstar", eye) for eye in ("left", "right")}  # or your model.json
 device_from_view = transforms.rigid(np.eye(3), np.mean([each.eye_box.centre for each in models.values()], axis=0))
 
 # The engine: cubes on a grid, drawn with its own shader.
@@ -63,7 +55,7 @@ CUBE = [0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 
 ctx = moderngl.create_context(standalone=True, backend="egl", require=410)
 program = ctx.program(VERTEX, FRAGMENT)
 cubes = ctx.vertex_array(program, [], index_buffer=ctx.buffer(np.array(CUBE, np.uint32)))
-compositor = Compositor(models, SIZE, context=ctx)
+compositor = wlr.Compositor(models, SIZE, context=ctx)
 pictures = {
     eye: ctx.framebuffer([ctx.texture(camera.size_px, 4)], ctx.depth_texture(camera.size_px))
     for eye, camera in compositor.begin_frame(np.eye(4), {e: m.eye_box.centre for e, m in models.items()}).items()
@@ -78,7 +70,7 @@ def draw_and_submit(cameras):
         clip_from_world = camera.projection(NEAR_M) @ camera.camera_from_world
         program["clip_from_world"].write(np.ascontiguousarray(clip_from_world.T, np.float32))
         cubes.render(instances=105)
-        compositor.submit(pictures[eye], eye=eye, stored=StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf))
+        compositor.submit(pictures[eye], eye=eye, stored=wlr.StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf))
 
 
 def egl_binding():
@@ -210,7 +202,7 @@ class Runtime:
         """By eye, an eye that turns: the runtime's view poses are where pupils are that look ahead."""
         _, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
         places = (transforms.apply(device_from_view, rigid(view.pose)[:3, 3]) for view in views)
-        return {eye: RotatingEye.looking_ahead_from(place) for eye, place in zip(models, places, strict=True)}
+        return {eye: wlr.RotatingEye.looking_ahead_from(place) for eye, place in zip(models, places, strict=True)}
 
     def fixated_point(self, at):
         """(3,) in the device frame, FIXATION_M along the gaze of both eyes; None while it is not tracked."""
@@ -293,7 +285,7 @@ chains = SwapChains(runtime) if SWAP_CHAIN else None
 panels = {eye: ctx.framebuffer([ctx.texture(SIZE, 4)]) for eye in models}  # in place of a display of our own
 boxes = {eye: each.eye_box.centre for eye, each in models.items()}
 synthetic = eye_motion(boxes, seed=3)  # stands in where no eye is tracked
-filters = {eye: ViewpointFilter(centre) for eye, centre in boxes.items()}
+filters = {eye: wlr.ViewpointFilter(centre) for eye, centre in boxes.items()}
 heads, pose_ms, frame_ms, started = [], [], [], None
 recording = [{"format": "wlr-openxr-recording", "version": 1, "device_from_view": device_from_view.tolist()}]
 for number in range(FRAMES):

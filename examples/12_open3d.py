@@ -2,13 +2,9 @@
 
 import numpy as np
 
-from wlr_render.extras import script_needs
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.ray_map import choose_plan, ray_map
-from wlr_render.rendering.scene import world_positions
-from wlr_render.rendering.scene_file import load_scene
+import wlr_render as wlr
+from wlr_render.engine import script_needs, world_positions
+from wlr_render.files import write_png
 
 with script_needs("open3d"):
     import open3d
@@ -29,12 +25,12 @@ def ray_caster(scene):
 
 
 if __name__ == "__main__":
-    eye = traced_eye(load_device("northstar"), "right")  # or models.model_file.load_eye_model("model.json").mappings
-    rays = ray_map(eye, eye.eye_box.centre, choose_plan(eye))
-    scene = load_scene("desk")
-    distance, number = ray_caster(scene)(*rays.world_rays(np.eye(4)))
+    eye = wlr.open_eye("northstar", "right")  # or your model.json
+    origin, direction, status = wlr.world_rays(eye)
+    scene = wlr.load_scene("desk")
+    distance, number = ray_caster(scene)(origin, direction)
     hit = np.isfinite(distance)
     print(f"{hit.mean():.1%} of {len(hit)} rays hit, from {distance[hit].min():.3f} m to {distance[hit].max():.3f} m")
-    print("the middle pixel shows:", scene.instances[number.reshape(rays.shape)[800, 720]].name)
+    print("the middle pixel shows:", scene.instances[number.reshape(status.shape)[800, 720]].name)
     shade = np.where(hit, 255 * np.exp(-np.where(hit, distance, 0)), 0)
-    write_png("distance.png", shade.astype(np.uint8).reshape(rays.shape))
+    write_png("distance.png", shade.astype(np.uint8).reshape(status.shape))

@@ -2,13 +2,9 @@
 
 import numpy as np
 
-from wlr_render.extras import script_needs
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.ray_map import choose_plan, ray_map
-from wlr_render.rendering.scene import world_positions
-from wlr_render.rendering.scene_file import load_scene
+import wlr_render as wlr
+from wlr_render.engine import script_needs, world_positions
+from wlr_render.files import write_png
 
 with script_needs("newton"):
     import newton
@@ -54,10 +50,10 @@ def ray_caster(scene):
 
 
 if __name__ == "__main__":
-    eye = traced_eye(load_device("northstar"), "right")  # or models.model_file.load_eye_model("model.json").mappings
-    rays = ray_map(eye, eye.eye_box.centre, choose_plan(eye))
-    origin, direction = (each.reshape(*rays.shape, 3) for each in rays.world_rays(np.eye(4)))
-    colour, distance = PanelCamera(load_scene("desk")).pictures(origin, direction)
+    eye = wlr.open_eye("northstar", "right")  # or your model.json
+    origin, direction, status = wlr.world_rays(eye)
+    origin, direction = (each.reshape(*status.shape, 3) for each in (origin, direction))
+    colour, distance = PanelCamera(wlr.load_scene("desk")).pictures(origin, direction)
     hit = distance > 0
     print(f"{hit.mean():.1%} of {hit.size} rays hit, from {distance[hit].min():.3f} m to {distance[hit].max():.3f} m")
     write_png("panel.png", np.ascontiguousarray(colour[..., :3]))

@@ -8,13 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.extras import script_needs
+import wlr_render as wlr
+from wlr_render.engine import choose_plan, ray_map, script_needs
+from wlr_render.files import write_exr
 from wlr_render.geometry import transforms
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.exr_file import write_exr
-from wlr_render.rendering.ray_map import choose_plan, ray_map
-from wlr_render.rendering.scene_file import load_scene
 
 with script_needs("blender"):
     import bpy
@@ -78,10 +75,10 @@ def add_light(position, watts):
 
 
 if __name__ == "__main__":
-    eye = traced_eye(load_device("northstar"), "right")  # or models.model_file.load_eye_model("model.json").mappings
+    eye = wlr.open_eye("northstar", "right")  # or your model.json
     rays = ray_map(eye, eye.eye_box.centre, choose_plan(eye))
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    add_objects(load_scene("desk"))
+    add_objects(wlr.load_scene("desk"))
     add_light((-0.3, 0.5, -0.3), 30.0)
     add_camera(rays, np.eye(4), ".")
     render = bpy.context.scene.render

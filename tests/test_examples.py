@@ -19,14 +19,14 @@ from wlr_render.rendering.native_contexts import OsMesaContext
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
 WORDS_AND_FILES = {
     "01_world_rays": ("2304000 rays, 100.0% of them OK", set()),
-    "02_calibrate": ("error against the exact optics, over the eye box: 0.0", {"birdbath28.model.json"}),
-    "03_render_a_frame": ("registration", {"raster.png", "raytrace.png", "warp.tiff"}),
+    "02_calibrate": ("direction of a pixel (arcmin): 0.0", {"birdbath28.json"}),
+    "03_render_a_frame": ("registration 0.000", {"raster.png", "raytrace.png", "warp.tiff"}),
     "04_moving_wearer": (
-        "again: 0 frames drawn, 4 kept from an earlier run",
-        {"head.tum", "eyes.txt", "frames"},
+        "wrote right-500-ms.png",
+        {"head.tum", "eyes.txt", *(f"{eye}-{time}-ms.png" for eye in ("left", "right") for time in (0, 500))},
     ),
     "05_diagnose": ("Explained: printed size of the target", {"out"}),
-    "06_photographs": ("88 dots found, median error 0.01", set()),
+    "06_photographs": ("median decoding error 0.00", set()),
     "07_plug_into_pyrender": ("right eye: the drawn dot appears 0.", {"left.png", "right.png"}),
     "08_real_time": ("OpenGL state of its own was left alone", {"panel.png"}),
     "09_own_warp": ("99 % of the pixels within 1, 0.0", {"panel.png"}),

@@ -15,7 +15,7 @@ PICTURES = {"01_calibrate_and_render": 2, "02_diagnose_a_bench": 1, "03_error_bu
 WORDS = {
     "01_calibrate_and_render": ["Model of northstar", "our model, pupil near a corner: 0.0", "arcmin in the median"],
     "02_diagnose_a_bench": ["Explained: printed size of the target", "[target] scale = [0.997"],
-    "03_error_budget": ["Improve this first: the noise of the head tracker", "head tracker: noise: 1"],
+    "03_error_budget": ["arcmin rms at 1 m", "Improve this first: head tracker: noise"],
 }
 CODE_OR_LINK = re.compile(r"`[^`]*`|\]\([^)]*\)")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")

@@ -207,7 +207,7 @@ class SeeThroughMapping(Protocol):
         """Answer the backward query: the view direction of a real point (..., 3); `value` (..., 3) unit `view_dir`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EyeMappings:
     """Both mappings of one eye of a headset, with its eye box and nominal field of view.
 
@@ -244,11 +244,13 @@ class EyeMappings:
         return SummaryTable([], rows)
 
     def __repr__(self) -> str:
-        return f"EyeMappings({self.name!r}, {self.eye!r})"
+        return f"Eye({self.name!r}, {self.eye!r})"
 
     def _repr_html_(self) -> str:
         return html_summary(f"{self.name}, {self.eye} eye", [], [self.summary])
 
+
+Eye = EyeMappings
 
 EyeChannels = tuple[EyeMappings, ...]
 """One pair of mappings for all colours of an eye, or three for red, green and blue."""

@@ -16,7 +16,7 @@ from wlr_render.budget.statement import REGIONS, region_of, variance
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.calibrate_session import sound_captures
-from wlr_render.calibration.fit_eye import EyeFit, fit_eye
+from wlr_render.calibration.fit_eye import Calibration, fit_eye
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -133,7 +133,7 @@ def _calibrated(device: str, bench_seed: int) -> tuple[SimulatedReadings, Readin
     return simulated, reading, calibrate_bench(simulated.session, reading)
 
 
-def _report(fit: EyeFit) -> dict[str, Any]:
+def _report(fit: Calibration) -> dict[str, Any]:
     return {name.replace("-", "_"): asdict(side.report) for name, side in fit.sides.items()}
 
 

@@ -17,8 +17,9 @@ from wlr_render.calibration.photograph_captures import (
     within_field,
 )
 from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry import transforms
-from wlr_render.jobs.calibrate.simulate import TruthTests
+from wlr_render.jobs.options import seed_of
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -34,7 +35,7 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
     of the tracking camera: an error of the stated extrinsics moves display, world and eye alike.
     """
     truth = traced_eye(simulated.truth.bench.device, simulated.truth.bench.eye)
-    tests = TruthTests.of(truth, seed)
+    tests = TruthTests.of(truth, seed_of(seed, truth.eye, 1))
     stated, true = simulated.truth.bench.stated_device_from_tracking, simulated.truth.bench.device_from_tracking
     captures, _ = sound_captures(simulated.session, simulated.reading, bench)
     sources = {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.simulated_lab.bench_truth import BenchTruth, true_values
 from benchmarks.simulated_lab.faults import Faults
 from wlr_render.calibration.calibrate_session import SessionCalibration
-from wlr_render.calibration.fit_eye import EyeFit, fit_eye
+from wlr_render.calibration.fit_eye import Calibration, fit_eye
 from wlr_render.calibration.photograph_captures import (
     Headset,
     PanelView,
@@ -25,9 +25,10 @@ from wlr_render.calibration.photograph_captures import (
 from wlr_render.calibration.poses import motion_between
 from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
 from wlr_render.captures.decoded import DecodedSamples
+from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.jobs.calibrate.simulate import TruthTests
+from wlr_render.jobs.options import seed_of
 from wlr_render.mappings import EyeMappings
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable
@@ -50,8 +51,8 @@ class SessionTruth:
 
     truth: BenchTruth
     found: SessionCalibration
-    measured: EyeFit
-    ideal: EyeFit
+    measured: Calibration
+    ideal: Calibration
 
 
 def compare_with_truth(bench: PhotoBench, found: SessionCalibration, seed: int) -> SessionTruth:
@@ -129,7 +130,7 @@ def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:
 
 
 def _model_table(compared: SessionTruth, truth: EyeMappings, seed: int) -> ReportTable:
-    tests = TruthTests.of(truth, seed)
+    tests = TruthTests.of(truth, seed_of(seed, truth.eye, 1))
     measured, ideal = (
         tests.errors(compared.measured.mappings),
         tests.errors(compared.ideal.mappings),

@@ -6,12 +6,12 @@ import numpy as np
 from composing import HEAD
 
 from wlr_render.atomic_files import resource
-from wlr_render.compositing import StoredDepth
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import Panel
 from wlr_render.rendering import gl
 from wlr_render.rendering.ray_map import solve_pixels
+from wlr_render.rendering.stored_picture import StoredDepth
 from wlr_render.rendering.warp_grid import WarpGrid
 
 NEAR_M = 0.05

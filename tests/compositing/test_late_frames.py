@@ -12,8 +12,9 @@ from composing import HEAD, SMALL, draw, planar, scene, viewpoint
 from gl_caller import assert_same
 from gl_scenes import at
 
-from wlr_render.compositing import Compositor, FrameHandle
+from wlr_render import Compositor
 from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.engine import FrameHandle
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.rendering.gl_raster import GlRaster

@@ -14,7 +14,7 @@ from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.bench.lenses import RefusedViewsError
 from wlr_render.calibration.bench.station_file import save_station
 from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outliers, dot_inliers, see_through_outliers
-from wlr_render.calibration.fit_eye import EyeFit, KindComparison
+from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.photograph_captures import (
     Headset,
     PanelView,
@@ -55,7 +55,7 @@ class EyeCalibration:
     captures: EyeCaptures
     kinds: KindComparison
     excluded: tuple[Excluded, ...]
-    primaries: Mapping[str, EyeFit] = field(default_factory=dict)
+    primaries: Mapping[str, Calibration] = field(default_factory=dict)
 
     @property
     def eye(self) -> str:
@@ -63,7 +63,7 @@ class EyeCalibration:
         return self.session.eye
 
     @property
-    def fit(self) -> EyeFit:
+    def fit(self) -> Calibration:
         """The best of the models."""
         return self.kinds.chosen
 

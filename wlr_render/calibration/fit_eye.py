@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.mappings import EyeMappings
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
-from wlr_render.models.model_file import EyeModel
+from wlr_render.models.model_file import EyeModel, save_eye_models
 from wlr_render.numerics.arrays import FloatArray
 
 KINDS_BY_PRESCRIPTION = ("prescription", "grey-box")
@@ -45,11 +46,12 @@ _WORTH = 2.0  # log10 odds from which a kind is taken before a simpler one
 
 
 @dataclass(frozen=True)
-class EyeFit:
-    """Fitted mappings of one eye, with both fits.
+class Calibration:
+    """The fitted models of one eye, from `calibrate`, with their evidence and predicted errors.
 
     Attributes:
-        mappings: the models. device: its name.
+        mappings: the fitted eye, for `render`, `world_rays`, `compare` and `ErrorMap`.
+        device: name of the device.
         display, see_through: the fits; None of what was not photographed.
         log_evidence: natural logarithm of the probability density of all readings of both.
         assembly: the prescription with the assembly errors that both models found; None without one.
@@ -77,7 +79,7 @@ class EyeFit:
         return self.display, self.see_through
 
     def __repr__(self) -> str:
-        return f"EyeFit({self.mappings.name!r}, {self.mappings.eye} eye)"
+        return f"Calibration({self.mappings.name!r}, {self.mappings.eye} eye)"
 
     def _repr_html_(self) -> str:
         rows = []
@@ -90,6 +92,14 @@ class EyeFit:
             [],
             [self.mappings.summary, SummaryTable((), rows, "Model and its predicted error, rms over the eye box")],
         )
+
+    def save(self, path: str | Path) -> Path:
+        """Write a model file (.json), which `open_eye` reads; docs/files.md has the format.
+
+        Raises:
+            BadInputError: a file that cannot be written.
+        """
+        return save_eye_models(path, [self.model()])
 
     def model(self) -> EyeModel:
         """As `models.model_file.save_eye_models` takes it."""
@@ -108,11 +118,11 @@ class KindComparison:
         best: the kind to use: the most probable one, or a simpler one that is about as probable.
     """
 
-    fits: Mapping[str, EyeFit]
+    fits: Mapping[str, Calibration]
     best: str
 
     @property
-    def chosen(self) -> EyeFit:
+    def chosen(self) -> Calibration:
         """The best fit."""
         return self.fits[self.best]
 
@@ -146,19 +156,33 @@ def fit_eye(
     see_through_degree: int | None = None,
     base_plane: BasePlane | None = None,
     prescription: Prescription | None = None,
-) -> EyeFit:
-    """Fit display and see-through of one kind by maximum evidence; a degree is a limit of the orders.
+) -> Calibration:
+    """Fit the display and see-through models of one eye to captures, by maximum evidence.
+
+    The fit finds the noise, the repeatability of the stage and the orders of the models by itself, excludes outliers,
+    and predicts its own error.
 
     Args:
-        captures: of both.
-        kind: see `fit_display`; "grey-box" and "prescription" need a prescription, whose assembly errors are fitted.
-        display_degree, see_through_degree: limits of the total orders.
-        base_plane: of planar models; None for the planes of `choose_base_plane`.
+        captures: from `load_captures` or `simulate`: of the display, the world, or both.
+        kind: type of model: "planar" (rays change with the pupil's place in a plane), "volumetric", "static" (one map
+            for all pupil positions), or "point-per-pixel"; "grey-box" and "prescription" need a prescription, whose
+            assembly errors are fitted.
+        display_degree, see_through_degree: limits of the total orders; as high as the captures lead to expect by
+            default.
+        base_plane: of planar models, device frame; None for the planes of `choose_base_plane`.
         prescription: of the eye, device frame.
 
+    Returns:
+        The fit; its attribute `mappings` is the fitted eye, and `save` writes the model file.
+
     Raises:
-        BadInputError: as `fit_display`, `fit_see_through` and `fit_assembly`, or a prescription without both kinds of
-            captures.
+        BadInputError: captures that do not determine the models, an unknown kind, or a prescription without both kinds
+            of captures.
+
+    Example:
+        >>> import wlr_render as wlr
+        >>> fit = wlr.calibrate(wlr.load_captures("captures-right.npz"))
+        >>> fit.save("model.json")
     """
     if kind in KINDS_BY_PRESCRIPTION:
         if prescription is None:
@@ -176,6 +200,9 @@ def fit_eye(
         factors = seen.smooth.motion_factors if seen is not None and captures.display.motion is not None else None
         shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane, stage=factors)
     return _eye_fit(captures, shown, seen, sum(_log_evidence(each) for each in (shown, seen) if each is not None))
+
+
+calibrate = fit_eye
 
 
 def fit_kinds(
@@ -246,7 +273,7 @@ def fit_with_trends(
     trends: EyeTrends,
     degrees: tuple[int | None, int | None] = (None, None),
     weights: tuple[FloatArray | None, FloatArray | None] = (None, None),
-) -> EyeFit:
+) -> Calibration:
     """Fit a grey box or a prescription: the display, then see-through with what the display says as prior.
 
     The product of both evidences is then that of all readings. What see-through adds goes back to the display, at its
@@ -342,7 +369,7 @@ def _eye_fit(
     shown: ModelFit[FittedDisplay] | None,
     seen: ModelFit[FittedSeeThrough] | None,
     log_evidence: float,
-) -> EyeFit:
+) -> Calibration:
     source = captures.source
     kind = next(each.kind for each in (shown, seen) if each is not None)
     mappings = EyeMappings(
@@ -352,4 +379,4 @@ def _eye_fit(
         AbsentSeeThrough() if seen is None else seen.mapping,
         source.eye_box,
     )
-    return EyeFit(mappings, source.device, shown, seen, log_evidence)
+    return Calibration(mappings, source.device, shown, seen, log_evidence)

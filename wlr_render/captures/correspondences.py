@@ -7,6 +7,7 @@ position it was taken at, so that held-out tests can leave out whole positions.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -457,8 +458,21 @@ class EyeCaptures:
                 "same 'sources', with zeros for what does not touch one of them."
             )
 
+    def save(self, path: str | Path) -> Path:
+        """Write a capture file (.npz), whole or not at all, which `load_captures` reads; docs/files.md has the format.
+
+        Raises:
+            BadInputError: another suffix, or a file that cannot be written.
+        """
+        from wlr_render.captures.capture_file import save_captures  # imports this module
+
+        return save_captures(path, self)
+
     def _repr_html_(self) -> str:
         return _summary([part for part in (self.display, self.see_through) if part is not None])
+
+
+Captures = EyeCaptures
 
 
 def _summary(parts: "Sequence[_Rows]") -> str:

@@ -1,6 +1,8 @@
 """The record of a diagnosis: verdict, causes with values and evidence, what stays unexplained, the corrected bench."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.fit import Fit
@@ -12,6 +14,9 @@ from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.html_summary import html_summary
 from wlr_render.numerics.arrays import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from wlr_render.diagnosis.residual_views import PartView
 
 NO_EFFECT, EXPLAINED, PARTLY, UNEXPLAINED = "no effect", "explained", "partly explained", "unexplained"
 
@@ -224,7 +229,9 @@ class MotionSize:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The result of a diagnosis.
+    """The result of `diagnose`: verdict, causes with values and evidence, what stays unexplained, the corrected bench.
+
+    `print` shows the verdict and what to do; notebooks show tables.
 
     Attributes:
         session, device, eye: names.
@@ -281,12 +288,51 @@ class Diagnosis:
     fit: Fit = field(metadata={"json": False})
     settings: Settings = field(metadata={"json": False})
 
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write diagnosis.html, .md and .json and, where causes were found, the corrected session `corrected`.
+
+        Returns:
+            The files of the report, and the folder of the corrected session.
+
+        Raises:
+            BadInputError: the folder cannot be written, or holds other things than a diagnosis in `corrected`.
+        """
+        from wlr_render.diagnosis.report import save_diagnosis  # imports this module
+
+        return save_diagnosis(self, folder)
+
+    @property
+    def advice(self) -> list[str]:
+        """Next steps, most urgent first; each a sentence."""
+        from wlr_render.diagnosis.explain import advice  # imports this module
+
+        return advice(self)
+
+    @property
+    def values_to_type(self) -> list[str]:
+        """Lines that make bench.toml describe the corrected bench, all but changes of the device's prescription."""
+        from wlr_render.diagnosis.explain import values_to_type  # imports this module
+
+        return values_to_type(self)
+
+    @property
+    def residual_views(self) -> "list[PartView]":
+        """Residuals of each part of the session, with what they may depend on, as the report plots them."""
+        from wlr_render.diagnosis.residual_views import part_views  # imports this module
+
+        return part_views(self)
+
+    def __str__(self) -> str:
+        from wlr_render.diagnosis.explain import verdict_sentence  # imports this module
+
+        return "\n".join([verdict_sentence(self), *(f"{n}. {step}" for n, step in enumerate(self.advice, 1))])
+
     def _repr_html_(self) -> str:
         # Both import this module.
-        from wlr_render.diagnosis.explain import advice, verdict_sentence
+        from wlr_render.diagnosis.explain import verdict_sentence
         from wlr_render.diagnosis.tables import causes_table, residuals_table
 
-        steps = [f"{number}. {step}" for number, step in enumerate(advice(self), 1)]
+        steps = [f"{number}. {step}" for number, step in enumerate(self.advice, 1)]
         tables = [each.summary for each in (residuals_table(self), causes_table(self)) if each.rows]
         title = f"Diagnosis of {self.session} ({self.device}, {self.eye} eye)"
         return html_summary(title, [verdict_sentence(self), *steps], tables)

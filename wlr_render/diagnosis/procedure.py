@@ -62,17 +62,26 @@ def diagnose(
     causes: Mapping[str, Cause] = CAUSES,
     settings: Settings = DEFAULT,
 ) -> Diagnosis:
-    """Say whether a bench predicts a session down to the noise, and if not, why.
+    """Compare a measured session with its bench model, and find the physical causes of any difference.
 
     Args:
-        nominal: the bench as its makers believe it to be.
-        session: what was measured.
+        nominal: the bench as its makers believe it to be, from `load_session`.
+        session: the measured readings, from `load_session`.
         progress: called with a sentence at each step.
         causes: the candidates.
         settings: thresholds and limits.
 
+    Returns:
+        The diagnosis; `print` shows its verdict and advice, `save` writes the report and the corrected session.
+
     Raises:
         BadInputError: the bench predicts no reading at all.
+
+    Example:
+        >>> import wlr_render as wlr
+        >>> diagnosis = wlr.diagnose(*wlr.load_session("examples/data/session"))
+        >>> diagnosis.verdict
+        'explained'
     """
     progress("predicting the session with the nominal bench")
     stated = Predictor.of_session(nominal, session)

@@ -2,22 +2,28 @@
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from wlr_render.atomic_files import output_folder
+from wlr_render.bench.session_folder import remove_session, save_session
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import explain, tables
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
-from wlr_render.diagnosis.improvement import ImprovementInUse
+from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.noise_tables import noise_table, repeatability_table
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text
 from wlr_render.report.records import fields_of
+from wlr_render.report.save import save_report
 
 CORRECTED = "corrected"
 """Folder of the corrected session, beside the report."""
+STEM = "diagnosis"
+"""Start of the names of the report's files."""
 
 
 def diagnosis_record(diagnosis: Diagnosis, in_use: ImprovementInUse | None = None) -> dict[str, Any]:
@@ -130,3 +136,32 @@ def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -
         "predicts the readings, and use it:"
     )
     return [Text(text, [f"wlr-render {command}" for command in commands])]
+
+
+def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
+    """Write the report of a diagnosis and, where it has causes, the corrected session; see `Diagnosis.save`."""
+    folder = output_folder(folder)
+    files = write_corrected(folder / CORRECTED, diagnosis)
+    report = diagnosis_report(diagnosis, improvement_found(diagnosis), folder=folder)
+    return list(save_report(replace(report, files=files), folder, STEM).files)
+
+
+def improvement_found(diagnosis: Diagnosis) -> ImprovementInUse | None:
+    """Return what the causes, if there are any, improve on the readings that count."""
+    if not diagnosis.causes:
+        return None
+    session = diagnosis.observations.of_rows(diagnosis.used).session
+    return improvement_in_use(diagnosis.observations.nominal, diagnosis.corrected, session)
+
+
+def write_corrected(folder: Path, diagnosis: Diagnosis) -> list[Path]:
+    """Write the corrected bench with the readings that count, as a session; an earlier diagnosis's is removed."""
+    if folder.is_dir():
+        remove_session(folder)
+    if not diagnosis.causes:
+        return []
+    # What was expected of these causes is now in the bench itself.
+    names = {cause.name for cause in diagnosis.causes}
+    priors = {name: stated for name, stated in diagnosis.corrected.priors.items() if name not in names}
+    corrected = replace(diagnosis.corrected, priors=priors)
+    return [save_session(folder, corrected, diagnosis.observations.of_rows(diagnosis.used).session)]

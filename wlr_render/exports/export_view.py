@@ -7,9 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
-from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, ray_map, solve_pixels
+from wlr_render.rendering.raster_camera import RasterPlace, RasterPosition, intermediate_camera
+from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, middle_axes, ray_map, solve_pixels
 from wlr_render.rendering.view import View
 
 ALL_COLOURS = "all"
@@ -159,3 +161,62 @@ def ray_map_plans(channels: EyeChannels, device_from_camera: FloatArray) -> tupl
     return tuple(
         RayMapPlan.with_nodes(each.display.panel, choose_plan(each).node_count, device_from_camera) for each in channels
     )
+
+
+def view_from_centre(
+    channels: EyeChannels,
+    origin: Origin,
+    *,
+    is_turned: bool,
+    resolution: float = 1.0,
+    source_size: tuple[int, int] | None = None,
+    source_camera: RasterPlace = "viewpoint",
+    depth_m: float = math.inf,
+    other_light: Mapping[str, EyeMappings] | None = None,
+) -> ExportedView:
+    """Return a view from the centre of the eye box, with the camera that serves all of the box.
+
+    Args:
+        channels, origin, depth_m, other_light: see `ExportedView`.
+        is_turned: whether the camera looks at the middle of the field of view; else along the device's -z axis.
+        resolution: pixels of the source picture per panel pixel and axis.
+        source_size: (width, height) of the source picture, in place of `resolution`.
+        source_camera: position of the camera: the viewpoint, or the point nearest to the bent rays.
+    """
+    middle = middle_channel(channels)
+    panel, centre = middle.display.panel, middle.eye_box.centre
+    axes = middle_axes(middle) if is_turned else np.eye(3)
+    camera = intermediate_camera(channels, axes, resolution, (panel.width_px, panel.height_px), 0.0)
+    if source_size:
+        camera = Pinhole(*source_size, camera.tangent_min, camera.tangent_max)
+    place_of = RasterPosition(middle, axes).at if source_camera == "nearest" else np.array
+    source = View(camera, place_of(centre), np.eye(4), axes)
+    plans = ray_map_plans(channels, axes)
+    return ExportedView(
+        origin,
+        middle.eye,
+        channels,
+        plans,
+        source,
+        centre,
+        depth_m,
+        place_of=place_of,
+        other_light=other_light or {},
+    )
+
+
+def with_symmetric_camera(
+    views: Mapping[str, ExportedView], source_size: tuple[int, int] | None = None
+) -> dict[str, ExportedView]:
+    """Return views whose pictures have the same borders for each eye, as far to the left as to the right, up as down.
+
+    Args:
+        views: by eye.
+        source_size: (width, height) of the pictures; as dense as the densest of the views by default.
+    """
+    cameras = [view.source.camera for view in views.values()]
+    half = np.max([np.abs([camera.tangent_min, camera.tangent_max]) for camera in cameras], axis=(0, 1))
+    density = np.max([camera.focal_px for camera in cameras], axis=0)
+    width, height = source_size or np.ceil(2 * half * density).astype(int).tolist()
+    camera = Pinhole(width, height, -half, half)
+    return {eye: replace(view, source=replace(view.source, camera=camera)) for eye, view in views.items()}

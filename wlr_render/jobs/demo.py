@@ -26,7 +26,7 @@ from wlr_render.budget.error_sizes import Drawing, ErrorSizes, Truncation
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_eye import EyeFit, fit_eye
+from wlr_render.calibration.fit_eye import Calibration, fit_eye
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
 from wlr_render.errors import BadInputError
@@ -195,7 +195,7 @@ def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
 
 def _painters(
     truth: EyeMappings, renderer: RayRenderer, raster: SceneRaster | None, options: DemoOptions
-) -> tuple[EyeFit, dict[str, Painter]]:
+) -> tuple[Calibration, dict[str, Painter]]:
     captures = simulated_captures(truth, options.seed)
     fit = fit_eye(captures, "planar")
     planar = fit.mappings
@@ -222,7 +222,7 @@ def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
     return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def _views(truth: EyeMappings, fit: EyeFit, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
+def _views(truth: EyeMappings, fit: Calibration, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
     pixel = np.floor(truth.display.panel.grid(*_GRID)) + 0.5
     planar = _planar_of(painters)
     # The error of raster frames was measured with the warp grid's, whose bound would count it twice.

@@ -10,15 +10,13 @@ import numpy as np
 from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.measurements import load_measurements
-from wlr_render.bench.session_folder import check_enough_captures, remove_session, save_session
+from wlr_render.bench.session_folder import check_enough_captures
 from wlr_render.captures.session import SeeThroughPlan, Session
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.causes.user_causes import causes_for
-from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.hold_out_report import hold_out_sentences, hold_out_table, hold_out_values
-from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
-from wlr_render.diagnosis.report import CORRECTED, diagnosis_report
+from wlr_render.diagnosis.report import CORRECTED, STEM, diagnosis_report, improvement_found, write_corrected
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import naming
@@ -27,8 +25,6 @@ from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report, Section
 from wlr_render.report.save import save_report
-
-STEM = "diagnosis"
 
 
 @dataclass(frozen=True)
@@ -108,9 +104,9 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     with naming(options.session):
         found = diagnose_session(nominal, session, progress.say, causes=causes, settings=settings)
         progress.say("comparing models fitted with both benches")
-        in_use = _in_use(nominal, found)
+        in_use = improvement_found(found)
     progress.say("writing the report")
-    files = _write_corrected(folder / CORRECTED, found)
+    files = write_corrected(folder / CORRECTED, found)
     report = diagnosis_report(found, in_use, options.inputs(), folder, options.add_causes)
     limits = [*_not_considered(options), *report.warnings, *_not_recorded(session)]
     report = replace(report, warnings=limits, files=files)
@@ -172,23 +168,3 @@ def _not_recorded(session: Session) -> list[str]:
     if any(np.any(time_s) for time_s in times):
         return []
     return ["No times are recorded: causes that depend on time (slip, warm-up) cannot be found."]
-
-
-def _in_use(nominal: Bench, found: Diagnosis) -> ImprovementInUse | None:
-    """What the causes, if any were found, improve on the readings that count."""
-    if not found.causes:
-        return None
-    return improvement_in_use(nominal, found.corrected, found.observations.of_rows(found.used).session)
-
-
-def _write_corrected(folder: Path, found: Diagnosis) -> list[Path]:
-    """Write the corrected bench with the readings that count, as a session; an earlier diagnosis's is removed."""
-    if folder.is_dir():
-        remove_session(folder)
-    if not found.causes:
-        return []
-    # What was expected of the causes found is now in the bench itself.
-    names = {cause.name for cause in found.causes}
-    priors = {name: stated for name, stated in found.corrected.priors.items() if name not in names}
-    corrected = replace(found.corrected, priors=priors)
-    return [save_session(folder, corrected, found.observations.of_rows(found.used).session)]

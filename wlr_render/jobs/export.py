@@ -11,11 +11,17 @@ import numpy as np
 from wlr_render import __version__
 from wlr_render.atomic_files import output_folder
 from wlr_render.exports.check_pictures import write_check
-from wlr_render.exports.export_view import ALL_COLOURS, ExportedView, Origin, has_ray, ray_map_plans
+from wlr_render.exports.export_view import (
+    ALL_COLOURS,
+    ExportedView,
+    Origin,
+    has_ray,
+    view_from_centre,
+    with_symmetric_camera,
+)
 from wlr_render.exports.facts import not_held
 from wlr_render.exports.formats import format_of
 from wlr_render.finished_files import LIST, FinishedFiles, digest_of
-from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import hashes_of_inputs
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.export_page import export_page
@@ -35,9 +41,6 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import GREEN_UM
 from wlr_render.progress import SILENT
 from wlr_render.rendering.exr_file import require_exr
-from wlr_render.rendering.raster_camera import RasterPosition, intermediate_camera
-from wlr_render.rendering.ray_map import middle_axes
-from wlr_render.rendering.view import View
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
@@ -180,7 +183,7 @@ def views_from_centres(
     origin = Origin(next(iter(channels.values()))[0].name, sha256, _wavelengths(options, channels))
     views = {eye: _view_from_centre(options, of_eye, origin) for eye, of_eye in channels.items()}
     has_own_cameras = format_of(options.format).holds.asymmetric_field
-    return views if has_own_cameras else _with_symmetric_camera(options, views)
+    return views if has_own_cameras else with_symmetric_camera(views, options.source_size)
 
 
 def _wavelengths(options: ExportOptions, channels: dict[str, EyeChannels]) -> dict[str, float]:
@@ -193,26 +196,15 @@ def _wavelengths(options: ExportOptions, channels: dict[str, EyeChannels]) -> di
 
 
 def _view_from_centre(options: ExportOptions, channels: EyeChannels, origin: Origin) -> ExportedView:
-    """A view from the centre of the eye box, with the camera that serves all of the box."""
-    middle = middle_channel(channels)
-    panel, centre = middle.display.panel, middle.eye_box.centre
-    is_turned = options.source_axes != "device" and format_of(options.format).holds.asymmetric_field
-    axes = middle_axes(middle) if is_turned else np.eye(3)
-    camera = intermediate_camera(channels, axes, options.resolution, (panel.width_px, panel.height_px), 0.0)
-    if options.source_size:
-        camera = Pinhole(*options.source_size, camera.tangent_min, camera.tangent_max)
-    place_of = RasterPosition(middle, axes).at if options.source_camera == "nearest" else np.array
-    source = View(camera, place_of(centre), np.eye(4), axes)
-    return ExportedView(
-        origin,
-        middle.eye,
+    return view_from_centre(
         channels,
-        ray_map_plans(channels, axes),
-        source,
-        centre,
-        options.depth_m or math.inf,
-        place_of=place_of,
-        other_light=_other_light(options, middle.eye),
+        origin,
+        is_turned=options.source_axes != "device" and format_of(options.format).holds.asymmetric_field,
+        resolution=options.resolution,
+        source_size=options.source_size,
+        source_camera=options.source_camera,
+        depth_m=options.depth_m or math.inf,
+        other_light=_other_light(options, channels[0].eye),
     )
 
 
@@ -223,16 +215,6 @@ def _other_light(options: ExportOptions, eye: str) -> dict[str, EyeMappings]:
     red, _, blue = open_colours(options.headset, eye)
     names = [f"{colour} light, {1e3 * PRIMARIES_UM[k]:.0f} nm" for colour, k in (("red", 0), ("blue", 2))]
     return dict(zip(names, (red, blue), strict=True))
-
-
-def _with_symmetric_camera(options: ExportOptions, views: dict[str, ExportedView]) -> dict[str, ExportedView]:
-    """Views whose pictures have the same borders for each eye, as far to the left as to the right, and up as down."""
-    cameras = [view.source.camera for view in views.values()]
-    half = np.max([np.abs([camera.tangent_min, camera.tangent_max]) for camera in cameras], axis=(0, 1))
-    density = np.max([camera.focal_px for camera in cameras], axis=0)
-    width, height = options.source_size or np.ceil(2 * half * density).astype(int).tolist()
-    camera = Pinhole(width, height, -half, half)
-    return {eye: replace(view, source=replace(view.source, camera=camera)) for eye, view in views.items()}
 
 
 def _still_pupils(options: ExportOptions, mappings: EyeMappings) -> Iterator[tuple[str, FloatArray]]:

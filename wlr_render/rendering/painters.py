@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from wlr_render.geometry import transforms
 from wlr_render.mappings import EyeChannels, EyeMappings, middle_channel
 from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.sampling import bilinear_at
@@ -45,6 +47,14 @@ class Frame:
     sources: tuple[Float32Array, ...] = ()
     view: View | None = None
     intermediate: GeometryImage | None = None
+
+    def save(self, path: str | Path) -> Path:
+        """Write the image as an 8-bit PNG.
+
+        Raises:
+            BadInputError: a file that cannot be written.
+        """
+        return write_png(path, self.colour)
 
     @cached_property
     def ray_maps(self) -> tuple[RayMap, ...]:

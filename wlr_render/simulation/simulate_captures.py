@@ -1,6 +1,6 @@
 """Simulate captures of the panel and of targets from exact mappings, with noise and position errors."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -8,12 +8,12 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, concatenate
+from wlr_render.captures.correspondences import AnyCaptures, Captures, DisplayCaptures, SeeThroughCaptures, concatenate
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, rays
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
-from wlr_render.mappings import EyeMappings, FieldOfView
+from wlr_render.mappings import Eye, EyeMappings, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
 
@@ -123,6 +123,44 @@ class CaptureSetup:
         x, y = np.meshgrid(*(np.linspace(low[axis], high[axis], self.grid[axis]) for axis in (0, 1)))
         z = np.full_like(x, self.truth.eye_box.centre[2] - depth_m)
         return np.stack([x, y, z], axis=-1).reshape(-1, 3)
+
+
+def simulate(
+    eye: Eye,
+    positions: int = 25,
+    noise_arcmin: float = 0.25,
+    seed: int | Sequence[int] = 1,
+    *,
+    kind: str = "planar",
+    grid: tuple[int, int] = (25, 21),
+    stage_error_m: float = 0.0,
+    stage_turn_rad: float = 0.0,
+) -> Captures:
+    """Simulate the captures that a camera takes of an eye's display and, through its optics, of targets at two depths.
+
+    Args:
+        eye: exact optics, from `open_eye` of a device.
+        positions: number of camera positions in the eye box.
+        noise_arcmin: standard deviation of a measured direction about each of its transverse axes.
+        seed: of all random numbers.
+        kind: type of model that the captures are for (see `calibrate`), which decides where the camera stands.
+        grid: columns and rows of the panel pixels that are decoded at each position, and of the dots on each target.
+        stage_error_m: standard deviation of the camera's position about the reported one, per axis.
+        stage_turn_rad: standard deviation of the camera's rotation about each axis.
+
+    Returns:
+        Captures of the display and of the world, device frame, metres; `Captures.save` writes them to a file.
+
+    Raises:
+        BadInputError: a negative error, an empty grid, or a panel that is not seen from the eye box.
+
+    Example:
+        >>> import wlr_render as wlr
+        >>> captures = wlr.simulate(wlr.open_eye("birdbath28"), positions=16)
+    """
+    setup = CaptureSetup(eye, noise_arcmin, stage_error_m, grid=grid, stage_turn_rad=stage_turn_rad)
+    viewpoint, rng = setup.camera_positions(kind, positions), np.random.default_rng(seed)
+    return Captures(simulate_display(setup, viewpoint, rng), simulate_see_through(setup, viewpoint, rng))
 
 
 def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.Generator) -> DisplayCaptures:

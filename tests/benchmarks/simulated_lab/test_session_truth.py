@@ -5,7 +5,8 @@ import pytest
 from small_photo_session import small_plan
 
 from benchmarks.simulated_lab import session_truth
-from wlr_render.jobs.calibrate.simulate import TruthTests
+from wlr_render.evaluation.truth_tests import TruthTests
+from wlr_render.jobs.calibrate.simulate import predicted_errors
 from wlr_render.optics.traced_mappings import traced_eye
 
 pytestmark = pytest.mark.slow  # the session takes some twenty seconds to make
@@ -25,8 +26,8 @@ def test_poses_and_models_are_off_by_what_they_state(calibrated_session, monkeyp
         off_mm, sigma_mm, off_arcmin, sigma_arcmin = row[1:]
         assert off_mm < 3 * sigma_mm
         assert off_arcmin < 3 * sigma_arcmin
-    tests = TruthTests.of(traced_eye(bench.device, "right"), 1)
-    predicted = tests.predicted(compared.measured)
+    tests = TruthTests.of(traced_eye(bench.device, "right"), [1, 1])
+    predicted = predicted_errors(tests, compared.measured)
     errors = {row[0]: row[1] for row in models.rows}
     for name, expected in predicted.items():
         assert errors[name] < 2 * expected, name

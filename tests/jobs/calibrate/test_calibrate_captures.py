@@ -19,13 +19,13 @@ from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, Se
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
+from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry.transforms import rigid
 from wlr_render.jobs.calibrate.captures import CalibrateCapturesOptions, calibrate_captures
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentence, fit_warnings, held_out_verdict
 from wlr_render.jobs.calibrate.fit_options import FitOptions
 from wlr_render.jobs.calibrate.simulate import (
     CalibrateSimulateOptions,
-    TruthTests,
     calibrate_simulate,
     simulate_captures,
 )
@@ -192,7 +192,7 @@ def test_captures_fit_to_the_model_that_they_were_simulated_for(calibrated, tmp_
 def test_predicted_errors_stand_beside_the_true_ones(calibrated):
     folder, report = calibrated
     model = load_eye_model(folder / "model.json").mappings
-    tests = TruthTests.of(traced_eye(load_device("birdbath28")), SMALL.seed)
+    tests = TruthTests.of(traced_eye(load_device("birdbath28")), [SMALL.seed, 1])
     sigmas = {
         "direction of a pixel (arcmin)": model.display.sigma(tests.display.pixel, tests.display.viewpoint),
         "direction of a real point (arcmin)": model.see_through.sigma(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.fit_eye import EyeFit, KindComparison
+from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
 from wlr_render.calibration.fit_report import FitReport, ModelFit
 from wlr_render.calibration.smooth_fit import MotionAgreement
@@ -36,7 +36,7 @@ _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).res
 _AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
 
 
-def _reports(fit: EyeFit) -> list[tuple[str, FitReport]]:
+def _reports(fit: Calibration) -> list[tuple[str, FitReport]]:
     return [(name, side.report) for name, side in fit.sides.items()]
 
 
@@ -45,7 +45,7 @@ def fit_sentences(comparison: KindComparison) -> str:
     return f"{fit_sentence(comparison.chosen)} {comparison.sentence}".rstrip()
 
 
-def fit_sentence(fit: EyeFit) -> str:
+def fit_sentence(fit: Calibration) -> str:
     """Predicted error of both models, and what the fits found of noise and stage, in one sentence."""
     parts = []
     for name, report in _reports(fit):
@@ -71,7 +71,7 @@ def _agreement(motions: MotionAgreement) -> str:
     return f"{stated} from the bench, the readings {'agree' if agree else 'disagree'}: {factors}"
 
 
-def fit_warnings(fit: EyeFit, display_names: Sequence[str] = (), *, sigma_is_given: bool = True) -> list[str]:
+def fit_warnings(fit: Calibration, display_names: Sequence[str] = (), *, sigma_is_given: bool = True) -> list[str]:
     """Differences from what the captures state, and what limits the models.
 
     Args:
@@ -86,7 +86,7 @@ def fit_warnings(fit: EyeFit, display_names: Sequence[str] = (), *, sigma_is_giv
     ] + _assembly_warnings(fit)
 
 
-def _assembly_warnings(fit: EyeFit) -> list[str]:
+def _assembly_warnings(fit: Calibration) -> list[str]:
     if fit.assembly is None:
         return []
     sizes = np.abs(fit.assembly.values) / ASSEMBLY_SIZES
@@ -160,7 +160,7 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
     return found
 
 
-def fit_advice(fit: EyeFit) -> list[str]:
+def fit_advice(fit: Calibration) -> list[str]:
     """The row of camera positions to add, where it would pay."""
     steps = []
     for name, report in _reports(fit):
@@ -194,7 +194,7 @@ def fit_blocks(comparison: KindComparison, captures: EyeCaptures, display_names:
     return [*(table for table in tables if table.rows), *maps, *_residual_plots(fit, captures, display_names)]
 
 
-def _fit_table(fit: EyeFit) -> ReportTable:
+def _fit_table(fit: Calibration) -> ReportTable:
     rows: list[list[Cell]] = []
     for name, report in _reports(fit):
         residual, moving = report.residual_arcmin, report.repeatability_um > 0
@@ -210,7 +210,7 @@ def _fit_table(fit: EyeFit) -> ReportTable:
     return ReportTable("Fit", columns, rows, notes)
 
 
-def _motion_table(fit: EyeFit) -> ReportTable:
+def _motion_table(fit: Calibration) -> ReportTable:
     rows: list[list[Cell]] = []
     for name, report in _reports(fit):
         if (motions := report.motion_agreement) is not None:
@@ -225,7 +225,7 @@ def _motion_table(fit: EyeFit) -> ReportTable:
     return ReportTable("Motion of the camera", columns, rows, notes)
 
 
-def _size_table(fit: EyeFit) -> ReportTable:
+def _size_table(fit: Calibration) -> ReportTable:
     rows: list[list[Cell]] = []
     for name, report in _reports(fit):
         size: list[Cell] = [report.orders, f"{report.determined:.0f} of {report.coefficients}"]
@@ -241,7 +241,7 @@ def _size_table(fit: EyeFit) -> ReportTable:
     return ReportTable("Sizes", columns, rows, notes)
 
 
-def _held_out_table(fit: EyeFit) -> ReportTable:
+def _held_out_table(fit: Calibration) -> ReportTable:
     rows: list[list[Cell]] = []
     notes = []
     for name, report in _reports(fit):
@@ -267,7 +267,7 @@ def held_out_verdict(name: str, found: float, expected: float) -> str:
     return f"{said}, noise included: as expected; the noise hides model errors of less than {unseen}'."
 
 
-def _one_more_table(fit: EyeFit) -> ReportTable:
+def _one_more_table(fit: Calibration) -> ReportTable:
     rows: list[list[Cell]] = [
         [name, report.one_more.positions, report.predicted_arcmin, report.one_more.predicted_arcmin]
         for name, report in _reports(fit)
@@ -325,7 +325,7 @@ def _predicted(display: FittedDisplay, pixel: FloatArray, viewpoint: FloatArray)
     return np.where(status == Status.OK, display.sigma(pixel, viewpoint), np.nan)
 
 
-def _residual_plots(fit: EyeFit, captures: EyeCaptures, display_names: Sequence[str]) -> list[Plot]:
+def _residual_plots(fit: Calibration, captures: EyeCaptures, display_names: Sequence[str]) -> list[Plot]:
     """Residual of each camera position (and target pose), and maps of the residuals."""
     parts = {"display": captures.display, "see-through": captures.see_through}
     caption = (

@@ -5,7 +5,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, EyeFit, KindComparison, fit_eye, fit_kinds
+from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, Calibration, KindComparison, fit_eye, fit_kinds
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.photo_session import CHANNELS
 from wlr_render.errors import BadInputError
@@ -121,7 +121,7 @@ def require_readable_models(folder: Path, name: str = MODEL_FILE) -> None:
             ) from error
 
 
-def save_models(folder: Path, fits: Sequence[EyeFit], name: str = MODEL_FILE) -> tuple[Path, tuple[str, ...]]:
+def save_models(folder: Path, fits: Sequence[Calibration], name: str = MODEL_FILE) -> tuple[Path, tuple[str, ...]]:
     """Write a model file; returns its path, and sentences about what was in it before."""
     path = folder / name
     before = {model.device for model in load_eye_models(path).values()} if path.exists() else set()

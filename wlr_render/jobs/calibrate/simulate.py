@@ -5,15 +5,12 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-
 from wlr_render.atomic_files import output_folder
-from wlr_render.calibration.fit_eye import EyeFit
+from wlr_render.calibration.fit_eye import Calibration
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TEST_DEPTHS_M, TESTS, TruthTests
 from wlr_render.jobs import limits
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.calibrate.fit_options import (
@@ -26,19 +23,13 @@ from wlr_render.jobs.calibrate.fit_options import (
 )
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Seed, described, eyes_of, seed_of
-from wlr_render.mappings import EyeMappings, FieldOfView
+from wlr_render.mappings import EyeMappings
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Report, ReportTable, Section
 from wlr_render.report.save import save_report
-from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
-
-_TESTS = (100, 60)  # random viewpoints, and random pixels seen from each
-_TEST_DEPTHS_M = (0.3, 5.0)
-_PIXEL_DIRECTION = "direction of a pixel (arcmin)"
-_POINT_DIRECTION = "direction of a real point (arcmin)"
+from wlr_render.simulation.simulate_captures import simulate
 
 
 @dataclass(frozen=True)
@@ -86,13 +77,13 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
         fit = comparison.chosen
         fields = {} if truth.field is None else {"in the nominal field": truth.field}
         tests = {
-            where: TruthTests.of(truth, options.seed, field)
+            where: TruthTests.of(truth, seed_of(options.seed, truth.eye, 1), field)
             for where, field in (fields | {"over the whole panel": None}).items()
         }
-        compared = {where: (test.errors(fit.mappings), test.predicted(fit)) for where, test in tests.items()}
+        compared = {where: (test.errors(fit.mappings), predicted_errors(test, fit)) for where, test in tests.items()}
         fits.append(fit)
         rms = ", ".join(
-            f"{errors[_PIXEL_DIRECTION].rms:.3g}' {where} ({predicted[_PIXEL_DIRECTION]:.3g}' predicted)"
+            f"{errors[PIXEL_DIRECTION].rms:.3g}' {where} ({predicted[PIXEL_DIRECTION]:.3g}' predicted)"
             for where, (errors, predicted) in compared.items()
         )
         sentences.append(f"{fit_sentences(comparison)} Display error against the traced device, rms: {rms}.")
@@ -121,14 +112,18 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
 
 def simulate_captures(truth: EyeMappings, options: CalibrateSimulateOptions) -> EyeCaptures:
     """Captures of both sides of an eye, taken where the type of model needs them."""
-    stage_turn_rad = 1e-6 * options.stage_turn_urad
-    setup = CaptureSetup(truth, options.noise_px, 1e-3 * options.stage_error_mm, stage_turn_rad=stage_turn_rad)
-    positions = setup.camera_positions(options.fit.kind or "planar", options.viewpoints)
-    rng = np.random.default_rng(seed_of(options.seed, truth.eye))
-    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return simulate(
+        truth,
+        options.viewpoints,
+        options.noise_px,
+        seed_of(options.seed, truth.eye),
+        kind=options.fit.kind or "planar",
+        stage_error_m=1e-3 * options.stage_error_mm,
+        stage_turn_rad=1e-6 * options.stage_turn_urad,
+    )
 
 
-def _of_each(fits: Sequence[EyeFit], sentences: Callable[[EyeFit], list[str]]) -> list[str]:
+def _of_each(fits: Sequence[Calibration], sentences: Callable[[Calibration], list[str]]) -> list[str]:
     """Sentences about each fit, which name the eye if there are two."""
     return [
         f"{fit.mappings.eye.capitalize()} eye: {sentence}" if len(fits) > 1 else sentence
@@ -137,49 +132,14 @@ def _of_each(fits: Sequence[EyeFit], sentences: Callable[[EyeFit], list[str]]) -
     ]
 
 
-@dataclass(frozen=True)
-class TruthTests:
-    """Exact observations of an eye at random viewpoints in the eye box."""
-
-    display: mapping_error.DisplayObservations
-    see_through: mapping_error.SeeThroughObservations
-
-    @classmethod
-    def of(cls, truth: EyeMappings, seed: int, field: FieldOfView | None = None) -> "TruthTests":
-        """Pixels random on the panel or, if `field` is given, in random directions of it; real points likewise."""
-        rng = np.random.default_rng(seed_of(seed, truth.eye, 1))  # not the numbers that the captures were made with
-        count, each = _TESTS
-        viewpoint = viewpoints.random_in_eye_box(truth.eye_box, count, rng)[:, None]
-        if field is None:
-            pixel = rng.uniform(0.0, 1.0, (count, each, 2)) * truth.display.panel.size_px
-            seen = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
-        else:
-            view_dir = dir_of_tangents(rng.uniform(field.low, field.high, (count, each, 2)))
-            seen = mapping_error.observations_of_dirs(truth.display, viewpoint, view_dir)
-        near, far = _TEST_DEPTHS_M
-        depth = 1.0 / rng.uniform(1.0 / far, 1.0 / near, len(seen.pixel))
-        points = mapping_error.see_through_observations(truth.see_through, seen.viewpoint, seen.view_dir, depth)
-        return cls(seen, points)
-
-    def errors(self, model: EyeMappings) -> dict[str, Summary]:
-        """Errors of a model, by name with unit."""
-        display = mapping_error.display_error(model.display, self.display)
-        world = mapping_error.see_through_error(model.see_through, self.see_through)
-        return {
-            _PIXEL_DIRECTION: summary(display.forward_arcmin),
-            "pixel of a direction (px)": summary(display.backward_px),
-            _POINT_DIRECTION: summary(world.backward_arcmin),
-            "direction of a real ray (arcmin)": summary(world.forward_arcmin),
-        }
-
-    def predicted(self, fit: EyeFit) -> dict[str, float]:
-        """Rms errors that a fit expects of itself there, of those that it predicts."""
-        shown, seen = self.display, self.see_through
-        display, see_through = fit.both
-        return {
-            _PIXEL_DIRECTION: summary(display.mapping.sigma(shown.pixel, shown.viewpoint)).rms,
-            _POINT_DIRECTION: summary(see_through.mapping.sigma(seen.point, seen.viewpoint)).rms,
-        }
+def predicted_errors(tests: TruthTests, fit: Calibration) -> dict[str, float]:
+    """Rms errors that a fit expects of itself in these tests, of those that it predicts."""
+    shown, seen = tests.display, tests.see_through
+    display, see_through = fit.both
+    return {
+        PIXEL_DIRECTION: summary(display.mapping.sigma(shown.pixel, shown.viewpoint)).rms,
+        POINT_DIRECTION: summary(see_through.mapping.sigma(seen.point, seen.viewpoint)).rms,
+    }
 
 
 def _truth_table(where: str, errors: dict[str, Summary], predicted: dict[str, float]) -> ReportTable:
@@ -187,7 +147,7 @@ def _truth_table(where: str, errors: dict[str, Summary], predicted: dict[str, fl
         [name, each.rms, predicted.get(name), each.median, each.p95, each.maximum, each.count, each.missing]
         for name, each in errors.items()
     ]
-    (count, _), (near, far) = _TESTS, _TEST_DEPTHS_M
+    (count, _), (near, far) = TESTS, TEST_DEPTHS_M
     columns = ["error", "rms", "predicted rms", "median", "p95", "maximum", "tests", "no answer"]
     notes = (
         f"{count} random viewpoints in the eye box; real points at {near:g} to {far:g} m.",
