@@ -14,6 +14,7 @@ from wlr_render.bench.session_folder import check_enough_captures
 from wlr_render.captures.session import SeeThroughPlan, Session
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.causes.user_causes import causes_for
+from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.hold_out_report import hold_out_sentences, hold_out_table, hold_out_values
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, STEM, diagnosis_report, improvement_found, write_corrected
