@@ -25,6 +25,7 @@ class Case:
         names: words that the sentence must hold; "a|b" is satisfied by either.
         expected: "refused"; "warned" if a sentence on standard output will do too; "right" for success; "any" where
             both success and refusal are right.
+        file: what is wrong, where the fault lies in one file alone: its reader is asked before the command runs.
         environment: variables of the command.
     """
 
@@ -34,6 +35,7 @@ class Case:
     change: Change = nothing
     names: tuple[str, ...] = ()
     expected: Literal["refused", "warned", "right", "any"] = "refused"
+    file: str = ""
     environment: dict[str, str] = field(default_factory=dict)
 
     def build(self, bases: Path, folder: Path) -> None:

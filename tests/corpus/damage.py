@@ -128,6 +128,7 @@ def damaged(
                 if sure and "1e308" not in title and "huge" not in title
                 else (),
                 "refused" if sure else "any",
+                file,
             )
 
 

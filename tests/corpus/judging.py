@@ -5,7 +5,7 @@ import unicodedata
 from pathlib import Path
 
 from corpus.case import Case
-from corpus.zygote import Outcome
+from corpus.program import Outcome
 
 MOST_MB = 2048
 MOST_CPU_S = 20.0
@@ -32,9 +32,7 @@ def faults(case: Case, outcome: Outcome, before: Snapshot, after: Snapshot) -> l
 
 
 def _ends(case: Case, outcome: Outcome) -> list[str]:
-    found = ["it hangs"] if outcome.hung else []
-    if outcome.left:
-        found.append("its worker processes outlive it")
+    found = ["its worker processes outlive it"] if outcome.left else []
     if outcome.status not in (0, 2):
         return [*found, f"its exit status is {outcome.status}"]
     if outcome.status == 2 and case.expected == "right":

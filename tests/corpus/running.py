@@ -1,24 +1,46 @@
 """Run a case from its files to its verdict."""
 
+import contextlib
 import fcntl
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 from corpus.case import Case
-from corpus.judging import faults, snapshot
-from corpus.zygote import Outcome, Zygote
+from corpus.judging import PROGRAM, faults, snapshot
+from corpus.program import Outcome, limits, run
+from corpus.readers import READERS
+from wlr_render.errors import BadInputError
+from wlr_render.escapes import printable
 
 
-def verdict(zygote: Zygote, bases: Path, case: Case) -> tuple[list[str], Outcome]:
+def verdict(bases: Path, case: Case, printed: Callable[[], tuple[str, str]]) -> tuple[list[str], Outcome]:
     """Build, run and judge a case in a temporary folder, which is removed."""
     with tempfile.TemporaryDirectory(prefix="corpus-") as name:
         folder = Path(name) / "case"
         folder.mkdir()
         case.build(bases, folder)
         before = snapshot(folder)
-        outcome = zygote.run(case.arguments, folder, Path(name) / "stream", case.environment)
+        outcome = _refusal(case, folder) or run(case.arguments, folder, case.environment, printed)
         return faults(case, outcome, before, snapshot(folder)), outcome
+
+
+def _refusal(case: Case, folder: Path) -> Outcome | None:
+    """The sentence with which the reader of a spoiled file refuses it; None if it does not, or there is none.
+
+    What a command makes of such an error is the same for all files: the cases without a reader judge it.
+    """
+    if case.file not in READERS:
+        return None
+    began_s = time.process_time()
+    try:
+        with contextlib.chdir(folder), limits() as largest_mb:
+            READERS[case.file](Path(case.file))
+    except BadInputError as error:
+        sentence = f"{PROGRAM}{printable(str(error))}\n"
+        return Outcome(2, "", sentence, False, time.process_time() - began_s, largest_mb())
+    return None
 
 
 def made_once(folder: Path, make: Callable[[Path], object]) -> Path:

@@ -1,27 +1,19 @@
-"""Every case of the corpus, judged: no traceback, no hang, nothing accepted in silence, nothing left over."""
+"""Every case of the corpus, judged: no traceback, nothing accepted in silence, nothing left over."""
 
 import pytest
 
 from corpus.all_cases import all_cases
-from corpus.base_files import make_bases
-from corpus.running import made_once, verdict
-from corpus.zygote import Zygote
+from corpus.running import verdict
+from wlr_render.captures import session_reading
 
 
-@pytest.fixture(scope="session")
-def bases(tmp_path_factory, worker_id):
-    root = tmp_path_factory.getbasetemp()
-    return made_once((root if worker_id == "master" else root.parent) / "corpus", make_bases)
-
-
-@pytest.fixture(scope="session")
-def zygote():
-    process = Zygote()
-    yield process
-    process.close()
+@pytest.fixture(autouse=True)
+def photographs_read_in_this_process(monkeypatch):
+    """Read photographs without the worker process of --workers 1, which takes longer to start than to read them."""
+    monkeypatch.setattr(session_reading, "as_finished", lambda run, tasks, spread, folder: map(run, tasks))
 
 
 @pytest.mark.parametrize("case", all_cases(), ids=lambda case: case.name.encode("unicode_escape").decode())
-def test_case(case, bases, zygote):
-    found, outcome = verdict(zygote, bases, case)
+def test_case(case, bases, capfd):
+    found, outcome = verdict(bases, case, capfd.readouterr)
     assert not found, f"{'; '.join(found)}\nwlr-render {' '.join(case.arguments)}\n{outcome.out}{outcome.err}"

@@ -12,23 +12,15 @@ from pathlib import Path
 
 import pytest
 
-from corpus.base_files import make_bases
 from corpus.case import Case
 from corpus.judging import PROGRAM, faults, snapshot
-from corpus.running import made_once
-from corpus.zygote import Outcome
+from corpus.program import Outcome
 
 PROGRAM_WORDS = f"{sys.executable} -m wlr_render"
 GOOD = "render device.toml scene.toml --backend cpu --out out"
 BAD = "render nowhere.toml scene.toml --out out"
 FILES = ("device.toml", "scene.toml", "box.obj")
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="session")
-def bases(tmp_path_factory, worker_id):
-    root = tmp_path_factory.getbasetemp()
-    return made_once((root if worker_id == "master" else root.parent) / "corpus", make_bases)
 
 
 @pytest.fixture
@@ -45,7 +37,7 @@ def run(command, folder, **environment):
     kept = {name: value for name, value in surroundings.items() if value is not None}
     words = ["bash", "-c", command.replace("@", PROGRAM_WORDS)]
     done = subprocess.run(words, cwd=folder, env=kept, capture_output=True, timeout=90, check=False)
-    return Outcome(done.returncode, done.stdout.decode(), done.stderr.decode(), False, False, 0.0, 0.0)
+    return Outcome(done.returncode, done.stdout.decode(), done.stderr.decode(), False, 0.0, 0.0)
 
 
 def judged(folder, command, expected, names=(), **environment):

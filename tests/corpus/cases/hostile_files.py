@@ -186,6 +186,7 @@ def cases() -> Iterator[Case]:
                 several([reader.prepare, _spoiling(reader.file, spoil)]),
                 (f"{Path(reader.file).name}|{_named(reader)}",) if not may_pass else (),
                 "any" if may_pass or _forgiving(reader, title) else "refused",
+                "" if title == "missing" else reader.file,
             )
 
 
