@@ -27,6 +27,9 @@ pytest_plugins = ["small_headsets"]
 
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
+SLOW_S = 5.0
+"""Seconds of a test that `--fast` complains of: the limit of the marker, 1 s, and room for a machine that is busy."""
+
 LEFT_TO_THE_USER = re.compile(
     "measured s|Optiland|(open3d|warp|warp-lang|newton|datasets|pyopenxr|monado-service|bpy|Blender) is not installed"
     "|rattler-build|opencv-contrib-python only|root may|user namespaces"
@@ -38,6 +41,35 @@ def pytest_addoption(parser):
     parser.addoption(
         "--readers", action="store_true", help="fail tests that are skipped although ./wlr readers installs their needs"
     )
+    parser.addoption(
+        "--fast", action="store_true", help="run each test that is not marked slow once, with its first parameters"
+    )
+
+
+def room_of(item):
+    """The folder of tests/ in which a test is."""
+    return item.path.relative_to(Path(__file__).parent).parent.as_posix().split("/")[0]
+
+
+def pytest_collection_modifyitems(config, items):
+    if not config.getoption("--fast"):
+        return
+    first = {}
+    for item in items:
+        if not item.get_closest_marker("slow"):
+            first.setdefault(item.nodeid.partition("[")[0], item)
+    chosen = set(first.values())
+    if rooms := {room_of(item) for item in items} - {room_of(item) for item in chosen}:
+        raise pytest.UsageError(f"--fast runs nothing of {', '.join(sorted(rooms))}: all of it is marked slow")
+    config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+    items[:] = [item for item in items if item in chosen]
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    reports = [report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, ())]
+    for report in reports if config.getoption("--fast") else ():
+        if report.duration > SLOW_S:
+            terminalreporter.line(f"{report.nodeid} took {report.duration:.0f} s: mark it slow")
 
 
 @pytest.hookimpl(wrapper=True)

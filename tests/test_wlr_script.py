@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from wlr_render.rendering.gl_programs import GLSL_VERSION
 
@@ -47,6 +48,14 @@ def test_tests_run_in_one_process_per_core_and_take_arguments(tmp_path, verb):
     commands = {name: "" for name in ("ruff", "mypy", "lint-imports")} | {"python": 'printf "[%s] " "$@"; echo'}
     *_, last = run_script(tmp_path, [verb, "tests/optics", "-k", "a b"], commands).stdout.splitlines()
     assert last == "[-m] [pytest] [-n] [auto] [--dist] [worksteal] [tests/optics] [-k] [a b] "
+
+
+def test_hooks_of_a_commit_run_what_check_runs_before_the_tests(tmp_path):
+    commands = {name: f'echo .venv/bin/{name} "$@"' for name in ("ruff", "mypy", "lint-imports")}
+    commands["python"] = 'case "$*" in *pdoc*) echo ./wlr docs ;; esac'
+    run = run_script(tmp_path, ["check"], commands).stdout.splitlines()
+    (local,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
+    assert sorted(hook["entry"] for hook in local["hooks"]) == sorted(line.strip() for line in run)
 
 
 @pytest.mark.gl
