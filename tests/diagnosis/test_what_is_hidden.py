@@ -1,4 +1,7 @@
-"""Effects hidden by code that shares nothing with the causes: the diagnosis finds them, or says that it does not."""
+"""Effects hidden by code that shares nothing with the causes: the diagnosis finds them, or says that it does not.
+
+tests/benchmarks/diagnosis has the sign and the size of every cause.
+"""
 
 import numpy as np
 import pytest
@@ -10,14 +13,18 @@ from benchmarks.diagnosis.trial import observed
 from benchmarks.diagnosis.truths import truth_of
 from wlr_render.diagnosis.diagnosis import EXPLAINED, NO_EFFECT, UNEXPLAINED
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.settings import Settings
+
+SETTINGS = Settings(subsample=1200)
+"""About a third of the readings, as in a session of full size."""
 
 
 def small(device, channels=(1,)):
     return Plan(device, grid=(9, 7), dots=(8, 5), nodes=4, off_plane=12, channels=channels)
 
 
-def diagnosed(plan, *effects, seed=1):
-    return diagnose(*observed(plan, effects, np.random.default_rng(seed)))
+def diagnosed(plan, *effects):
+    return diagnose(*observed(plan, effects, np.random.default_rng(1)), settings=SETTINGS)
 
 
 def names(said):
@@ -41,15 +48,8 @@ def check_explained(said, plan, *effects):
 @pytest.mark.parametrize(
     ("device", "effect"),
     [
-        ("northstar", Effect("panel_shift", {"x_mm": 0.1, "y_mm": -0.07})),
-        ("northstar", Effect("panel_bow", {"corner_mm": 0.4})),
-        ("northstar", Effect("target_bow", {"bow_mm": -2.0, "second_ratio": 0.4})),
         ("freeform40", Effect("combiner_shift", {"x_mm": 0.02, "y_mm": 0.03, "z_mm": -0.03})),
-        ("freeform40", Effect("combiner_form", {"sag_mm": 0.01})),
-        ("freeform40", Effect("stage_tilt", {"x_deg": 0.6, "y_deg": -0.5, "z_deg": 0.7})),
         ("birdbath28", Effect("headset_slip", {"x_mm": 0.3, "y_mm": -0.2, "z_mm": 0.3, "start_s": 650.0})),
-        ("birdbath28", Effect("combiner_dent", {"depth_mm": 0.006, "x_mm": 4.0, "y_mm": -5.0, "width_mm": 4.0})),
-        ("birdbath28", Effect("tracking_rotation", {"x_deg": 0.05, "y_deg": 0.1, "z_deg": -0.1})),
     ],
     ids=lambda value: getattr(value, "name", value),
 )
@@ -70,12 +70,10 @@ def test_two_causes_are_found_at_once():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("device", ["northstar", "freeform40"])
-def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found(device):
-    said = diagnosed(small(device))
+def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found():
+    said = diagnosed(small("northstar"))
     assert (said.verdict, said.causes, said.excluded) == (NO_EFFECT, (), ())
     limit = {(each.cause, each.parameter): each.limit for each in said.detection_limits}
-    # The sizes that the effects above have are far beyond these.
     assert 0.0 < limit["panel_shift", "shift_u"] < 0.1
     assert 0.0 < limit["tracking_translation", "shift_x"] < 0.8
 
