@@ -24,7 +24,7 @@ class Case:
         change: spoils them.
         names: words that the sentence must hold; "a|b" is satisfied by either.
         expected: "refused"; "warned" if a sentence on standard output will do too; "right" for success; "any" where
-            both success and refusal are right.
+            both success and refusal are right; "read" where both are, and the reader of the file decides.
         file: what is wrong, where the fault lies in one file alone: its reader is asked before the command runs.
         environment: variables of the command.
     """
@@ -34,7 +34,7 @@ class Case:
     files: tuple[str, ...] = ()
     change: Change = nothing
     names: tuple[str, ...] = ()
-    expected: Literal["refused", "warned", "right", "any"] = "refused"
+    expected: Literal["refused", "warned", "right", "any", "read"] = "refused"
     file: str = ""
     environment: dict[str, str] = field(default_factory=dict)
 

@@ -127,7 +127,7 @@ def damaged(
                 (Path(file).name, f"{plain[-1]}|NaN|Infinity")
                 if sure and "1e308" not in title and "huge" not in title
                 else (),
-                "refused" if sure else "any",
+                "refused" if sure else "read" if wrong is MISSING else "any",
                 file,
             )
 

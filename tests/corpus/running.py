@@ -22,25 +22,26 @@ def verdict(bases: Path, case: Case, printed: Callable[[], tuple[str, str]]) -> 
         folder.mkdir()
         case.build(bases, folder)
         before = snapshot(folder)
-        outcome = _refusal(case, folder) or run(case.arguments, folder, case.environment, printed)
+        outcome = _reading(case, folder) or run(case.arguments, folder, case.environment, printed)
         return faults(case, outcome, before, snapshot(folder)), outcome
 
 
-def _refusal(case: Case, folder: Path) -> Outcome | None:
-    """The sentence with which the reader of a spoiled file refuses it; None if it does not, or there is none.
+def _reading(case: Case, folder: Path) -> Outcome | None:
+    """What the reader of a spoiled file decides, None if the command is to decide.
 
-    What a command makes of such an error is the same for all files: the cases without a reader judge it.
+    What a command makes of a reader's error is the same for all files: the cases without a reader judge it.
     """
     if case.file not in READERS:
         return None
-    began_s = time.process_time()
-    try:
-        with contextlib.chdir(folder), limits() as largest_mb:
+    began_s, status, sentence = time.process_time(), 0, ""
+    with contextlib.chdir(folder), limits() as largest_mb:
+        try:
             READERS[case.file](Path(case.file))
-    except BadInputError as error:
-        sentence = f"{PROGRAM}{printable(str(error))}\n"
-        return Outcome(2, "", sentence, False, time.process_time() - began_s, largest_mb())
-    return None
+        except BadInputError as error:
+            status, sentence = 2, f"{PROGRAM}{printable(str(error))}\n"
+    if status == 0 and case.expected != "read":
+        return None
+    return Outcome(status, "", sentence, False, time.process_time() - began_s, largest_mb())
 
 
 def made_once(folder: Path, make: Callable[[Path], object]) -> Path:

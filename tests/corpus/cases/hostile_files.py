@@ -185,7 +185,7 @@ def cases() -> Iterator[Case]:
                 reader.files,
                 several([reader.prepare, _spoiling(reader.file, spoil)]),
                 (f"{Path(reader.file).name}|{_named(reader)}",) if not may_pass else (),
-                "any" if may_pass or _forgiving(reader, title) else "refused",
+                _expected(reader, title, may_pass),
                 "" if title == "missing" else reader.file,
             )
 
@@ -198,6 +198,12 @@ def _named(reader: Reader) -> str:
 
 def _spoiling(file: str, spoil: Callable[[Path], object]) -> Change:
     return lambda folder: spoil(folder / file)
+
+
+def _expected(reader: Reader, title: str, may_pass: bool) -> Literal["read", "any", "refused"]:
+    if title == "begins with a byte order mark":
+        return "read"
+    return "any" if may_pass or _forgiving(reader, title) else "refused"
 
 
 def _forgiving(reader: Reader, title: str) -> bool:
