@@ -124,7 +124,6 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--workers": ("0",),
     }),
     (PHOTOGRAPHED, (), {
-        "--panel": ("0x0", "-1x5", "10000000x10000000", "x"),
         "--port": ("-1", "0.5", "99999999"),
         "--settle-s": ("-1", "nan", "inf"),
         "--timeout-s": ("0", "-1", "nan", "inf"),
