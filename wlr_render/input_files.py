@@ -72,6 +72,7 @@ class InputLimits:
 
 LIMITS = InputLimits()
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # TIFF tags
+_REWRITE = "write it again"
 _short = reprlib.Repr()
 _short.maxstring = _short.maxother = 100
 _short.maxdict = _short.maxlist = 4
@@ -228,44 +229,44 @@ def decode_text(path: str | Path, content: bytes, kind: str, remedy: str = "name
         raise BadInputError(f"{path}: line {line} is not UTF-8 text, so this is not {kind}; {remedy}.") from error
 
 
-def gunzip(path: str | Path, content: bytes, at_most: int, remedy: str = "write it again") -> bytes:
+def gunzip(path: str | Path, content: bytes, at_most: int) -> bytes:
     """Decompress the content of a gzip file.
 
     Raises:
         BadInputError: the content is not gzip, is cut short, or has more than `at_most` bytes decompressed.
     """
     parts, length = [], 0
-    with parsing(path, "a gzip file", remedy):
+    with parsing(path, "a gzip file", _REWRITE):
         while content:
             stream = zlib.decompressobj(wbits=31)
             part = stream.decompress(content, at_most - length + 1)
             length += len(part)
             if length > at_most:
-                raise BadInputError(f"{path}: decompresses to more than {_size(at_most)}; {remedy}.")
+                raise BadInputError(f"{path}: decompresses to more than {_size(at_most)}; {_REWRITE}.")
             if not stream.eof:
-                raise BadInputError(f"{path}: is cut short; {remedy}.")
+                raise BadInputError(f"{path}: is cut short; {_REWRITE}.")
             parts.append(part)
             content = stream.unused_data
     return b"".join(parts)
 
 
-def read_arrays(path: str | Path, kind: str, remedy: str = "write it again") -> dict[str, NDArray[Any]]:
+def read_arrays(path: str | Path, kind: str) -> dict[str, NDArray[Any]]:
     """Read the named arrays of an .npz file, without pickled objects.
 
     Raises:
         BadInputError: as `read_bytes`, or the file is not `kind`.
     """
-    content = io.BytesIO(read_bytes(path, LIMITS.array_bytes, remedy))
-    with parsing(path, kind, remedy), zipfile.ZipFile(content) as archive:
+    content = io.BytesIO(read_bytes(path, LIMITS.array_bytes, _REWRITE))
+    with parsing(path, kind, _REWRITE), zipfile.ZipFile(content) as archive:
         promised = sum(entry.file_size for entry in archive.infolist())
         if promised > LIMITS.array_bytes:
-            raise BadInputError(f"{path}: decompresses to more than {_size(LIMITS.array_bytes)}; {remedy}.")
+            raise BadInputError(f"{path}: decompresses to more than {_size(LIMITS.array_bytes)}; {_REWRITE}.")
         content.seek(0)
         with np.load(content, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
     for name, values in arrays.items():
         if not isinstance(values, np.ndarray):  # a member of the archive that is not an array
-            raise BadInputError(f"{path}: '{name}' is not an array, so this is not {kind}; {remedy}.")
+            raise BadInputError(f"{path}: '{name}' is not an array, so this is not {kind}; {_REWRITE}.")
     return arrays
 
 

@@ -11,7 +11,7 @@ from benchmarks.simulated_lab.simulate_readings import (
     simulate_readings,
 )
 from wlr_render.budget.error_sizes import ErrorSizes, PerAxis, Truncation
-from wlr_render.budget.registration_budget import covered_points, registration_covariance
+from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import REGIONS, region_of, variance
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.half_turns import with_half_turns
@@ -19,7 +19,7 @@ from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.fit_eye import Calibration, fit_eye
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
-from wlr_render.geometry import transforms
+from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.budget import BudgetOptions
 from wlr_render.jobs.plan.planned_bench import ReadingOptions
@@ -161,7 +161,10 @@ def judged(
     predicted = registration_covariance(eye, pixel, viewpoint, depth, sizes)
     predicted = predicted.in_camera_frame() if condition == CAMERA_FRAME else predicted
     # The renderer draws at this pixel what its trackers make it believe lies behind it.
-    believed = covered_points(eye, pixel, viewpoint + _eye_errors(sizes, rng), depth)
+    believed_viewpoint = viewpoint + _eye_errors(sizes, rng)
+    shown = eye.display.view_dir_of_pixel(pixel, believed_viewpoint).value
+    ray = eye.see_through.real_ray_of_view_dir(shown, believed_viewpoint).value
+    believed = rays.split(rays.at_z(ray, believed_viewpoint[:, 2] - depth))[0]
     motion = _head_errors(sizes, rng)
     point = np.einsum("nij,nj->ni", motion[:, :3, :3], believed) + motion[:, :3, 3]
     error = _true_error(truth, transforms.inverse(model_from_true), pixel, viewpoint, point)

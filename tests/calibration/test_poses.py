@@ -1,20 +1,11 @@
 import numpy as np
 import pytest
 
-from wlr_render.calibration.poses import Pose, mean_of_dependent, motion_between, small_motion
+from wlr_render.calibration.poses import Pose, motion_between, small_motion
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
 
 DRAWS = 20_000
-
-
-def mean_of(poses):
-    """Of measurements that have nothing to do with each other."""
-    joint = np.zeros((len(poses), 6, len(poses), 6))
-    for i, pose in enumerate(poses):
-        joint[i, :, i] = pose.covariance
-    flat = joint.reshape(6 * len(poses), 6 * len(poses))
-    return mean_of_dependent(np.array([pose.b_from_a for pose in poses]), flat)
 
 
 def some_covariance(rng, size=1e-3):
@@ -59,28 +50,3 @@ def test_sigmas_are_those_of_turning_and_of_where_the_origin_lies():
     np.testing.assert_allclose(pose.sigma_mm, 1e3 * draws[:, :3, 3].std(axis=0), rtol=0.03)
     turning = motion_between(pose.b_from_a, draws)[:, :3].std(axis=0)
     np.testing.assert_allclose(pose.sigma_arcmin, turning / ARCMIN, rtol=0.03)
-
-
-def test_the_mean_scatters_as_it_says_and_less_than_any_single_one():
-    rng = np.random.default_rng(5)
-    truth = some_pose(rng)
-    covariances = [some_covariance(rng) for _ in range(3)]
-    readings = [drawn(Pose(truth, covariance), rng, 2_000) for covariance in covariances]
-    means = [
-        mean_of([Pose(b_from_a, covariance) for b_from_a, covariance in zip(case, covariances, strict=True)])
-        for case in zip(*readings, strict=True)
-    ]
-    error = motion_between(truth, np.array([mean.pose.b_from_a for mean in means]))
-    normal = np.linalg.inv(sum(np.linalg.inv(covariance) for covariance in covariances))
-    scaled = np.einsum("ni,ij,nj->n", error, np.linalg.inv(normal), error)
-    assert scaled.mean() == pytest.approx(6.0, rel=0.1)
-    assert np.mean([mean.chi_square for mean in means]) == pytest.approx(12.0, rel=0.1)
-    np.testing.assert_allclose(means[0].weights.sum(axis=0), np.eye(6), atol=1e-9)
-
-
-def test_measurements_that_contradict_each_other_make_the_mean_less_certain():
-    pose = Pose(np.eye(4), 1e-8 * np.eye(6))
-    moved = Pose(small_motion(np.array([0, 0, 0, 1e-2, 0, 0])), pose.covariance)
-    agreed, contradicted = mean_of([pose, pose]).pose, mean_of([pose, moved]).pose
-    assert contradicted.sigma_mm[0] > 20 * agreed.sigma_mm[0]
-    np.testing.assert_allclose(contradicted.b_from_a[:3, 3], [5e-3, 0, 0], atol=1e-12)

@@ -63,9 +63,6 @@ def test_a_stage_that_went_too_far_spoils_models_without_their_knowing(nominal, 
     for part in (found.display, found.see_through):
         assert part.after < part.before
         assert part.improvement.percent == pytest.approx(100 * (1 - part.after / part.before))
-        # A scale of all viewpoints is a scale of the fitted polynomials' argument.
-        assert part.own_before.rms_arcmin == pytest.approx(part.own_after.rms_arcmin, rel=0.01)
-        assert part.own_after.rms_arcmin == pytest.approx(part.own_after.expected_arcmin, rel=0.3)
     assert found.display.improvement.significance > 3
     assert found.calibrated.after.median < 0.5 * found.calibrated.before.median
     assert found.prescribed.after == found.prescribed.before

@@ -83,13 +83,6 @@ def registration_covariance(
     return RegistrationCovariance(by_source, shown.value, point, shown.ok & seen.ok)
 
 
-def covered_points(
-    eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray
-) -> FloatArray:
-    """Real points (..., 3) that pixels cover as seen from viewpoints, at depths in front of these; NaN for none."""
-    return _covered(eye, pixel, viewpoint, depth_m)[2]
-
-
 def _covered(
     eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray
 ) -> tuple[QueryResult, QueryResult, FloatArray]:

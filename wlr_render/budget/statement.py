@@ -9,6 +9,7 @@ from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _ANGLES = 16  # of a normal vector: more change nothing in four digits
+_SHARE = 0.95  # of normal errors within the radius
 _HALVINGS = 30  # of the interval in which a radius is sought
 
 
@@ -31,8 +32,8 @@ class SourceShare:
     radius_if_halved_arcmin: float
 
 
-def radius_within(covariance: FloatArray, share: float = 0.95) -> FloatArray:
-    """Radius (...) within which a share of normal errors lies, of populations (..., n) with covariances (..., n, 2, 2).
+def radius_within(covariance: FloatArray) -> FloatArray:
+    """Radius (...) within which 95 % of normal errors lie, of populations (..., n) with covariances (..., n, 2, 2).
 
     The members of a population count alike; NaN ones do not count.
     """
@@ -43,12 +44,12 @@ def radius_within(covariance: FloatArray, share: float = 0.95) -> FloatArray:
     squared = 2.0 * (mean[..., None] + half[..., None] * np.cos(2.0 * angle))
     squared = squared.reshape(*squared.shape[:-2], -1)
     low = np.zeros(squared.shape[:-1])
-    high = np.sqrt(np.nanmax(squared, axis=-1) * -np.log(1.0 - share)) + 1e-12
+    high = np.sqrt(np.nanmax(squared, axis=-1) * -np.log(1.0 - _SHARE)) + 1e-12
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         with np.errstate(divide="ignore"):
             outside = np.nanmean(np.exp(-(middle[..., None] ** 2) / np.maximum(squared, 1e-30)), axis=-1)
-        too_small = outside > 1.0 - share
+        too_small = outside > 1.0 - _SHARE
         low, high = np.where(too_small, middle, low), np.where(too_small, high, middle)
     return np.asarray(0.5 * (low + high))
 

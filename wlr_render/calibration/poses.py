@@ -5,14 +5,13 @@ translation (m), so that the true pose is `small_motion(delta) @ b_from_a` with 
 T. D. Barfoot, *State Estimation for Robotics* (2017), section 7.3; he puts the translation first.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 
 
 def small_motion(delta: FloatArray) -> FloatArray:
@@ -27,11 +26,6 @@ def motion_between(before: FloatArray, after: FloatArray) -> FloatArray:
     motion = after @ transforms.inverse(before)
     vector = Rotation.from_matrix(motion[..., :3, :3].reshape(-1, 3, 3)).as_rotvec().reshape(*motion.shape[:-2], 3)
     return np.concatenate([vector, motion[..., :3, 3]], axis=-1)
-
-
-def motion_rows(index: IntArray | Sequence[int]) -> IntArray:
-    """Rows (6 k,) of poses (k,) in a joint covariance of small motions."""
-    return np.asarray((6 * np.asarray(index, dtype=np.int64)[:, None] + np.arange(6)).ravel())
 
 
 def adjoint(b_from_a: FloatArray) -> FloatArray:
@@ -70,49 +64,6 @@ class Pose:
         """(3,) standard deviations of where the origin of a lies, along the axes of b."""
         by_motion = np.concatenate([-transforms.cross_matrix(self.b_from_a[:3, 3]), np.eye(3)], axis=1)
         return 1e3 * np.sqrt(np.diag(_carried(by_motion, self.covariance)))
-
-
-@dataclass(frozen=True, eq=False)
-class PoseMean:
-    """Several measurements of one pose, combined.
-
-    Attributes:
-        pose: their mean; its covariance is widened where they contradict each other more than they say of themselves.
-        weights: (n, 6, 6), how far a small motion of each moves the mean.
-        chi_square: sum of squared contradictions in units of their sigmas; about 6 (n - 1).
-    """
-
-    pose: Pose
-    weights: FloatArray
-    chi_square: float
-
-
-def mean_of_dependent(b_from_a: FloatArray, covariance: FloatArray) -> PoseMean:
-    """Return the mean of correlated poses (n, 4, 4) whose small motions in b have the joint covariance (6 n, 6 n)."""
-    count = len(b_from_a)
-    design = np.tile(np.eye(6), (count, 1))
-    weighted = np.linalg.solve(covariance, design)
-    mean_covariance = np.linalg.inv(design.T @ weighted)
-    weights = mean_covariance @ weighted.T
-    mean = b_from_a[0]
-    for _ in range(3):  # the first mean is only as good as the motions from it are small
-        apart = motion_between(mean, b_from_a).ravel()
-        mean = small_motion(weights @ apart) @ mean
-    apart = motion_between(mean, b_from_a).ravel()
-    chi_square = float(apart @ np.linalg.solve(covariance, apart))
-    freedom = 6 * (count - 1)
-    # R. T. Birge, Phys. Rev. 40 (1932) 207; at every chance excess it would make the mean look worse than it is.
-    widening = chi_square / freedom if exceeds_chance(chi_square, freedom) else 1.0
-    return PoseMean(
-        Pose(mean, _symmetric(mean_covariance) * widening),
-        np.moveaxis(weights.reshape(6, count, 6), 1, 0),
-        chi_square,
-    )
-
-
-def exceeds_chance(chi_square: float, freedom: int) -> bool:
-    """Whether chi-squared is more than three standard deviations above its expectation."""
-    return freedom > 0 and bool(chi_square > freedom + 3.0 * np.sqrt(2.0 * freedom))
 
 
 def _carried(by: FloatArray, covariance: FloatArray) -> FloatArray:

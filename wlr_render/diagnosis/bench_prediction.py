@@ -16,7 +16,7 @@ from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums, best_scatter
-from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray
@@ -103,16 +103,13 @@ class BenchPrediction:
         return all(part.is_noise for part in self.parts)
 
 
-def predict_session(
-    bench: Bench, session: Session, own: Bench | None = None, settings: Settings = DEFAULT
-) -> BenchPrediction:
+def predict_session(bench: Bench, session: Session, own: Bench | None = None) -> BenchPrediction:
     """Compare the readings of a session, from one capture on, with those that a bench predicts.
 
     Args:
         bench: with the target poses of the session (`session_folder.bench_for_session`).
         session: the session.
         own: the session's own bench, for comparison.
-        settings: thresholds.
 
     Raises:
         BadInputError: the bench predicts no reading.
@@ -125,13 +122,13 @@ def predict_session(
 
     residual = predictor.residual(Explanation())
     by_own = None if own is None else residual_by(own)
-    noise = noise_of(observations, residual, settings)
+    noise = noise_of(observations, residual, DEFAULT)
     used = ~noise.outlier
     readings = WeighedReadings.of(predictor.with_sigma(noise.sigma_px).of_rows(used), noise)
     found = fit(readings, Explanation(), Scatter.usual(len(observations.captures)), 0)
     if found is None:
         raise BadInputError(f"{session.name}: the bench does not predict every reading; check its stage and targets.")
-    scatter, systematic = _about_common_motions(readings, found, settings)
+    scatter, systematic = _about_common_motions(readings, found)
     slipped = np.isfinite(bench.mount.slip_time_s)
     still = replace(bench.mount, slip_time_s=np.inf)
     groups = _Groups(observations, residual, by_own, used, _whitened(readings, scatter, used))
@@ -141,8 +138,7 @@ def predict_session(
         None if by_own is None else _mean_square(by_own, used),
         _mean_square(residual_by(replace(bench, mount=still)), used) if slipped else None,
         tuple(
-            groups.part(int(part), scatter, int(part) not in systematic, settings)
-            for part in np.unique(observations.part[used])
+            groups.part(int(part), scatter, int(part) not in systematic) for part in np.unique(observations.part[used])
         ),
         tuple(
             groups.group(name, used & rows)
@@ -161,7 +157,7 @@ def predict_session(
     )
 
 
-def _about_common_motions(readings: WeighedReadings, found: Fit, settings: Settings) -> tuple[Scatter, set[int]]:
+def _about_common_motions(readings: WeighedReadings, found: Fit) -> tuple[Scatter, set[int]]:
     """How captures scatter about a motion that all of a part have in common, and the parts that clearly have one.
 
     Such a motion is an error of the bench, which repeatability alone would hide: captures scatter about zero.
@@ -176,7 +172,7 @@ def _about_common_motions(readings: WeighedReadings, found: Fit, settings: Setti
         sums = ScatterSums.over(white, readings.motions, common, observations.group, observations.part, captures)
         _, without = best_scatter(sums.of_columns(np.arange(0)), found.scatter, np.zeros(0))
         about, cost = best_scatter(sums, found.scatter, np.zeros(6), np.repeat([UNUSUAL_SHIFT, UNUSUAL_TURN], 3))
-        if LOG10_ODDS * (without - cost) > settings.least_log10_odds:
+        if LOG10_ODDS * (without - cost) > DEFAULT.least_log10_odds:
             systematic.add(int(part))
             mine = np.arange(len(PART_NAMES)) == part
             new, old = (each.vector().reshape(3, -1) for each in (about, scatter))
@@ -206,13 +202,13 @@ class _Groups:
     used: BoolArray
     white: FloatArray
 
-    def part(self, part: int, scatter: Scatter, random: bool, settings: Settings) -> PredictedPart:
+    def part(self, part: int, scatter: Scatter, random: bool) -> PredictedPart:
         """All readings of a part; `random` where its captures have no motion in common."""
         group = self.group(PART_NAMES[part], self.used & (self.observations.part == part))
         shows = part != RUN_TIME and group.captures > 1
         return PredictedPart(
             **vars(group),
-            is_noise=random and scatter.is_ordinary(part, settings.material_excess),
+            is_noise=random and scatter.is_ordinary(part, DEFAULT.material_excess),
             shift_um=float(scatter.shift_um[part]) if shows else None,
             turn_urad=float(scatter.turn_urad[part]) if shows else None,
         )

@@ -15,7 +15,7 @@ import numpy as np
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.session_captures import display_captures, see_through_captures
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_report import AnyModel, HeldOut, ModelFit
+from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.session import Session
@@ -39,14 +39,10 @@ class Refitted:
     """A model refitted to the captures as the nominal and as the corrected bench describe them.
 
     Attributes:
-        own_before, own_after: held-out captures that are placed by the bench of the fit itself. What is smooth, such as
-            a stage's scale, does not show: fit and captures share it.
         before, after: rms error in arcminutes on held-out captures, placed where the corrected bench says they were.
         improvement: of `after` over `before`.
     """
 
-    own_before: HeldOut
-    own_after: HeldOut
     before: float
     after: float
     improvement: HeldOutImprovement
@@ -109,13 +105,7 @@ def _refit(side: _Side[AnyCaptures, AnyModel], nominal: Bench, corrected: Bench,
     names, owner = np.unique(judge.capture[both], return_inverse=True)
     squares = [np.bincount(owner, error[both] ** 2, len(names)).astype(np.float64) for error in (old, new)]
     rms = [float(np.sqrt(square.sum() / both.sum())) for square in squares]
-    refitted = Refitted(
-        whole[0].left_out("one capture in four", out),
-        whole[1].left_out("one capture in four", out),
-        rms[0],
-        rms[1],
-        held_out_improvement(squares[0], squares[1]),
-    )
+    refitted = Refitted(rms[0], rms[1], held_out_improvement(squares[0], squares[1]))
     return _Refit(whole[0].mapping, whole[1].mapping, refitted)
 
 

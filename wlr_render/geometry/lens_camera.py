@@ -20,8 +20,6 @@ OPENCV_PIXEL_SHIFT = -0.5
 
 DISTORTION_TERMS = ("k1", "k2", "p1", "p2", "k3")
 """Distortion coefficients of Brown's model, in OpenCV's order."""
-LENS_PARAMETERS = ("fx", "fy", "cx", "cy", *DISTORTION_TERMS)
-"""All parameters of a lens with Brown's model, in the order of OpenCV's derivatives."""
 
 _RATIONAL_TERMS = (*DISTORTION_TERMS, "k4", "k5", "k6")
 LENS_KINDS = {

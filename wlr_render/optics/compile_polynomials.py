@@ -57,14 +57,13 @@ class CompiledMap:
     Attributes:
         polynomial: the map.
         by_assembly_error: (terms, outputs, 12) derivatives of its coefficients by the values of `assembled`.
-        rms_arcmin, largest_arcmin: errors at random rays that were not fitted.
+        rms_arcmin: error at random rays that were not fitted.
         reached: fraction of the rays of the box that pass the optics inside all clear apertures.
     """
 
     polynomial: Polynomial
     by_assembly_error: FloatArray
     rms_arcmin: float
-    largest_arcmin: float
     reached: float
 
 
@@ -153,7 +152,7 @@ def _compiled(rays: _Rays, ladder: tuple[Limits, ...]) -> CompiledMap:
             break
     by_values = rays.by_values(fitted)
     change = solve(by_values.reshape(len(by_values), -1)).reshape(len(orders), -1, len(ASSEMBLY_NAMES))
-    return CompiledMap(polynomial, change, rms, float(error.max()), check.reached)
+    return CompiledMap(polynomial, change, rms, check.reached)
 
 
 def _ridge_regression(inputs: FloatArray, orders: IntArray, box: Box) -> Callable[[FloatArray], FloatArray]:

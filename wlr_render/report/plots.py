@@ -78,7 +78,6 @@ def heat_map(
     *,
     limits: tuple[float, float] | None = None,
     log: bool = False,
-    axes: tuple[str, str] = ("u (px)", "v (px)"),
     cell: float = 1.0,
     caption: str = "",
 ) -> Plot:
@@ -90,8 +89,7 @@ def heat_map(
         unit: of the values.
         limits: values of the first and the last colour; None for the range of the values.
         log: logarithmic colours.
-        axes: titles of columns and rows.
-        cell: side of a pixel of the image, in the unit of the axes.
+        cell: side of a pixel of the image, in panel pixels.
         caption: what it shows.
     """
     height, width = values.shape
@@ -116,8 +114,8 @@ def heat_map(
         **colours,
     }
     layout = {
-        "xaxis": axis(axes[0]) | {"constrain": "domain"},
-        "yaxis": axis(axes[1]) | {"autorange": "reversed", "scaleanchor": "x", "constrain": "domain"},
+        "xaxis": axis("u (px)") | {"constrain": "domain"},
+        "yaxis": axis("v (px)") | {"autorange": "reversed", "scaleanchor": "x", "constrain": "domain"},
     }
     reduced = f" Each cell shows the maximum of {block} x {block} pixels." if block > 1 else ""
     return Plot(title, [trace], layout, (caption + reduced).strip(), height_px=560)

@@ -5,7 +5,7 @@ import hashlib
 import numpy as np
 import pytest
 
-from wlr_render.captures.boards.board_design import DISTANCE, WINDOW, design_board
+from wlr_render.captures.boards.board_design import DISTANCE, WINDOW, check_sizes, design_board
 from wlr_render.errors import BadInputError
 
 
@@ -36,10 +36,6 @@ def test_a_board_is_the_same_on_every_machine_and_another_for_another_seed():
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        ({"large_m": 0.0095}, "nearly touch at a pitch of 10 mm"),
-        ({"large_m": 0.004}, "are too similar"),
-        ({"small_m": 0.007}, "must be larger"),
-        ({"margin_m": 0.001}, "leaves no white"),
         ({"columns": 4}, "at least 5 x 5"),
         ({"columns": 150, "rows": 150}, "too large for windows of 5 x 5"),
     ],
@@ -47,3 +43,17 @@ def test_a_board_is_the_same_on_every_machine_and_another_for_another_seed():
 def test_impossible_boards_are_refused(arguments, sentence):
     with pytest.raises(BadInputError, match=sentence):
         design_board(**({"columns": 8, "rows": 8, "pitch_m": 0.01} | arguments))
+
+
+@pytest.mark.parametrize(
+    ("large_m", "small_m", "margin_m", "sentence"),
+    [
+        (0.0095, 0.0038, 0.01, "nearly touch at a pitch of 10 mm"),
+        (0.004, 0.0038, 0.01, "are too similar"),
+        (0.006, 0.007, 0.01, "must be larger"),
+        (0.006, 0.0038, 0.001, "leaves no white"),
+    ],
+)
+def test_dots_that_cannot_be_distinguished_are_refused(large_m, small_m, margin_m, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        check_sizes(0.01, large_m, small_m, margin_m)

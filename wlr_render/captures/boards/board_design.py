@@ -23,9 +23,6 @@ def design_board(
     columns: int,
     rows: int,
     pitch_m: float,
-    large_m: float | None = None,
-    small_m: float | None = None,
-    margin_m: float | None = None,
     seed: int = 1,
 ) -> DotBoard:
     """Design a board with unique 5 x 5 windows (see `WINDOW`); the same arguments give the same board everywhere.
@@ -33,20 +30,15 @@ def design_board(
     Args:
         columns, rows: number of dots along x and y.
         pitch_m: distance of neighbouring dots.
-        large_m, small_m: diameters; without, 0.6 and 0.38 of the pitch.
-        margin_m: white from the outermost dots' centres to the edge; without, one pitch.
         seed: seed of the design.
 
     Raises:
-        BadInputError: the dots overlap or are too similar, or the board is too small or too large for `WINDOW`.
+        BadInputError: the board is too small or too large for `WINDOW`.
     """
-    large_m = _LARGE * pitch_m if large_m is None else large_m
-    small_m = _SMALL * pitch_m if small_m is None else small_m
-    margin_m = _MARGIN * pitch_m if margin_m is None else margin_m
-    check_sizes(pitch_m, large_m, small_m, margin_m)
     if min(columns, rows) < WINDOW:
         raise BadInputError(f"A board of {columns} x {rows} dots is too small; take at least {WINDOW} x {WINDOW}.")
-    return DotBoard(pitch_m, large_m, small_m, margin_m, _choose_sizes(columns, rows, seed))
+    large = _choose_sizes(columns, rows, seed)
+    return DotBoard(pitch_m, _LARGE * pitch_m, _SMALL * pitch_m, _MARGIN * pitch_m, large)
 
 
 def check_sizes(pitch_m: float, large_m: float, small_m: float, margin_m: float) -> None:

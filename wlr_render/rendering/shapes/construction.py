@@ -181,14 +181,6 @@ def globe(name: str, radius: float, segments: int) -> Mesh:
     return from_grid(name, radius * normal, normal)
 
 
-def dot_centres(columns: int, rows: int, pitch_m: float) -> FloatArray:
-    """Centres of a board's dots in its own frame, (rows, columns, 3): x right, y up, origin at the board's centre."""
-    x = (np.arange(columns) - 0.5 * (columns - 1)) * pitch_m
-    y = (0.5 * (rows - 1) - np.arange(rows)) * pitch_m
-    grid = np.meshgrid(x, y)
-    return np.stack([*grid, np.zeros((rows, columns))], axis=-1)
-
-
 def dot_board(
     columns: int = 25,
     rows: int = 19,
