@@ -18,7 +18,8 @@ from wlr_render.captures import session_reading
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.calibrate.photos import READ, CalibratePhotosOptions, calibrated, report_of
+from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
+from wlr_render.jobs.calibrate.photos import READ, calibrated, report_of
 from wlr_render.jobs.verify import session_photographs
 from wlr_render.simulation.photographs import recipe, simulate_photo_session
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
@@ -101,7 +102,7 @@ class SmallSession:
 
     @property
     def options(self):
-        return CalibratePhotosOptions(self.folder, out=self.out)
+        return CalibrateOptions(str(self.folder), out=self.out)
 
     def read(self):
         """What calibration reads first."""

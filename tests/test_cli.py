@@ -131,12 +131,11 @@ def test_every_verb_explains_itself(verb, capsys, monkeypatch):
 
 
 def test_no_two_verbs_replace_each_others_reports_by_default():
-    """All but those of `calibrate`, which add the models of the other eye."""
     out = {
         verb.words: field.default
         for verb in VERBS
         for _, field, _, _ in fields_of(options_of(verb))
-        if field.name == "out" and not verb.words.startswith("calibrate")
+        if field.name == "out"
     }
     assert len(set(out.values())) == len(out)
 
@@ -219,17 +218,17 @@ def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("arguments", [["rendr"], ["--nonsense"], ["calibrate", "nonsense"]], ids=str)
+@pytest.mark.parametrize("arguments", [["rendr"], ["--nonsense"]], ids=str)
 def test_an_unknown_verb_is_refused(arguments, capsys):
     sentence = refused(arguments, capsys)
     assert f'Unknown command "{arguments[-1]}".' in sentence
     assert ('Did you mean "render"?' in sentence) == (arguments == ["rendr"])
-    assert sentence.endswith("Choose from photos, captures, simulate.") == (arguments[0] == "calibrate")
 
 
 @pytest.mark.parametrize(
     ("old", "new"),
     [
+        (["calibrate", "photos", "session"], "calibrate PATH"),
         (["capture", "folder"], "pattern --photograph COMMAND"),
         (["hold-out", "session"], "diagnose SESSION --hold-out"),
         (["import-optics", "lens.zmx"], "import-lens FILE"),
@@ -238,7 +237,7 @@ def test_an_unknown_verb_is_refused(arguments, capsys):
     ids=str,
 )
 def test_an_old_name_of_a_verb_is_answered_with_the_new_one(old, new, capsys):
-    assert refused(old, capsys) == f"wlr-render: '{old[0]}' has another name now: wlr-render {new}."
+    assert refused(old, capsys).endswith(f"' has another name now: wlr-render {new}.")
 
 
 def test_an_argument_too_many_is_refused(capsys):
@@ -253,7 +252,7 @@ def test_an_argument_too_many_is_refused(capsys):
         (["import-lens", "lens.zmx"], "import-lens needs --panel"),
         (["import-lens", "lens.zmx", "--panel", "800x600"], "import-lens needs --panel-mm"),
         (["export", "stmap"], "export needs HEADSET"),
-        (["calibrate", "photos"], "calibrate photos needs SESSION"),
+        (["calibrate"], "calibrate needs PATH"),
     ],
 )
 def test_a_missing_argument_is_called_missing(arguments, needs, capsys):

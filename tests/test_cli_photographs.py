@@ -36,7 +36,7 @@ def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), Spread(1))]
     printed = capsys.readouterr().out
     assert "7 photographs taken, 3 kept from an earlier run: there" in printed
-    assert "wlr-render calibrate photos there" in printed
+    assert "wlr-render calibrate there" in printed
 
 
 def test_board_writes_what_is_printed_and_what_calibration_reads(tmp_path, capsys):
@@ -79,7 +79,7 @@ def test_pictures_at_the_end_of_the_scale_are_refused_as_over_exposed(tmp_path, 
 
 
 PHOTOGRAPH_FAULTS = {
-    "no session": (lambda f: ["calibrate", "photos", str(f)], "has no session.toml"),
+    "no session": (lambda f: ["calibrate", str(f)], "has no session.toml"),
     "no simulated session": (lambda f: ["verify", "session", str(f)], "has no simulation.toml"),
     "no panel": (lambda f: ["decode", str(f)], "decode needs --panel"),
     "no photographs": (lambda f: ["decode", str(f), "--panel", "64x40"], "holds no photographs"),
@@ -114,10 +114,10 @@ def test_sizes_that_make_no_sense_are_refused(size, tmp_path, capsys):
         (["verify", "session", "--poses", "upright"], "Invalid value"),
         (["verify", "session", "--viewpoints", "0"], "--viewpoints is 0; it must be between 1 and 1000."),
         (["decode", "--panel", "64x40", "--bits", "7"], "--bits is 7; it must be between 8 and 16."),
-        (["calibrate", "photos", "--workers", "0"], "--workers is 0; it must be between 1 and 256."),
+        (["calibrate", "--workers", "0"], "--workers is 0; it must be between 1 and 256."),
     ],
 )
 def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):
-    verb = wrong[: 2 if wrong[0] in ("verify", "calibrate") else 1]
+    verb = wrong[: 2 if wrong[0] == "verify" else 1]
     assert sentence in refused([*verb, str(tmp_path / "none"), *wrong[len(verb) :]], capsys)
     assert list(tmp_path.iterdir()) == []

@@ -67,22 +67,10 @@ VERBS = (
         "Plan a session: where to put the camera, and how many photographs reach an accuracy.",
     ),
     Verb(
-        "calibrate photos",
+        "calibrate",
         CALIBRATE,
-        "calibrate.photos:calibrate_photos",
-        "Calibrate cameras, stage and one or both eyes from the photographs of a session.",
-    ),
-    Verb(
-        "calibrate captures",
-        CALIBRATE,
-        "calibrate.captures:calibrate_captures",
-        "Fit the models of one eye to a capture file or to a bench session.",
-    ),
-    Verb(
-        "calibrate simulate",
-        CALIBRATE,
-        "calibrate.simulate:calibrate_simulate",
-        "Simulate the captures of a device, fit models to them, and compare the models with the device.",
+        "calibrate.calibrate:calibrate",
+        "Fit the models of one or both eyes to photographs, a bench session or captures, or to a simulated device.",
     ),
     Verb(
         "verify session",
@@ -135,7 +123,6 @@ VERBS = (
     ),
 )
 FOLDERS_OF_VERBS = {
-    "calibrate": (CALIBRATE, "Fit the models of one or both eyes."),
     "verify": (CALIBRATE, "Measure how far the drawn target appears from the real one."),
 }
 """Verbs that have verbs of their own."""

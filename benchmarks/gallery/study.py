@@ -85,7 +85,7 @@ def planned_runs(options: GalleryOptions) -> list[Run]:
     ]
     return [
         *demos,
-        Run("A calibration", ["calibrate", "simulate", "northstar"], "calibrate"),
+        Run("A calibration", ["calibrate", "northstar"], "calibrate"),
         Run("An error budget", ["budget", model], "budget", "budget.html", plot=2),
         Run("A diagnosis", ["diagnose", "examples/data/session"], "diagnose", "diagnosis.html", plot=3),
     ]

@@ -107,7 +107,7 @@ def _command(name: JobName, options: KillsOptions, folder: Path) -> list[str]:
     session = folder / "session"
     if not session.exists():
         _run(simulate, session)
-    return [*program, "calibrate", "photos", str(session), "--workers", "2", "--out"]
+    return [*program, "calibrate", str(session), "--workers", "2", "--out"]
 
 
 @contextlib.contextmanager

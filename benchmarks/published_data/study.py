@@ -89,7 +89,7 @@ def _northstar_vcam(source: Path, out: Path, _: Progress) -> Report:
         "",
         verdict=f"Two viewpoints of each eye, {' and '.join(lifts)} apart. {apart}.",
         warnings=warnings,
-        advice=[f"Fit one point per pixel: wlr-render calibrate captures {files[0]} --kind point-per-pixel"],
+        advice=[f"Fit one point per pixel: wlr-render calibrate {files[0]} --kind point-per-pixel"],
         files=files,
     )
 
@@ -102,7 +102,7 @@ def _osvr_hdk13(source: Path, out: Path, _: Progress) -> Report:
         "",
         verdict=f"{reliefs} eye reliefs, {len(captures)} field angles; a pixel of these captures is {PIXEL_MM:g} mm.",
         warnings=["All viewpoints lie on the lens axis: of sideways movements of the eye, the set says nothing."],
-        advice=[f"Fit a model over the eye relief: wlr-render calibrate captures {files[0]} --kind volumetric"],
+        advice=[f"Fit a model over the eye relief: wlr-render calibrate {files[0]} --kind volumetric"],
         files=files,
     )
 

@@ -18,7 +18,8 @@ from benchmarks.simulated_lab.bench_trial import (
 from benchmarks.simulated_lab.codes import code_table, code_trials
 from benchmarks.simulated_lab.session_truth import compare_with_truth, truth_tables
 from wlr_render.atomic_files import output_folder, write_text
-from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, calibrated
+from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
+from wlr_render.jobs.calibrate.photos import calibrated
 from wlr_render.jobs.options import (
     OnlyWith,
     ProgressArgument,
@@ -93,7 +94,7 @@ def run(options: SimulatedLabOptions = _DEFAULTS, *, progress: ProgressArgument 
         tables = [code_table(trials, bench, options.snr)]
     if options.session is not None:
         truth = load_recipe(options.session).build()
-        found = calibrated(CalibratePhotosOptions(options.session, out=options.calibration), progress=progress)
+        found = calibrated(CalibrateOptions(str(options.session), out=options.calibration), progress=progress)
         tables += truth_tables(compare_with_truth(truth, found, options.seed), options.seed)
     inputs = [] if options.session is None else [options.session]
     outcomes: list[BenchOutcome] = []

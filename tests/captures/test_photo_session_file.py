@@ -137,7 +137,7 @@ def test_a_folder_without_a_session_says_so(tmp_path):
     with pytest.raises(BadInputError, match=r"has no session\.toml"):
         load_photo_session(tmp_path)
     (tmp_path / "bench.toml").write_text("")
-    with pytest.raises(BadInputError, match=r"is a bench session, .* run `wlr-render calibrate captures "):
+    with pytest.raises(BadInputError, match=r"is a bench session, .* run `wlr-render calibrate "):
         load_photo_session(tmp_path)
 
 

@@ -60,7 +60,7 @@ def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_
     assert "Improvement in use" in printed.out
     page = (out / "diagnosis.md").read_text()
     assert f"wlr-render diagnose {out}/corrected --out {out}/again\n" in page
-    assert f"wlr-render calibrate captures {out}/corrected\n" in page
+    assert f"wlr-render calibrate {out}/corrected\n" in page
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
         "corrected/bench.toml",
         "corrected/display.csv.gz",

@@ -82,7 +82,7 @@ def test_a_corrected_bench_predicts_another_session_to_the_noise_and_the_nominal
     assert printed.out.startswith(f"{corrected} predicts the 90 captures of second to noise and repeatability. ")
     assert "better than second's own bench" in printed.out
     bench = corrected / "bench.toml"
-    command = f"wlr-render calibrate captures {second} --bench {bench} --out {tmp_path / 'calibrate'}"
+    command = f"wlr-render calibrate {second} --bench {bench} --out {tmp_path / 'calibrate'}"
     assert command in json.loads((tmp_path / "report.json").read_text())["advice"][0]
     assert "The target poses are those of the session" in printed.out
     record = json.loads((tmp_path / "report.json").read_text())

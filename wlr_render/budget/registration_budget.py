@@ -191,8 +191,7 @@ class _Sensitivity:
                 raise BadInputError(
                     f"{self.eye.name}: the model of the {self.eye.eye} eye has no covariance, which files of earlier "
                     "versions and the kinds 'static' and 'point-per-pixel' lack; calibrate again as a planar model, "
-                    "from the photographs (`wlr-render calibrate photos`) or captures (`wlr-render calibrate "
-                    "captures`) that it was made from."
+                    "from the photographs or captures that it was made from (`wlr-render calibrate PATH`)."
                 )
             return model_registration_covariance(display, see_through, self.pixel, self.viewpoint, self.point)
         if isinstance(display, FittedModel) or isinstance(see_through, FittedModel):

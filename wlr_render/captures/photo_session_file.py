@@ -65,7 +65,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     if not (root / FILE).is_file():
         if (root / "bench.toml").is_file():
             raise BadInputError(
-                f"{root}: is a bench session, not a photographic session; run `wlr-render calibrate captures {root}`."
+                f"{root}: is a bench session, not a photographic session; run `wlr-render calibrate {root}`."
             )
         manual = resource("docs", "photo-session.md")
         raise BadInputError(f"{root}: has no {FILE}, so it is not a photographic session; {manual} has the format.")

@@ -42,7 +42,7 @@ _TABLES = {"device": "readout", "eye tracking": "eye_tracking"}
 """Table of bench.toml of a part, where its name differs."""
 
 _MEANWHILE = {
-    "panel pixels": "Until the cause is found, render with models fitted to the session (calibrate captures): like "
+    "panel pixels": "Until the cause is found, render with models fitted to the session (`calibrate`): like "
     "this function they absorb what is fixed in the headset.",
 }
 """Remedies of a residual that no cause explains, by the variables that it depends on."""

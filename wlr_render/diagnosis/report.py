@@ -128,7 +128,7 @@ def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -
     added = f" --add-causes {shlex.join(add_causes)}" if add_causes else ""
     commands = [f"diagnose {quote(corrected)} --out {quote(folder / 'again')}{added}"]
     if plan.display is not None and plan.see_through is not None:
-        commands.append(f"calibrate captures {quote(corrected)}")
+        commands.append(f"calibrate {quote(corrected)}")
     if diagnosis.corrected.device is not diagnosis.observations.nominal.device:
         commands.append(f"render {quote(corrected / 'device.toml')} desk")
     text = (

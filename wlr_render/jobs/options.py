@@ -164,7 +164,7 @@ class Options:
 
 
 def flag_of(options: type[Options], field: str) -> str:
-    """Name of an option on the command line, e.g. "--noise-px"."""
+    """Name of an option on the command line, e.g. "--noise-arcmin"."""
     for note in _notes(typing.get_type_hints(options, include_extras=True)[field]):
         if isinstance(note, Parameter) and note.name:
             return str(next(iter(note.name)))
@@ -248,7 +248,8 @@ Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],
     described("OpenGL through EGL or OSMesa (auto: the first that opens); cpu, or no OpenGL: frames are ray traced."),
 ]
-Seed = Annotated[int, described("Seed of all random numbers."), Range(at_least=0, at_most=2**32 - 1)]
+SEEDS = Range(at_least=0, at_most=2**32 - 1)
+Seed = Annotated[int, described("Seed of all random numbers."), SEEDS]
 WORKERS = Range(at_least=1, at_most=256)
 Workers = Annotated[
     int | None,

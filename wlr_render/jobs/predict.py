@@ -35,7 +35,7 @@ class PredictOptions(Options):
     """Options of `predict`."""
 
     bench: Annotated[Path, described("Bench file, or a folder with bench.toml, e.g. DIR/corrected of a diagnosis.")]
-    session: Annotated[Path, described("Folder of a bench session or of `calibrate photos`, or a capture file.")]
+    session: Annotated[Path, described("Bench session, output folder of `calibrate` on photographs, or capture file.")]
     _: KW_ONLY
     out: Annotated[Path, described("Output folder.")] = Path("out/predict")
 
@@ -153,7 +153,7 @@ def _advice(found: BenchPrediction, bench: Path, session: Path, folder: Path) ->
             return "The optics of this bench predict these captures; they need no correction."
         if not {PART_NAMES[DISPLAY], PART_NAMES[SEE_THROUGH]} <= {part.name for part in found.parts}:
             return "This bench needs no correction for such captures."
-        return f"Use this bench for such captures: {command('calibrate captures', True, 'calibrate')}"
+        return f"Use this bench for such captures: {command('calibrate', True, 'calibrate')}"
     if known and not any(_is_better(part) for part in found.parts):
         return (
             "This bench is no better than the session's own; diagnose the session by itself: "

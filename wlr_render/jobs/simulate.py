@@ -155,7 +155,7 @@ def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -
     return Report(
         f"Simulated session {options.session.name}",
         verdict=f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {options.session}",
-        advice=[f"Calibrate with: wlr-render calibrate photos {options.session}"],
+        advice=[f"Calibrate with: wlr-render calibrate {options.session}"],
         warnings=[*too_small, *retaken_warnings(made.changed)],
     )
 

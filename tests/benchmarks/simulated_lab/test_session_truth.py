@@ -6,7 +6,7 @@ from small_photo_session import small_plan
 
 from benchmarks.simulated_lab import session_truth
 from wlr_render.evaluation.truth_tests import TruthTests
-from wlr_render.jobs.calibrate.simulate import predicted_errors
+from wlr_render.jobs.calibrate.calibrate_device import predicted_errors
 from wlr_render.optics.traced_mappings import traced_eye
 
 pytestmark = pytest.mark.slow  # the session takes some twenty seconds to make

@@ -14,7 +14,7 @@ DIAGNOSE = ("--max-causes", "0", "--causes", "stage_scale", "--out", "out")
 SCENE = ("scene.toml", "box.obj")
 PAIRS = ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out")
 PAIRS_FILES = ("pairs", "board.toml", "calibration")
-PHOTOS = ("calibrate", "photos", "photos", "--workers", "1", "--out", "out")
+PHOTOS = ("calibrate", "photos", "--workers", "1", "--out", "out")
 OPTICS = ("--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")
 DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "out")
 
@@ -78,7 +78,7 @@ READERS = (
         Reader(f"trajectory {name}", name, (*_render_of("scene.toml")[0], option, name), ("device.toml", name, *SCENE))
         for option, name in (("--head", "head.txt"), ("--head", "head.csv"), ("--eye-track", "eyes.txt"), ("--eye-track", "gaze.txt"))
     ),
-    Reader("captures", "captures.npz", ("calibrate", "captures", "captures.npz", "--degree", "1", "--see-through-degree", "1", "--out", "out"), ("captures.npz",), text=False),
+    Reader("captures", "captures.npz", ("calibrate", "captures.npz", "--degree", "1", "--see-through-degree", "1", "--out", "out"), ("captures.npz",), text=False),
     Reader("bench", "bench/bench.toml", ("diagnose", "bench", *DIAGNOSE), ("bench",)),
     Reader("bench table", "bench/display.csv", ("diagnose", "bench", *DIAGNOSE), ("bench",), _plain_table),
     Reader("bench packed table", "bench/display.csv.gz", ("diagnose", "bench", *DIAGNOSE), ("bench",), text=False),

@@ -14,7 +14,7 @@ from corpus.damage import HUGE
 
 RENDER = ("render", "model.json", "scene.toml", "--backend", "cpu", "--out", "out")
 FILES = ("model.json", "scene.toml", "box.obj")
-FIT = ("calibrate", "captures", "captures.npz", "--degree", "1", "--see-through-degree", "1", "--out", "out")
+FIT = ("calibrate", "captures.npz", "--degree", "1", "--see-through-degree", "1", "--out", "out")
 DIAGNOSE = ("diagnose", "captures.npz", "--max-causes", "0", "--out", "out")
 
 

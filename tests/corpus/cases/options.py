@@ -8,8 +8,8 @@ SMALL = ("lens.zmx", "glasses.agf", "device.toml", "scene.toml", "box.obj")
 RENDER = ("render", "device.toml", "scene.toml", "--backend", "cpu", "--out", "out")
 DEMO = ("demo", "--device", "device.toml", "--scene", "scene.toml", "--backend", "cpu", "--out", "out")
 PLAN = ("plan", "device.toml", "--out", "out")
-FIT = ("calibrate", "captures", "captures.npz", "--out", "out")
-SIMULATED = ("calibrate", "simulate", "device.toml", "--out", "out")
+FIT = ("calibrate", "captures.npz", "--out", "out")
+SIMULATED = ("calibrate", "device.toml", "--out", "out")
 SIMULATE = ("simulate", "out", "--device", "device.toml", "--workers", "1")
 PHOTOGRAPHED = ("pattern", "--panel", "64x48", "--photograph", "true {path}", "--page-timeout-s", "1", "--out", "out")
 DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "out")
@@ -99,9 +99,9 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
     }),
     (SIMULATED, SMALL, {
         "--viewpoints": ("0", "1000000000", "-1", "1.5"),
-        "--noise-px": ("-1", "nan", "inf", "1e308"),
-        "--stage-error-mm": ("-1", "1e9", "nan"),
-        "--stage-turn-urad": ("-1", "1e308", "nan"),
+        "--noise-arcmin": ("-1", "nan", "inf", "1e308"),
+        "--repeatability-um": ("-1", "1e9", "nan"),
+        "--turn-jitter-urad": ("-1", "1e308", "nan"),
         "--degree": ("0", "99"),
         "--seed": ("-1",),
     }),
@@ -187,9 +187,9 @@ NOWHERE = {
     "demo": ("demo", "--device", "nowhere.toml"),
     "demo scene": ("demo", "--device", "device.toml", "--scene", "nowhere.toml"),
     "plan": ("plan", "nowhere.toml"),
-    "calibrate photos": ("calibrate", "photos", "nowhere"),
-    "calibrate captures": ("calibrate", "captures", "nowhere.npz"),
-    "calibrate simulate": ("calibrate", "simulate", "nowhere.toml"),
+    "calibrate": ("calibrate", "nowhere"),
+    "calibrate captures": ("calibrate", "nowhere.npz"),
+    "calibrate device": ("calibrate", "nowhere.toml"),
     "verify session": ("verify", "session", "nowhere"),
     "verify pairs": ("verify", "pairs", "nowhere", "board.toml", "--calibration", "calibration"),
     "verify pairs board": ("verify", "pairs", "pairs", "nowhere.toml", "--calibration", "calibration"),
@@ -210,8 +210,8 @@ OUTPUTS = {
     "import-lens": IMPORT_LENS,
     "plan": PLAN,
     "calibrate captures": FIT,
-    "calibrate simulate": SIMULATED,
-    "calibrate photos": ("calibrate", "photos", "photos", "--workers", "1", "--out", "out"),
+    "calibrate device": SIMULATED,
+    "calibrate photographs": ("calibrate", "photos", "--workers", "1", "--out", "out"),
     "verify pairs": ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out"),
     "diagnose": DIAGNOSE,
     "predict": ("predict", "bench", "bench", "--out", "out"),
@@ -226,9 +226,7 @@ ALL = ("device.toml", "scene.toml", "box.obj", "model.json", "captures.npz", "be
 
 def cases() -> Iterator[Case]:
     for verb, files, options in RANGES:
-        words = " ".join(
-            word for word in verb[:2] if word.isalpha() and (word != verb[1] or verb[0] in ("calibrate", "verify"))
-        )
+        words = " ".join(word for word in verb[:2] if word.isalpha() and (word != verb[1] or verb[0] == "verify"))
         for option, values in options.items():
             for value in values:
                 extra = {
@@ -285,9 +283,9 @@ def _words() -> Iterator[Case]:
         ("a device for a scene", ("render", "device.toml", "device.toml", "--out", "out"), ("device.toml",)),
         ("a scene for a device", ("render", "scene.toml", "scene.toml", "--out", "out"), ("scene.toml",)),
         ("captures for a model", ("render", "captures.npz", "scene.toml", "--out", "out"), ("captures.npz",)),
-        ("a bench session for photographs", ("calibrate", "photos", "bench", "--out", "out"), ("bench",)),
+        ("a bench session for photographs", ("calibrate", "bench", "--out", "out"), ("bench",)),
         ("photographs for a bench session", ("diagnose", "photos", "--out", "out"), ("photos",)),
-        ("a model for captures", ("calibrate", "captures", "model.json", "--out", "out"), ("model.json",)),
+        ("a model for captures", ("calibrate", "model.json", "--out", "out"), ("model.json",)),
         (
             "the left eye of a right device",
             ("render", "device.toml", "scene.toml", "--eye", "left", "--out", "out"),

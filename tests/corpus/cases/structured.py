@@ -67,7 +67,7 @@ def cases() -> Iterator[Case]:
     scene = ("render", "device.toml", "scene.toml", *RENDER)
     content = tomllib.loads(SCENE_WITH_MESH)
     yield from damaged("scene", content, "scene.toml", save_toml, scene, ("device.toml", *SCENE_FILES), set(), 3)
-    photos = ("calibrate", "photos", "photos", "--workers", "1", "--out", "out")
+    photos = ("calibrate", "photos", "--workers", "1", "--out", "out")
     content = tomllib.loads(PHOTO_SESSION)
     yield from damaged("photo session", content, "photos/session.toml", save_toml, photos, ("photos",), set())
     pairs = ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out")

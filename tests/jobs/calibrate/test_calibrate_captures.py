@@ -21,14 +21,10 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry.transforms import rigid
-from wlr_render.jobs.calibrate.captures import CalibrateCapturesOptions, calibrate_captures
+from wlr_render.jobs.calibrate.calibrate import calibrate
+from wlr_render.jobs.calibrate.calibrate_device import simulate_captures
+from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentence, fit_warnings, held_out_verdict
-from wlr_render.jobs.calibrate.fit_options import FitOptions
-from wlr_render.jobs.calibrate.simulate import (
-    CalibrateSimulateOptions,
-    calibrate_simulate,
-    simulate_captures,
-)
 from wlr_render.mappings import FieldOfView
 from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.device_file import device_path, load_device
@@ -36,13 +32,13 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot
 
 NORTHSTAR = load_device("northstar")
-SMALL = CalibrateSimulateOptions("birdbath28", viewpoints=12, noise_px=0.0, seed=4)
+SMALL = CalibrateOptions("birdbath28", viewpoints=12, noise_arcmin=0.0, seed=4)
 
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibration")
-    return folder, calibrate_simulate(replace(SMALL, noise_px=0.1, out=folder))
+    return folder, calibrate(replace(SMALL, noise_arcmin=0.1, out=folder))
 
 
 def truth_errors(report, column="rms"):
@@ -90,18 +86,18 @@ def test_written_files_are_read_back(calibrated):
     assert len(np.unique(captures.display.capture)) == 12
     record = json.loads((folder / "report.json").read_text())
     options = record["options"]
-    assert (options["viewpoints"], options["noise_px"], options["seed"]) == (12, 0.1, 4)
+    assert (options["viewpoints"], options["noise_arcmin"], options["seed"]) == (12, 0.1, 4)
     assert record["fits"]["right"] == json.loads(json.dumps(model.report))
     assert "Error against the traced device in the nominal field" in (folder / "report.md").read_text()
 
 
 TWO_EYES = replace(
-    SMALL, device="northstar", viewpoints=4, noise_px=0.1, fit=FitOptions(degree=2, see_through_degree=1)
+    SMALL, path="northstar", viewpoints=4, noise_arcmin=0.1, fit=FitOptions(degree=2, see_through_degree=1)
 )
 
 
 def test_both_eyes_are_one_model_file_and_their_noise_is_not_mirrored(tmp_path):
-    both = calibrate_simulate(replace(TWO_EYES, eye="both", out=tmp_path))
+    both = calibrate(replace(TWO_EYES, eye="both", out=tmp_path))
     assert [path.name for path in both.files[:3]] == ["model.json", "captures-left.npz", "captures-right.npz"]
     assert list(load_eye_models(tmp_path / "model.json")) == ["left", "right"]
     noise = []
@@ -127,21 +123,21 @@ def test_results_of_an_earlier_calibration_do_not_stand_beside_a_new_model(tmp_p
         assert not (tmp_path / "model-red.json").exists()
         return {name for name in (*earlier, *other, "captures-right.npz") if (tmp_path / name).exists()}
 
-    assert run(calibrate_simulate, replace(TWO_EYES, out=tmp_path)) == {*other, "captures-right.npz"}
-    own = CalibrateCapturesOptions(tmp_path / "captures-right.npz", fit=TWO_EYES.fit, out=tmp_path)
+    assert run(calibrate, replace(TWO_EYES, out=tmp_path)) == {*other, "captures-right.npz"}
+    own = CalibrateOptions(tmp_path / "captures-right.npz", fit=TWO_EYES.fit, out=tmp_path)
     # The model is of these very captures, which the station belongs to.
-    assert run(calibrate_captures, own) == {"station-right.json", *other, "captures-right.npz"}
+    assert run(calibrate, own) == {"station-right.json", *other, "captures-right.npz"}
     moved = (tmp_path / "captures-right.npz").rename(tmp_path / "moved.npz")
     (tmp_path / "captures-right.npz").write_text("of an earlier calibration")
-    assert run(calibrate_captures, replace(own, captures=moved)) == set(other)
+    assert run(calibrate, replace(own, path=str(moved))) == set(other)
     assert moved.exists()
 
 
 def test_a_second_eye_is_added_to_the_first_and_the_report_says_so(tmp_path):
     options = replace(TWO_EYES, out=tmp_path)
-    assert not any("earlier run" in warning for warning in calibrate_simulate(options).warnings)
+    assert not any("earlier run" in warning for warning in calibrate(options).warnings)
     (right,) = json.loads((tmp_path / "model.json").read_text())["eyes"]
-    *_, kept = calibrate_simulate(replace(options, eye="left")).warnings
+    *_, kept = calibrate(replace(options, eye="left")).warnings
     assert "also holds the right eye, from an earlier run" in kept
     eyes = json.loads((tmp_path / "model.json").read_text())["eyes"]
     assert [each["eye"] for each in eyes] == ["left", "right"]
@@ -173,9 +169,9 @@ def test_the_verdict_tells_the_nominal_field_from_the_whole_panel(calibrated):
 
 
 def test_stage_error_spoils_the_calibration_by_its_pupil_swim(tmp_path):
-    few_terms = replace(SMALL, noise_px=0.1, fit=FitOptions(degree=4, see_through_degree=2))
-    exact = calibrate_simulate(replace(few_terms, out=tmp_path / "exact"))
-    spoiled = calibrate_simulate(replace(few_terms, stage_error_mm=0.3, out=tmp_path / "spoiled"))
+    few_terms = replace(SMALL, noise_arcmin=0.1, fit=FitOptions(degree=4, see_through_degree=2))
+    exact = calibrate(replace(few_terms, out=tmp_path / "exact"))
+    spoiled = calibrate(replace(few_terms, repeatability_um=300.0, out=tmp_path / "spoiled"))
     assert truth_errors(exact)["direction of a pixel (arcmin)"] < 0.5
     # 0.3 mm per axis at 6.3 arcmin per mm; twelve positions hardly average it, and some pixels need extrapolation.
     assert 0.5 < truth_errors(spoiled)["direction of a pixel (arcmin)"] < 10.0
@@ -183,8 +179,8 @@ def test_stage_error_spoils_the_calibration_by_its_pupil_swim(tmp_path):
 
 def test_captures_fit_to_the_model_that_they_were_simulated_for(calibrated, tmp_path):
     folder, report = calibrated
-    options = CalibrateCapturesOptions(folder / "captures-right.npz", out=tmp_path)
-    again = calibrate_captures(options)
+    options = CalibrateOptions(folder / "captures-right.npz", out=tmp_path)
+    again = calibrate(options)
     assert table(again, "Fit") == table(report, "Fit")
     assert (tmp_path / "model.json").read_text() == (folder / "model.json").read_text()
 
@@ -239,7 +235,7 @@ def test_the_verdict_on_held_out_positions(found, expected, verdict):
 
 
 def test_few_positions_are_fitted_and_the_report_says_what_one_more_row_brings(tmp_path):
-    report = calibrate_simulate(replace(SMALL, viewpoints=4, noise_px=0.1, out=tmp_path))
+    report = calibrate(replace(SMALL, viewpoints=4, noise_arcmin=0.1, out=tmp_path))
     for row in table(report, "What one more row of positions would bring"):
         assert row["with them (arcmin)"] < row["predicted rms error now (arcmin)"]
         assert "camera positions at" in row["positions to add"]
@@ -385,7 +381,7 @@ def test_a_row_of_positions_is_advised_where_it_pays(linear):
 def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(calibrated, tmp_path):
     folder, _ = calibrated
     fit = FitOptions(prescription="birdbath28")
-    again = calibrate_captures(CalibrateCapturesOptions(folder / "captures-right.npz", fit=fit, out=tmp_path))
+    again = calibrate(CalibrateOptions(folder / "captures-right.npz", fit=fit, out=tmp_path))
     kinds = {row["model"]: row for row in table(again, "What the prescription gains")}
     assert kinds.keys() == {"planar", "grey-box", "prescription"}
     (saved,) = [kind for kind, row in kinds.items() if row[""] == "saved"]
@@ -407,23 +403,23 @@ def test_a_prescription_without_the_eye_is_refused(calibrated, tmp_path):
     one_eyed.write_text(text.replace('side = "right"', 'side = "left"', 1))
     fit = FitOptions(kind="prescription", prescription=str(one_eyed))
     with pytest.raises(BadInputError, match="has no right eye, of which the captures are"):
-        calibrate_captures(CalibrateCapturesOptions(folder / "captures-right.npz", fit=fit, out=tmp_path))
+        calibrate(CalibrateOptions(folder / "captures-right.npz", fit=fit, out=tmp_path))
 
 
 @pytest.mark.parametrize(
     ("wrong", "sentence"),
     [
-        (["--noise-px", "-1"], "--noise-px is -1.0; it must be between 0 and 600."),
+        (["--noise-arcmin", "-1"], "--noise-arcmin is -1.0; it must be between 0 and 600."),
         (["--degree", "13"], "--degree is 13; it must be between 1 and 12."),
         (["--kind", "cubic"], "Invalid value"),
         (["--kind", "grey-box"], "--kind grey-box needs --prescription DEVICE"),
         (["--kind", "static", "--prescription", "northstar"], "--prescription is not used by a static model"),
         (["--prescription", "nothing"], "'nothing' is neither a file nor one of the shipped devices"),
-        (["--bench", "bench.toml"], "Unknown option"),
+        (["--bench", "bench.toml"], "--bench is used with a bench session only, and birdbath28 is a device"),
     ],
 )
 def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):
-    assert main(["calibrate", "simulate", "birdbath28", *wrong, "--out", str(tmp_path / "out")]) == 2
+    assert main(["calibrate", "birdbath28", *wrong, "--out", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert sentence in line
     assert not (tmp_path / "out").exists()
@@ -435,7 +431,7 @@ def test_captures_of_one_side_alone_are_calibrated_and_their_model_is_not_render
     both = load_captures(folder / "captures-right.npz")
     alone = EyeCaptures(both.display) if side == "display" else EyeCaptures(None, both.see_through)
     path = save_captures(tmp_path / "alone.npz", alone)
-    report = calibrate_captures(CalibrateCapturesOptions(path, out=tmp_path / "out"))
+    report = calibrate(CalibrateOptions(path, out=tmp_path / "out"))
     lacking = "see-through" if side == "display" else "display"
     assert lacking not in report.verdict
     assert set(report.record["fits"]["right"]) == {side}
@@ -482,9 +478,9 @@ def display_error(model):
 
 def test_a_session_is_calibrated_by_the_bench_that_is_believed(night, tmp_path):
     session, bench = night
-    options = CalibrateCapturesOptions(session, fit=FitOptions(degree=4, see_through_degree=2))
-    believed = calibrate_captures(replace(options, out=tmp_path / "believed"))
-    extended = calibrate_captures(replace(options, out=tmp_path / "extended", bench=bench))
+    options = CalibrateOptions(session, fit=FitOptions(degree=4, see_through_degree=2))
+    believed = calibrate(replace(options, out=tmp_path / "believed"))
+    extended = calibrate(replace(options, out=tmp_path / "extended", bench=bench))
     assert extended.inputs == [session, bench]
     before, after = (display_error(load_eye_model(each.files[0]).mappings) for each in (believed, extended))
     assert after < 0.3 * before
@@ -497,16 +493,16 @@ def test_a_bench_of_another_headset_is_refused(night, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(bench.read_text().replace('"northstar"', '"freeform40"'))
     with pytest.raises(BadInputError, match=r"other.toml: is a bench of freeform40 \(right eye\), the session"):
-        calibrate_captures(CalibrateCapturesOptions(session, bench=other, out=tmp_path))
+        calibrate(CalibrateOptions(session, bench=other, out=tmp_path))
 
 
 def test_target_poses_are_the_sessions_whatever_a_bench_states(night, tmp_path):
     session, bench = night
     other = tmp_path / "other.toml"
     other.write_text(bench.read_text().rsplit("[[target_pose]]", 1)[0])
-    options = CalibrateCapturesOptions(session, fit=FitOptions(degree=3, see_through_degree=2))
+    options = CalibrateOptions(session, fit=FitOptions(degree=3, see_through_degree=2))
     fewer, all_of_them = (
-        load_eye_model(calibrate_captures(replace(options, bench=each, out=tmp_path / each.stem)).files[0])
+        load_eye_model(calibrate(replace(options, bench=each, out=tmp_path / each.stem)).files[0])
         for each in (other, bench)
     )
     viewpoint = NORTHSTAR.eyes["right"].eye_box.centre
@@ -518,5 +514,7 @@ def test_target_poses_are_the_sessions_whatever_a_bench_states(night, tmp_path):
 
 def test_a_bench_beside_a_capture_file_is_refused(calibrated, night, tmp_path):
     folder, _ = calibrated
-    with pytest.raises(BadInputError, match=r"captures-right\.npz: is no session's folder"):
-        calibrate_captures(CalibrateCapturesOptions(folder / "captures-right.npz", bench=night[1], out=tmp_path))
+    with pytest.raises(
+        BadInputError, match=r"--bench is used with a bench session only, and \S*captures-right\.npz is a capture file"
+    ):
+        calibrate(CalibrateOptions(folder / "captures-right.npz", bench=night[1], out=tmp_path))

@@ -15,8 +15,8 @@ from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.calibrate.fit_options import FitOptions
-from wlr_render.jobs.calibrate.photos import CalibratePhotosOptions, report_of
+from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
+from wlr_render.jobs.calibrate.photos import report_of
 from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.traced_mappings import traced_eye
@@ -52,7 +52,7 @@ def usual():
 
 def calibrated(session, reading, folder):
     found = calibrate_session(session, reading, folder, FIT.fit)
-    return found, report_of(found, CalibratePhotosOptions(session.folder, fit=FIT, out=folder))
+    return found, report_of(found, CalibrateOptions(str(session.folder), fit=FIT, out=folder))
 
 
 def rows_of(report, title):

@@ -25,7 +25,7 @@ def command_line(session, capsys, *options):
     """Exit status, tables and complaints, without the progress bar, of a calibration that has no results yet."""
     for name in RESULTS:
         (session.out / name).unlink()
-    status = main(["calibrate", "photos", str(session.folder), "--out", str(session.out), *options])
+    status = main(["calibrate", str(session.folder), "--out", str(session.out), *options])
     printed = capsys.readouterr()
     assert "Traceback" not in printed.out + printed.err
     return status, printed.out, [line for line in printed.err.splitlines() if line.startswith("wlr-render: ")]

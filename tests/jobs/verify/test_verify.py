@@ -187,7 +187,7 @@ def of_another_device(session, options):
     [
         (not_simulated, "has no simulation.toml, so the session is not simulated"),
         (without("model.json"), "holds no model.json; run `wlr-render calibrate photos"),
-        (without("station-right.json"), "`calibrate photos` writes it"),
+        (without("station-right.json"), "`calibrate` writes it"),
         (of_another_device, "is a calibration of birdbath28, right eye, .* and not of"),
         (lambda session, options: replace(options, depths_m=(0.05,)), "tracking_50mm.png"),
         (lambda session, options: replace(options, calibration=(session.out,) * 2), "names .*out twice"),

@@ -114,7 +114,7 @@ def load_station(path: str | Path) -> SavedStation:
     Raises:
         BadInputError: there is none, or it is of another kind.
     """
-    table = read_json(path, "a station file", "`calibrate photos` writes it")
+    table = read_json(path, "a station file", "`calibrate` writes it, of photographs")
     table.text("format", choices=[FORMAT])
     if (version := table.number("version")) not in (1, VERSION):
         raise table.fail(f"has version {version:g}, and versions 1 and {VERSION} can be read; write it again.")

@@ -1,9 +1,8 @@
 """Calibrate cameras, stage and one or both eyes from the photographs of a session."""
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.calibrate_session import (
@@ -17,21 +16,18 @@ from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import naming
-from wlr_render.jobs.calibrate.fit_findings import fit_warnings
-from wlr_render.jobs.calibrate.fit_options import (
-    DEFAULT_FIT,
+from wlr_render.jobs.calibrate.calibrate_options import (
     MODEL_FILE,
     MODELS_OF_PRIMARIES,
     RESULTS,
-    FitOptions,
-    OutputFolder,
+    CalibrateOptions,
     remove_results,
     require_readable_models,
     save_models,
 )
+from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, reading_blocks, session_blocks, set_names
-from wlr_render.jobs.job import job
-from wlr_render.jobs.options import ProgressArgument, Scheduler, SpreadOptions, Workers, described
+from wlr_render.jobs.options import ProgressArgument
 from wlr_render.models.model_file import remove_eye_models
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -42,43 +38,21 @@ READ = "read"
 """Folder, in the output folder, of what was read from photographs, so that a later run reads only what is new."""
 
 
-@dataclass(frozen=True)
-class CalibratePhotosOptions(SpreadOptions):
-    """Options of `calibrate photos`."""
-
-    session: Annotated[Path, described("Folder of photographs with session.toml.")]
-    _: KW_ONLY
-    workers: Workers = None
-    scheduler: Scheduler = None
-    fit: FitOptions = DEFAULT_FIT
-    out: OutputFolder = Path("out/calibrate")
-
-
-@job
-def calibrate_photos(options: CalibratePhotosOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Calibrate; writes model.json, station-EYE.json, captures-EYE.npz and the report into `options.out`.
+def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> SessionCalibration:
+    """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz.
 
     Raises:
         BadInputError: session.toml is faulty, too little could be read, or the steps contradict each other; what was
             read is kept, and the report says how far the calibration came.
     """
-    return report_of(calibrated(options, progress=progress), options)
-
-
-def calibrated(options: CalibratePhotosOptions, *, progress: ProgressArgument = SILENT) -> SessionCalibration:
-    """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz.
-
-    Raises:
-        BadInputError: as `calibrate_photos`; the report of a refused calibration is written.
-    """
-    session = load_photo_session(options.session)
+    session = load_photo_session(Path(options.path))
     for eye in session.eyes:  # a faulty prescription is refused before anything is read
         options.fit.prescription_of(eye)
     folder = output_folder(options.out)
     _remove_results(folder, session.eyes)
     reading = read_session(session, folder / READ, options.spread, progress)
     progress.say("calibrating the bench, fitting the models")
-    with naming(options.session):
+    with naming(Path(options.path)):
         try:
             return calibrate_session(session, reading, folder, options.fit.fit)
         except RefusedCalibrationError as refused:
@@ -95,7 +69,7 @@ def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, options: CalibratePhotosOptions) -> None:
+def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, options: CalibrateOptions) -> None:
     """Write the report of a calibration that was refused: how far it came, and every exclusion."""
     folder, found, reading = output_folder(options.out), refused.found, refused.reading
     report = Report(
@@ -106,7 +80,7 @@ def _save_refusal(refused: RefusedCalibrationError, session: PhotoSession, optio
         blocks=reading_blocks(session, reading, worst_first(reading.excluded))
         if found is None
         else session_blocks(found, folder),
-        inputs=[options.session, *options.fit.inputs],
+        inputs=[Path(options.path), *options.fit.inputs],
         record={"options": options, "device": session.device, "is_refused": True},
     )
     save_report(report, folder)
@@ -117,7 +91,7 @@ def _record(found: SessionCalibration) -> dict[str, Any]:
     return {"eye": found.session.eye, "fit": fits[found.session.eye]} if len(fits) == 1 else {"eyes": fits}
 
 
-def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Report:
+def report_of(found: SessionCalibration, options: CalibrateOptions) -> Report:
     """Write model.json, pictures and the report of a calibration."""
     session, folder = found.session, output_folder(options.out)
     model, notes = save_models(folder, [each.fit for each in found.eyes.values()])
@@ -136,7 +110,7 @@ def report_of(found: SessionCalibration, options: CalibratePhotosOptions) -> Rep
         advice=advice(found),
         warnings=[*warnings, *found.reading.notes, *notes],
         blocks=session_blocks(found, folder),
-        inputs=[options.session, *options.fit.inputs],
+        inputs=[Path(options.path), *options.fit.inputs],
         files=[*models, *(folder / f"{kind}-{eye}{suffix}" for eye in session.eyes for kind, suffix in RESULTS)],
         faults=found.faults,
         record={"options": options, "device": session.device, **_record(found)},

@@ -1,9 +1,7 @@
 """Simulate the captures of a device, fit models to them, and compare the models with the traced device."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
-from pathlib import Path
-from typing import Annotated
+from dataclasses import replace
 
 from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.fit_eye import Calibration
@@ -11,18 +9,14 @@ from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TEST_DEPTHS_M, TESTS, TruthTests
-from wlr_render.jobs import limits
-from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
-from wlr_render.jobs.calibrate.fit_options import (
-    DEFAULT_FIT,
-    FitOptions,
-    OutputFolder,
+from wlr_render.jobs.calibrate.calibrate_options import (
+    CalibrateOptions,
     remove_results,
     require_readable_models,
     save_models,
 )
-from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eyes, Options, ProgressArgument, Seed, described, eyes_of, seed_of
+from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
+from wlr_render.jobs.options import ProgressArgument, eyes_of, seed_of
 from wlr_render.mappings import EyeMappings
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -32,32 +26,7 @@ from wlr_render.report.save import save_report
 from wlr_render.simulation.simulate_captures import simulate
 
 
-@dataclass(frozen=True)
-class CalibrateSimulateOptions(Options):
-    """Options of `calibrate simulate`."""
-
-    device: Annotated[str, described("A shipped device or a device file (.toml).")]
-    _: KW_ONLY
-    eye: Annotated[Eyes, described("Eyes to calibrate.")] = "right"
-    viewpoints: Annotated[int, described("Number of camera positions."), limits.PLACES] = 25
-    noise_px: Annotated[
-        float, described("Camera noise, standard deviation per axis, in pixels of 1 arcmin."), limits.ANGLE_ARCMIN
-    ] = 0.25
-    stage_error_mm: Annotated[
-        float, described("Error of each camera position in mm, standard deviation per axis."), limits.POSITION_MM
-    ] = 0.0
-    stage_turn_urad: Annotated[
-        float,
-        described("Rotation error of the camera at each position in microradians, standard deviation per axis."),
-        limits.ROTATION_URAD,
-    ] = 0.0
-    seed: Seed = 1
-    fit: FitOptions = DEFAULT_FIT
-    out: OutputFolder = Path("out/calibrate")
-
-
-@job
-def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressArgument = SILENT) -> Report:
+def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Simulate, fit and compare; writes model.json, captures-EYE.npz and the report into `options.out`.
 
     Raises:
@@ -65,7 +34,7 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
             the models.
     """
     require_readable_models(options.out)
-    device = load_device(options.device)
+    device = load_device(options.path)
     truths = {eye: replace(traced_eye(device, eye), name=device.name) for eye in eyes_of(options.eye)}
     for eye in truths:
         options.fit.prescription_of(eye)
@@ -99,7 +68,7 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
         advice=_of_each(fits, fit_advice),
         warnings=[*_of_each(fits, fit_warnings), *notes],
         blocks=blocks,
-        inputs=[device_path(options.device), *options.fit.inputs],
+        inputs=[device_path(options.path), *options.fit.inputs],
         files=files,
         record={
             "options": options,
@@ -110,16 +79,16 @@ def calibrate_simulate(options: CalibrateSimulateOptions, *, progress: ProgressA
     return save_report(report, folder)
 
 
-def simulate_captures(truth: EyeMappings, options: CalibrateSimulateOptions) -> EyeCaptures:
+def simulate_captures(truth: EyeMappings, options: CalibrateOptions) -> EyeCaptures:
     """Captures of both sides of an eye, taken where the type of model needs them."""
     return simulate(
         truth,
         options.viewpoints,
-        options.noise_px,
+        options.noise_arcmin,
         seed_of(options.seed, truth.eye),
         kind=options.fit.kind or "planar",
-        stage_error_m=1e-3 * options.stage_error_mm,
-        stage_turn_rad=1e-6 * options.stage_turn_urad,
+        stage_error_m=1e-6 * options.repeatability_um,
+        stage_turn_rad=1e-6 * options.turn_jitter_urad,
     )
 
 

@@ -1,15 +1,23 @@
-"""Shared parts of the calibrate verbs: options of the fit, and the model file."""
+"""Options of `calibrate`, and the model file that it writes."""
 
+import dataclasses
+import typing
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
+
+from cyclopts import Group
 
 from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, Calibration, KindComparison, fit_eye, fit_kinds
 from wlr_render.captures.correspondences import EyeCaptures
 from wlr_render.captures.photo_session import CHANNELS
+from wlr_render.captures.photo_session_file import FILE as PHOTO_SESSION
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.options import Degree, Options, described, flag_of
+from wlr_render.jobs import limits
+from wlr_render.jobs.headset import is_model
+from wlr_render.jobs.options import SEEDS, WORKERS, Degree, Eyes, Options, SpreadOptions, described, flag_of
 from wlr_render.models.model_file import add_eye_models, load_eye_models, remove_eye_models
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
@@ -21,22 +29,30 @@ RESULTS = (("captures", ".npz"), ("station", ".json"))
 """Kinds and suffixes of the files KIND-EYE of a calibration from photographs."""
 
 
+_FIT = Group("Fit", sort_key=1)
+_PHOTOGRAPHS = Group("Session of photographs", sort_key=2)
+_BENCH = Group("Bench session", sort_key=3)
+_DEVICE = Group("Device, whose captures are simulated", sort_key=4)
+
+
 @dataclass(frozen=True)
 class FitOptions(Options):
-    """Options of the fit, which every `calibrate` verb has."""
+    """Options of the fit."""
 
     _: KW_ONLY
     kind: Annotated[
         Literal["planar", "volumetric", "static", "point-per-pixel", "grey-box", "prescription"] | None,
         described(
-            "Model type (default: planar; with a prescription the most probable of planar, grey-box and prescription)."
+            "Model type (default: planar; with a prescription the most probable of planar, grey-box and prescription).",
+            group=_FIT,
         ),
     ] = None
     degree: Annotated[
         int | None,
         described(
             "Highest total degree of the display model (default: all terms that the captures lead to expect; at most "
-            "12 in the pixel and in all, 6 in the place)."
+            "12 in the pixel and in all, 6 in the place).",
+            group=_FIT,
         ),
         Degree,
     ] = None
@@ -44,13 +60,17 @@ class FitOptions(Options):
         int | None,
         described(
             "Highest total degree of the see-through model (default: all terms that the captures lead to expect; at "
-            "most 12 in the direction and in all, 6 in the place)."
+            "most 12 in the direction and in all, 6 in the place).",
+            group=_FIT,
         ),
         Degree,
     ] = None
     prescription: Annotated[
         str | None,
-        described("Prescription of the headset, whose assembly errors are fitted: a shipped device or a device file."),
+        described(
+            "Prescription of the headset, whose assembly errors are fitted: a shipped device or a device file.",
+            group=_FIT,
+        ),
     ] = None
 
     def __post_init__(self) -> None:
@@ -104,9 +124,108 @@ class FitOptions(Options):
 
 
 DEFAULT_FIT = FitOptions()
-OutputFolder = Annotated[
-    Path, described("Output folder. If its model.json holds the other eye of the same device, that eye stays.")
-]
+
+
+class Subject(StrEnum):
+    """What is calibrated."""
+
+    PHOTOGRAPHS = "a session of photographs"
+    BENCH = "a bench session"
+    CAPTURES = "a capture file"
+    DEVICE = "a device"
+
+
+_GROUPS = {Subject.PHOTOGRAPHS: _PHOTOGRAPHS, Subject.BENCH: _BENCH, Subject.DEVICE: _DEVICE}
+"""Groups of the options that have an effect on one subject only."""
+_SUBJECTS = "a folder of a session, a capture file (.npz), or a device (name or .toml)"
+
+
+@dataclass(frozen=True)
+class CalibrateOptions(SpreadOptions):
+    """Options of `calibrate`."""
+
+    path: Annotated[
+        str,
+        described(
+            "Folder of a session of photographs or of a bench session, capture file (.npz), or device (name or .toml)."
+        ),
+    ]
+    _: KW_ONLY
+    out: Annotated[
+        Path, described("Output folder. If its model.json holds the other eye of the same device, that eye stays.")
+    ] = Path("out/calibrate")
+    fit: FitOptions = DEFAULT_FIT
+    workers: Annotated[
+        int | None,
+        described(
+            "Number of processes that read them (default: one per core, fewer where memory limits).", group=_PHOTOGRAPHS
+        ),
+        WORKERS,
+    ] = None
+    scheduler: Annotated[
+        str | None,
+        described("Address of a Dask scheduler, whose workers read them (docs/clusters.md).", group=_PHOTOGRAPHS),
+    ] = None
+    bench: Annotated[
+        Path | None,
+        described(
+            "Bench file to read the session with, e.g. the corrected one (default: the session's own).", group=_BENCH
+        ),
+    ] = None
+    eye: Annotated[Eyes, described("Eyes to calibrate.", group=_DEVICE)] = "right"
+    viewpoints: Annotated[int, described("Number of camera positions.", group=_DEVICE), limits.PLACES] = 25
+    noise_arcmin: Annotated[
+        float,
+        described("Noise of a direction in arcmin, standard deviation per axis.", group=_DEVICE),
+        limits.ANGLE_ARCMIN,
+    ] = 0.25
+    repeatability_um: Annotated[
+        float,
+        described("Repeatability of the stage in um, standard deviation per axis.", group=_DEVICE),
+        limits.REPEATABILITY_UM,
+    ] = 0.0
+    turn_jitter_urad: Annotated[
+        float,
+        described("Random rotation of each visit in urad, standard deviation per axis.", group=_DEVICE),
+        limits.ROTATION_URAD,
+    ] = 0.0
+    seed: Annotated[int, described("Seed of all random numbers.", group=_DEVICE), SEEDS] = 1
+
+    @property
+    def subject(self) -> Subject:
+        """What `path` is.
+
+        Raises:
+            BadInputError: a folder that is no session, or a model file.
+        """
+        path = Path(self.path)
+        if not path.is_dir():
+            if is_model(path):
+                raise BadInputError(f"{path}: is a fitted model; name {_SUBJECTS}.")
+            return Subject.CAPTURES if path.suffix.lower() == ".npz" else Subject.DEVICE
+        for name, subject in ((PHOTO_SESSION, Subject.PHOTOGRAPHS), ("bench.toml", Subject.BENCH)):
+            if (path / name).exists():
+                return subject
+        raise BadInputError(
+            f"{path}: has no {PHOTO_SESSION}, so it is not a session of photographs, and no bench.toml, so it is not "
+            f"a bench session; name {_SUBJECTS}."
+        )
+
+    def require_for(self, subject: Subject) -> None:
+        """Refuse options of another group than that of what is calibrated.
+
+        Raises:
+            BadInputError: an option is given that has no effect on it.
+        """
+        hints = typing.get_type_hints(type(self), include_extras=True)
+        for field in dataclasses.fields(self):
+            groups = [note.group for note in getattr(hints[field.name], "__metadata__", ()) if hasattr(note, "group")]
+            applies = next((each for each, group in _GROUPS.items() if any(group in some for some in groups)), subject)
+            if applies is not subject and getattr(self, field.name) != field.default:
+                raise BadInputError(
+                    f"{flag_of(type(self), field.name)} is used with {applies} only, and {self.path} is {subject}; "
+                    "leave it out."
+                )
 
 
 def require_readable_models(folder: Path, name: str = MODEL_FILE) -> None:
