@@ -56,7 +56,7 @@ def test_one_sigma_stands_for_all_rows():
         ({"sigma_arcmin": -1.0}, "'sigma_arcmin' must be positive everywhere"),
         ({"sigma_arcmin": np.array([0.0, 1.0, 1.0])}, "'sigma_arcmin' must be positive everywhere"),
         ({"sigma_arcmin": np.ones(2)}, r"'sigma_arcmin' must be one number or 3"),
-        ({"viewpoint": np.empty((0, 3))}, "there are no rows"),
+        ({"viewpoint": np.empty((0, 3))}, "the table is empty"),
     ],
 )
 def test_bad_display_captures_are_refused(changes, sentence):

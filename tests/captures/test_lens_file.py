@@ -102,7 +102,7 @@ def test_the_camera_info_of_ros_and_other_keys_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"terms": _TERMS[:4]}, "4 distortion terms, which may be those of cv2.fisheye"),
+        ({"terms": _TERMS[:4]}, "4 distortion terms, which may come from cv2.fisheye"),
         ({"terms": _TERMS[:5], "fisheye_model": 1}, "5 distortion terms; a fisheye lens of OpenCV has 4"),
         ({"terms": _TERMS[:6]}, "has 6 distortion terms"),
         ({"terms": np.ones(14)}, "no tilt of the sensor"),
@@ -279,7 +279,7 @@ def test_matrices_of_opencv_may_be_base64(tmp_path, suffix):
             "is a file of COLMAP, which is not read; write image_width",
         ),
         ('{"value0": {"intrinsics": []}}', "is a file of Basalt, which is not read"),
-        ("# oST version 5.0 parameters\n\n[image]\n\nwidth\n640\n", "ost.txt .* give the ost.yaml beside it"),
+        ("# oST version 5.0 parameters\n\n[image]\n\nwidth\n640\n", "ost.txt .* give its ost.yaml"),
         (WHOLE.replace("FX", "700").replace("D:", "dist_params:"), "'dist_params' is not read; write the distortion"),
         ("K: [1,\nb: }", r"cannot be read as YAML, as a file of a lens \(line 2: [^<]*\); "),
         ("<opencv_storage><a>", r"cannot be read as a YAML, XML or JSON file of OpenCV \([^<:/]*\); "),

@@ -1,7 +1,7 @@
-"""Reading the calibrated lenses of other programs: mrcal, OpenCV, ROS and Kalibr.
+"""Reader of calibrated lenses of other programs: mrcal, OpenCV, ROS and Kalibr.
 
-All count pixels from the centre of the top-left one; they are converted. What else the files say is not read: poses,
-and mrcal's record of its optimisation, from which mrcal computes the uncertainty of the lens.
+These programs count pixels from the centre of the top-left one; the reader converts them. It ignores poses, and mrcal's
+record of its optimisation, from which mrcal computes the uncertainty of the lens.
 """
 
 import ast
@@ -49,7 +49,7 @@ _SIZE_KEYS = ("image_size", "imageSize", "resolution")
 _MODEL_KEYS = ("distortion_model", "camera_model")
 _FISHEYE_KEYS = ("fisheye_model", "fisheye")
 _OPENCV_KEYS = (*(_MATRIX_KEYS + _TERM_KEYS + _WIDTH_KEYS + _HEIGHT_KEYS + _SIZE_KEYS + _MODEL_KEYS + _FISHEYE_KEYS),)
-_OPENCV_MARKS = ("<", "!!opencv-", '"type_id"')  # of XML, and of matrices in YAML and JSON
+_OPENCV_MARKS = ("<", "!!opencv-", '"type_id"')  # marks of XML, and of matrices in YAML and JSON
 _UNREAD_TERMS = re.compile(r"(?i).*dist(?!ortion_model).*|k_?[1-6]|.*\.k[1-6]")  # keys of terms in other files
 _FISHEYE_NAMES = ("equidistant", "fisheye", "kannala_brandt")
 _PERSPECTIVE_NAMES = (
@@ -59,7 +59,7 @@ _OTHER_PROGRAMS = {
     **{"value0": "Basalt", "model_type": "VINS-Fusion", "projection_parameters": "VINS-Fusion"},
     **{"Camera.fx": "ORB-SLAM", "Camera1.fx": "ORB-SLAM", "intrinsic_matrix": "Open3D"},
 }
-"""Programs whose files are not read, by a key of them."""
+"""Programs whose files are not read, by a key of their files."""
 _COLMAP = re.compile(r"\d+ [A-Z_]+ \d+ \d+( [-+.\deE]+)+")
 _AS_ROS = (
     "write image_width, image_height, camera_matrix, distortion_model and distortion_coefficients as ROS does, in "
@@ -67,15 +67,15 @@ _AS_ROS = (
 )
 _KALIBR_CAMERA = re.compile(r"cam\d+")
 _KIND_OF_COUNT = {0: "brown", 4: "brown", 5: "brown", 8: "rational", 12: "thin-prism"}
-_TILTED = 14  # terms of OpenCV's tilted sensor model: those of "thin-prism", and two angles
+_TILTED = 14  # terms of OpenCV's tilted sensor model: "thin-prism" plus two angles
 _REMEDY = "give a file of a calibrated lens"
 _LONGEST_LIST = 100
 _MOST_NUMBERS = 200_000
 _DEEPEST = 30
 _NESTING = re.compile(r"[\[\]{}()]|</?[A-Za-z_][^<>]*(?<!/)>")
-_ASPECT = 3.0  # focal length in x over that in y, of binned pixels
+_ASPECT = 3.0  # largest ratio of the focal lengths in x and y, for binned pixels
 _FOCAL = (0.02, 1000.0)  # focal length over the larger side of the picture
-_MOST_TERM = 1e6  # higher terms of long lenses reach ten thousand
+_MOST_TERM = 1e6  # largest distortion term; high-order terms of long lenses reach ten thousand
 _SKEW = 1e-9  # largest skew taken for zero, relative to the focal length
 
 
@@ -89,7 +89,7 @@ def load_lens(path: str | Path) -> LensCamera | SplinedLens:
     the first camera.
 
     Raises:
-        BadInputError: the file is missing, is no such file, or has another lens model.
+        BadInputError: the file is missing, has another format, or has another lens model.
     """
     file = Path(path)
     text = read_text(file, "a file of a lens", remedy=_REMEDY)
@@ -100,7 +100,7 @@ def load_lens(path: str | Path) -> LensCamera | SplinedLens:
 
 
 def check_nesting(path: Path, text: str) -> None:
-    """Refuse text that parsers of lists and tags would follow too deeply, or that has more numbers than a lens."""
+    """Refuse text that is nested too deeply for parsers of lists and tags, or has more numbers than a lens."""
     if text.count(",") + text.count("\n") + text.count(" ") > _MOST_NUMBERS:
         raise BadInputError(f"{path}: has more numbers than a file of a lens; {_REMEDY}.")
     depth = 0
@@ -112,10 +112,10 @@ def check_nesting(path: Path, text: str) -> None:
 
 
 def require_plausible_lens(where: str, lens: LensCamera | SplinedLens) -> None:
-    """Refuse a lens that no camera has.
+    """Refuse an implausible lens.
 
     Args:
-        where: the file or table that has the lens.
+        where: the file or table of the lens.
         lens: any; sizes, focal lengths and centre in pixels.
 
     Raises:
@@ -129,7 +129,7 @@ def require_plausible_lens(where: str, lens: LensCamera | SplinedLens) -> None:
 
 
 def require_plausible_view(where: str, size_px: FloatArray, focal_px: FloatArray, centre_px: FloatArray) -> None:
-    """Refuse a picture's size, focal lengths and principal point, (2,) each in pixels, that no camera has.
+    """Refuse a picture's size, focal lengths and principal point, (2,) each in pixels, that are impossible.
 
     Raises:
         BadInputError: as `require_plausible_lens`.
@@ -191,7 +191,7 @@ def _check_values(file: Path, values: FloatArray, count: int, model: str) -> Non
 
 
 def _lens_camera(size_px: tuple[int, int], core: FloatArray, terms: FloatArray, kind: str) -> LensCamera:
-    """Return the camera from OpenCV's (fx, fy, cx, cy); terms that are left out are zero."""
+    """Return the camera from OpenCV's (fx, fy, cx, cy); missing terms are zero."""
     filled = np.zeros(len(LENS_KINDS[kind]))
     filled[: len(terms)] = terms
     return LensCamera(size_px, core[:2], core[2:] - OPENCV_PIXEL_SHIFT, filled, kind)
@@ -217,15 +217,15 @@ def _lens_of_keys(file: Path, text: str) -> LensCamera:
 
 
 def _camera_of(file: Path, content: dict[str, Any]) -> dict[str, Any]:
-    """Return the camera in a file of ROS, Kalibr or another program, with a camera matrix."""
+    """Return the camera's keys in a file of ROS, Kalibr or another program with a camera matrix."""
     program = next((program for key, program in _OTHER_PROGRAMS.items() if key in content), None)
     if program is not None:
         raise BadInputError(f"{file}: is a file of {program}, which is not read; {_AS_ROS}.")
     cameras = [key for key, value in content.items() if _KALIBR_CAMERA.fullmatch(key) and isinstance(value, dict)]
     if len(cameras) > 1:
         raise BadInputError(
-            f"{file}: has the cameras {', '.join(cameras)}; copy the one that took the photographs into a file of its "
-            "own."
+            f"{file}: has the cameras {', '.join(cameras)}; copy the one that took the photographs into a "
+            "separate file."
         )
     content = content[cameras[0]] if cameras else content
     _refuse_cropped(file, content)
@@ -236,15 +236,13 @@ def _refuse_other_programs(file: Path, text: str) -> None:
     """Refuse a file without keys, by the program that writes such files."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if lines[:1] == ["[image]"]:
-        raise BadInputError(
-            f"{file}: is the ost.txt of ROS' camera calibrator, which is not read; give the ost.yaml beside it."
-        )
+        raise BadInputError(f"{file}: is the ost.txt of ROS' camera calibrator, which is not read; give its ost.yaml.")
     if lines and _COLMAP.fullmatch(lines[0]):
         raise BadInputError(f"{file}: is a file of COLMAP, which is not read; {_AS_ROS}, with cx and cy less by 0.5.")
 
 
 def _opencv_content(file: Path, text: str) -> dict[str, Any]:
-    """Return the keys and values of a file of OpenCV, those of a lens only."""
+    """Return the keys and values of an OpenCV file that describe the lens."""
     with parsing(file, "a YAML, XML or JSON file of OpenCV", "save it with cv2.FileStorage"):
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid while the storage is
@@ -281,7 +279,7 @@ def _kalibr_camera(file: Path, content: dict[str, Any]) -> dict[str, Any]:
 
 
 def _refuse_cropped(file: Path, content: Mapping[str, Any]) -> None:
-    """Refuse a camera of ROS whose photographs are a part of the picture that the camera matrix is for."""
+    """Refuse a camera of ROS whose photographs are a part of the picture that its camera matrix describes."""
     binning = [content.get(f"binning_{axis}") or 1 for axis in "xy"]
     region = content.get("roi")
     region = region if isinstance(region, dict) else {}
@@ -289,7 +287,7 @@ def _refuse_cropped(file: Path, content: Mapping[str, Any]) -> None:
     whole = ([0, 0, 0, 0], [0, 0, content.get("width"), content.get("height")], [None] * 4)
     if binning != [1, 1] or part not in whole:
         raise BadInputError(
-            f"{file}: states binning or a region of interest (roi), and its camera matrix is that of the whole sensor; "
+            f"{file}: states binning or a region of interest (roi), and its camera matrix describes the whole sensor; "
             "give the CameraInfo of whole pictures."
         )
 
@@ -320,13 +318,13 @@ def _lens_of_matrix(file: Path, matrix: FloatArray, terms: FloatArray, size: Flo
 
 
 def _kind(file: Path, content: Mapping[str, Any], terms: FloatArray) -> str:
-    """Return the kind of lens by the names that the file gives it and the number of its terms."""
+    """Return the kind of lens, from the names in the file and the number of its terms."""
     stated = _first(content, _MODEL_KEYS)
     model = re.sub(r"[ -]", "_", stated.lower()) if isinstance(stated, str) else ""
     flag = _values(file, content, _FISHEYE_KEYS)
     if model and model not in (*_FISHEYE_NAMES, *_PERSPECTIVE_NAMES):
-        known = ", ".join((*_PERSPECTIVE_NAMES, *_FISHEYE_NAMES))
-        raise BadInputError(f"{file}: distortion model {shown(stated)} is not supported; it must be one of {known}.")
+        kinds = ", ".join((*_PERSPECTIVE_NAMES, *_FISHEYE_NAMES))
+        raise BadInputError(f"{file}: distortion model {shown(stated)} is not supported; it must be one of {kinds}.")
     if flag.any() or model in _FISHEYE_NAMES:
         if terms.size != len(LENS_KINDS["fisheye"]):
             raise BadInputError(
@@ -335,7 +333,7 @@ def _kind(file: Path, content: Mapping[str, Any], terms: FloatArray) -> str:
         return "fisheye"
     if terms.size == len(LENS_KINDS["fisheye"]) and not model and not flag.size:
         raise BadInputError(
-            f"{file}: has 4 distortion terms, which may be those of cv2.fisheye (k1 k2 k3 k4) or of "
+            f"{file}: has 4 distortion terms, which may come from cv2.fisheye (k1 k2 k3 k4) or "
             "cv2.calibrateCamera (k1 k2 p1 p2); add distortion_model: equidistant or distortion_model: plumb_bob."
         )
     if terms.size == _TILTED and not terms[-2:].any():
@@ -363,16 +361,16 @@ def _values(file: Path, content: Mapping[str, Any], keys: Sequence[str]) -> Floa
 
 
 def _numbers(value: Any) -> list[float]:
-    """Numbers of a matrix, of nested lists, or of one number, about the first 100; NaN for what is not a number."""
+    """Return about the first 100 numbers of a matrix, nested lists, or one number; NaN for other values."""
     if isinstance(value, dict):  # a matrix of ROS: rows, cols and data
         return _numbers(value.get("data"))
     if isinstance(value, list):
-        found: list[float] = []
-        for each in value:
-            found += _numbers(each)
-            if len(found) > _LONGEST_LIST:
+        numbers: list[float] = []
+        for item in value:
+            numbers += _numbers(item)
+            if len(numbers) > _LONGEST_LIST:
                 break
-        return found
+        return numbers
     try:
         return [float(value)]  # YAML takes 1e-5 for text
     except (TypeError, ValueError, OverflowError):

@@ -51,15 +51,15 @@ _LENS = ("lens_orders", "lens_low", "lens_high", "lens_coefficients")
 _OF_TARGETS = ("target_pose", "target", "focus")
 
 _DEVICE_M, _WORLD_M = 10.0, 100.0  # largest distance within the device, and of real points
-_SIGMA_ARCMIN = 600.0  # ten degrees
-_NEAREST_M = 0.03  # of real points to the eye: nearer ones are in kilometres
-_LEAST_SIGMA_ARCMIN = 1e-6  # 0.06 milliarcseconds
-_SIGMAS_DIFFER = 1e4  # a row of smaller sigma alone would decide the fit
-_PANEL_MARGIN = (2.0, 0.02)  # pixels, and part of the panel's side, that noise may put a pixel beyond the edge
-_MOST_OUTSIDE = 0.05  # share of panel pixels beyond that margin: more are of another panel
-_ONE_PLACE_M = 5e-3  # how far the stage may miss a place that it returns to
-_BOX_OF_PLACES = 1e-2  # least size of an eye box, in that of the camera places
-_SMALL_PART = 0.2  # of the eye box that places span: less looks like a wrong unit
+_SIGMA_ARCMIN = 600.0  # largest sigma: ten degrees
+_NEAREST_M = 0.03  # least distance of real points from the eye: nearer ones are in kilometres
+_LEAST_SIGMA_ARCMIN = 1e-6  # least sigma: 0.06 milliarcseconds
+_SIGMAS_DIFFER = 1e4  # largest ratio of sigmas; a row of smaller sigma alone would decide the fit
+_PANEL_MARGIN = (2.0, 0.02)  # margin outside the panel for noise: pixels, and share of the panel's side
+_MOST_OUTSIDE = 0.05  # largest share of panel pixels outside the margin: more belong to another panel
+_ONE_PLACE_M = 5e-3  # largest error of a stage that returns to a position
+_BOX_OF_PLACES = 1e-2  # least size of an eye box relative to the range of camera positions
+_SMALL_PART = 0.2  # least share of the eye box that positions span: less looks like a wrong unit
 _MOST_COLUMNS = 16
 _PLAUSIBLE = {
     "visit": (-1, LIMITS.index),
@@ -73,7 +73,7 @@ _PLAUSIBLE = {
 
 
 def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) -> Path:
-    """Write a capture file whole or not at all; the name must end in .npz."""
+    """Write a capture file atomically; the name must end in .npz."""
     if Path(path).suffix != ".npz":
         raise BadInputError(f"{path}: a capture file must be named *.npz.")
     table = captures
@@ -100,7 +100,7 @@ def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) ->
         if (motion := getattr(table, name)) is not None
         for part in _MOTION
     }
-    commons = {name: found for name in COMMONS if (found := getattr(table, name)) is not None}
+    commons = {name: common for name in COMMONS if (common := getattr(table, name)) is not None}
     if commons:
         header["common_sources"] = next(iter(commons.values())).sources
     shared = {f"{name}_{part}": values for name, each in commons.items() for part, values in _common_arrays(each)}
@@ -108,7 +108,7 @@ def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) ->
 
 
 def load_captures(path: str | Path) -> EyeCaptures:
-    """Read what a fit takes from a capture file: the panel in one colour, and see-through.
+    """Read the captures of a fit from a capture file: the panel in one colour, and see-through.
 
     Raises:
         BadInputError: as `load_observations`.
@@ -120,8 +120,8 @@ def load_observations(path: str | Path) -> ObservationTable:
     """Read a capture file.
 
     Raises:
-        BadInputError: the file cannot be read, is cut short, is something else, is of another version, or holds values
-            that no bench can have measured.
+        BadInputError: the file cannot be read, is cut short, has another format or version, or holds implausible
+            values.
     """
     arrays = read_arrays(path, "a capture file (.npz)")
     header = _header(arrays, path)
@@ -133,7 +133,7 @@ def load_observations(path: str | Path) -> ObservationTable:
 
 
 def place_warnings(captures: EyeCaptures) -> list[str]:
-    """Return a sentence where the camera places span little of the eye box, as with a unit that is off by ten."""
+    """Warn if the camera positions span little of the eye box, as with a unit that is off by ten."""
     warnings = []
     for name, side in (("display", captures.display), ("see-through", captures.see_through)):
         if side is None or len(np.unique(side.capture)) < 2:
@@ -174,12 +174,12 @@ def _table(header: Table, arrays: dict[str, NDArray[Any]], path: str | Path) -> 
 
 def _common_arrays(common: CommonErrors) -> list[tuple[str, NDArray[Any]]]:
     """Return the arrays of common errors by their names in a file."""
-    found: list[tuple[str, NDArray[Any]]] = [("capture", common.capture), ("motion", common.motion)]
+    arrays: list[tuple[str, NDArray[Any]]] = [("capture", common.capture), ("motion", common.motion)]
     if len(common.target_pose):
-        found += [(name, getattr(common, name)) for name in _OF_TARGETS]
+        arrays += [(name, getattr(common, name)) for name in _OF_TARGETS]
     if (lens := common.lens) is not None:
-        found += zip(_LENS, (lens.orders, lens.box.low, lens.box.high, lens.coefficients), strict=True)
-    return found
+        arrays += zip(_LENS, (lens.orders, lens.box.low, lens.box.high, lens.coefficients), strict=True)
+    return arrays
 
 
 def _common(arrays: dict[str, NDArray[Any]], name: str, sources: tuple[str, ...], path: str | Path) -> CommonErrors:
@@ -235,7 +235,7 @@ def _array(arrays: dict[str, NDArray[Any]], name: str, path: str | Path) -> NDAr
 
 
 def _check_sizes(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
-    """Refuse arrays of other things than numbers, and more rows than are read, before any of them is converted."""
+    """Refuse arrays of anything but numbers, and too many rows, before any of them is converted."""
     for name, values in arrays.items():
         if name != "header" and values.dtype.kind not in "iuf":
             raise BadInputError(f"{path}: '{name}' holds {values.dtype} values, not numbers; write the file again.")
@@ -255,9 +255,9 @@ def _check_sizes(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
 
 
 def _check_plausible(path: str | Path, table: ObservationTable) -> None:
-    """Refuse what no bench can have measured, such as lengths in millimetres."""
+    """Refuse implausible measurements, such as lengths in millimetres."""
     if not len(table):
-        raise BadInputError(f"{path}: there are no rows; write at least one reading.")
+        raise BadInputError(f"{path}: the table is empty; write at least one reading.")
     for name in ("eye_box", "see_through_eye_box"):
         if (box := getattr(table, name)) is not None:
             require_eye_box(f"{path}: '{name}'", box.size)
@@ -267,9 +267,9 @@ def _check_plausible(path: str | Path, table: ObservationTable) -> None:
         require_pixels(f"{path}: 'panel'", size, "correct it")
         require_on_panel(path, table.feature[table.kind == PANEL_PIXEL, :2], size)
     require_length(f"{path}: 'viewpoint', from the centre of the eye box,", table.viewpoint - table.eye_box.centre, 0.5)
-    seen = table.kind == REAL_POINT
-    require_length(f"{path}: 'feature' of real points", table.feature[seen], _WORLD_M)
-    distance = np.linalg.norm(table.feature[seen] - table.viewpoint[seen], axis=1)
+    is_real = table.kind == REAL_POINT
+    require_length(f"{path}: 'feature' of real points", table.feature[is_real], _WORLD_M)
+    distance = np.linalg.norm(table.feature[is_real] - table.viewpoint[is_real], axis=1)
     if distance.min(initial=np.inf) < _NEAREST_M:
         raise BadInputError(
             f"{path}: 'feature' has a real point {1e3 * distance.min():.3g} mm from its viewpoint, nearer than "
@@ -279,7 +279,7 @@ def _check_plausible(path: str | Path, table: ObservationTable) -> None:
     _check_bench(path, table)
     for name, low, high in (("capture", 0, LIMITS.index), ("target_pose", -1, LIMITS.index)):
         _require(path, name, getattr(table, name), low, high)
-    _require(path, "target_pose", table.target_pose[seen], 0, LIMITS.index)
+    _require(path, "target_pose", table.target_pose[is_real], 0, LIMITS.index)
     _require_sigma(path, table.sigma_arcmin)
     _require_places(path, table)
     _require(path, "target_point", table.target_point, -_WORLD_M, _WORLD_M)
@@ -295,7 +295,7 @@ def _check_plausible(path: str | Path, table: ObservationTable) -> None:
 
 
 def _check_bench(path: str | Path, table: ObservationTable) -> None:
-    """Refuse motions and common errors that no bench has."""
+    """Refuse implausible motions and common errors."""
     for name in MOTIONS:
         if (motion := getattr(table, name)) is not None:
             _require(path, f"{name}_capture", motion.capture, 0, LIMITS.index)
@@ -310,7 +310,7 @@ def _check_bench(path: str | Path, table: ObservationTable) -> None:
 
 
 def _require(path: str | Path, name: str, values: NDArray[Any], low: float, high: float) -> None:
-    """Refuse values outside a range; NaN is allowed, as not recorded."""
+    """Refuse values outside a range; NaN means not recorded, and is allowed."""
     bad = (values < low) | (values > high)
     if bad.any():
         raise BadInputError(
@@ -320,7 +320,7 @@ def _require(path: str | Path, name: str, values: NDArray[Any], low: float, high
 
 
 def _require_sigma(path: str | Path, sigma: FloatArray) -> None:
-    """Refuse standard deviations that no camera has; zero means exact data."""
+    """Refuse implausible standard deviations; zero means exact data."""
     _require(path, "sigma_arcmin", sigma, 0, _SIGMA_ARCMIN)
     if (least := sigma[sigma > 0].min(initial=np.inf)) < _LEAST_SIGMA_ARCMIN:
         raise BadInputError(
@@ -335,7 +335,7 @@ def _require_sigma(path: str | Path, sigma: FloatArray) -> None:
 
 
 def _require_places(path: str | Path, table: ObservationTable) -> None:
-    """Refuse captures that were not numbered by camera place, and an eye box that is a point beside the places."""
+    """Refuse captures without numbers of camera positions, and an eye box much smaller than these positions."""
     count = len(np.unique(table.capture))
     if count > LIMITS.captures:
         raise BadInputError(
@@ -346,7 +346,7 @@ def _require_places(path: str | Path, table: ObservationTable) -> None:
     if count == 1 and apart > _ONE_PLACE_M:
         raise BadInputError(
             f"{path}: 'capture' is {table.capture[0]} in all rows, and their viewpoints are {1e3 * apart:.3g} mm "
-            "apart; give each camera place its own number."
+            "apart; give each camera position a different number."
         )
     if np.linalg.norm(table.eye_box.size) < _BOX_OF_PLACES * apart:
         raise BadInputError(
@@ -377,11 +377,11 @@ def require_on_panel(path: str | Path, pixel: FloatArray, size_px: ArrayLike) ->
 
 
 def _refuse_repeated(path: str | Path, table: ObservationTable) -> None:
-    """Refuse two rows that are the same in every column."""
+    """Refuse two rows that are equal in every column."""
     columns = [getattr(table, name) for name in COLUMNS] + [getattr(table.conditions, name) for name in _CONDITIONS]
     rows = np.column_stack([np.asarray(each, dtype=np.float64).reshape(len(table), -1) for each in columns])
     weight = np.random.default_rng(0).integers(1, 2**63, rows.shape[1], dtype=np.uint64) | np.uint64(1)
-    code = np.ascontiguousarray(rows).view(np.uint64) @ weight  # equal rows have equal codes, others hardly ever
+    code = np.ascontiguousarray(rows).view(np.uint64) @ weight  # equal rows have equal codes; others almost never
     order = np.argsort(code, kind="stable")
     same = code[order[1:]] == code[order[:-1]]
     same[same] = np.all(rows[order[1:][same]].view(np.uint64) == rows[order[:-1][same]].view(np.uint64), axis=1)
@@ -395,8 +395,8 @@ def _header(arrays: dict[str, NDArray[Any]], path: str | Path) -> Table:
     content = parse_json(path, text, "a capture file with a JSON 'header'", "write it again")
     header = Table({key: value for key, value in content.items() if value is not None}, str(path))
     header.text("format", choices=[FORMAT])
-    if (found := header.number("version")) not in (1, VERSION):
-        raise header.fail(f"has version {found:g}; this program reads versions 1 and {VERSION}: write it again.")
+    if (version := header.number("version")) not in (1, VERSION):
+        raise header.fail(f"has version {version:g}; this program reads versions 1 and {VERSION}: write it again.")
     if content.get("frame") != "openxr" or content.get("units") != _UNITS:
         raise BadInputError(f"{path}: must be in frame 'openxr' with units {_UNITS}; convert it.")
     return header

@@ -1,4 +1,4 @@
-"""Files of a set of code photographs: which picture each shows, and its exposures."""
+"""Files of a set of code photographs: the picture that each shows, and its exposures."""
 
 import csv
 import re
@@ -20,7 +20,7 @@ from wlr_render.toml_files import read_toml
 MANIFESTS = ("manifest.toml", "manifest.csv")
 _AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}
 _ROLE = re.compile(r"[uv] (bit \d+( inverse)?|fringe .+ step \d+)")
-"""Role of a picture of any code but white and black, which all codes have."""
+"""Role of a picture of any code, other than white and black."""
 _LONGEST_S = 10_000.0
 _SAME_EXPOSURE = 1.02
 _SECONDS = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -31,7 +31,7 @@ class CodeFiles:
     """Files of one set, in the order in which its pictures are shown.
 
     Attributes:
-        pictures: files of each picture, one an exposure; none if the picture is missing.
+        pictures: files of each picture, one per exposure; empty if the picture is missing.
         exposures_s: exposure time of each; empty for a single exposure.
     """
 
@@ -40,12 +40,12 @@ class CodeFiles:
 
     @property
     def paths(self) -> list[Path]:
-        """All files."""
+        """Return all files."""
         return [path for files in self.pictures for path in files]
 
     @property
     def missing(self) -> list[int]:
-        """Numbers of the pictures of which there is no photograph."""
+        """Numbers of the pictures without a photograph."""
         return [number for number, files in enumerate(self.pictures) if not files]
 
     def end_of_scale(self, kind: PhotographFormat) -> float:
@@ -55,8 +55,8 @@ class CodeFiles:
     def read(self, kind: PhotographFormat) -> Iterator[CodeImage | None]:
         """Read the pictures one at a time; None for a missing one.
 
-        Several exposures are merged to float32 values on the scale of the longest. Of each pixel those exposures count
-        that do not saturate it in the first picture, white, weighted by their time; as they are the same in the whole
+        Several exposures are merged to float32 values on the scale of the longest. Each pixel uses the exposures that
+        do not saturate it in the first picture, white, weighted by their time; because they are the same in the whole
         set, a black level has no effect on differences of pictures.
 
         Raises:
@@ -100,21 +100,21 @@ class CodeFiles:
 def find_code_files(
     folder: Path, names: Sequence[str], order: str = CODE_ORDERS[0], manifest: Path | None = None
 ) -> CodeFiles:
-    """Find out which picture each photograph of a folder shows.
+    """Find the picture that each photograph of a folder shows.
 
-    By a manifest; else by names as `wlr-render pattern` gives them (000_white.png); else by the numbers in the names,
-    in which one gap may be; else by their order, without a gap. Folders below it hold one exposure each.
+    The criteria are, in this order: a manifest; names of `wlr-render pattern` (000_white.png); the numbers in the
+    names, with at most one gap; the order of the names, without a gap. Folders below hold one exposure each.
 
     Args:
-        folder: of the set.
-        names: of the pattern's pictures in the order of showing.
+        folder: folder of the set.
+        names: names of the pattern's pictures in the order of showing.
         order: one of `CODE_ORDERS`, for files whose roles are not named: white and black first, or last as in OpenCV's
             `GrayCodePattern`.
         manifest: file that names the roles; None: manifest.toml or manifest.csv in the folder, if there is one.
 
     Raises:
         BadInputError: photographs are missing or left over, a role is unknown or given twice, or an exposure time is
-            unknown; the sentence names the file and what to do.
+            unknown; the sentence names the file and the remedy.
     """
     manifest = manifest or next((folder / name for name in MANIFESTS if (folder / name).is_file()), None)
     stated: dict[str, float] = {}
@@ -218,7 +218,7 @@ def _number_of_role(role: str, names: Sequence[str]) -> int | None:
 
 
 def _plain_role(role: str) -> str:
-    """Return a role as patterns name their pictures, e.g. "u bit 3" for "column_bit_3"."""
+    """Return a role with the name that patterns use, e.g. "u bit 3" for "column_bit_3"."""
     words = role.lower().replace("_", " ").split()
     if words and words[0] in _AXES:
         words[0] = _AXES[words[0]]
@@ -227,16 +227,16 @@ def _plain_role(role: str) -> str:
 
 def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Path) -> tuple[tuple[Path, ...], ...]:
     """Return the files of each picture, from their names alone."""
-    found: list[tuple[Path, ...]] = [()] * len(names)
+    files: list[tuple[Path, ...]] = [()] * len(names)
     stated = [re.sub(r"^\d+[_ -]", "", path.stem) for path in paths]
     roles = [_number_of_role(each, names) for each in stated]
     _check_code(paths, stated, roles)
     if None not in roles:
         for path, role in zip(paths, roles, strict=True):
-            if role is None or found[role]:
+            if role is None or files[role]:
                 raise BadInputError(f"{path}: a second photograph shows '{names[role or 0]}'; remove one of them.")
-            found[role] = (path,)
-        return tuple(found)
+            files[role] = (path,)
+        return tuple(files)
     shown = [*range(2, len(names)), 0, 1] if order == "opencv" else range(len(names))
     places = range(len(paths)) if len(paths) == len(names) else _numbered_places(paths, len(names))
     if not places:
@@ -245,20 +245,20 @@ def _by_name(paths: Sequence[Path], names: Sequence[str], order: str, folder: Pa
             f"picture, or name their pictures in {MANIFESTS[0]}."
         )
     for path, place in zip(paths, places, strict=True):
-        found[shown[place]] = (path,)
-    return tuple(found)
+        files[shown[place]] = (path,)
+    return tuple(files)
 
 
 def _check_code(paths: Sequence[Path], stated: Sequence[str], roles: Sequence[int | None]) -> None:
-    """Refuse photographs whose names state pictures of another code, or names of which only some state a picture.
+    """Refuse names that state pictures of another code, or only some pictures of this code.
 
     Args:
-        paths: of the photographs.
-        stated: what the name of each says, without its number.
-        roles: which picture of the code this is; None for none.
+        paths: paths of the photographs.
+        stated: text of each name, without its number.
+        roles: picture of the code for each name; None without one.
 
     Raises:
-        BadInputError: the sentence names the first photograph that is not of this code.
+        BadInputError: the sentence names the first photograph of another code.
     """
     plain = [_plain_role(each) for each in stated]
     foreign = [n for n, each in enumerate(plain) if roles[n] is None and _ROLE.fullmatch(each)]
@@ -266,19 +266,19 @@ def _check_code(paths: Sequence[Path], stated: Sequence[str], roles: Sequence[in
         bits, fringes = (any(f" {kind} " in each for each in plain) for kind in ("bit", "fringe"))
         code = "gray-fringes" if bits and fringes else "gray" if bits else "fringes"
         raise BadInputError(
-            f"{paths[foreign[0]]}: shows '{plain[foreign[0]]}', which is not a picture of this code; the names are "
-            f"those of the code {code}: choose it as pattern, with the size of the panel that showed it."
+            f"{paths[foreign[0]]}: shows '{plain[foreign[0]]}', which is not a picture of this code; the names "
+            f"belong to the code {code}: choose it as pattern, with the size of the panel that showed it."
         )
     unnamed = [path for path, role in zip(paths, roles, strict=True) if role is None]
     if unnamed and len(unnamed) < len(paths):
         raise BadInputError(
-            f"{unnamed[0]}: its name states no picture of the code, as those of other photographs in its folder do; "
+            f"{unnamed[0]}: its name states no picture of the code, unlike other names in its folder; "
             f"remove it, or name all pictures in {MANIFESTS[0]}."
         )
 
 
 def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:
-    """Places in the set by the last numbers in the names; empty unless the first and the last of `count` are there."""
+    """Return the positions in the set by the last numbers in the names; empty unless first and last are there."""
     numbers = [re.findall(r"\d+", path.stem) for path in paths]
     if not all(numbers):
         return []
@@ -287,7 +287,7 @@ def _numbered_places(paths: Sequence[Path], count: int) -> Sequence[int]:
 
 
 def _exposure_folders(folder: Path) -> list[Path]:
-    """Return the folders below one that holds no photographs itself, from the shortest name to the longest number."""
+    """Return the folders below a folder without photographs, sorted by name with numbers in numeric order."""
     if not folder.is_dir() or any(path.suffix.lower() in SUFFIXES for path in folder.iterdir()):
         return []
     return sorted(
@@ -298,7 +298,7 @@ def _exposure_folders(folder: Path) -> list[Path]:
 
 
 def _exposure_time(path: Path, stated: dict[str, float], name: str = "") -> float:
-    """Seconds: as stated, as in the files, or as in the name of a folder."""
+    """Return the exposure time in seconds that is stated, in the files, or in the name of a folder."""
     if (name or path.name) in stated:
         return stated[name or path.name]
     in_file = exposure_of(path if path.is_file() else photographs_in(path)[0])
@@ -317,7 +317,7 @@ def _check_one_exposure(paths: Sequence[Path]) -> None:
     """Refuse a set whose files state different exposure times.
 
     Raises:
-        BadInputError: two of them do.
+        BadInputError: two files state different times.
     """
     times = [(time, path) for path in paths if (time := exposure_of(path)) is not None]
     if times and max(times)[0] > _SAME_EXPOSURE * min(times)[0]:

@@ -1,7 +1,7 @@
 """Captures: view directions of panel pixels and real points from known viewpoints.
 
-Everything is in the device frame (OpenXR), metres. One row is one measured direction; `capture` says which camera
-position it was taken at, so that held-out tests can leave out whole positions.
+Everything is in the device frame (OpenXR), metres. One row is one measured direction; `capture` is the number of its
+camera position, so that held-out tests can leave out whole positions.
 """
 
 from collections.abc import Sequence
@@ -23,15 +23,15 @@ from wlr_render.numerics.polynomial import Polynomial
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Conditions under which the rows of captures were taken; NaN, or -1 for an integer, where they are not recorded.
+    """Conditions of the rows of captures; NaN, or -1 for an integer, if not recorded.
 
     Attributes:
-        visit: (n,) number of the photograph, or of the set of code photographs, among those of one target pose.
+        visit: (n,) number of the photograph, or of the set of code photographs, within its target pose.
         channel: (n,) colour of the light: 0 red, 1 green, 2 blue.
-        time_s: (n,) since the session's start.
-        temperature_c: (n,) of the bench, degrees Celsius.
+        time_s: (n,) time since the session's start.
+        temperature_c: (n,) temperature of the bench, degrees Celsius.
         travel: (n,) direction of the stage's last move in x, +1 or -1.
-        stage: (n, m) stage reading, metres or radians, in the stage's own axes; m = 0 without a stage.
+        stage: (n, m) stage reading, metres or radians, in the axes of the stage; m = 0 without a stage.
         device_from_camera: (n, 3, 3) camera rotation; a camera of OpenXR's axes looks along its -z.
 
     Raises:
@@ -58,26 +58,26 @@ class Conditions:
 
     @classmethod
     def recorded(cls, count: int, **columns: ArrayLike) -> "Conditions":
-        """Return conditions of `count` rows; a column that is not given is not recorded, one row serves for all."""
+        """Return the conditions of `count` rows; missing columns are not recorded, and one row serves for all."""
         shapes = {"device_from_camera": (3, 3), "stage": (0,)}
         filled: dict[str, Any] = {}
-        for each in fields(cls):
-            shape, default = shapes.get(each.name, ()), -1 if each.name in ("visit", "channel") else np.nan
-            value = np.asarray(columns.get(each.name, np.full(shape, default)))
-            filled[each.name] = np.repeat(value[None], count, axis=0) if value.ndim == len(shape) else value
+        for column in fields(cls):
+            shape, default = shapes.get(column.name, ()), -1 if column.name in ("visit", "channel") else np.nan
+            value = np.asarray(columns.get(column.name, np.full(shape, default)))
+            filled[column.name] = np.repeat(value[None], count, axis=0) if value.ndim == len(shape) else value
         return cls(**filled)
 
 
 @dataclass(frozen=True)
 class CaptureMotionPrior:
-    """How far the camera may have stood from where captures state it, known before the fit of a model.
+    """Prior of the camera's motion relative to the poses that captures state.
 
     A small motion of the camera about its own entrance pupil, in axes of the device frame.
 
     Attributes:
-        capture: (k,) index of the camera position; of the visit, where the conditions number all visits.
+        capture: (k,) index of the camera position, or of the visit if the conditions number all visits.
         size: (k, 6) standard deviations: rotation about x, y and z in radians, then shift along x, y and z in metres.
-        log_sigma: standard deviation of the natural logarithm of a factor that all sizes may be wrong by. 0.1 is 10 %.
+        log_sigma: standard deviation of the natural logarithm of a common factor on all sizes; 0.1 is 10 %.
 
     Raises:
         BadInputError: a shape does not fit, an index occurs twice, or a number is not finite or negative.
@@ -100,12 +100,12 @@ class CaptureMotionPrior:
         object.__setattr__(self, "log_sigma", float(self.log_sigma))
 
     def of(self, capture: IntArray) -> "CaptureMotionPrior":
-        """Return the prior of captures (m,), some of which may be the same, numbered 0..m - 1.
+        """Return the prior of captures (m,), which may repeat, numbered 0..m - 1.
 
         Raises:
-            BadInputError: there is none for one of them.
+            BadInputError: one of them is missing.
         """
-        at = _found(self.capture, capture, "'motion' has no size", "capture")
+        at = _positions_of(self.capture, capture, "'motion' has no size", "capture")
         return CaptureMotionPrior(np.arange(len(capture)), self.size[at], self.log_sigma)
 
 
@@ -117,21 +117,21 @@ def point_terms(point: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class CommonErrors:
-    """Errors that captures share: how much they state too much, by k independent standard normal variables.
+    """Errors that captures share: change of the stated values per unit of each of k standard normal variables.
 
-    A lens, a board, a pose of the tracking camera or of a target that is off is off for all captures alike, so that no
-    fit can see it. In the display and the see-through captures of an eye the variables are the same.
+    An error of a lens, a board, or a pose of the tracking camera or of a target is common to all captures, so that a
+    fit cannot see it. The display and the see-through captures of an eye have the same variables.
 
     Attributes:
-        sources: (k,) what each variable is an error of, e.g. "lens".
+        sources: (k,) source of error of each variable, e.g. "lens".
         capture: (m,) index of the camera position, or of the visit, as in `CaptureMotionPrior`.
-        motion: (m, 6, k) of each camera about its entrance pupil, device axes: rotation vector in radians, then shift
-            in metres.
+        motion: (m, 6, k) motion of each camera about its entrance pupil, device axes: rotation vector in radians, then
+            shift in metres.
         lens: tangents (x, y) of a direction in the camera's frame (OpenXR axes) -> (2 * k), their change: along x by
-            each variable, then along y; None where the lens is exact. It needs `Conditions.device_from_camera`.
+            each variable, then along y; None for an exact lens. It needs `Conditions.device_from_camera`.
         target_pose: (p,) index of the target's pose.
         target: (p, 7, 3, k) change of its real points by `point_terms`, metres, device frame. A shift is in the first
-            term, a turn w about the origin is w x (X, Y, Z), and a board's scale and bow take the rest.
+            term, a rotation w about the origin is w x (X, Y, Z), and a board's scale and bow are in the rest.
         focus: (p, k) relative change of the tangents of `lens` in photographs of this target pose.
 
     Raises:
@@ -161,22 +161,22 @@ class CommonErrors:
             if len(np.unique(getattr(self, name))) < np.size(getattr(self, name)):
                 raise BadInputError(f"common errors: '{name}' has an index twice; give each once.")
         if not k or not all(isinstance(each, str) and each for each in self.sources):
-            raise BadInputError("common errors: 'sources' must name one variable or more by what it is an error of.")
+            raise BadInputError("common errors: 'sources' must name the source of error of one variable or more.")
         if self.lens is not None and (len(self.lens.box.low), self.lens.outputs) != (2, 2 * k):
             raise BadInputError(
                 f"common errors: 'lens' must have 2 variables and {2 * k} outputs, two of each variable."
             )
 
     def of(self, capture: IntArray) -> FloatArray:
-        """Return the motions (m, 6, k) of captures (m,), some of which may be the same.
+        """Return the motions (m, 6, k) of captures (m,), which may repeat.
 
         Raises:
-            BadInputError: there is none for one of them.
+            BadInputError: one of them is missing.
         """
-        return self.motion[_found(self.capture, capture, "the common errors have no motion", "capture")]
+        return self.motion[_positions_of(self.capture, capture, "the common errors have no motion", "capture")]
 
     def combined(self, root: FloatArray, sources: Sequence[str]) -> "CommonErrors":
-        """Return the errors by other variables (m,), of other sources: variables = root (k, m) @ others."""
+        """Return the errors in terms of other variables (m,) and sources: variables = root (k, m) @ others."""
         lens = self.lens
         if lens is not None:
             change = lens.coefficients.reshape(len(lens.orders), 2, -1) @ root
@@ -185,7 +185,7 @@ class CommonErrors:
         return CommonErrors(tuple(sources), self.capture, motion, lens, self.target_pose, target, focus)
 
     def changes(self, captures: "DisplayCaptures | SeeThroughCaptures", rows: slice | IntArray) -> "CommonChanges":
-        """By how much some rows of captures state too much, by each variable."""
+        """Return the change of the stated values of some rows of captures by each variable."""
         names, visit = captures.visits
         motion, tangents = self.of(names)[visit[rows]], captures.tangents[rows]
         turned = tangents_by_turn(tangents) @ motion[:, :3]
@@ -198,7 +198,7 @@ class CommonErrors:
         return CommonChanges(motion[:, 3:], turned, point)
 
     def _pose_of(self, captures: "SeeThroughCaptures") -> IntArray:
-        return _found(self.target_pose, captures.target_pose, "the common errors have nothing", "target pose")
+        return _positions_of(self.target_pose, captures.target_pose, "the common errors have nothing", "target pose")
 
     def _of_camera(
         self, captures: "DisplayCaptures | SeeThroughCaptures", rows: slice | IntArray, pose: IntArray | None
@@ -221,10 +221,11 @@ class CommonErrors:
         return np.asarray((moved[:, :2] + tangents[:, :, None] * moved[:, 2:]) / depth[:, None, None])
 
     def require_of(self, captures: "DisplayCaptures | SeeThroughCaptures") -> None:
-        """Refuse captures of which these errors leave something out.
+        """Refuse captures that these errors do not fully cover.
 
         Raises:
-            BadInputError: a capture or target pose is missing, or the camera's rotation where the lens has errors.
+            BadInputError: a capture or target pose is missing, or the camera's rotation is needed for errors of the
+                lens.
         """
         self.of(captures.visits[0])
         if isinstance(captures, SeeThroughCaptures) and len(self.target_pose):
@@ -240,10 +241,11 @@ class CommonErrors:
 
 @dataclass(frozen=True)
 class CommonChanges:
-    """By how much n rows of captures state too much, by each of k variables.
+    """Change of the stated values of n rows of captures by each of k variables.
 
     Attributes:
-        viewpoint: (n, 3, k) metres. tangents: (n, 2, k) of the view direction.
+        viewpoint: (n, 3, k) metres.
+        tangents: (n, 2, k) tangents of the view direction.
         point: (n, 3, k) of the real point, metres; None for the panel.
     """
 
@@ -252,17 +254,17 @@ class CommonChanges:
     point: FloatArray | None
 
 
-def _found(known: IntArray, wanted: IntArray, what: str, noun: str) -> IntArray:
-    """Where the indices (m,) are among the known ones (k,); BadInputError where one is not."""
-    missing = np.setdiff1d(wanted, known)
+def _positions_of(indices: IntArray, wanted: IntArray, what: str, noun: str) -> IntArray:
+    """Return the positions of the indices (m,) in `indices` (k,); refuses an index that is missing."""
+    missing = np.setdiff1d(wanted, indices)
     if missing.size:
         raise BadInputError(f"captures: {what} for {noun} {missing[0]}; give one for every {noun}.")
-    order = np.argsort(known)
-    return np.asarray(order[np.minimum(np.searchsorted(known[order], wanted), len(order) - 1)])
+    order = np.argsort(indices)
+    return np.asarray(order[np.minimum(np.searchsorted(indices[order], wanted), len(order) - 1)])
 
 
 class _Rows:
-    """What both kinds of captures derive from their rows."""
+    """Properties of both kinds of captures that follow from their rows."""
 
     side: ClassVar[str]
 
@@ -278,22 +280,22 @@ class _Rows:
 
     @cached_property
     def tangents(self) -> FloatArray:
-        """(n, 2) tangents of `view_dir`."""
+        """Tangents of `view_dir`, (n, 2)."""
         return tangents_of_dir(self.view_dir)
 
     @property
     def has_visits(self) -> bool:
-        """Whether the conditions number the visit of every row."""
+        """True if the conditions number the visit of every row."""
         return self.conditions is not None and bool(np.all(self.conditions.visit >= 0))
 
     @cached_property
     def visits(self) -> tuple[IntArray, IntArray]:
         """Visits of camera positions, during each of which the camera stood still.
 
-        The stage is driven anew for each target pose. Visits that are not numbered are one of each position and pose.
+        The stage is moved again for each target pose. Without numbers, there is one visit per position and pose.
 
         Returns:
-            What `motion` calls each visit (visits,), and the index (n,) of each row's visit.
+            The number (visits,) of each visit in `motion`, and the index (n,) of each row's visit.
         """
         pose = getattr(self, "target_pose", np.zeros_like(self.capture))
         number = self.conditions.visit if self.conditions is not None and self.has_visits else np.zeros_like(pose)
@@ -302,7 +304,7 @@ class _Rows:
 
     @property
     def targets(self) -> str:
-        """What a summary says of targets; a panel has none."""
+        """Targets for a summary; a panel has none."""
         return "-"
 
     def __len__(self) -> int:
@@ -314,22 +316,22 @@ class _Rows:
 
 @dataclass(frozen=True)
 class DisplayCaptures(_Rows):
-    """Panel pixels as seen from camera positions.
+    """Observations of panel pixels from camera positions.
 
     Attributes:
         device: device name.
         eye: "left" or "right".
-        eye_box: the eye box that the captures are meant for.
+        eye_box: eye box that the captures should cover.
         panel: the panel whose pixels were decoded.
         viewpoint: (n, 3) the camera's entrance pupil.
-        view_dir: (n, 3) unit direction in which the pixel was seen, from the viewpoint outwards.
+        view_dir: (n, 3) unit direction of the pixel, from the viewpoint outwards.
         pixel: (n, 2) panel pixels.
         capture: (n,) index of the camera position.
         sigma_arcmin: (n,), or one number for all: standard deviation of `view_dir` about each of its two transverse
-            axes. All zero where the data are exact.
-        conditions: time, stage reading, camera rotation and so on of each row; None where nothing is recorded.
-        motion: prior of the camera's motion at each visit of a position; None where nothing is known of the stage.
-        common: errors that all captures share; None where none are known.
+            axes. All zero for exact data.
+        conditions: time, stage reading, camera rotation and so on of each row; None if not recorded.
+        motion: prior of the camera's motion at each visit of a position; None without knowledge of the stage.
+        common: errors that all captures share; None if unknown.
 
     Raises:
         BadInputError: a shape does not fit, a number is not finite, a direction is not a unit vector looking forward,
@@ -359,14 +361,14 @@ class DisplayCaptures(_Rows):
 
 @dataclass(frozen=True)
 class SeeThroughCaptures(_Rows):
-    """Real points as seen through the optics from camera positions.
+    """Observations of real points through the optics from camera positions.
 
     Attributes:
         device, eye, eye_box, viewpoint, view_dir, capture, sigma_arcmin, conditions, motion, common: as in
             `DisplayCaptures`.
         point: (n, 3) the real point.
         target_pose: (n,) index of the target's pose; at least two depths are needed for a fit.
-        target_point: (n, 3) the point in the frame of its target, NaN where unknown; None where no target is known.
+        target_point: (n, 3) the point in the frame of its target, NaN where unknown; None without targets.
 
     Raises:
         BadInputError: as `DisplayCaptures`, or a point is not in front of its viewpoint.
@@ -410,14 +412,14 @@ class SeeThroughCaptures(_Rows):
 
 @dataclass(frozen=True)
 class EyeCaptures:
-    """All captures of one eye: what one capture file holds.
+    """All captures of one eye, the content of a capture file.
 
     Attributes:
-        display: of the panel; None where none was photographed.
-        see_through: of the world; None where none was photographed, or the optics cannot be seen through.
+        display: captures of the panel; None without photographs of it.
+        see_through: captures of the world; None without photographs of it, or with opaque optics.
 
     Raises:
-        BadInputError: there is neither part, or the two are of different eyes or of different common errors.
+        BadInputError: both parts are missing, or they have different eyes or different common errors.
     """
 
     display: DisplayCaptures | None
@@ -425,14 +427,14 @@ class EyeCaptures:
 
     @property
     def source(self) -> DisplayCaptures | SeeThroughCaptures:
-        """A part that states device, eye and eye box: the display where there is one."""
-        found = self.display if self.display is not None else self.see_through
-        assert found is not None
-        return found
+        """Part that states device, eye and eye box: the display if there is one."""
+        part = self.display if self.display is not None else self.see_through
+        assert part is not None
+        return part
 
     @property
     def both(self) -> "tuple[DisplayCaptures, SeeThroughCaptures]":
-        """Display and see-through; BadInputError where one is missing."""
+        """Return display and see-through captures; refuses captures without one of them."""
         if self.display is None or self.see_through is None:
             lacking = "display" if self.display is None else "see-through"
             raise BadInputError(f"the captures of {self.source.device} have no {lacking} part; add it.")
@@ -455,7 +457,7 @@ class EyeCaptures:
         if named[0] != named[1]:
             raise BadInputError(
                 "captures: the common errors of display and see-through must have the same variables; give both the "
-                "same 'sources', with zeros for what does not touch one of them."
+                "same 'sources', with zeros for variables without effect on one of them."
             )
 
     def save(self, path: str | Path) -> Path:
@@ -476,7 +478,7 @@ Captures = EyeCaptures
 
 
 def _summary(parts: "Sequence[_Rows]") -> str:
-    """Return what notebooks show of captures of one eye."""
+    """Return the summary of one eye's captures for notebooks."""
     columns = ("captures", "directions", "camera positions", "their range, x, y, z (mm)", "targets", "sigma (arcmin)")
     rows = []
     for part in parts:
@@ -502,13 +504,13 @@ def select(captures: _AnyRows, rows: IntArray | NDArray[np.bool_]) -> _AnyRows:
 
 
 def concatenate(parts: Sequence[_AnyRows]) -> _AnyRows:
-    """Concatenate captures of one eye; `capture` indices keep their values. There must be at least one part.
+    """Concatenate captures of one eye (one part or more); `capture` indices keep their values.
 
-    Rows of a part without conditions or target points have none recorded. The motion and the common errors of all are
-    those of the first part that has any.
+    Rows of a part without conditions or target points count as not recorded. The motion and the common errors of the
+    result come from the first part that has any.
 
     Raises:
-        BadInputError: this motion, or these common errors, leave out a capture.
+        BadInputError: this motion, or these common errors, do not cover a capture.
     """
     counts = [len(part.visit if isinstance(part, Conditions) else part) for part in parts]
     joined = {
@@ -518,35 +520,35 @@ def concatenate(parts: Sequence[_AnyRows]) -> _AnyRows:
 
 
 def _joined(name: str, values: Sequence[Any], counts: Sequence[int]) -> Any:
-    """One attribute of all parts, by its values in each, None where a part lacks it, and their numbers of rows."""
-    known = next((value for value in values if value is not None), None)
-    if isinstance(known, Conditions):
+    """Join one attribute of all parts, None for a part that lacks it, given their numbers of rows."""
+    first = next((value for value in values if value is not None), None)
+    if isinstance(first, Conditions):
         pairs = zip(values, counts, strict=True)
         return concatenate([Conditions.recorded(count) if value is None else value for value, count in pairs])
-    if not isinstance(known, np.ndarray):
-        return known
+    if not isinstance(first, np.ndarray):
+        return first
     rows = [
-        np.full((count, *known.shape[1:]), np.nan) if value is None else value
+        np.full((count, *first.shape[1:]), np.nan) if value is None else value
         for value, count in zip(values, counts, strict=True)
     ]
     return np.concatenate(_of_one_width(rows) if name == "stage" else rows)
 
 
 def _of_one_width(stages: Sequence[FloatArray]) -> list[FloatArray]:
-    """Return the stage readings (n, m), those without a reading filled up with NaN."""
+    """Return the stage readings (n, m), with missing ones filled with NaN."""
     width = max(each.shape[1] for each in stages)
     return [np.pad(each, ((0, 0), (0, width - each.shape[1])), constant_values=np.nan) for each in stages]
 
 
 def _per_row(captures: DisplayCaptures | SeeThroughCaptures | Conditions) -> list[str]:
-    """Return the names of what has a row for each capture."""
+    """Return the names of the attributes with one row per capture."""
     return [f.name for f in fields(captures) if isinstance(getattr(captures, f.name), np.ndarray | Conditions)]
 
 
 def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> AnyCaptures:
-    """Return captures, then copies of rows (m,), as if of further camera positions, numbered `position` (m,) from 0.
+    """Return captures and copies of rows (m,), as if of further camera positions `position` (m,) from 0.
 
-    Each copied visit is a visit of its own, during which the camera moves as much as during the original.
+    Each copied visit is a separate visit, with a camera motion of the same size as in the original.
     """
     names, visit = captures.visits
     copied, row = np.unique(np.stack([position, visit[rows]], axis=1), axis=0, return_inverse=True)
@@ -560,10 +562,10 @@ def with_copies(captures: AnyCaptures, rows: IntArray, position: IntArray) -> An
         changes["conditions"] = replace(whole.conditions, visit=np.append(number, new[row.reshape(-1)]))
     new, first = np.unique(new, return_index=True)
     originals = names[copied[first, 1]]
-    if (known := captures.motion) is not None:
-        here = np.isin(known.capture, names)  # it may also name captures that were left out
-        size = np.concatenate([known.size[here], known.of(originals).size])
-        changes["motion"] = CaptureMotionPrior(np.append(known.capture[here], new), size, known.log_sigma)
+    if (prior := captures.motion) is not None:
+        here = np.isin(prior.capture, names)  # it may also name captures that were left out
+        size = np.concatenate([prior.size[here], prior.of(originals).size])
+        changes["motion"] = CaptureMotionPrior(np.append(prior.capture[here], new), size, prior.log_sigma)
     if (common := captures.common) is not None:
         here = np.isin(common.capture, names)
         motion = np.concatenate([common.motion[here], common.of(originals)])
@@ -576,7 +578,7 @@ def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
         raise BadInputError(f"captures: 'eye' is '{captures.eye}'; it must be 'left' or 'right'.")
     count = len(np.atleast_1d(captures.viewpoint))
     if count == 0:
-        raise BadInputError("captures: there are no rows; a fit needs at least one measured direction.")
+        raise BadInputError("captures: the table is empty; a fit needs at least one measured direction.")
     _set_rows(captures, "viewpoint", (count, 3))
     _set_rows(captures, "view_dir", (count, 3))
     _set_indices(captures, "capture", count)
@@ -591,7 +593,7 @@ def _check_rows(captures: DisplayCaptures | SeeThroughCaptures) -> None:
 
 
 def _check_bench(captures: DisplayCaptures | SeeThroughCaptures) -> None:
-    """Refuse captures of which what is known of the bench leaves out some."""
+    """Refuse captures that motions or common errors do not cover."""
     if captures.motion is not None:
         captures.motion.of(captures.visits[0])
     if captures.common is not None:
@@ -624,7 +626,7 @@ def _set_sigma(captures: DisplayCaptures | SeeThroughCaptures, count: int) -> No
     value = np.asarray(given, dtype=np.float64)
     if value.shape not in ((), (count,)):
         raise BadInputError(f"captures: 'sigma_arcmin' must be one number or {count}, not of shape {value.shape}.")
-    # An infinite weight beside finite ones has no meaning in a weighted fit.
+    # A weighted fit cannot mix infinite weights with finite ones.
     if not (np.isfinite(value).all() and (np.all(value > 0) or np.all(value == 0))):
         raise BadInputError("captures: 'sigma_arcmin' must be positive everywhere, or zero everywhere for exact data.")
     object.__setattr__(captures, "sigma_arcmin", np.array(np.broadcast_to(value, (count,))))

@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import FloatArray
 
-_SMOOTHED_PX = 3  # width of the windows that `Decoded.pixel` was smoothed with
-_REACH_PX = 4  # of a window to each side, camera pixels
-_COARSE_SIGMA = 0.15  # of the width of cells of several panel pixels
+_SMOOTHED_PX = 3  # width of the windows that smoothed `Decoded.pixel`
+_REACH_PX = 4  # half width of a window, camera pixels
+_COARSE_SIGMA = 0.15  # sigma in cells of several panel pixels, in widths of a cell
 _SMOOTHING_GAIN = 7.31
-"""Variance of the mean of 9 x 9 smoothed pixels over that of independent ones: (73 / 729)**2 of a photographed pixel's,
-against 1/9 of it in each smoothed pixel, times 81."""
-_CELL_HARMONICS = ((0.5, 0.1), (1, 0.46), (2, 0.14), (3, 0.08))  # of the cells, with shares of the variance
-_HIGHER_HARMONICS = 0.22  # share of the others
+"""Variance of the mean of 9 x 9 smoothed pixels relative to independent ones: (73 / 729)**2 of a photographed pixel's
+variance, against 1/9 of it in each smoothed pixel, times 81."""
+_CELL_HARMONICS = ((0.5, 0.1), (1, 0.46), (2, 0.14), (3, 0.08))  # harmonics of the cells, and variance shares
+_HIGHER_HARMONICS = 0.22  # variance share of the other harmonics
 _FILLED = 0.6  # share of a window's pixels that must be accepted
 _CLIP = 4.0  # a pixel further than this from its window's plane, in the window's own robust scale, is left out
-_RIM_PX = 2  # camera pixels beside a rejected one that are not used
-_ROUNDS = 5  # outliers bend the plane that they are judged by: the worst go first
+_RIM_PX = 2  # width of the unused rim around a rejected pixel, camera pixels
+_ROUNDS = 5  # rounds of rejection: outliers tilt the plane that they are compared with, so that the worst go first
 _MAD = 1.4826  # median absolute deviation to standard deviation
 
 
@@ -54,25 +54,25 @@ _SENTENCES = {
     Rejection.WEAK_FRINGE: "the fringes are too faint for their phase",
     Rejection.CONTRADICTION: "code and fringes contradict each other",
     Rejection.OUTSIDE_PANEL: "the decoded position lies outside the panel",
-    Rejection.ISOLATED: "the decoded position does not fit those of its neighbours",
+    Rejection.ISOLATED: "the decoded position does not fit its neighbours",
     Rejection.PARTLY_LIT: "most of the light that its neighbour gets is missing: the pixel sees past an edge",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Decoded:
-    """A decoded set of photographs of one camera position.
+    """Decoded photographs of one camera position.
 
     Attributes:
-        pixel: (h, w, 2) float32 panel position that each camera pixel shows, from a plane through it and its eight
-            neighbours; NaN where rejected.
+        pixel: (h, w, 2) float32 panel position of each camera pixel, from a plane through it and its eight neighbours;
+            NaN where rejected.
         sigma_px: (h, w) float32 estimated standard deviation of `pixel` per axis, panel pixels; NaN where rejected.
         confidence: (h, w) float32, 0 to 1: smallest contrast of the bits and fringes used, as a fraction of full
             contrast.
         rejection: (h, w) uint8, one `Rejection` each.
         noise_px: (h, w) float32 part of `sigma_px` that is noise of the photographs; the rest is the panel's cells.
-        cell_px: (h, w) uint8, width of the panel's cells that were told apart, panel pixels: 1, or 2, 4 or 8 where the
-            finest bits of a Gray code could not be read.
+        cell_px: (h, w) uint8, width of the resolved cells of the panel, panel pixels: 1, or 2, 4 or 8 where the finest
+            bits of a Gray code could not be read.
     """
 
     pixel: NDArray[np.float32]
@@ -98,7 +98,7 @@ class DecodeOptions:
     """Thresholds for accepting a camera pixel.
 
     Attributes:
-        full_scale: the largest value of the camera: 255, 1023, 4095, 65535.
+        full_scale: largest value of the camera: 255, 1023, 4095, 65535.
         end_of_scale: value from which a pixel is saturated; None: `full_scale`. Infinite for pictures that no camera
             took, larger than `full_scale` for merged exposures.
         min_contrast: smallest difference of white and black, as a fraction of the full scale; pixels below are dark. A
@@ -121,7 +121,7 @@ class DecodedSamples:
 
     Attributes:
         camera_pixel: (n, 2) centres of camera pixels.
-        panel_pixel: (n, 2) panel positions that they show.
+        panel_pixel: (n, 2) panel positions of these pixels.
         sigma_px: (n,) standard deviation of `panel_pixel` per axis, panel pixels.
         scale: (n,) panel pixels per camera pixel.
     """
@@ -138,13 +138,13 @@ class DecodedSamples:
 def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
     """Sample about `count` panel positions over the accepted pixels, each from a plane fitted to its window.
 
-    Its noise follows from that of the pixels, of which neighbours share photographed pixels (`_SMOOTHING_GAIN`).
+    The noise follows from the noise of the pixels, whose neighbours share photographed pixels (`_SMOOTHING_GAIN`).
     """
     height, width = decoded.rejection.shape
     every = max(1, int(np.sqrt(np.count_nonzero(decoded.accepted) / count)))
     steps = np.arange(-_REACH_PX, _REACH_PX + 1)
     v, u = np.mgrid[_REACH_PX : height - _REACH_PX : every, _REACH_PX : width - _REACH_PX : every].reshape(2, -1)
-    # Beside rejected pixels, the panel's edge above all, blur has mixed in what is not seen whole.
+    # Near rejected pixels, above all at the panel's edge, blur has mixed in incomplete light.
     inner = cv2.erode(decoded.accepted.astype(np.uint8), np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)).astype(bool)
     wanted = np.asarray(inner[v, u])
     v, u = v[wanted], u[wanted]
@@ -177,16 +177,16 @@ def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
 
 
 def coarse_variance(cell_px: NDArray[np.uint8]) -> FloatArray:
-    """(...) least variance of positions in cells of several panel pixels, panel pixels squared; no mean reduces it.
+    """Return the least variance (...) in cells of several panel pixels, panel pixels squared.
 
-    Fine bits fade not by blur alone, but also by indirect light, which shifts the position: measured on photographs of
-    a projector, docs/measured-data.md.
+    Averaging does not reduce it. Fine bits fade by blur and by indirect light, which shifts the position: measured on
+    photographs of a projector, docs/measured-data.md.
     """
     return np.where(cell_px > 1, (_COARSE_SIGMA * cell_px.astype(np.float64)) ** 2, 0.0)
 
 
 def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray:
-    """Return (n,) variance of the panel's cells in the mean of a whole window over that in a smoothed pixel.
+    """Return the variance (n,) of the panel's cells in the mean of a window over that in a smoothed pixel.
 
     Args:
         slope: (n, 2, 2) change of both panel axes along x (slope[:, 0]) and y, panel pixels per camera pixel.
@@ -198,9 +198,9 @@ def _structure_left(slope: FloatArray, cell_px: NDArray[np.uint8]) -> FloatArray
 
 
 def mean_of_cell_errors(periods: FloatArray, width: int) -> FloatArray:
-    """Return (...) part of the variance of errors of counted cells that a mean over width x width camera pixels leaves.
+    """Return the fraction (...) of the variance of counted-cell errors left by a mean of width x width pixels.
 
-    The harmonics and their shares are those of a Gray code seen blurred.
+    The harmonics and their shares belong to a blurred Gray code.
 
     Args:
         periods: (2, ...) cells per camera pixel in x and y.
@@ -211,7 +211,7 @@ def mean_of_cell_errors(periods: FloatArray, width: int) -> FloatArray:
 
 
 def left_of_wave(frequency: FloatArray, width: int) -> FloatArray:
-    """Return (...) part of a wave's variance that the mean over width x width camera pixels leaves.
+    """Return the fraction (...) of a wave's variance left by the mean over width x width camera pixels.
 
     Args:
         frequency: (2, ...) periods per camera pixel in x and y.
@@ -225,7 +225,7 @@ def left_of_wave(frequency: FloatArray, width: int) -> FloatArray:
 def _planes(
     panel: FloatArray, kept: NDArray[np.bool_], du: NDArray[np.int64], dv: NDArray[np.int64]
 ) -> tuple[FloatArray, FloatArray]:
-    """Least-squares planes (n, 3, 2), constant first, of windows (n, m, 2), and residuals (n, m, 2)."""
+    """Fit least-squares planes (n, 3, 2), constant first, to windows (n, m, 2); returns residuals (n, m, 2), too."""
     basis = np.stack([np.ones(len(du)), du, dv], axis=-1)
     weight = kept.astype(np.float64)
     values = np.where(kept[..., None], panel, 0.0)

@@ -1,4 +1,4 @@
-"""One table of observations: what a camera saw of the panel and of targets, from where and under which conditions.
+"""Table of observations: views of the panel and of targets by a camera, with its poses and conditions.
 
 Photographic sessions, bench sessions and simulations all yield this table. Capture files hold it, fits take the
 captures of one colour from it, and a diagnosis takes it as a session. Device frame (OpenXR), metres.
@@ -31,27 +31,27 @@ _GREEN = 1
 
 @dataclass(frozen=True, eq=False)
 class ObservationTable:
-    """Observations of one eye; a row is one feature seen in one direction.
+    """Observations of one eye; a row is the view direction of one feature.
 
     Attributes:
         device, eye: names.
-        panel: the panel whose pixels were decoded; None where none is known.
-        eye_box: the eye box that the display was observed for.
-        see_through_eye_box: likewise of see-through; None without any.
-        kind: (n,) of feature, `PANEL_PIXEL` or `REAL_POINT`.
+        panel: the panel whose pixels were decoded; None if unknown.
+        eye_box: eye box of the display's observations.
+        see_through_eye_box: eye box of the see-through observations; None without any.
+        kind: (n,) kind of feature, `PANEL_PIXEL` or `REAL_POINT`.
         capture: (n,) index of the camera place.
         target_pose: (n,) index of the target's pose; -1 for the panel.
         feature: (n, 3) panel pixel u, v and NaN, or a point in the device frame.
         target_point: (n, 3) the point in its target's frame; NaN where unknown, and for the panel.
         viewpoint: (n, 3) the camera's entrance pupil.
-        view_dir: (n, 3) unit direction in which the feature was seen.
+        view_dir: (n, 3) unit direction of the feature.
         sigma_arcmin: (n,) standard deviation of `view_dir` about each transverse axis.
-        conditions: of each row.
+        conditions: conditions of each row.
         display_motion, see_through_motion: priors of the camera's motion at each capture or visit; None where unknown.
-        display_common, see_through_common: errors that all captures share; None where none are known.
+        display_common, see_through_common: errors that all captures share; None if unknown.
 
     Raises:
-        BadInputError: a column does not fit the others, or holds what captures may not hold.
+        BadInputError: a column does not fit the others, or holds values that captures refuse.
     """
 
     device: str
@@ -88,7 +88,7 @@ class ObservationTable:
             raise BadInputError("captures: there are panel pixels, but no 'panel'; state it.")
         if self.see_through_eye_box is None and np.any(self.kind == REAL_POINT):
             raise BadInputError("captures: there are real points, but no 'see_through_eye_box'; state it.")
-        # Whatever captures may not hold is refused here.
+        # Values that captures refuse are refused here.
         self.display(), self.see_through()
 
     def __len__(self) -> int:
@@ -126,7 +126,7 @@ class ObservationTable:
         )
 
     def captures(self) -> EyeCaptures:
-        """Return what a fit of one wavelength takes: green where there is a choice, else the first colour."""
+        """Return the captures for a fit of one wavelength: green if available, else the first colour."""
         channels = np.unique(self.conditions.channel[self.kind == PANEL_PIXEL])
         display = None
         if len(channels):
@@ -134,7 +134,7 @@ class ObservationTable:
         return EyeCaptures(display, self.see_through())
 
     def _common(self, rows: BoolArray) -> dict[str, Any]:
-        """Return what both kinds of captures take."""
+        """Return the attributes that both kinds of captures share."""
         columns = {name: getattr(self, name)[rows] for name in ("viewpoint", "view_dir", "capture", "sigma_arcmin")}
         return columns | {"device": self.device, "eye": self.eye, "conditions": select(self.conditions, rows)}
 
@@ -146,16 +146,16 @@ COMMONS = ("display_common", "see_through_common")
 _HEADER = ("device", "eye", "panel", "eye_box", "see_through_eye_box", "conditions", *MOTIONS, *COMMONS)
 _VECTORS = ("feature", "target_point", "viewpoint", "view_dir")
 COLUMNS = tuple(each.name for each in fields(ObservationTable) if each.name not in _HEADER)
-"""Names of the arrays of a table, besides those of its conditions."""
+"""Names of the arrays of a table, without its conditions."""
 
 
 def observation_table(
     display: DisplayCaptures | None, see_through: SeeThroughCaptures | None, panel: Panel | None = None
 ) -> ObservationTable:
-    """Return captures of one eye as one table; `panel` where there are no display captures and it is known.
+    """Return captures of one eye as one table; `panel` is used if there are no display captures.
 
     Raises:
-        BadInputError: there are neither, or they are of different eyes.
+        BadInputError: both are missing, or they are of different eyes.
     """
     first = EyeCaptures(display, see_through).source
     parts = [each for each in (display, see_through) if each is not None]

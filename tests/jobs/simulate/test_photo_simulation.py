@@ -97,7 +97,7 @@ def test_a_recipe_that_was_spoilt_is_refused(photo_session, pattern, text, compl
 def test_what_is_not_known_is_refused_before_anything_is_written(photo_session, tmp_path):
     for recipe, complaint in (
         (replace(photo_session.recipe, eye="left"), "has no left eye"),
-        (replace(photo_session.recipe, pattern="grey"), "There is no code 'grey'"),
+        (replace(photo_session.recipe, pattern="grey"), "Unknown code 'grey'"),
         (replace(photo_session.recipe, device="birdbath29"), "Did you mean birdbath28"),
     ):
         with pytest.raises(BadInputError, match=complaint):

@@ -21,11 +21,11 @@ def make_pattern(name: str, panel: Panel, **numbers: int) -> Pattern:
 
     Args:
         name: one of `PATTERNS`.
-        panel: to show it on.
-        **numbers: its own numbers, those of `pattern_keys`; the others have their defaults.
+        panel: panel that shows it.
+        **numbers: parameters of the pattern, named in `pattern_keys`; missing ones have their defaults.
 
     Raises:
-        BadInputError: there is no such code, it has no such number, or the number makes no code.
+        BadInputError: the code or a parameter is unknown, or a parameter is invalid.
     """
     keys = pattern_keys(name)
     for key in numbers:
@@ -39,8 +39,8 @@ def pattern_keys(name: str) -> tuple[str, ...]:
     """Return the names of the parameters of a pattern.
 
     Raises:
-        BadInputError: there is no such code.
+        BadInputError: the code is unknown.
     """
     if name not in PATTERNS:
-        raise BadInputError(f"There is no code '{name}'; it must be one of {', '.join(PATTERNS)}.")
+        raise BadInputError(f"Unknown code '{name}'; it must be one of {', '.join(PATTERNS)}.")
     return tuple(field.name for field in fields(PATTERNS[name]) if field.name != "panel")

@@ -19,22 +19,22 @@ from wlr_render.captures.patterns.phase_steps import (
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
-_LONGEST = 1.1  # of the panel: one period covers it, with a margin for noise at its ends
-_RATIO = 6.0  # of two periods at most: the phase of the longer must tell the periods of the shorter apart
-_FAR = 0.3  # of a period: where the longer fringe and this one disagree by more, they contradict each other
+_LONGEST = 1.1  # longest period over the panel's length, with a margin for noise at its ends
+_RATIO = 6.0  # largest ratio of successive periods; beyond it the long phase cannot unwrap the short one
+_FAR = 0.3  # largest disagreement of two fringes, in periods of the shorter one; beyond it they contradict each other
 
 
 @dataclass(frozen=True)
 class Fringes(Pattern):
-    """Multi-frequency phase shifting: fringes from long to short, the longest covers the panel.
+    """Multi-frequency phase shifting: fringes from long to short, the longest covering the panel.
 
-    The hierarchy of periods is that of Huntley and Saldner, "Temporal phase-unwrapping algorithm for automated
+    The hierarchy of periods follows Huntley and Saldner, "Temporal phase-unwrapping algorithm for automated
     interferogram analysis", Appl. Opt. 32 (1993), with periods in geometric steps. 1920 x 1080 takes 50 pictures.
 
     Attributes:
-        panel: it is made for.
-        period_px: of the shortest fringe.
-        steps: of each fringe.
+        panel: panel of the pattern.
+        period_px: period of the shortest fringe.
+        steps: steps of each fringe.
 
     Raises:
         BadInputError: see `check_fringe`.

@@ -1,7 +1,7 @@
 """Binary-reflected Gray code along one axis of a panel: its images, their decoding, order check and bit contrast.
 
-Between neighbouring cells exactly one bit changes, so that a pixel that sees the border of two cells reads one of the
-two whatever that bit says. At odd-numbered borders it is the finest bit that changes, at even-numbered ones a coarser.
+Between neighbouring cells exactly one bit changes, so that a pixel on the border of two cells reads one of the two,
+whatever the value of that bit. At odd-numbered borders the finest bit changes, at even-numbered ones a coarser bit.
 
 If a bit was exchanged with its inverse, or with another bit, each pair of photographs is still consistent, but the
 decoded picture is discontinuous. The order with the smallest squared differences between neighbours is the true one.
@@ -30,24 +30,24 @@ from wlr_render.captures.patterns.pixel_rejection import BORDER_WIDTH, neighbour
 from wlr_render.captures.photographs import CodeImage
 from wlr_render.errors import BadInputError
 
-_UNMIXED = 0.8  # a stripe that fills the pixel this much adds up with its inverse to white + black at any gamma
+_UNMIXED = 0.8  # least share of a pixel filled by one stripe, for which bit + inverse = white + black at any gamma
 _AROUND, _SURROUNDINGS = 7, 31  # widths of windows, camera pixels
-_ODD_SUM = 0.8  # of the contrast: positive + inverse is off by one contrast where one of the two is another bit's
-_ODD_SHARE = 0.2  # of the lit pixels
-_FRINGE_SUM = 0.3  # of the contrast: two steps of a fringe add up to more and to less; curved grey values to one side
-_FRINGE_SHARE = 0.1  # of the well-lit pixels, on each side
-_CLEAR_CONTRAST = 0.5  # of the usual contrast; noise of darker pixels is much of their contrast
-_SMOOTH_PX = 3  # width of windows whose mean has less noise
+_ODD_SUM = 0.8  # error of positive + inverse, in contrasts, that reveals a photograph of another bit (ideally 1)
+_ODD_SHARE = 0.2  # share of the lit pixels with such an error
+_FRINGE_SUM = 0.3  # error of the sum, in contrasts: of both signs for two steps of a fringe, of one for a gamma
+_FRINGE_SHARE = 0.1  # share of the well-lit pixels with such an error, for each sign
+_CLEAR_CONTRAST = 0.5  # least contrast relative to the usual one; darker pixels are dominated by noise
+_SMOOTH_PX = 3  # width of smoothing windows
 
 _ALONE_GAIN = 3.0  # 2 (positive - middle), over positive - inverse: variances (4 + 2) and 2 of a photograph's
-_READABLE = 0.3  # of full evidence: a finer bit that has less does not replace the position of the coarser ones
+_READABLE = 0.3  # least evidence of a finer bit that may replace the position from coarser ones
 
-_LINES = 128  # of neighbours that are compared along each axis of the picture
-_STRONG = 0.35  # of full contrast
-_IMPROVED_BELOW = 0.9  # another order that leaves less of the sum of squared steps is the better one
+_LINES = 128  # lines of neighbours that are compared along each axis of the picture
+_STRONG = 0.35  # strength of a reliable bit, relative to full contrast
+_IMPROVED_BELOW = 0.9  # ratio of sums of squared steps below which another order is better
 WEAK = 0.5
-"""A bit is weak if its median strength is below this part of full contrast."""
-_WELL_LIT = 0.25  # of the contrast that the brightest twentieth of the lit pixels exceeds
+"""Median strength, relative to full contrast, below which a bit is weak."""
+_WELL_LIT = 0.25  # contrast of well-lit pixels relative to the brightest twentieth
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class GrayAxis:
 
     @property
     def bits(self) -> int:
-        """How many bits it takes; one cell takes none."""
+        """Number of bits; one cell takes none."""
         return (self.cells - 1).bit_length()
 
     def names(self) -> list[str]:
@@ -72,7 +72,7 @@ class GrayAxis:
         return [f"{self.axis} bit {bit}{inverse}" for bit in reversed(range(self.bits)) for inverse in ("", INVERSE)]
 
     def line(self, index: int) -> NDArray[np.uint8]:
-        """Return (cells,) 0 or 255: what picture `index` of `names` shows in each cell."""
+        """Return the values (cells,), 0 or 255, of picture `index` of `names`."""
         bit, inverse = self.bits - 1 - index // 2, index % 2
         cell = np.arange(self.cells)
         return np.asarray((((cell ^ (cell >> 1)) >> bit) & 1 ^ inverse) * 255, dtype=np.uint8)
@@ -84,13 +84,14 @@ class GrayReading:
 
     Attributes:
         cell: int32, from 0; may lie beyond the last cell where bits were misread.
-        position: float32, in cells: the mean of what the pixel sees. Exact where a pixel sees one border at most, and
-            in the mean over cells for any width up to two cells.
-        cell_size: uint8, 1, or 2, 4, 8 where finer bits cannot be read and the position is one in so many cells.
-        evidence: 0 to 1, the weakest of the bits whose misreading would move the cell by more than `cell_size`, or less
+        position: float32, in cells: mean over the pixel's light. Exact if a pixel sees at most one border, and on
+            average over cells for any width up to two cells.
+        cell_size: uint8, 1, or 2, 4, 8 where finer bits cannot be read and the position is known to this number of
+            cells.
+        evidence: 0 to 1, weakest of the bits whose misreading would move the cell by more than `cell_size`, or less
             where the camera does not resolve the cells.
         noise_gain: as in `AxisReading`, in cells squared.
-        blur: standard deviation of the light that a pixel gathers, in cells, mean of its surroundings.
+        blur: standard deviation of the light that a pixel collects, in cells, averaged over its surroundings.
     """
 
     cell: NDArray[np.int32]
@@ -106,18 +107,18 @@ def read_gray(
 ) -> GrayReading:
     """Decode the photographs of one axis.
 
-    A missing photograph of a bit or of its inverse is replaced by the sum of white and black less the other.
+    A missing photograph of a bit or of its inverse is replaced by white + black minus the other.
 
     Args:
         axis: the code.
-        reader: at its first photograph.
-        light: of the set.
-        noise: is updated.
-        coarsest: so many of the finest bits may be unreadable; the position is then that of a coarser cell.
+        reader: reader at the first photograph of the axis.
+        light: light of the set.
+        noise: noise meter, which is updated.
+        coarsest: number of the finest bits that may be unreadable; the position is then known to a coarser cell.
 
     Raises:
-        BadInputError: both photographs of a bit are missing, those of a bit and its inverse are not of one bit, or out
-            of order.
+        BadInputError: both photographs of a bit are missing, a pair does not show one bit and its inverse, or the order
+            is wrong.
     """
     shape = light.contrast.shape
     cell = np.zeros(shape, dtype=np.int32)
@@ -136,8 +137,8 @@ def read_gray(
         strength = np.abs(signed)
         usual.insert(0, float(np.mean(strength[light.lit])))
         one = signed > 0
-        # The bit before this one can still be the one that changes at the even border only if this bit is 1, and the
-        # one that could so far only if this bit is 0; the other of the two would move the cell further.
+        # The bit before this one can change at the even border only if this bit is 1, and the earlier candidate only if
+        # this bit is 0; the other of the two would move the cell further.
         evidence = np.minimum(evidence, np.where(one, even, odd))
         even, even_gain = np.where(one, odd, even), np.where(one, odd_gain, even_gain)
         odd, odd_gain = strength, np.full(shape, gain, dtype=np.float32)
@@ -147,16 +148,16 @@ def read_gray(
             side = 1 - 2 * (cell & 1).astype(np.float32)  # the even border is the left one of an even cell
             offset = np.asarray(0.5 * side * (even - odd), dtype=np.float32)
             size = np.float32(2**bit)
-            found = GrayReading(
+            reading = GrayReading(
                 cell,
                 (cell + np.float32(0.5) + offset) * size,
                 np.full(shape, 2**bit, dtype=np.uint8),
                 usable,
-                # Half the difference of two strengths, each with the noise of a difference and that of the contrast.
+                # Half the difference of two strengths, each with the noise of a difference and of the contrast.
                 (0.25 * (even_gain + odd_gain) + offset**2) * size**2,
                 np.clip(2 - _mean_around(even + odd, light.lit, _SURROUNDINGS), 0, 2) / np.float32(BORDER_WIDTH) * size,
             )
-            best = _better(found, best)
+            best = _better(reading, best)
     if not unread:
         check_photograph_order(cell, light.lit, usual, axis.cells, reader)
     if not axis.bits:
@@ -166,9 +167,9 @@ def read_gray(
 
 
 def _read_pair(reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> tuple[Grey, float] | None:
-    """(h, w) difference of a bit and its inverse as a part of the contrast, and its variance over that of a difference.
+    """Read the difference (h, w) of a bit and its inverse over the contrast, and its variance over a difference's.
 
-    None if both photographs are missing.
+    The result is None if both photographs are missing.
     """
     positive = _take_checked(reader, light)
     inverse = _take_checked(reader, light)
@@ -199,39 +200,39 @@ def _check_unread(missing: bool, levels: int, coarsest: int, bits: int, reader: 
         raise BadInputError(f"{first} and {second} are missing; one of the two is needed to read the bit.")
 
 
-def _better(found: GrayReading, best: GrayReading) -> GrayReading:
-    """Return the finer reading where it can be used, or is at least better than the coarser."""
-    finer = (found.evidence >= _READABLE) | (found.evidence > best.evidence)
+def _better(reading: GrayReading, best: GrayReading) -> GrayReading:
+    """Use the finer reading where it is reliable, or at least better than the coarser one."""
+    finer = (reading.evidence >= _READABLE) | (reading.evidence > best.evidence)
     if finer.all():
-        return found
+        return reading
     return GrayReading(
-        found.cell,
-        np.where(finer, found.position, best.position),
-        np.where(finer, found.cell_size, best.cell_size),
-        np.where(finer, found.evidence, best.evidence),
-        np.where(finer, found.noise_gain, best.noise_gain),
-        np.where(finer, found.blur, best.blur),
+        reading.cell,
+        np.where(finer, reading.position, best.position),
+        np.where(finer, reading.cell_size, best.cell_size),
+        np.where(finer, reading.evidence, best.evidence),
+        np.where(finer, reading.noise_gain, best.noise_gain),
+        np.where(finer, reading.blur, best.blur),
     )
 
 
 def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
-    """Return (h, w) 0 to 1: whether single cells are resolved, from the sum of the strengths of both borders of a cell.
+    """Return (h, w) 0 to 1, how well single cells are resolved, from the summed strengths of both borders of a cell.
 
-    A pixel w cells wide never lies so close to both borders that the sum falls below 2 / w; where blur takes the finest
-    bit, it does at every other border. 1 up to two cells, 0 from four on.
+    In a pixel w cells wide the sum never falls below 2 / w; where blur removes the finest bit, it does at every other
+    border. The result is 1 up to two cells, and 0 from four on.
     """
     return np.asarray(np.clip(2 * _mean_around(borders, lit, _AROUND) - 1, 0, 1), dtype=np.float32)
 
 
 def _mean_around(value: Grey, lit: NDArray[np.bool_], width: int) -> Grey:
-    """Return (h, w) mean over the lit pixels of a window."""
+    """Return the mean (h, w) over the lit pixels of a window."""
     total = cv2.boxFilter(value * lit, -1, (width, width), normalize=False)
     number = cv2.boxFilter(lit.astype(np.float32), -1, (width, width), normalize=False)
     return np.asarray(total / np.maximum(number, 1), dtype=np.float32)
 
 
 def _check_pair(steady: Grey, light: PanelContrast, reader: PhotographReader) -> None:
-    """A bit and its inverse add up to white + black, whichever of the two a pixel sees."""
+    """Refuse a bit and its inverse that do not add up to white + black, whichever a pixel sees."""
     off = np.abs(steady) > _ODD_SUM * light.contrast
     share = float(np.mean(off[light.lit]))
     if share > _ODD_SHARE:
@@ -260,15 +261,15 @@ def check_photograph_order(
     """Refuse photographs that decode to a clearly smoother picture in another order.
 
     Args:
-        cell: (h, w) as read.
-        lit: (h, w) which pixels to test.
-        strengths: mean of each bit, the finest first, as a part of full contrast; a weak bit is not accused, since blur
-            alone can turn the contrast of fine stripes around.
-        cells: how many there are.
-        reader: names the photographs; the last one taken is the finest bit's inverse.
+        cell: (h, w) cells as read.
+        lit: (h, w) mask of the pixels to test.
+        strengths: mean strength of each bit, the finest first, relative to full contrast; a weak bit is not reported,
+            since blur alone can reverse the contrast of fine stripes.
+        cells: number of cells.
+        reader: reader that names the photographs; the last one is the finest bit's inverse.
 
     Raises:
-        BadInputError: exchanging a bit with its inverse, or two bits, does.
+        BadInputError: exchanging a bit with its inverse, or two bits, gives a smoother picture.
     """
     pairs, count = _neighbouring_codes(cell ^ (cell >> 1), lit)
     if not count.size:
@@ -292,14 +293,14 @@ def check_photograph_order(
 
 def _neighbouring_codes(gray: NDArray[np.int32], lit: NDArray[np.bool_]) -> tuple[Codes, NDArray[np.int64]]:
     """Return the distinct pairs of Gray codes of neighbours, (n, 2), and their counts, (n,)."""
-    found = []
+    pairs = []
     for (dx, dy), length in (((1, 0), gray.shape[0]), ((0, 1), gray.shape[1])):
         every = max(1, length // _LINES)
         some = (slice(None, None, every), slice(None)) if dx else (slice(None), slice(None, None, every))
         here, there = neighbour_slices(dx, dy)
         both = lit[some][here] & lit[some][there]
-        found.append(np.stack([gray[some][here][both], gray[some][there][both]], axis=-1).astype(np.int64))
-    joined = np.concatenate(found)
+        pairs.append(np.stack([gray[some][here][both], gray[some][there][both]], axis=-1).astype(np.int64))
+    joined = np.concatenate(pairs)
     packed, count = np.unique((joined[:, 0] << 32) | joined[:, 1], return_counts=True)
     return np.stack([packed >> 32, packed & 0xFFFFFFFF], axis=-1), count
 
@@ -315,13 +316,13 @@ def _other_orders(bits: int) -> Iterator[tuple[Codes, tuple[int, ...]]]:
 
 
 def _roughness(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) -> float:
-    """Return the sum of squared steps between neighbours; a cell beyond the last counts as a step over the whole panel.
+    """Return the sum of squared steps between neighbours; a cell beyond the last counts as a step of the panel's size.
 
     Args:
-        gray: (2**bits,) true Gray code of each that was read.
+        gray: (2**bits,) true Gray code of each code that was read.
         pairs: (n, 2) Gray codes as read.
-        count: (n,) how often.
-        cells: how many there are.
+        count: (n,) number of occurrences.
+        cells: number of cells.
     """
     cell = gray.copy()
     shift = 1
@@ -337,12 +338,12 @@ def _roughness(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) 
 class BitStrength:
     """|picture - inverse| / (white - black) of one bit over well-lit camera pixels.
 
-    Even a faultless bit is faint in the pixels that see the border of its stripes: few of a coarse, many of a fine one.
+    Even a perfect bit is faint in pixels on the border of its stripes: few for a coarse bit, many for a fine one.
 
     Attributes:
-        name: as the pattern calls its picture, e.g. "u bit 3".
-        median, percentile_5, percentile_1: of the strength; 1 is full contrast.
-        unsure_share: of these pixels, where the strength is below the confidence that decoding asks for.
+        name: name of its picture in the pattern, e.g. "u bit 3".
+        median, percentile_5, percentile_1: statistics of the strength; 1 is full contrast.
+        unsure_share: share of pixels whose strength is below the confidence that decoding requires.
     """
 
     name: str
@@ -353,14 +354,14 @@ class BitStrength:
 
     @property
     def weak(self) -> bool:
-        """Whether the bit is blurred or dimmed where there is light enough."""
+        """True if the bit is blurred or dimmed where there is enough light."""
         return self.median < WEAK
 
 
 def bit_strengths(
     photographs: Iterable[CodeImage | None], pattern: Pattern, options: DecodeOptions = DEFAULT_OPTIONS
 ) -> tuple[BitStrength, ...]:
-    """Measure the contrast of each bit that is followed by its inverse; photographs as `pattern.decode` takes them.
+    """Measure the contrast of each bit that is followed by its inverse; arguments as for `pattern.decode`.
 
     Raises:
         BadInputError: photographs are missing or left over, of different sizes, or under- or over-exposed.

@@ -10,26 +10,26 @@ from wlr_render.captures.patterns.pattern import AxisCode, Pattern
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
-_COARSEST = 3  # cells of 8 panel pixels: a position in a coarser one is of no use
+_COARSEST = 3  # most unreadable bits, i.e. cells of 8 panel pixels; a coarser position is useless
 
 
 @dataclass(frozen=True)
 class GrayCode(Pattern):
-    """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 1920 x 1080 takes 46 pictures.
+    """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 46 pictures for 1920 x 1080.
 
-    How much a camera pixel sees of each of two neighbouring panel pixels follows from the grey value of the bit that
-    changes between them, so that positions are finer than a panel pixel. Where the finest bits cannot be read, the
-    position is one in a cell of 2, 4 or 8 panel pixels, with a larger standard deviation. Best where a camera pixel is
+    The shares of two neighbouring panel pixels in a camera pixel follow from the grey value of the bit that changes
+    between them, so that positions are finer than a panel pixel. Where the finest bits cannot be read, the position is
+    known to a cell of 2, 4 or 8 panel pixels, with a larger standard deviation. The code is best if a camera pixel is
     one to two panel pixels wide, and the camera's grey values are linear in light.
     """
 
     def axis(self, name: str, length_px: int) -> AxisCode:
-        """Return the bits from coarse to fine, each followed by its inverse."""
+        """Return the code of one axis: bits from coarse to fine, each followed by its inverse."""
         return _GrayPixels(name, length_px)
 
 
 class _GrayPixels(GrayAxis):
-    """One axis; the cells are panel pixels."""
+    """Code of one axis; the cells are panel pixels."""
 
     def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
         reading = read_gray(self, reader, light, noise, coarsest=_COARSEST)

@@ -20,20 +20,20 @@ from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, P
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 from wlr_render.errors import BadInputError
 
-_FAR = 0.375  # of a period from the middle of its cell, half-way between the cell's end (1/4) and ambiguity (1/2)
+_FAR = 0.375  # largest distance from the middle of a cell in periods: between the cell's end (1/4) and ambiguity (1/2)
 
 
 @dataclass(frozen=True)
 class GrayFringes(Pattern):
     """Gray code of half periods, then fringes: 46 pictures for 1920 x 1080.
 
-    A code that is wrong by one cell at the border of two cells still names the right period, since its middle lies
-    less than half a period away. Strong where blur takes the finest stripes of a full Gray code.
+    A code that is wrong by one cell at the border of two cells still gives the right period, since its middle lies less
+    than half a period away. The pattern is robust where blur removes the finest stripes of a full Gray code.
 
     Attributes:
-        panel: it is made for.
-        period_px: of the fringe, even.
-        steps: of the fringe.
+        panel: panel of the pattern.
+        period_px: period of the fringe, even.
+        steps: steps of the fringe.
 
     Raises:
         BadInputError: the period is odd, or see `check_fringe`.
@@ -48,14 +48,14 @@ class GrayFringes(Pattern):
             raise BadInputError(f"'period_px' is {self.period_px}; it must be even, as the code numbers half periods.")
 
     def axis(self, name: str, length_px: int) -> AxisCode:
-        """Bits of the half periods from coarse to fine, each followed by its inverse, then steps of the fringe."""
+        """Return the code of one axis: bits of the half periods with their inverses, then the fringe's steps."""
         cells = -(-length_px // (self.period_px // 2))
         return _NumberedFringes(GrayAxis(name, cells), FringeAxis(name, length_px, self.period_px, self.steps))
 
 
 @dataclass(frozen=True)
 class _NumberedFringes:
-    """One axis; the cells are half periods."""
+    """Code of one axis; the cells are half periods."""
 
     gray: GrayAxis
     fringe: FringeAxis

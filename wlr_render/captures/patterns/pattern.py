@@ -22,10 +22,10 @@ class AxisCode(Protocol):
         """Return the names of its pictures in the order of showing."""
 
     def line(self, index: int) -> NDArray[np.uint8]:
-        """Return (length of the axis in panel pixels,) what picture `index` of `names` shows."""
+        """Return the line of picture `index` of `names`, one value per panel pixel of the axis."""
 
     def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
-        """Decode one photograph per picture; `noise` is updated from them.
+        """Decode one photograph per picture, and update `noise` from them.
 
         Raises:
             BadInputError: a photograph is missing or not in the order of showing.
@@ -36,24 +36,24 @@ class AxisCode(Protocol):
 class Pattern(ABC):
     """A code for a whole panel: white, black, the code of u and the code of v; subclasses define the code of one axis.
 
-    The law: decoding its own pictures gives every panel pixel's centre.
+    Every pattern obeys one law: decoding its pictures gives every panel pixel's centre.
 
     Attributes:
-        panel: it is made for.
+        panel: panel of the pattern.
     """
 
     panel: Panel
 
     @abstractmethod
     def axis(self, name: str, length_px: int) -> AxisCode:
-        """Return the code of the axis "u" or "v" of so many panel pixels."""
+        """Return the code of the axis "u" or "v" with `length_px` panel pixels."""
 
     def names(self) -> tuple[str, ...]:
-        """Names of the pictures, e.g. "white", "black", "u bit 10", "u bit 10 inverse", in the order of showing."""
+        """Return the names of the pictures in the order of showing, e.g. "white", "black", "u bit 10"."""
         return "white", "black", *self._u.names(), *self._v.names()
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """Return (panel height, panel width) grey picture number `index`."""
+        """Return the grey picture number `index`, (panel height, panel width)."""
         size = self.panel.height_px, self.panel.width_px
         if index < 2:
             return np.full(size, 255 * (1 - index), dtype=np.uint8)
@@ -62,15 +62,15 @@ class Pattern(ABC):
         return np.array(np.broadcast_to(line, size))
 
     def decode(self, photographs: Iterable[CodeImage | None], options: DecodeOptions = DEFAULT_OPTIONS) -> Decoded:
-        """Return the panel positions from one photograph per picture, in the order of showing.
+        """Decode one photograph per picture, in the order of showing.
 
-        Photographs are taken one at a time and not kept, so that the iterable may read them from disk. None stands for
-        a missing one: decoding does without a bit or its inverse, one step of a fringe, and white or black if a bit and
+        Photographs are read one at a time and not kept, so that the iterable may read them from disk. None means a
+        missing one: decoding can do without a bit or its inverse, one step of a fringe, and white or black if a bit and
         its inverse follow.
 
         Raises:
             BadInputError: too few or too many photographs, sizes that differ, a set that is over- or under-exposed or
-                not in the order of showing; the sentence names the photograph's number and what it should show.
+                not in the order of showing; the sentence names the photograph's number and its picture.
         """
         reader = PhotographReader(photographs, self.names())
         light = read_light(reader, options)

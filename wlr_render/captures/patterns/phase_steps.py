@@ -18,15 +18,16 @@ from wlr_render.numerics.arrays import FloatArray
 
 _MIN_STEPS, _MIN_PERIOD_PX = 3, 4
 _REVERSED = 0.22
-"""Blur wider than a period reverses fringes; a disc leaves 0.13 of their contrast then, a square 0.217 at most."""
-_GAP_NOISE = 2.0  # mean over all phases of the variance with one step calculated, over that from all steps
-_ASKED = 64  # pixels along each side of the picture that are asked whether the steps are in order
+"""Contrast up to which blur may have reversed fringes: a disc wider than a period leaves 0.13, a square at most
+0.217."""
+_GAP_NOISE = 2.0  # variance with one calculated step relative to all steps, mean over all phases
+_ASKED = 64  # pixels along each side of the picture that test the order of the steps
 
-_MIN_UNEXPLAINED = 0.02  # mean square of what no waveform explains, as a part of the fringe's
+_MIN_UNEXPLAINED = 0.02  # least residual mean square relative to the fringe for a test of the order
 _MAX_UNEXPLAINED = 0.3
-_FOREIGN = 2.0  # times the mean of all steps; noise leaves the same in each
-_MAX_CONTRADICTING = 0.2  # of the lit pixels
-_IMPROVED_BELOW = 0.6  # another order that leaves less of it is the true one
+_FOREIGN = 2.0  # residual of a foreign step over the mean of all steps; noise gives each the same residual
+_MAX_CONTRADICTING = 0.2  # largest share of the lit pixels that contradict
+_IMPROVED_BELOW = 0.6  # ratio of residuals below which another order is the true one
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,9 @@ class FringeAxis:
 
     Attributes:
         axis: "u" or "v".
-        length_px: of the panel along the axis.
-        period_px: of the fringe.
-        steps: how many pictures, each shifted by 1 / steps of the period towards larger positions.
+        length_px: length of the panel along the axis.
+        period_px: period of the fringe.
+        steps: number of pictures, each shifted by 1 / steps of the period towards larger positions.
     """
 
     axis: str
@@ -50,7 +51,7 @@ class FringeAxis:
         return [f"{self.axis} fringe {self.period_px:.4g} px step {step}" for step in range(self.steps)]
 
     def line(self, step: int) -> NDArray[np.uint8]:
-        """Return (length_px,) 0 to 255: what one picture shows in each panel pixel."""
+        """Return the values 0 to 255 of one picture, (length_px,)."""
         phase = 2 * np.pi * ((np.arange(self.length_px) + 0.5) / self.period_px - step / self.steps)
         return np.asarray(np.round(127.5 + 127.5 * np.cos(phase)), dtype=np.uint8)
 
@@ -60,11 +61,11 @@ class FringeReading:
     """Decoded phase of one fringe, all (h, w).
 
     Attributes:
-        turns: float64, 0 to 1: where in its period the pixel lies.
-        evidence: amplitude as a part of that of full contrast; 0 where it is so faint that blur may have reversed it.
-        steady: grey values, what would be equal for all fringes without noise; its variance is that of a difference
-            of two photographs.
-        noise: variance of the phase over that from all steps; more than 1 where a step is missing.
+        turns: float64, 0 to 1: position of the pixel in its period.
+        evidence: amplitude relative to full contrast; 0 where it is so faint that blur may have reversed it.
+        steady: grey values that would be equal for all fringes without noise, with the variance of a difference of two
+            photographs.
+        noise: variance of the phase relative to all steps; more than 1 where a step is missing.
     """
 
     turns: NDArray[np.float64]
@@ -77,7 +78,7 @@ def check_fringe(period_px: float, steps: int) -> None:
     """Refuse a fringe that cannot be shown.
 
     Raises:
-        BadInputError: too short a period for a panel's pixels, or too few steps for a phase.
+        BadInputError: the period is too short for a panel's pixels, or the steps are too few for a phase.
     """
     if period_px < _MIN_PERIOD_PX:
         raise BadInputError(f"'period_px' is {period_px:g}; fringes need at least {_MIN_PERIOD_PX} panel pixels.")
@@ -90,8 +91,8 @@ def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelContrast
 
     Args:
         axis: the fringe.
-        reader: at its first photograph.
-        light: of the set.
+        reader: reader at the first photograph of the fringe.
+        light: light of the set.
 
     Raises:
         BadInputError: a photograph is missing, or the steps are not in order.
@@ -133,7 +134,7 @@ def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelContrast
 
 
 def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: PhotographReader, first: int) -> None:
-    """Refuse a second missing step, and one of an odd number of steps."""
+    """Refuse a second missing step, and a missing one of an odd number of steps."""
     if missing is not None:
         raise BadInputError(
             f"{reader.label(first + missing)} and {reader.label(first + step)} are missing; a fringe can do without "
@@ -147,32 +148,33 @@ def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: Photogr
 
 
 def noise_gain(axis: FringeAxis, reading: FringeReading) -> Grey:
-    """Return (h, w) as in `AxisReading`.
+    """Return the noise gain (h, w) of `AxisReading`.
 
-    The variance of an N-step phase is 2 / N of that of a photograph over the amplitude squared; the amplitude is half
-    of the contrast at full evidence, and a photograph has half the variance of a difference.
+    The variance of an N-step phase is 2 / N of a photograph's variance over the amplitude squared; the amplitude is
+    half of the contrast at full evidence, and a photograph has half the variance of a difference.
     """
     of_phase = 4 / axis.steps * reading.noise / np.maximum(reading.evidence, 1e-3) ** 2
     return np.asarray((axis.period_px / (2 * np.pi)) ** 2 * of_phase, dtype=np.float32)
 
 
 def nearest(axis: FringeAxis, reading: FringeReading, about: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (h, w) the position with the fringe's phase that lies nearest to another, panel pixels."""
+    """Return the position (h, w) with the fringe's phase that is nearest to another position, panel pixels."""
     return about + axis.period_px * ((reading.turns - about / axis.period_px + 0.5) % 1 - 0.5)
 
 
 def check_step_order(values: NDArray[np.float32], reader: PhotographReader, first: int) -> None:
     """Refuse steps that make a clearly better fringe with two of them exchanged.
 
-    Three steps make a fringe in any order; there is nothing to see then.
+    Three steps make a fringe in any order and are not tested.
 
     Args:
         values: (steps, n) grey values of some lit pixels.
-        reader: names the photographs.
-        first: number of the first step's.
+        reader: reader that names the photographs.
+        first: number of the first step's photograph.
 
     Raises:
-        BadInputError: an exchange does, one does not belong to the others, or they show no fringe at all.
+        BadInputError: an exchange gives a better fringe, a step does not belong to the others, or the photographs show
+            no fringe.
     """
     steps = len(values)
     varying = values.astype(np.float64) - values.mean(axis=0)
@@ -183,7 +185,7 @@ def check_step_order(values: NDArray[np.float32], reader: PhotographReader, firs
     swaps = list(combinations(range(steps), 2))
     left = [float(np.sum(_unexplained(varying[_swapped(steps, swap)]))) for swap in swaps]
     if min(left) < _IMPROVED_BELOW * as_read:
-        # An exchange at two steps' distance has a twin that makes the fringe run backwards, and just as well.
+        # An exchange at two steps' distance has a twin with a reversed fringe that is equally good.
         likely = [swap for swap, rest in zip(swaps, left, strict=True) if rest < 1.2 * min(left) + _MIN_UNEXPLAINED]
         named = ", or ".join(" and ".join(reader.label(first + step) for step in swap) for swap in likely)
         raise BadInputError(f"{named} seem to be exchanged: the fringe is consistent only in that order.")
@@ -200,19 +202,21 @@ def check_step_order(values: NDArray[np.float32], reader: PhotographReader, firs
         )
 
 
-def check_agreement(apart: NDArray[np.bool_], lit: NDArray[np.bool_], reader: PhotographReader, first: int) -> None:
+def check_agreement(
+    contradicting: NDArray[np.bool_], lit: NDArray[np.bool_], reader: PhotographReader, first: int
+) -> None:
     """Refuse fringes that contradict the photographs before them.
 
     Args:
-        apart: (h, w) where they do not.
-        lit: (h, w) which pixels to test.
-        reader: names the photographs; the last taken is the fringe's last.
+        contradicting: (h, w) mask of contradictions.
+        lit: (h, w) mask of the pixels to test.
+        reader: reader that names the photographs; the last one is the fringe's last.
         first: number of the fringe's first photograph.
 
     Raises:
-        BadInputError: in too many pixels they do not.
+        BadInputError: too many pixels contradict.
     """
-    share = float(np.mean(apart[lit])) if lit.any() else 0.0
+    share = float(np.mean(contradicting[lit])) if lit.any() else 0.0
     if share > _MAX_CONTRADICTING:
         raise BadInputError(
             f"{reader.label(first)} to {reader.label(reader.taken - 1)} contradict those before them in {share:.0%} of "
@@ -227,7 +231,7 @@ def _swapped(steps: int, swap: tuple[int, int]) -> list[int]:
 
 
 def _unexplained(varying: FloatArray) -> FloatArray:
-    """(steps,) what no fundamental with one second harmonic for all pixels explains, as parts of the sum of squares."""
+    """Return the residual shares (steps,) of a fit of one fundamental with one second harmonic for all pixels."""
     steps = len(varying)
     angle = 2 * np.pi * np.arange(steps)[:, None] / steps
     fundamental = 2 / steps * np.sum(varying * np.exp(1j * angle), axis=0)

@@ -15,11 +15,11 @@ from wlr_render.errors import BadInputError
 Grey = NDArray[np.float32]
 
 INVERSE = " inverse"
-"""End of the name of a bit's inverse picture."""
-_CLEAR = 4.0  # contrast over its noise, below which a pixel is not lit
-_BEYOND = 0.05  # of the number of lit pixels
-_BOTH_WAYS = 0.2  # of the larger part: the smaller one, of the parts in which each of two pictures is the brighter one
-_STEADY_PX = 5  # width of windows whose mean is hardly noise
+"""Suffix of the name of a bit's inverse picture."""
+_CLEAR = 4.0  # least contrast of a lit pixel, in standard deviations
+_BEYOND = 0.05  # largest number of pixels out of range, relative to the lit ones
+_BOTH_WAYS = 0.2  # ratio of the areas in which either of two pictures is brighter, above which both are codes
+_STEADY_PX = 5  # width of windows whose mean has little noise
 _NOISE_WINDOW = 15
 _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 
@@ -27,7 +27,7 @@ _ROUNDING = 2 / 12  # variance of the difference of two rounded values
 class PhotographReader:
     """Reader of the photographs of a set, in order, one at a time; all have one size.
 
-    They are numbered from 0, as `Pattern.image` and the files of `show_page` are.
+    Photographs are numbered from 0, like `Pattern.image` and the files of `show_page`.
     """
 
     def __init__(self, photographs: Iterable[CodeImage | None], names: Sequence[str]) -> None:
@@ -39,7 +39,7 @@ class PhotographReader:
 
     @property
     def peak(self) -> CodeImage:
-        """(h, w) maximum of all photographs so far."""
+        """Maximum (h, w) of all photographs so far."""
         if self._peak is None:
             raise ValueError("no photograph was taken yet")
         return self._peak
@@ -52,7 +52,7 @@ class PhotographReader:
         """Return the next photograph, (h, w) float32 grey values; None where the set has a gap.
 
         Raises:
-            BadInputError: there is none left, or it has another size or depth than those before.
+            BadInputError: no photograph is left, or it has another size or depth than the previous ones.
         """
         label = self.label(self.taken)
         image = self._next(label)
@@ -60,7 +60,7 @@ class PhotographReader:
         return None if image is None else image.astype(np.float32)
 
     def references(self) -> tuple[Grey, Grey]:
-        """White and black, the first two photographs; one that is missing is calculated from a bit and its inverse.
+        """Return white and black, the first two photographs; a missing one is calculated from a bit and its inverse.
 
         Raises:
             BadInputError: both are missing, or no bit with its inverse follows.
@@ -78,8 +78,8 @@ class PhotographReader:
             raise BadInputError(
                 f"{self.label(missing)} is missing, and no bit with its inverse replaces it; take it again."
             )
-        found = np.add(pair[0], pair[1], dtype=np.float32) - given
-        return (found, given) if missing == 0 else (given, found)
+        replacement = np.add(pair[0], pair[1], dtype=np.float32) - given
+        return (replacement, given) if missing == 0 else (given, replacement)
 
     def _next(self, label: str) -> CodeImage | None:
         if self._waiting:
@@ -96,7 +96,7 @@ class PhotographReader:
             self._peak = _grey_values(image, label).copy()
         elif image.shape != self._peak.shape or image.dtype != self._peak.dtype:
             raise BadInputError(
-                f"{label} is {describe_pixels(image)}, but those before it are {describe_pixels(self._peak)}; "
+                f"{label} is {describe_pixels(image)}, but the previous ones are {describe_pixels(self._peak)}; "
                 "take it again."
             )
         np.maximum(self._peak, image, out=self._peak)
@@ -106,7 +106,7 @@ class PhotographReader:
         """Refuse further photographs.
 
         Raises:
-            BadInputError: there is one.
+            BadInputError: a further photograph follows.
         """
         if next(self._source, None) is not None:
             raise BadInputError(
@@ -130,8 +130,8 @@ class PanelContrast:
     Attributes:
         middle: (h, w) half of white + black.
         contrast: (h, w) white - black.
-        lit: (h, w) where the contrast is enough and white is not at the end of the scale.
-        end_of_scale: the grey value from which on a photograph may be cut off.
+        lit: (h, w) mask of sufficient contrast, with white below the end of the scale.
+        end_of_scale: grey value from which a photograph may be saturated.
     """
 
     middle: Grey
@@ -141,12 +141,12 @@ class PanelContrast:
 
     @cached_property
     def usual_contrast(self) -> float:
-        """Median of the contrast over what is lit."""
+        """Median of the contrast over the lit pixels."""
         return float(np.median(self.contrast[self.lit]))
 
     @cached_property
     def per_contrast(self) -> Grey:
-        """(h, w) 1 / contrast where lit, 0 elsewhere."""
+        """Inverse contrast (h, w) where lit, 0 elsewhere."""
         return np.asarray(self.lit / np.maximum(self.contrast, 1), dtype=np.float32)
 
 
@@ -154,8 +154,8 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelContras
     """Measure the panel's light from white and black, the first two photographs of every set.
 
     Raises:
-        BadInputError: white is not brighter than black anywhere, black is brighter than white, or most of what is lit
-            is at the end of the scale.
+        BadInputError: white is not brighter than black anywhere, black is brighter than white, or most lit pixels are
+            at the end of the scale.
     """
     white, black = reader.references()
     contrast = white - black
@@ -181,7 +181,7 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelContras
             f"{reader.label(0)} is over-exposed: {np.mean(full):.0%} of it is at the end of the scale "
             f"({options.full_scale}); expose less, or state the camera's true full scale."
         )
-    # Single pixels are hot ones or noise.
+    # Single pixels are hot pixels or noise.
     if not np.any(cv2.medianBlur(bright.astype(np.uint8), 3)):
         raise BadInputError(
             f"{reader.label(0)} is nowhere brighter than {reader.label(1)} by {options.min_contrast:.0%} of the scale "
@@ -191,7 +191,7 @@ def read_light(reader: PhotographReader, options: DecodeOptions) -> PanelContras
 
 
 def _noise_of_dark(contrast: Grey) -> float:
-    """Return the standard deviation of what the panel does not light: only noise makes it negative."""
+    """Return the noise of unlit pixels, from negative contrasts, which only noise produces."""
     negative = contrast[contrast < 0]
     return float(np.sqrt(np.mean(negative**2))) if negative.size else 0.0
 
@@ -200,7 +200,7 @@ def check_range(image: Grey, light: PanelContrast, reader: PhotographReader) -> 
     """Refuse the last photograph if it does not lie between black and white.
 
     Raises:
-        BadInputError: in too many pixels it does not: a reference shows something else, or the light has changed.
+        BadInputError: too many pixels are out of range: a reference shows something else, or the light has changed.
     """
     beyond = np.abs(image - light.middle) > 0.5 * (light.contrast + light.usual_contrast)
     pixels, lit = np.count_nonzero(beyond), np.count_nonzero(light.lit)
@@ -212,22 +212,22 @@ def check_range(image: Grey, light: PanelContrast, reader: PhotographReader) -> 
 
 
 class NoiseMeter:
-    """Variance of photographs, from sums that would all be equal without noise; running moments only."""
+    """Variance of photographs from sums that would be equal without noise, by running moments."""
 
     def __init__(self, light: PanelContrast) -> None:
         self._count, self._sum, self._square = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(3))
 
     def add(self, steady: Grey, where: NDArray[np.bool_]) -> None:
-        """One more sum, scaled so that its variance is that of a difference of two photographs; (h, w) both."""
+        """Add one more sum (h, w) in the mask (h, w), scaled to the variance of a difference of two photographs."""
         value = steady * where
         self._count += where
         self._sum += value
         self._square += value * value
 
     def variance(self) -> Grey:
-        """Return (h, w) variance of the difference of two photographs around each pixel, grey values squared.
+        """Return the variance (h, w) of the difference of two photographs around each pixel, grey values squared.
 
-        Never below that of two rounded values; just that where too few sums were added.
+        The variance of two rounded values is the least result, also where too few sums were added.
         """
         excess = self._square - self._sum**2 / np.maximum(self._count, 1)
         freedom = np.maximum(self._count - 1, 0)

@@ -1,4 +1,4 @@
-"""Which decoded pixels are rejected, and how the readings of both axes become panel positions."""
+"""Rejection of decoded pixels, and panel positions from the readings of both axes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,27 +30,27 @@ WINDOW = 3
 
 _FLAT: FloatArray = np.ones(WINDOW)
 _RAMP: FloatArray = np.arange(WINDOW, dtype=np.float64) - (WINDOW - 1) / 2
-_RIDGE = 1e-9  # a window of one row has no slope across; without effect on others
+_RIDGE = 1e-9  # ridge for windows of one row, which have no slope across; without effect on others
 
-_CLEAR = 4.0  # contrast over the noise of a difference, below which a pixel is dark
-_SURE = 2.0  # evidence over the noise of a difference
-_EDGE = 0.5  # of the contrast of the brightest neighbour, below which a pixel sees past an edge,
-_BESIDE_EDGE = 0.3  # or it does if its darkest neighbour has less than this of its own contrast
-_OVERHANG_PX = 0.5  # noise may carry a position over the panel's edge by this much
+_CLEAR = 4.0  # least contrast of a lit pixel, in noises of a difference
+_SURE = 2.0  # least evidence, in noises of a difference
+_EDGE = 0.5  # contrast relative to the brightest neighbour below which a pixel sees past an edge,
+_BESIDE_EDGE = 0.3  # as does a pixel whose darkest neighbour has less than this share of its contrast
+_OVERHANG_PX = 0.5  # largest distance outside the panel, for noise
 _OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = (
     0.75,
     0.5,
     4.0,
-)  # an outlier lies off its neighbours by more than all of these
-_VAGUE_PX = 0.25  # a larger standard deviation could be wrong by a panel pixel
+)  # an outlier is farther from its neighbours than all of these
+_VAGUE_PX = 0.25  # largest standard deviation; a larger one could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
 BORDER_WIDTH = 1.596
-"""Width over which a blurred border is missing in the strength of its bit, in standard deviations of the blur."""
+"""Width, in standard deviations of the blur, of the gap that a blurred border leaves in the strength of its bit."""
 _WIDE, _WIDE_FROM = 0.21, 0.76  # slope and start of the rms error of cells that are narrower than the blur, in cells
 _LEAST = 0.01  # rms error of counted cells at any blur, in cells
 _BOX = 0.048  # rms error of a pixel without blur that is 1.5 cells wide, in cells
-_NEEDED = 3  # neighbours that agree; fewer at the border of the picture
-_FEW = 400  # pairs that say nothing about the order of photographs
+_NEEDED = 3  # fewest agreeing neighbours; fewer at the border of the picture
+_FEW = 400  # fewest pairs for a test of the order of photographs
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +59,9 @@ class LocalFit:
 
     Attributes:
         value: (2, h, w) the plane at the pixel.
-        slope: (2, 2, h, w) its change per camera pixel; slope[i, j] of panel axis i along axis j of the picture (x, y).
-        gain: (h, w) variance of `value` over that of one position: 1/9 in a full window.
+        slope: (2, 2, h, w) its change per camera pixel; slope[i, j] for panel axis i along axis j of the picture (x,
+            y).
+        gain: (h, w) variance of `value` relative to one position: 1/9 in a full window.
     """
 
     value: FloatArray
@@ -69,11 +70,11 @@ class LocalFit:
 
 
 def fit_planes(position: FloatArray, valid: NDArray[np.bool_]) -> LocalFit:
-    """Fit all pixels at once.
+    """Fit planes at all pixels at once.
 
     Args:
         position: (2, h, w), finite everywhere.
-        valid: (h, w) which positions count; results mean something only there.
+        valid: (h, w) mask of used positions; results are meaningful only there.
     """
     inverse = _inverse_moments(valid.astype(np.float64))
     fits = np.array([_solve(inverse, np.where(valid, axis, 0.0)) for axis in position])  # (2, 3, h, w)
@@ -105,18 +106,18 @@ def _sum(image: FloatArray, along_x: FloatArray, along_y: FloatArray) -> FloatAr
 
 @dataclass(frozen=True, eq=False)
 class AxisReading:
-    """Decoded positions along one axis, each camera pixel by itself; all (h, w).
+    """Decoded positions along one axis, each camera pixel alone; all (h, w).
 
     Attributes:
         position: panel pixels, finite everywhere.
         noise_gain: variance of the position, panel pixels squared, over that of the difference of two photographs in
             units of the contrast.
-        evidence: 0 to 1: the weakest evidence that was needed, as a part of full contrast.
-        weak: `Rejection` that is the reason where the evidence is too weak.
-        contradiction: where parts of the code exclude each other.
+        evidence: 0 to 1: weakest evidence that was needed, relative to full contrast.
+        weak: the `Rejection` for evidence that is too weak.
+        contradiction: mask of contradictions between parts of the code.
         cell_px: uint8, width of the cells whose numbers were read, panel pixels: 1, 2, 4 or 8.
-        blur_px: standard deviation of the light that a pixel gathers along the axis, panel pixels; 0 if unknown.
-        is_counted: whether the position is a number of cells, and not a phase.
+        blur_px: standard deviation of the light that a pixel collects along the axis, panel pixels; 0 if unknown.
+        is_counted: True if the position is a number of cells, not a phase.
     """
 
     position: FloatArray
@@ -140,12 +141,12 @@ def combine_axes(
     """Combine both axes into panel positions: reject unreliable pixels and fit local planes to the others.
 
     Args:
-        readings: of u and v.
-        light: of the set.
-        peak: (h, w) the brightest value in any photograph.
-        noise_variance: (h, w) of the difference of two photographs.
-        options: when a pixel is believed.
-        panel: that was photographed.
+        readings: readings of u and v.
+        light: light of the set.
+        peak: (h, w) brightest value in any photograph.
+        noise_variance: (h, w) variance of the difference of two photographs.
+        options: thresholds for accepting a pixel.
+        panel: the photographed panel.
 
     Raises:
         BadInputError: most neighbouring pixels contradict each other.
@@ -184,7 +185,7 @@ def _rejected_alone(
     options: DecodeOptions,
     panel: Panel,
 ) -> NDArray[np.uint8]:
-    """Return (h, w) the first rejection that applies to each pixel by itself; `noise` as a part of the contrast."""
+    """Return the first rejection (h, w) that applies to each pixel alone; `noise` is relative to the contrast."""
     u, v = readings
     reasons: tuple[tuple[Mask, Any], ...] = (
         (peak >= light.end_of_scale, Rejection.SATURATED),
@@ -199,7 +200,7 @@ def _rejected_alone(
 
 
 def _partly_lit(contrast: Grey) -> Mask:
-    """Return (h, w) where light is missing: the mean of what is seen is then not what lies in the pixel's middle."""
+    """Return the mask (h, w) of missing light, where the mean light is not at the pixel's middle."""
     around = np.ones((3, 3), dtype=np.uint8)
     brightest, darkest = cv2.dilate(contrast, around), cv2.erode(contrast, around)
     return np.asarray((contrast < _EDGE * brightest) | (darkest < _BESIDE_EDGE * contrast))
@@ -211,15 +212,15 @@ def _outside(reading: AxisReading, length_px: int) -> Mask:
 
 
 def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
-    """Return (h, w) variance that the panel's cells leave in a mean over the window, panel pixels squared.
+    """Return the variance (h, w) that the panel's cells leave in a window's mean, panel pixels squared.
 
-    The cell number of a point is its position plus a saw-tooth of period 1, whose harmonic n has the amplitude
-    1 / (pi n). The light that a pixel gathers reduces it, here by a Gaussian, and so does the mean over the window. A
-    wide pixel sees more than one border; what that adds to counted cells is an empirical fit to blurred Gray codes.
+    The cell number of a point is its position plus a saw-tooth of period 1, whose harmonic n has the amplitude 1 / (pi
+    n). The light that a pixel gathers reduces it, here by a Gaussian, and so does the mean over the window. A wide
+    pixel sees more than one border; the additional error of counted cells is an empirical fit to blurred Gray codes.
 
     Args:
         slope: (2, h, w) panel pixels per camera pixel along x and y.
-        reading: of the axis.
+        reading: reading of the axis.
     """
     cell = reading.cell_px.astype(np.float32)
     slope = slope.astype(np.float32)
@@ -232,7 +233,7 @@ def _cell_structure(slope: FloatArray, reading: AxisReading) -> FloatArray:
         )
     if reading.is_counted:
         wide = np.hypot(_WIDE * np.maximum(BORDER_WIDTH * np.sqrt(blur) - _WIDE_FROM, 0), _LEAST)
-        # A sharp pixel between one and two cells wide: a box is no Gaussian.
+        # A sharp pixel between one and two cells wide is a box, not a Gaussian.
         width = np.sqrt(np.sum(per_pixel**2, axis=0))
         sharp = np.clip(6 - 5 * np.sqrt(blur) * BORDER_WIDTH / np.maximum(0.5 * width, 1e-6), 0, 1)
         wide = np.hypot(wide, _BOX * sharp * np.abs(np.sin(np.pi * width)) * (width > 1))
@@ -250,23 +251,23 @@ def neighbour_slices(dx: int, dy: int) -> tuple[Slices, Slices]:
 
 
 def _typical_step(position: FloatArray, valid: Mask) -> float:
-    """Median over neighbours, side by side, of how far they lie apart on the panel, in panel pixels; 0 for no pairs.
+    """Return the median distance of neighbours on the panel, in panel pixels; 0 without neighbours.
 
     Args:
-        position: (2, h, w).
-        valid: (h, w) which count.
+        position: (2, h, w) positions.
+        valid: (h, w) mask of used positions.
     """
     steps = []
     for offset in ((1, 0), (0, 1)):
         here, there = neighbour_slices(*offset)
         apart = np.abs(position[:, *there] - position[:, *here]).max(axis=0)
         steps.append(apart[valid[here] & valid[there]])
-    found = np.concatenate(steps)
-    return float(np.median(found)) if found.size else 0.0
+    distances = np.concatenate(steps)
+    return float(np.median(distances)) if distances.size else 0.0
 
 
 def _agrees_with_neighbours(position: FloatArray, valid: Mask, step: float, cell_px: NDArray[np.uint8]) -> Mask:
-    """(h, w) where at least three neighbours, and half of the valid ones, lie about one step or cell away at most.
+    """Return the mask (h, w) where three neighbours, and half of the valid ones, are within about one step or cell.
 
     Raises:
         BadInputError: most neighbours of most pixels lie elsewhere.
@@ -286,7 +287,7 @@ def _agrees_with_neighbours(position: FloatArray, valid: Mask, step: float, cell
     share = int(agreeing.sum()) / max(pairs, 1)
     if pairs >= _FEW and share < 0.5:
         raise BadInputError(
-            f"Neighbouring pixels contradict each other in {1 - share:.0%} of what was decoded: the photographs are "
+            f"Neighbouring pixels contradict each other in {1 - share:.0%} of the decoded pixels: the photographs are "
             "not in the order of showing, the camera moved between them, or they show another code or panel size."
         )
     return (agreeing >= np.minimum(_NEEDED, there_are)) & (2 * agreeing >= present)

@@ -17,14 +17,14 @@ PAGE = "show.html"
 def write_show_page(folder: str | Path, pattern: Pattern, channel: str | None = None) -> list[Path]:
     """Write the pictures and the page.
 
-    The page needs nothing else beside it. Opened on the panel as an external monitor, it shows picture after picture,
+    The page needs no other files. Opened on the panel as an external monitor, it shows picture after picture,
     one picture pixel on one panel pixel: at a click or a key, or every two seconds as `show.html?seconds=2`. Where a
     `ShowServer` serves it, it shows the pictures that the server asks for.
 
     Args:
-        folder: is made if need be.
-        pattern: to show.
-        channel: primary to show it in: "red", "green" or "blue"; None for white.
+        folder: output folder; created if necessary.
+        pattern: pattern to show.
+        channel: primary of the pictures: "red", "green" or "blue"; None for white.
 
     Returns:
         The pictures in the order of showing, 000_white.png, 001_black.png, ...; numbered as `Pattern.image` is.
@@ -46,7 +46,7 @@ def write_show_page(folder: str | Path, pattern: Pattern, channel: str | None = 
 
 
 def _in_primary(image: NDArray[np.uint8], channel: str | None) -> NDArray[np.uint8]:
-    """Return (h, w) as it is for white, else (h, w, 3) in OpenCV's order blue, green, red."""
+    """Return the picture (h, w) unchanged for white, else (h, w, 3) in OpenCV's order blue, green, red."""
     if channel is None:
         return image
     coloured = np.zeros((*image.shape, 3), np.uint8)

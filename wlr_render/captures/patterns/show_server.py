@@ -1,9 +1,9 @@
-"""Serve the page of a code on this machine, and say which picture it shows.
+"""Server of a code's page on this machine, which selects the picture that the page shows.
 
-The page asks for the number of the picture ten times a second and answers with the one that is on the screen. A program
-of your own can do the same, for a panel that shows no web pages: `GET /` redirects to `/KEY/show.html`;
-`GET /KEY/state?shown=2&width=1920&height=1080` returns `{"show": 3}`. The numbers count from 0 in the order of
-`Pattern.names`; -1 before the first picture and as many as there are pictures after the last, for black.
+Ten times a second the page requests the number of the picture and reports the one on the screen. Another program can do
+the same, for a panel that cannot show web pages: `GET /` redirects to `/KEY/show.html`; `GET
+/KEY/state?shown=2&width=1920&height=1080` returns `{"show": 3}`. The numbers count from 0 in the order of
+`Pattern.names`; -1 before the first picture, and the number of pictures after the last one, for black.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ from wlr_render.captures.patterns.show_page import PAGE
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 
-_ROUNDING_PX = 2  # of a window's size where the system scales it
+_ROUNDING_PX = 2  # rounding error of a window's size on a scaled display
 
 
 class ShowServer:
@@ -34,9 +34,9 @@ class ShowServer:
         """Serve a folder at localhost.
 
         Args:
-            folder: of the page.
-            panel: a window must have as many pixels at least.
-            port: 0 for any that is free.
+            folder: folder of the page.
+            panel: panel, the least size of the window in pixels.
+            port: port; 0 for any free one.
 
         Raises:
             BadInputError: the port is in use.
@@ -44,7 +44,7 @@ class ShowServer:
         self._panel = panel
         self._wanted, self._shown, self._window = -1, -1, (0, 0)
         self._changed = threading.Condition()
-        # Part of the address, so that a page of another code that is still open notices.
+        # A part of the address, so that an open page of another code notices the change.
         self.key = hashlib.sha256((folder / PAGE).read_bytes()).hexdigest()[:12]
         handler = partial(_Handler, page=self, directory=str(folder))
         try:
@@ -64,10 +64,10 @@ class ShowServer:
         self._server.server_close()
 
     def show(self, number: int, timeout_s: float) -> None:
-        """Return when the page shows a picture.
+        """Wait until the page shows a picture.
 
         Raises:
-            BadInputError: it does not within `timeout_s`; the sentence says why.
+            BadInputError: the page does not show it within `timeout_s`; the sentence states the reason.
         """
         with self._changed:
             self._wanted = number
@@ -84,7 +84,7 @@ class ShowServer:
         raise BadInputError(f"picture {number} was not shown within {timeout_s:g} s: {what}.")
 
     def answer(self, shown: int, window: tuple[int, int]) -> dict[str, int]:
-        """Note what the page shows, and say what it is to show."""
+        """Record the picture that the page shows, and return the one to show."""
         with self._changed:
             self._shown, self._window = shown, window
             self._changed.notify_all()
@@ -96,7 +96,7 @@ class ShowServer:
 
 
 class _Handler(SimpleHTTPRequestHandler):
-    """The address `/`, the state, and the files of the folder."""
+    """Request handler of the address `/`, the state, and the files of the folder."""
 
     def __init__(self, *arguments: object, page: ShowServer, directory: str) -> None:
         self._page = page
@@ -130,4 +130,4 @@ class _Handler(SimpleHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, *arguments: object) -> None:
-        """Ten requests a second are no news."""
+        """Log nothing: the page polls ten times a second."""
