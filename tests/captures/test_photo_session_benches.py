@@ -344,7 +344,7 @@ def test_a_lens_of_another_program_is_read(tmp_path):
     with pytest.raises(BadInputError, match=r"1280 x 480 pixels, but the lens in .* was calibrated for 640 x 480"):
         load_photo_session(folder)
     write_toml(folder / FILE, content | {"eyeball_camera": camera | {"lens": "brown"}})
-    with pytest.raises(BadInputError, match="'lens' is given beside 'lens_file'"):
+    with pytest.raises(BadInputError, match="'lens' is given as well as 'lens_file'"):
         load_photo_session(folder)
 
 
@@ -461,7 +461,7 @@ def drop(*names):
         (three_axes, drop("tracking_camera"), r"\[\[tracking\]\] photographs, but no \[tracking_camera\]"),
         (three_axes, drop("tracking"), r"'tracking' is empty"),
         (three_axes, drop("see_through", "display"), "'see_through' and 'display' are both empty"),
-        (three_axes, drop("bare"), r"\[\[see_through\]\] number 1: 'bare' is empty; nothing says where the camera"),
+        (three_axes, drop("bare"), r"\[\[see_through\]\] number 1: 'bare' is empty; the camera's pose"),
         (three_axes, put("gauge", "target 0"), r"'gauge' and \[tracking_camera\] both fix the device frame"),
         (three_axes, put("gauge", "target one"), "'gauge' is 'target one'; it must be"),
         (three_axes, put("eyes", ["left"]), "give either 'eye' or 'eyes'"),
@@ -481,14 +481,14 @@ def drop(*names):
         (three_axes, each_of("bare", place="one"), "place 'one' has entries of several stage readings or orientations"),
         (three_axes, without("bare", "stage_mm"), "key 'stage_mm' is missing"),
         (three_axes, each_of("tracking", stage_mm=[0, 0, 0]), "unknown key 'stage_mm'"),
-        (three_axes, put("display", 0, "orientation", 1), r"\[\[display\]\] number 1: nothing says where the camera "
-         "stood at orientation 1"),
+        (three_axes, put("display", 0, "orientation", 1), r"\[\[display\]\] number 1: the camera's pose at "
+         "orientation 1 is unknown"),
         (three_axes, put("display", 0, "eye", "left"), "'eye' is 'left'; it must be one of right"),
         (three_axes, put("display", 0, "channel", "white"), "'channel' is 'white'; it must be one of red, green, blue"),
         (three_axes, put("tracking_camera", "sigma_mm", 0.3), "'sigma_deg' is missing"),
         (three_axes, put("tracking_camera", "sigma", [1.0]), "'sigma' must be a list of 9 numbers"),
         (three_axes, put("tracking_camera", "focal_sigma_px", 0.3), "'centre_sigma_px' is missing"),
-        (three_axes, put("tracking_camera", "distortion", [0.1, 0, 0, 0]), "'distortion' has 4 terms; say with lens"),
+        (three_axes, put("tracking_camera", "distortion", [0.1, 0, 0, 0]), "'distortion' has 4 terms; state"),
         (three_axes, put("tracking_camera", "lens", "fisheye"), "'distortion' has 5 terms, but a lens of kind 'fish"),
         (three_axes, put("tracking_camera", "lens", "wide"), "'lens' is 'wide'; it must be one of auto, brown"),
         (three_axes, put("code", "order", "reverse"), "'order' is 'reverse'; it must be one of as shown, opencv"),
@@ -496,20 +496,20 @@ def drop(*names):
         (rotary, without("bare", "stage"), "key 'stage' is missing"),
         (rotary, put("bare", 0, "stage", [0.0, 0.0]), "'stage' must be a list of 3 numbers"),
         (by_hand, without("see_through", "place"), "key 'place' is missing; without a stage each entry names"),
-        (by_hand, put("display", 1, "place", "elsewhere"), "nothing says where the camera of place 'elsewhere' stood"),
-        (by_hand, each_of("beside", target_pose=4), r"\[\[beside\]\] number 1 is of target pose 4, of which"),
+        (by_hand, put("display", 1, "place", "elsewhere"), "the position of place 'elsewhere' is unknown"),
+        (by_hand, each_of("beside", target_pose=4), r"\[\[beside\]\] number 1 is of target pose 4, which has"),
         (by_hand, lambda content: (drop("tracking_camera", "tracking")(content), content.update(gauge="camera")),
          "but there is no stage; name a target"),
         (in_one_picture, put("beside", 0, "region_px", [[5, 5, 4, 9]]), "must hold .u0, v0, u1, v1."),
         (in_one_picture, put("beside", 0, "region_px", [[0, 0, 700, 9]]), "lies outside the picture of 640 x 480"),
         (in_one_picture, lambda content: content["beside"][0].pop("region_px"), "say with 'region_px' which part"),
         (in_one_picture, put("beside", 0, "place", "hand 1"), "is also a .* photograph, of another place"),
-        (fiducials, put("target", 0, "pose", 8), "names target pose 8, of which there is no photograph"),
+        (fiducials, put("target", 0, "pose", 8), "names target pose 8, which has no photographs"),
         (fiducials, lambda content: content["target"].append(content["target"][0]), "target pose 7 is given twice"),
         (fiducials, put("target", 0, "sigma_mm", 0.0), "'sigma_mm' is 0; it must be above 0"),
         (fiducials, put("bare", 3, "photograph", "b0.png"), "b0.png is listed with target poses 0 and 7; a photograph"),
-        (optics_alone, without("stage", "axes"), "stage axis 1 moves, but nothing says how"),
-        (first_target, put("gauge", "target 5"), "names target pose 5, of which there is no photograph"),
+        (optics_alone, without("stage", "axes"), "stage axis 1 moves in an unknown"),
+        (first_target, put("gauge", "target 5"), "names target pose 5, which has no photographs"),
         (both_eyes, put("eyes", ["left", "left"]), "must hold \"left\", \"right\", or both"),
         (both_eyes, put("eye_box", {"centre_mm": [0, 0, 0], "size_mm": [9, 9, 9]}), "is one table for both eyes"),
         (both_eyes, without("display", "eye"), "'eye' is missing; in a session of both eyes"),

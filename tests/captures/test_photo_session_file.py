@@ -99,7 +99,7 @@ def test_axes_of_the_file_are_turned_into_the_device_frame(session):
         (
             '0.png"\ntarget_pose = 0',
             '0.png"\ntarget_pose = 3',
-            r"\[\[bare\]\] number 1 is of target pose 3, of which there is no",
+            r"\[\[bare\]\] number 1 is of target pose 3, which has no",
         ),
         ("device = ", "devise = ", "'device' is missing"),
         ("focal_px = .*", "focal_px = [-1.0, 5.0]", "both must be above 0"),

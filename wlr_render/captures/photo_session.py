@@ -1,7 +1,7 @@
 """Photographic session: the content, position and camera of each photograph.
 
-Device frame (OpenXR), metres, radians; cameras have OpenCV's axes. Photographs are named by their path, not held: a
-session may have thousands. The lists are in the order of taking.
+Device frame (OpenXR), metres, radians; cameras have OpenCV's axes. Photographs are referred to by path, not kept in
+memory: a session may have thousands. The lists are in the order of taking.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 CHANNELS = ("red", "green", "blue")
 """Primaries of a panel."""
 CODE_ORDERS = ("as shown", "opencv")
-"""Orders of the photographs in a folder of a panel's code: that of `Pattern.names`, or that of OpenCV's Gray code."""
+"""Orders of the photographs in a folder of a panel's code: the order of `Pattern.names`, or of OpenCV's Gray code."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +30,13 @@ class SessionCamera:
 
     Attributes:
         size_px: width and height of its photographs.
-        format: how its files become linear values.
-        intrinsics: photographs of the board from many sides, without the headset, to calibrate it from.
-        known: the camera where it is calibrated already, else None.
-        lens: lens model to fit, a key of `lens_camera.LENS_KINDS`, or "auto": held-out photographs choose. "auto" where
-            the lens is known.
-        known_sigma: (P,) standard deviations of `known.values`: fx, fy, cx, cy in pixels, then the distortion; None
-            where the lens is stated as exact.
+        format: conversion of its files to linear values.
+        intrinsics: photographs of the board from many sides, without the headset, for its calibration.
+        known: the camera if it is already calibrated, else None.
+        lens: lens model to fit, a key of `lens_camera.LENS_KINDS`, or "auto": chosen by cross-validation. "auto" if the
+            lens is calibrated.
+        known_sigma: (P,) standard deviations of `known.values`: fx, fy, cx, cy in pixels, then the distortion; None if
+            the lens is stated as exact.
         lens_file: the file that `known` was read from, else None.
     """
 
@@ -64,7 +64,7 @@ class StageAxis:
         direction_sigma: standard deviation of `direction` about each perpendicular axis, radians; None if the
             direction is unknown, or stated without one.
         pivot: (3,) a point on a rotary axis at the stage's reference, metres; None if unknown.
-        is_in_camera: whether direction and pivot are in the frame of the eyeball camera in its first mounting, at the
+        is_in_camera: True if direction and pivot are in the frame of the eyeball camera in its first mounting, at the
             stage's reference; otherwise they are in the device frame.
     """
 
@@ -77,13 +77,13 @@ class StageAxis:
 
 @dataclass(frozen=True, eq=False)
 class StageDescription:
-    """The stage that carries the eyeball camera; its readings are (m,), metres or radians, in the order of `axes`."""
+    """The stage that carries the eyeball camera; readings (m,) are metres or radians, in the order of `axes`."""
 
     axes: tuple[StageAxis, ...] = (StageAxis(), StageAxis(), StageAxis())
 
     @property
     def units(self) -> FloatArray:
-        """(m,) metres per millimetre of each linear axis, radians per degree of each rotary axis."""
+        """Metres per millimetre of each linear axis, radians per degree of each rotary axis, (m,)."""
         return np.array([1e-3 if axis.kind == "linear" else np.pi / 180 for axis in self.axes])
 
 
@@ -94,7 +94,7 @@ class GivenPose:
     Attributes:
         device_from: (4, 4) device_from_board.
         sigma: standard deviations of rotation, radians, and translation, metres, per axis.
-        board: the board at this pose, where it is another than the session's.
+        board: the board at this pose, if it differs from the session's.
         board_file: name of that board's file in the session's folder.
     """
 
@@ -109,19 +109,19 @@ class BoardPhotograph:
     """A photograph of the board, the target.
 
     Attributes:
-        folder: of the session.
-        name: path from there, by which reports name the photograph.
+        folder: folder of the session.
+        name: path from there, the photograph's name in reports.
         target_pose: index of the target's position.
         stage: (m,) stage reading, metres or radians; None without a stage, and for the tracking camera.
-        place: name of the camera place: photographs of one place were taken without moving the camera; "" for the
+        place: name of the camera position; photographs of one position were taken without moving the camera; "" for the
             tracking camera.
         orientation: index of the camera's mounting orientation on the stage.
         eye: "left" or "right".
         regions: (n, 4) lowest u, v and highest u, v of the parts of the picture that see the target past the optics,
             pixels from the outer corner of the top-left pixel; None for the whole picture.
-        other_regions: (n, 4) the same of a photograph through the optics, which do not count as seen through them.
-        time_s: when it was taken, seconds from any origin; None if unknown.
-        temperature_c: of the bench, degrees Celsius; None if unknown.
+        other_regions: (n, 4) parts of a photograph through the optics that do not show the target through them.
+        time_s: time stamp, seconds from any origin; None if unknown.
+        temperature_c: temperature of the bench, degrees Celsius; None if unknown.
     """
 
     folder: Path
@@ -142,7 +142,7 @@ class BoardPhotograph:
         return self.folder / self.name
 
     def counts(self, pixel: FloatArray) -> BoolArray:
-        """Which pixels (n, 2) this entry is about, (n,): those in its `regions` and not in its `other_regions`."""
+        """Return the mask (n,) of pixels (n, 2) in the `regions` of this entry and not in its `other_regions`."""
         whole = np.ones(len(pixel), dtype=bool) if self.regions is None else _in_regions(pixel, self.regions)
         return whole if self.other_regions is None else whole & ~_in_regions(pixel, self.other_regions)
 
@@ -159,8 +159,8 @@ class CodeSet:
     """Photographs of a pattern on the panel from one camera position.
 
     Attributes:
-        folder: that holds them, in the order of showing by their names.
-        stage, place, orientation, eye, time_s, temperature_c: as of a `BoardPhotograph`.
+        folder: folder of the photographs, whose names are in the order of showing.
+        stage, place, orientation, eye, time_s, temperature_c: as in `BoardPhotograph`.
         channel: the primary that the panel showed, one of `CHANNELS`; None for white.
     """
 
@@ -179,7 +179,7 @@ class SessionPanel:
     """The panel of an eye.
 
     Attributes:
-        pattern: what it showed.
+        pattern: pattern that it showed.
         primary_offsets: channel -> (2,) position of that primary in the pixel relative to the pixel's centre, pixels.
     """
 
@@ -189,33 +189,33 @@ class SessionPanel:
 
 @dataclass(frozen=True, eq=False)
 class PhotoSession:
-    """A session as session.toml describes it.
+    """Content of a session.toml.
 
     Attributes:
-        folder: that holds session.toml; photographs are named in reports from there.
-        device: the headset's name.
-        eyes: of which the session is: "left", "right" or both.
-        eye_boxes: eye -> where the pupil may be, device frame.
-        panels: eye -> its panel; one object for both eyes if they are alike.
-        decoding: when a decoded pixel is accepted.
+        folder: folder of session.toml; names of photographs in reports are relative to it.
+        device: name of the headset.
+        eyes: eyes of the session: "left", "right" or both.
+        eye_boxes: eye -> eye box, device frame.
+        panels: eye -> its panel; one object for both eyes if they are equal.
+        decoding: thresholds for accepting a decoded pixel.
         board: the printed target.
-        eyeball_camera: the camera in the place of the eye.
+        eyeball_camera: the camera in place of the eye.
         see_through: photographs of the target by the eyeball camera, through the optics.
         display: photographs of the panel by the eyeball camera.
-        bare: of the target by the eyeball camera, without the headset.
-        beside: of the target by the eyeball camera, past the optics of the mounted headset.
-        tracking: of the target by the tracking camera.
-        tracking_camera: the headset's own camera, if it has one.
+        bare: photographs of the target by the eyeball camera, without the headset.
+        beside: photographs of the target by the eyeball camera, past the optics of the mounted headset.
+        tracking: photographs of the target by the tracking camera.
+        tracking_camera: the headset's tracking camera, if it has one.
         device_from_tracking: (4, 4) its pose, if it has one.
         tracking_sigma: standard deviations of that pose, radians and metres; None if it is stated as exact.
-        stage: that carries the eyeball camera; None for a robot arm or a hand: camera places are free.
-        targets: index -> target pose that session.toml states.
-        gauge: "target N": the device frame is the board's at target pose N, with OpenXR's axes. "camera": it is the
-            eyeball camera's at the stage's reference, with OpenXR's axes, moved so that the eye box is where it is
-            stated. None: tracking camera or `targets` fix it.
+        stage: stage of the eyeball camera; None for a robot arm or a hand, where camera positions are free.
+        targets: index -> target pose in session.toml.
+        gauge: "target N": the device frame is the board's frame at target pose N, with OpenXR's axes. "camera": it is
+            the eyeball camera's frame at the stage's reference, with OpenXR's axes, shifted to match the stated eye
+            box. None: tracking camera or `targets` fix it.
         code_order: order of the photographs of a code, one of `CODE_ORDERS`.
-        code_manifest: file that says which picture each photograph of a code shows, or None.
-        place_tolerance: stage readings that differ less are one place, metres.
+        code_manifest: file that assigns pictures to the photographs of a code, or None.
+        place_tolerance: largest difference of stage readings at one position, metres.
     """
 
     folder: Path
@@ -243,23 +243,23 @@ class PhotoSession:
 
     @property
     def eye(self) -> str:
-        """The eye of a session of one eye; ValueError for both."""
+        """Eye of a session of one eye; ValueError for both."""
         (eye,) = self.eyes
         return eye
 
     @property
     def eye_box(self) -> EyeBox:
-        """The eye box of a session of one eye; ValueError for both."""
+        """Eye box of a session of one eye; ValueError for both."""
         return self.eye_boxes[self.eye]
 
     @property
     def pattern(self) -> Pattern:
-        """What the panel showed; ValueError where the two eyes' panels differ."""
+        """Pattern of the panel; ValueError if the two eyes' panels differ."""
         return self._panel.pattern
 
     @property
     def primary_offsets(self) -> Mapping[str, FloatArray]:
-        """Positions of the panel's primaries, as of `SessionPanel`; ValueError where the two eyes' panels differ."""
+        """Positions of the panel's primaries, see `SessionPanel`; ValueError if the two eyes' panels differ."""
         return self._panel.primary_offsets
 
     @property
@@ -279,7 +279,7 @@ class PhotoSession:
         return self.board if given is None or given.board is None else given.board
 
     def for_eye(self, eye: str) -> "PhotoSession":
-        """The session of one of its eyes: its own panel photographs and those through its optics, all others shared."""
+        """Return the session of one of its eyes: photographs of its panel and through its optics, all others shared."""
         return replace(
             self,
             eyes=(eye,),
@@ -290,5 +290,5 @@ class PhotoSession:
         )
 
     def name_of(self, path: Path) -> str:
-        """Return a photograph's or folder's name as reports give it."""
+        """Return the name of a photograph or folder in reports."""
         return str(path.relative_to(self.folder)) if path.is_relative_to(self.folder) else str(path)

@@ -1,4 +1,4 @@
-"""Cameras in session.toml: reading and writing (docs/photo-session.md has the format)."""
+"""Read and write the cameras in session.toml (docs/photo-session.md has the format)."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
 
     Args:
         table: [eyeball_camera] or [tracking_camera].
-        folder: of the session.
+        folder: folder of the session.
 
     Raises:
         BadInputError: a key is missing, faulty or contradicts another; the sentence names it.
@@ -39,17 +39,19 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
         return SessionCamera(size, form, tuple(photographs_in(table.path("intrinsics", folder))), lens=lens)
     if table.has("lens_file"):
         file = table.path("lens_file", folder)
-        known = load_lens(file)
+        calibrated = load_lens(file)
         if table.has("lens"):
-            raise table.fail("'lens' is given beside 'lens_file', which states its own kind of lens; remove 'lens'.")
-        if known.size_px != size:
+            raise table.fail("'lens' is given as well as 'lens_file', which states the kind of lens; remove 'lens'.")
+        if calibrated.size_px != size:
             raise table.fail(
                 f"its pictures have {_by(size)} pixels, but the lens in {file} was calibrated for "
-                f"{_by(known.size_px)}; give a lens of this size."
+                f"{_by(calibrated.size_px)}; give a lens of this size."
             )
     else:
-        file, known = None, _known(table, size, lens)
-    return SessionCamera(size, form, known=known, known_sigma=_sigma(table, len(known.values)), lens_file=file)
+        file, calibrated = None, _known(table, size, lens)
+    return SessionCamera(
+        size, form, known=calibrated, known_sigma=_sigma(table, len(calibrated.values)), lens_file=file
+    )
 
 
 def _by(size: tuple[int, int]) -> str:
@@ -67,10 +69,10 @@ def _known(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
 
 
 def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray, str]:
-    """Distortion terms, filled with zeros as OpenCV does, and the kind of lens: where it is auto, by their number."""
+    """Return distortion terms, padded with zeros as in OpenCV, and the kind of lens, from their number if "auto"."""
     if lens == "auto":
         if len(terms) == 4:
-            raise table.fail('\'distortion\' has 4 terms; say with lens = "brown" or lens = "fisheye" what they are.')
+            raise table.fail('\'distortion\' has 4 terms; state their kind by lens = "brown" or lens = "fisheye".')
         lens = {8: "rational", 12: "thin-prism"}.get(len(terms), "brown")
     wanted = len(LENS_KINDS[lens])
     if len(terms) not in {0, 4, wanted}:
@@ -82,7 +84,7 @@ def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray,
 
 
 def _sigma(table: Table, count: int) -> FloatArray | None:
-    """Return (count,) standard deviations of fx, fy, cx, cy and the distortion; None if the file states none."""
+    """Return the standard deviations (count,) of fx, fy, cx, cy and the distortion; None if not stated."""
     several = [key for key in ("focal_sigma_px", "centre_sigma_px") if table.has(key)]
     if table.has("sigma") and several:
         raise table.fail(f"give either 'sigma' or '{several[0]}', not both.")
@@ -101,22 +103,22 @@ def _sigma(table: Table, count: int) -> FloatArray | None:
 
 
 def written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
-    """Return the keys that `read_camera` reads as the same camera."""
+    """Return the keys of a camera that `read_camera` reads back."""
     keys: dict[str, Any] = {"width_px": camera.size_px[0], "height_px": camera.size_px[1]}
     keys |= camera.format.keys()
     if camera.known_sigma is not None:
         keys["sigma"] = camera.known_sigma.tolist()
     if camera.lens_file is not None:
         return keys | {"lens_file": str(camera.lens_file.relative_to(folder))}
-    known = camera.known
-    if known is None:
+    calibrated = camera.known
+    if calibrated is None:
         kind = {} if camera.lens == "auto" else {"lens": camera.lens}
         return keys | kind | {"intrinsics": str(camera.intrinsics[0].parent.relative_to(folder))}
-    if not isinstance(known, LensCamera):
-        raise TypeError(f"a {type(known).__name__} is written as its 'lens_file' only")
+    if not isinstance(calibrated, LensCamera):
+        raise TypeError(f"a {type(calibrated).__name__} is written as its 'lens_file' only")
     return keys | {
-        **({} if known.kind == "brown" else {"lens": known.kind}),
-        "focal_px": known.focal_px.tolist(),
-        "opencv_centre_px": (known.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
-        "distortion": known.distortion.tolist(),
+        **({} if calibrated.kind == "brown" else {"lens": calibrated.kind}),
+        "focal_px": calibrated.focal_px.tolist(),
+        "opencv_centre_px": (calibrated.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
+        "distortion": calibrated.distortion.tolist(),
     }

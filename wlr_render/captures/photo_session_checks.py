@@ -1,4 +1,4 @@
-"""Contradictions and gaps of a session.toml: each is refused in one sentence."""
+"""Checks of session.toml: each contradiction or gap is refused in one sentence."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +12,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table
 
 _MM = 1e-3
-_TRAVEL_MM = (0.5, 500.0)  # beyond, somebody has written metres or micrometres
+_TRAVEL_MM = (0.5, 500.0)  # plausible travel: beyond it, the unit is metres or micrometres
 
 Node = tuple[str, object]
 _DEVICE: Node = ("device", None)
@@ -29,7 +29,7 @@ def check_range(table: Table, key: str, value: FloatArray | float, limits: tuple
 
 
 def check_count(file: Table, session: PhotoSession) -> None:
-    """Refuse more photographs than are read: the search for places takes memory quadratic in their number."""
+    """Refuse too many photographs: the search for positions takes memory quadratic in their number."""
     count = sum(len(listed) for listed in stage_lists(session).values()) + len(session.tracking)
     if count > LIMITS.photographs:
         raise file.fail(f"lists {count} photographs, more than {LIMITS.photographs}; split the session.")
@@ -39,7 +39,7 @@ def check_session(file: Table, session: PhotoSession) -> None:
     """Refuse a session whose photographs cannot be placed in the device frame, or that contradicts itself.
 
     Raises:
-        BadInputError: as it says.
+        BadInputError: it is not usable; the sentence has the key and the remedy.
     """
     _check_lists(file, session)
     _check_frame(file, session)
@@ -68,7 +68,7 @@ def _check_lists(file: Table, session: PhotoSession) -> None:
 
 
 def _check_frame(file: Table, session: PhotoSession) -> None:
-    """Exactly one kind of thing fixes the device frame."""
+    """Refuse a session in which nothing, or more than one thing, fixes the device frame."""
     fixed = {"[tracking_camera]": session.tracking_camera is not None, "[[target]]": bool(session.targets)}
     if session.gauge is None and not any(fixed.values()):
         raise file.fail(
@@ -83,7 +83,7 @@ def _check_frame(file: Table, session: PhotoSession) -> None:
     for pose in (*session.targets, *([] if session.gauge_target is None else [session.gauge_target])):
         if pose not in photographed | {each.target_pose for each in session.see_through}:
             name = "'gauge'" if session.gauge else "[[target]]"
-            raise file.fail(f"{name} names target pose {pose}, of which there is no photograph; correct the number.")
+            raise file.fail(f"{name} names target pose {pose}, which has no photographs; correct the number.")
     if session.gauge == "camera" and session.stage is None:
         raise file.fail(
             'gauge = "camera" is the camera at the stage\'s reference, but there is no stage; name a target.'
@@ -103,16 +103,16 @@ def _check_travel(file: Table, session: PhotoSession) -> None:
 
 
 def _check_places(file: Table, session: PhotoSession) -> None:
-    """One place has one stage reading and one orientation."""
-    entries = [each for listed in stage_lists(session).values() for each in listed]
+    """Refuse a position with several stage readings or orientations."""
+    entries = [entry for listed in stage_lists(session).values() for entry in listed]
     groups = _groups(entries, session.stage, session.place_tolerance)
     first: dict[str, int] = {}
-    for number, each in enumerate(entries):
-        other = first.setdefault(each.place, number)
+    for number, entry in enumerate(entries):
+        other = first.setdefault(entry.place, number)
         if groups[other] != groups[number]:
             raise file.fail(
-                f"place '{each.place}' has entries of several stage readings or orientations ({_name(entries[other])} "
-                f"and {_name(each)}); give them different places, or correct the readings."
+                f"place '{entry.place}' has entries of several stage readings or orientations ({_name(entries[other])} "
+                f"and {_name(entry)}); give them different places, or correct the readings."
             )
 
 
@@ -135,32 +135,32 @@ def _check_regions(file: Table, session: PhotoSession) -> None:
                 f"{photograph.name} is listed with target poses {other} and {photograph.target_pose}; a photograph is "
                 "read as one target: correct one of them, or copy the file under another name if it shows two boards."
             )
-    through = {each.path: each for each in session.see_through}
+    through = {entry.path: entry for entry in session.see_through}
     width, height = session.eyeball_camera.size_px
-    for number, each in enumerate(session.beside, start=1):
+    for number, entry in enumerate(session.beside, start=1):
         where = f"[[beside]] number {number}"
-        if each.regions is not None and np.any((each.regions < 0) | (each.regions > [width, height, width, height])):
+        if entry.regions is not None and np.any((entry.regions < 0) | (entry.regions > [width, height, width, height])):
             raise file.fail(f"{where}: 'region_px' lies outside the picture of {width} x {height} pixels; correct it.")
-        if each.path in through:
-            if each.regions is None:
+        if entry.path in through:
+            if entry.regions is None:
                 raise file.fail(
                     f"{where} is also a [[see_through]] photograph; say with 'region_px' which part of it sees the "
                     "target past the optics."
                 )
-            if each.place != through[each.path].place:
+            if entry.place != through[entry.path].place:
                 raise file.fail(f"{where} is also a [[see_through]] photograph, of another place; correct one.")
 
 
 def _check_links(file: Table, session: PhotoSession) -> None:
-    """Every target pose and every camera place must follow from the device frame."""
-    known = _reachable(session)
+    """Refuse target poses and camera positions that do not follow from the device frame."""
+    reachable = _reachable(session)
     for name, photographs in (("bare", session.bare), ("beside", session.beside), ("see_through", session.see_through)):
         for number, photograph in enumerate(photographs, start=1):
-            if ("target", photograph.target_pose) not in known:
+            if ("target", photograph.target_pose) not in reachable:
                 raise file.fail(
-                    f"[[{name}]] number {number} is of target pose {photograph.target_pose}, of which there is no "
+                    f"[[{name}]] number {number} is of target pose {photograph.target_pose}, which has no "
                     "[[tracking]] photograph, no [[target]] pose and no chain of [[bare]] or [[beside]] photographs: "
-                    "nothing says where that target stood."
+                    "the position of that target is unknown."
                 )
     through: tuple[tuple[str, Sequence[Entry]], ...] = (
         ("see_through", session.see_through),
@@ -168,13 +168,13 @@ def _check_links(file: Table, session: PhotoSession) -> None:
     )
     for name, entries in through:
         for number, entry in enumerate(entries, start=1):
-            if _camera(session, entry) not in known:
+            if _camera(session, entry) not in reachable:
                 raise file.fail(f"[[{name}]] number {number}: {_no_camera(session, entry)}")
     _check_axes(file, session)
 
 
 def _reachable(session: PhotoSession) -> set[Node]:
-    """What photographs and stated poses tie to the device frame: target poses, places, or orientations on a stage."""
+    """Return the target poses, positions and orientations that photographs and poses link to the device frame."""
     links: list[tuple[Node, Node]] = [
         *((_DEVICE, ("target", each.target_pose)) for each in session.tracking),
         *((_DEVICE, ("target", pose)) for pose in session.targets),
@@ -185,33 +185,33 @@ def _reachable(session: PhotoSession) -> set[Node]:
     elif session.gauge == "camera":
         lowest = min(each.orientation for listed in stage_lists(session).values() for each in listed)
         links.append((_DEVICE, ("camera", lowest)))
-    known, before = {_DEVICE}, 0
-    while len(known) > before:
-        before = len(known)
-        known |= {node for link in links if known.intersection(link) for node in link}
-    return known
+    reachable, before = {_DEVICE}, 0
+    while len(reachable) > before:
+        before = len(reachable)
+        reachable |= {node for link in links if reachable.intersection(link) for node in link}
+    return reachable
 
 
 def _camera(session: PhotoSession, entry: Entry) -> Node:
-    """Return what fixes the camera: its orientation on the stage, or without a stage its place."""
+    """Return the node that fixes the camera: its orientation on the stage, or without a stage its position."""
     return ("camera", entry.place if session.stage is None else entry.orientation)
 
 
 def _no_camera(session: PhotoSession, entry: BoardPhotograph | CodeSet) -> str:
     if session.stage is None:
         return (
-            f"nothing says where the camera of place '{entry.place}' stood; add a [[beside]] photograph of that place "
+            f"the position of place '{entry.place}' is unknown; add a [[beside]] photograph of that place "
             "that shows a target of known pose past the optics."
         )
     empty = "" if session.bare else "'bare' is empty; "
     return (
-        f"{empty}nothing says where the camera stood at orientation {entry.orientation}; add [[bare]] photographs of a "
+        f"{empty}the camera's pose at orientation {entry.orientation} is unknown; add [[bare]] photographs of a "
         "target of known pose without the headset, or [[beside]] photographs past its optics."
     )
 
 
 def _check_axes(file: Table, session: PhotoSession) -> None:
-    """Axes are found from photographs of a target past or without the optics, or they must be stated."""
+    """Refuse axes that are neither stated nor measurable from photographs of a target past or without the optics."""
     if session.stage is None or session.bare or session.beside:
         return
     of_optics: list[Entry] = [*session.see_through, *session.display]
@@ -222,6 +222,6 @@ def _check_axes(file: Table, session: PhotoSession) -> None:
         ):
             wanted = "'direction' and 'pivot_mm'" if axis.kind == "rotary" else "'direction'"
             raise file.fail(
-                f"stage axis {number} moves, but nothing says how: add [[bare]] or [[beside]] photographs of a target, "
-                f"or give the axis its {wanted}."
+                f"stage axis {number} moves in an unknown direction: add [[bare]] or [[beside]] photographs of a "
+                f"target, or give the axis its {wanted}."
             )

@@ -1,4 +1,4 @@
-"""Entries of session.toml: photographs and code sets with their stage readings and camera places.
+"""Entries of session.toml: photographs and code sets with their stage readings and camera positions.
 
 The format is in docs/photo-session.md.
 """
@@ -30,12 +30,12 @@ Entry = BoardPhotograph | CodeSet
 EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
 
 _MOST_AXES = 12
-_MOST_READING = 1e4  # mm or degrees
+_MOST_READING = 1e4  # largest reading, mm or degrees
 _SHARED_NUMBERS = {"time_s": (-LIMITS.time_s, LIMITS.time_s), "temperature_c": LIMITS.temperature_c}
 _MOST_TOLERANCE_M = 1e-3
 _LEVER_M = 0.025
-"""Angles of rotary axes count as arcs of this radius when readings are compared: about that of a camera that rotates
-about its pupil."""
+"""Radius that converts angles of rotary axes to arcs for comparisons of readings: about the radius of a camera that
+rotates about its pupil."""
 
 
 def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, float]:
@@ -46,7 +46,7 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
         axes: (3, 3) rotation from the file's axes to the device frame's.
 
     Returns:
-        The stage, None for a camera without one, and the tolerance of places in metres.
+        The stage, None for a camera without one, and the tolerance of positions in metres.
 
     Raises:
         BadInputError: a key is faulty; the sentence names it.
@@ -64,9 +64,9 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
     in_camera = table.text("directions_in", "device", ("device", "camera")) == "camera"
     stage = StageDescription()
     if table.has("axes"):
-        own = np.eye(3) if in_camera else axes  # a camera has OpenCV's axes, whatever `frame` is
+        frame = np.eye(3) if in_camera else axes  # a camera has OpenCV's axes, whatever `frame` is
         listed = table.tables("axes", most=_MOST_AXES)
-        stage = StageDescription(tuple(_axis(each, own, in_camera) for each in listed))
+        stage = StageDescription(tuple(_axis(each, frame, in_camera) for each in listed))
     if in_camera and all(axis.direction is None for axis in stage.axes):
         raise table.fail(
             "'directions_in' is given, but no axis has a 'direction'; list them under 'axes', or remove it."
@@ -101,7 +101,7 @@ def _axis(table: Table, axes: FloatArray, in_camera: bool) -> StageAxis:
 
 
 def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
-    """Return the table [stage] that `read_stage` reads as the same; empty if the file needs none."""
+    """Return the table [stage] that `read_stage` reads back; empty if the file needs none."""
     if session.stage is None:
         return {"kind": "none"}
     keys: dict[str, Any] = {}
@@ -126,19 +126,19 @@ def _written_axis(axis: StageAxis, axes: FloatArray) -> dict[str, Any]:
 
 
 def _is_plain(stage: StageDescription) -> bool:
-    """Return whether a file needs no axes for it: three linear ones about which nothing is known."""
+    """Return whether a file needs no axes for the stage: three linear axes with unknown directions."""
     return len(stage.axes) == 3 and all(each.kind == "linear" and each.direction is None for each in stage.axes)
 
 
 @dataclass(frozen=True, eq=False)
 class EntryFormat:
-    """How the entries of one session.toml are written.
+    """Format of the entries of one session.toml.
 
     Attributes:
-        folder: of the session.
-        eyes: of the session.
-        stage: that carries the eyeball camera, or None.
-        turn: (m, m) from readings in the file to readings along the axes of the stage.
+        folder: folder of the session.
+        eyes: eyes of the session.
+        stage: stage of the eyeball camera, or None.
+        turn: (m, m) matrix from readings in the file to readings along the axes of the stage.
     """
 
     folder: Path
@@ -150,8 +150,8 @@ class EntryFormat:
     def of_axes(folder: Path, eyes: tuple[str, ...], stage: StageDescription | None, axes: FloatArray) -> "EntryFormat":
         """Return the format of a file whose device axes are `axes`, (3, 3) rotation to the device frame's.
 
-        Readings of three linear axes are taken along the file's x, y and z; their signs are free while their
-        directions are unknown.
+        Readings of three linear axes are along the file's x, y and z; their signs are free while their directions are
+        unknown.
         """
         turn = axes if stage is None or _is_plain(stage) else np.eye(len(stage.axes))
         return EntryFormat(folder, eyes, stage, turn)
@@ -164,11 +164,11 @@ class EntryFormat:
         """
         table.path("photograph", self.folder)  # refuses a name that leads out of the folder
         name, pose = str(Path(table.text("photograph"))), table.whole("target_pose", most=LIMITS.index)
-        found = BoardPhotograph(self.folder, name, pose, eye=self.eyes[0])
-        return self._completed(table, found, on_stage)
+        photograph = BoardPhotograph(self.folder, name, pose, eye=self.eyes[0])
+        return self._completed(table, photograph, on_stage)
 
     def beside(self, table: Table) -> BoardPhotograph:
-        """Read a photograph past the optics; raises as `photograph`."""
+        """Read a photograph past the optics; raises like `photograph`."""
         regions = None
         if table.has("region_px"):
             regions = table.vectors("region_px", 4)
@@ -177,12 +177,12 @@ class EntryFormat:
         return replace(self.photograph(table), regions=regions)
 
     def through(self, table: Table) -> BoardPhotograph:
-        """Read a photograph through the optics; raises as `photograph`."""
+        """Read a photograph through the optics; raises like `photograph`."""
         self._need_eye(table)
         return self.photograph(table)
 
     def code_set(self, table: Table) -> CodeSet:
-        """Read a set of photographs of the panel; raises as `photograph`."""
+        """Read a set of photographs of the panel; raises like `photograph`."""
         self._need_eye(table)
         channel = table.text("channel", choices=CHANNELS) if table.has("channel") else None
         return self._completed(table, CodeSet(table.path("photographs", self.folder), channel=channel))
@@ -232,7 +232,7 @@ class EntryFormat:
         return np.asarray(self.stage.units * (self.turn @ reading))
 
     def written(self, entry: Entry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
-        """The keys that are read as the same entry; `place` is written if given, `on_stage` as of `photograph`."""
+        """Serialise an entry that `photograph` or `code_set` reads back, with `place` if given; `on_stage` as there."""
         if isinstance(entry, BoardPhotograph):
             keys: dict[str, Any] = {"photograph": entry.name, "target_pose": entry.target_pose}
             if entry.regions is not None:
@@ -256,16 +256,16 @@ class EntryFormat:
 
 
 def stage_lists(session: PhotoSession) -> dict[str, Sequence[Entry]]:
-    """Return the lists of what the eyeball camera took, by their names in the file."""
+    """Return the lists of the eyeball camera's entries by their names in the file."""
     return {name: getattr(session, name) for name in ("bare", "beside", "see_through", "display")}
 
 
 def with_places(session: PhotoSession, form: EntryFormat | None = None) -> PhotoSession:
-    """Return a session whose entries without a place have the one that follows from their stage reading.
+    """Return a session in which entries without a position get the name that follows from their stage reading.
 
     Args:
         session: its entries have a reading, or a place.
-        form: of the file that the names of places are to follow; by default as a session is saved.
+        form: format of the file that the names follow; by default the format of a saved session.
     """
     form = form or EntryFormat.of_axes(session.folder, session.eyes, session.stage, FRAMES["opencv"])
     lists = stage_lists(session)
@@ -277,7 +277,7 @@ def with_places(session: PhotoSession, form: EntryFormat | None = None) -> Photo
 
 
 def place_groups(entries: Sequence[Entry], stage: StageDescription, tolerance_m: float) -> IntArray:
-    """Return number the groups of entries of one orientation whose stage readings lie within the tolerance, (n,)."""
+    """Return the number (n,) of each entry's group: one orientation, stage readings within the tolerance."""
     orientation = np.array([each.orientation for each in entries])
     lever = [1.0 if axis.kind == "linear" else _LEVER_M for axis in stage.axes]
     reading = np.array([each.stage for each in entries], dtype=np.float64).reshape(len(entries), -1) * lever
@@ -288,29 +288,29 @@ def place_groups(entries: Sequence[Entry], stage: StageDescription, tolerance_m:
 
 
 def place_names(entries: Sequence[Entry], form: EntryFormat, tolerance_m: float) -> list[str]:
-    """The place of each entry: its own, or that of its group, or one named after the group's first stage reading."""
+    """Return each entry's position name: its own, its group's, or one made from the group's first stage reading."""
     if form.stage is None or not entries:
-        return [each.place for each in entries]
+        return [entry.place for entry in entries]
     groups = place_groups(entries, form.stage, tolerance_m)
     name_of: dict[int, str] = {}
-    for group, each in zip(groups, entries, strict=True):
+    for group, entry in zip(groups, entries, strict=True):
         if group not in name_of:
-            reading = rounded(form.turn.T @ (np.asarray(each.stage) / form.stage.units))
-            suffix = f" orientation {each.orientation}" if each.orientation else ""
+            reading = rounded(form.turn.T @ (np.asarray(entry.stage) / form.stage.units))
+            suffix = f" orientation {entry.orientation}" if entry.orientation else ""
             name_of[group] = " ".join(f"{number:.9g}" for number in reading) + suffix
-    given = {(group, each.place) for group, each in zip(groups, entries, strict=True) if each.place}
+    given = {(group, entry.place) for group, entry in zip(groups, entries, strict=True) if entry.place}
     for group in name_of:
         places = [place for other, place in given if other == group]
         if len(places) == 1:
             name_of[group] = places[0]
-    return [each.place or name_of[group] for group, each in zip(groups, entries, strict=True)]
+    return [entry.place or name_of[group] for group, entry in zip(groups, entries, strict=True)]
 
 
 def positive(table: Table, key: str, most: float) -> float:
     """Return a number above 0 and not above `most`.
 
     Raises:
-        BadInputError: it is not.
+        BadInputError: the number is out of range.
     """
     value = table.number(key)
     if not 0 < value <= most:
@@ -319,5 +319,5 @@ def positive(table: Table, key: str, most: float) -> float:
 
 
 def rounded(value: Any) -> Any:
-    """Return a number or an array as a list, without the digits that only rounding makes."""
+    """Return a number or an array as a list, rounded to nine decimals."""
     return (np.round(value, 9) + 0.0).tolist()

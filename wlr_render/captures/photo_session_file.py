@@ -1,4 +1,4 @@
-"""session.toml of a photographic session: reading and writing (docs/photo-session.md has the format)."""
+"""Read and write session.toml of a photographic session (docs/photo-session.md has the format)."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -45,7 +45,7 @@ VERSION = 1
 EYES = ("left", "right")
 _MM = 1e-3
 
-# What lengths of a bench can be, in millimetres: beyond, somebody has written metres or micrometres.
+# Plausible lengths of a bench in millimetres: beyond, the unit is metres or micrometres.
 _EYE_BOX_LEAST_MM = 0.5
 _DEVICE_MM = 1e4
 _CAMERA_PLACE_MM = (0.5, 1000.0)
@@ -59,7 +59,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
 
     Raises:
         BadInputError: the file is missing or breaks the format, its lengths cannot be millimetres, or it contradicts
-            itself; the sentence says which key.
+            itself; the sentence names the key.
     """
     root = Path(folder)
     if not (root / FILE).is_file():
@@ -127,12 +127,12 @@ def _eyes(file: Table) -> tuple[str, ...]:
 def _of_each_eye(
     file: Table, key: str, eyes: Sequence[str], read: Callable[[Table], Value], alike: bool = True
 ) -> dict[str, Value]:
-    """Read the tables [key.left] and [key.right], or [key] for one eye; for both where they may be `alike`."""
+    """Read the tables [key.left] and [key.right], or [key] for one eye, or for both if they may be `alike`."""
     table = file.table(key)
     if any(table.has(eye) for eye in eyes):
-        found = {eye: read(table.table(eye)) for eye in eyes}
+        values = {eye: read(table.table(eye)) for eye in eyes}
         table.finish()
-        return found
+        return values
     if len(eyes) > 1 and not alike:
         raise file.fail(f"[{key}] is one table for both eyes; give [{key}.left] and [{key}.right].")
     return dict.fromkeys(eyes, read(table))
@@ -141,7 +141,7 @@ def _of_each_eye(
 def _panels(
     file: Table, root: Path, eyes: Sequence[str]
 ) -> tuple[dict[str, SessionPanel], dict[str, float], str, Path | None]:
-    """Return the panels, and of [code]: limits of decoding, order and manifest of the photographs."""
+    """Return the panels, and the limits of decoding, order and manifest of the photographs in [code]."""
     sizes = _of_each_eye(file, "panel", eyes, _panel)
     table = file.table("code")
     name = table.text("pattern", choices=list(PATTERNS))
@@ -235,11 +235,11 @@ def _gauge(file: Table) -> str | None:
 
 
 def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) -> Path:
-    """Write session.toml into the session's folder, in the axes "opencv", so that `load_photo_session` reads the same.
+    """Write session.toml in the axes "opencv" into the session's folder; `load_photo_session` reads it back.
 
     Args:
-        session: its paths lie below its folder.
-        code: of the table [code]: `pattern` and its numbers.
+        session: session whose paths lie below its folder.
+        code: content of the table [code]: `pattern` and its parameters.
         board: name of the board's file in the folder.
     """
     axes = FRAMES["opencv"]
@@ -279,14 +279,14 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
 
 
 def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, list[dict[str, Any]]]:
-    """Return the lists of photographs; of places only those that do not follow from the stage readings."""
-    entries = [(name, each) for name, listed in stage_lists(session).items() for each in listed]
-    unnamed = [each if session.stage is None else replace(each, place="") for _, each in entries]
+    """Return the lists of photographs, with only those position names that stage readings do not imply."""
+    entries = [(name, entry) for name, listed in stage_lists(session).items() for entry in listed]
+    unnamed = [entry if session.stage is None else replace(entry, place="") for _, entry in entries]
     written: dict[str, list[dict[str, Any]]] = {name: [] for name in stage_lists(session)}
-    for (name, each), derived in zip(entries, place_names(unnamed, form, session.place_tolerance), strict=True):
-        own = each.place if session.stage is None or each.place != derived else None
-        written[name].append(form.written(each, own))
-    return written | {"tracking": [form.written(each, None, on_stage=False) for each in session.tracking]}
+    for (name, entry), derived in zip(entries, place_names(unnamed, form, session.place_tolerance), strict=True):
+        place = entry.place if session.stage is None or entry.place != derived else None
+        written[name].append(form.written(entry, place))
+    return written | {"tracking": [form.written(entry, None, on_stage=False) for entry in session.tracking]}
 
 
 def _written_code(session: PhotoSession) -> dict[str, str]:

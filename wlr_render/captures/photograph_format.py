@@ -1,4 +1,4 @@
-"""Format of a camera's files: how stored values become linear grey values, and which of them are saturated."""
+"""Format of a camera's files: conversion of stored values to linear grey values, and saturation."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -23,32 +23,31 @@ MOSAICS = {
     "gbrg": cv2.COLOR_BAYER_GBRG2RGB,
     "bggr": cv2.COLOR_BAYER_BGGR2RGB,
 }
-_LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, as cv2.COLOR_RGB2GRAY
+_LUMA = np.array([0.299, 0.587, 0.114])  # weights of ITU-R BT.601, as in cv2.COLOR_RGB2GRAY
 _LINEARISED = 65535  # full scale of linearised values: finer than any camera's
 
 
 @dataclass(frozen=True)
 class PhotographFormat:
-    """How a camera's files become linear values of one channel, uint8 or uint16.
+    """Conversion of a camera's files to linear values of one channel, uint8 or uint16.
 
-    A saturated pixel has the value `full_scale`, and no other pixel has. Saturation is tested in the stored values,
+    Saturated pixels, and no others, have the value `full_scale`. Saturation is tested in the stored values,
     channel by channel, before colours are mixed and before linearisation.
 
     Attributes:
-        bits: of the camera, 8 to 16.
-        saturation: smallest stored value that counts as saturated; None: the largest value of `bits`. Counted in
-            right-justified values.
-        left_justified: whether values of less than 16 bits fill the upper bits of 16. None: they do where all lower
-            bits of a picture are zero.
-        black_level: stored value without light. It matters for `gamma` and for brackets; all else is differences.
+        bits: bits of the camera, 8 to 16.
+        saturation: smallest stored value that counts as saturated, right-justified; None: the largest value of `bits`.
+        left_justified: True if values of less than 16 bits fill the upper bits of 16. None: True where all lower bits
+            of a picture are zero.
+        black_level: stored value without light, which affects only `gamma` and brackets, since all else is differences.
         gamma: the stored value is proportional to light ** (1 / gamma).
-        linearisation: pairs (stored value, light), in increasing order; in place of `gamma`.
+        linearisation: pairs (stored value, light), in increasing order; instead of `gamma`.
         linearisation_file: path of that table as session.toml names it.
-        channel: of coloured files and mosaics: "grey", "red", "green" or "blue".
-        mosaic: colours of the top-left 2 x 2 pixels of raw files, e.g. "rggb"; empty: none.
-        interpolate: of a mosaic: whether to interpolate the channel at all pixels. Otherwise the picture has half the
-            width and height: red and blue are one pixel of each 2 x 2, green is the mean of two.
-        synthetic: the files are pictures that no camera took: nothing is saturated.
+        channel: channel of coloured files and mosaics: "grey", "red", "green" or "blue".
+        mosaic: colours of the top-left 2 x 2 pixels of raw files, e.g. "rggb"; empty without a mosaic.
+        interpolate: True to interpolate the channel of a mosaic at all pixels. Otherwise the picture has half the width
+            and height: red and blue are one pixel of each 2 x 2, green is the mean of two.
+        synthetic: True for pictures that no camera took, without saturation.
     """
 
     bits: int = 8
@@ -85,7 +84,7 @@ class PhotographFormat:
 
     @classmethod
     def from_table(cls, table: Table, root: Path = Path()) -> "PhotographFormat":
-        """Read the keys of a camera's table; all are optional but `bits`. The caller calls `table.finish`.
+        """Read the keys of a camera's table (all but `bits` are optional); the caller calls `table.finish`.
 
         Args:
             table: e.g. [eyeball_camera] of session.toml.
@@ -128,22 +127,22 @@ class PhotographFormat:
         )
 
     def keys(self) -> dict[str, Any]:
-        """Return the keys of a camera's table from which `from_table` reads the same format; defaults are left out."""
-        found: dict[str, Any] = {"bits": self.bits}
+        """Return the keys from which `from_table` reads the same format; defaults are left out."""
+        written: dict[str, Any] = {"bits": self.bits}
         default = PhotographFormat(bits=self.bits)
         for name in ("saturation", "left_justified", "black_level", "gamma", "channel", "mosaic", "interpolate"):
             if getattr(self, name) != getattr(default, name):
-                found[name] = getattr(self, name)
+                written[name] = getattr(self, name)
         if self.linearisation_file:
-            found["linearisation"] = self.linearisation_file
-        return found | ({"synthetic": True} if self.synthetic else {})
+            written["linearisation"] = self.linearisation_file
+        return written | ({"synthetic": True} if self.synthetic else {})
 
     def convert(self, stored: StoredValues, name: str) -> StoredValues:
         """Convert stored values to linear values of one channel.
 
         Args:
             stored: (h, w) grey or mosaic, or (h, w, 3) red, green, blue; uint8 or uint16.
-            name: of the file, for messages.
+            name: name of the file, for messages.
 
         Returns:
             (h, w) uint8 or uint16; half as high and wide if a mosaic is not interpolated.
@@ -173,7 +172,7 @@ class PhotographFormat:
         return linear
 
     def _right_justified(self, stored: StoredValues, name: str) -> tuple[StoredValues, float]:
-        """Return the values shifted down if they fill the upper bits, and the smallest saturated one."""
+        """Return the values, shifted down if they fill the upper bits, and the smallest saturated value."""
         if 8 * stored.itemsize < self.bits:
             raise BadInputError(
                 f"{name}: has {8 * stored.itemsize} bits a pixel, too few for a camera with values up to "
@@ -194,7 +193,7 @@ class PhotographFormat:
         return stored, end
 
     def _linear(self, values: StoredValues) -> StoredValues:
-        """Stored values to light, 0 to `full_scale`; as they are if they are linear."""
+        """Convert stored values to light, 0 to `full_scale`; linear values stay unchanged."""
         if not self.linearisation and self.gamma == 1.0:
             return values
         return _linear_table(self)[values]
@@ -217,7 +216,7 @@ class PhotographFormat:
         return np.asarray(np.rint(mean), dtype=linear.dtype), np.asarray(np.any([mask for *_, mask in chosen], axis=0))
 
     def _of_colours(self, linear: StoredValues) -> StoredValues:
-        """Return (h, w) the channel, of (h, w, 3) linear red, green and blue."""
+        """Return the channel (h, w) of linear red, green and blue (h, w, 3)."""
         if self.channel != "grey":
             return np.ascontiguousarray(linear[..., CHANNELS.index(self.channel) - 1])
         return np.asarray(np.rint(linear @ _LUMA), dtype=linear.dtype)
@@ -227,7 +226,7 @@ _COLOUR_NAMES = {name[0]: name for name in CHANNELS[1:]}
 
 
 def is_left_justified(stored: StoredValues, bits: int) -> bool:
-    """Return whether values of so many bits fill the upper bits of 16: all lower bits of the whole picture are zero."""
+    """Return whether values of `bits` bits fill the upper bits of 16: all lower bits of the whole picture are zero."""
     if stored.itemsize != 2 or not 8 <= bits < 16:
         return False
     return not int(np.bitwise_or.reduce(stored, axis=None)) & (2 ** (16 - bits) - 1)
@@ -240,7 +239,7 @@ def _rounded(light: StoredValues, largest: int) -> StoredValues:
 
 @cache
 def _linear_table(kind: PhotographFormat) -> NDArray[np.uint16]:
-    """Return (65536,) uint16 light of each stored value: 0 at the black level, `full_scale` at saturation."""
+    """Return the light (65536,), uint16, of each stored value: 0 at the black level, `full_scale` at saturation."""
     value = np.arange(65536.0)
     if kind.linearisation:
         stored, light = np.array(kind.linearisation).T
@@ -252,10 +251,10 @@ def _linear_table(kind: PhotographFormat) -> NDArray[np.uint16]:
 
 
 def _read_linearisation(path: Path) -> tuple[tuple[float, float], ...]:
-    """Return pairs (stored value, light) of a text file: two columns, or one with the light of the values 0, 1, 2, ...
+    """Read pairs (stored value, light) from two columns of a text file, or from one with the light of 0, 1, 2, ...
 
     Raises:
-        BadInputError: there is no such file, it does not hold numbers, or they do not increase.
+        BadInputError: the file is missing, does not hold numbers, or they do not increase.
     """
     kind = "a camera's linearisation"
     rows = [row for line in read_text(path, kind).split("\n") if (row := line.partition("#")[0].strip())]

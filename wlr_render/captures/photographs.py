@@ -22,10 +22,10 @@ CodeImage = Photograph | NDArray[np.float32]
 """A photograph of a code, or several exposures of one picture merged."""
 
 _AGAIN = "take it again, or leave it out"
-_EXIF, _EXPOSURE_TIME = 0x8769, 0x829A  # tags
-_BLACK = 0.01  # of full scale: where the brightest twentieth of a picture is darker, it is black
-_BRIGHTEST = 99.5  # percentile of grey values that becomes white where a detector needs 8 bits
-_WELL_EXPOSED = 128.0  # pictures of 8 bits with such values stay as they are
+_EXIF, _EXPOSURE_TIME = 0x8769, 0x829A  # EXIF tags
+_BLACK = 0.01  # share of full scale: a picture whose brightest twentieth is darker is black
+_BRIGHTEST = 99.5  # percentile of grey values that becomes white for a detector of 8 bits
+_WELL_EXPOSED = 128.0  # grey value from which pictures of 8 bits stay unchanged
 _RAW = (".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf")
 SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg", ".npy", *_RAW)
 
@@ -44,8 +44,8 @@ def read_photograph(path: str | Path, kind: PhotographFormat | None = None) -> P
         kind: format of the camera's files. None: grey values that fill the bits of the file.
 
     Raises:
-        BadInputError: there is no such file, or its values do not fit the format.
-        BadPhotographError: the file is no picture, or is cut short.
+        BadInputError: the file is missing, or its values do not fit the format.
+        BadPhotographError: the file is not a picture, or is cut short.
     """
     return _converted(_stored_values(Path(path)), path, kind)
 
@@ -55,7 +55,7 @@ def _converted(stored: Photograph, path: str | Path, kind: PhotographFormat | No
 
 
 def file_note(path: Path, kind: PhotographFormat) -> str:
-    """Return the sentence about what was found out about a camera's files and not stated; empty if nothing was."""
+    """Describe detected properties of a camera's files that are not stated; may be empty."""
     if kind.left_justified is None and kind.bits < 16 and is_left_justified(_stored_values(path), kind.bits):
         return (
             f"{path.name}: values of {kind.bits} bits fill the upper bits of 16 and were shifted down; state "
@@ -65,7 +65,7 @@ def file_note(path: Path, kind: PhotographFormat) -> str:
 
 
 def _stored_values(path: Path) -> Photograph:
-    """Return (h, w) or (h, w, 3) red, green, blue as the file has them; uint8 or uint16."""
+    """Return the stored values (h, w), or (h, w, 3) red, green, blue; uint8 or uint16."""
     content = read_bytes(path, LIMITS.picture_bytes, "take the photograph, or correct its name")
     if path.suffix.lower() == ".npy":
         stored = _numpy_array(path, content)
@@ -85,7 +85,7 @@ def _stored_values(path: Path) -> Photograph:
 
 @contextlib.contextmanager
 def _decoding(path: Path) -> Iterator[None]:
-    """Convert whatever a decoder raises in the block to a `BadPhotographError`."""
+    """Convert any exception of a decoder in a `with` block to a `BadPhotographError`."""
     try:
         with parsing(path, "a photograph", _AGAIN):
             yield
@@ -127,7 +127,7 @@ def exposure_of(path: Path) -> float | None:
             time = tags.get_ifd(_EXIF).get(_EXPOSURE_TIME, tags.get(_EXPOSURE_TIME))
             return None if time is None or not 0 < float(time) < np.inf else float(time)
     except BadInputError:
-        return None  # reading the picture will say what is wrong with the file
+        return None  # reading the picture will report the fault
 
 
 def check_photograph(
@@ -138,12 +138,12 @@ def check_photograph(
     Args:
         image: (h, w).
         size_px: width and height of the camera's photographs.
-        kind: of its file.
-        name: of the photograph, for the error.
+        kind: format of its file.
+        name: name of the photograph, for the error.
         merged_from: value from which an image merged from several exposures is saturated.
 
     Raises:
-        BadInputError: it has another size than the camera.
+        BadInputError: its size differs from the camera's.
         BadPhotographError: it is black or blown out.
     """
     height, width = image.shape
@@ -160,13 +160,13 @@ def check_photograph(
 
 
 def write_photograph(path: str | Path, image: Photograph) -> Path:
-    """Write (h, w) uint8 or uint16 as .png or .tif, whole or not at all."""
-    # Noise does not compress: more effort only takes longer.
+    """Write (h, w) uint8 or uint16 as .png or .tif, atomically."""
+    # Noise does not compress: a higher compression level only takes longer.
     return write_image(path, image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
 
 
 def as_bytes(image: Photograph) -> NDArray[np.uint8]:
-    """Return the picture in 8 bits for detectors: of 16 bits, or hardly exposed, with its brightest values near 255."""
+    """Convert a picture to 8 bits for detectors, with 16-bit or under-exposed values scaled to near 255."""
     brightest = float(np.percentile(image, _BRIGHTEST))
     if image.dtype == np.uint8 and not 0 < brightest < _WELL_EXPOSED:
         return np.asarray(image, dtype=np.uint8)
@@ -175,27 +175,27 @@ def as_bytes(image: Photograph) -> NDArray[np.uint8]:
 
 
 def photographs_in(folder: str | Path) -> list[Path]:
-    """Return the photographs of a folder in the order of their names; numbers in names count as numbers.
+    """Return the photographs of a folder in natural order of their names (2 before 10).
 
     Raises:
-        BadInputError: there is no such folder, or no photograph in it.
+        BadInputError: the folder is missing or has no photographs.
     """
     if not Path(folder).is_dir():
         raise BadInputError(f"{folder}: there is no such folder of photographs; name another one.")
     with parsing(folder, "a folder of photographs", "name another folder"):
-        found = [path for path in Path(folder).iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
-    if len(found) > LIMITS.photographs:
-        raise BadInputError(f"{folder}: holds {len(found)} photographs, more than {LIMITS.photographs}; split it.")
-    if not found:
+        paths = [path for path in Path(folder).iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
+    if len(paths) > LIMITS.photographs:
+        raise BadInputError(f"{folder}: holds {len(paths)} photographs, more than {LIMITS.photographs}; split it.")
+    if not paths:
         raise BadInputError(f"{folder}: holds no photographs ({', '.join(SUFFIXES)}); name another folder.")
-    return sorted(found, key=_natural)
+    return sorted(paths, key=_natural)
 
 
 def read_each(paths: Sequence[Path], kind: PhotographFormat | None = None) -> Iterator[Photograph]:
     """Read photographs one at a time, all of one size.
 
     Raises:
-        BadInputError: as `read_photograph`, or a photograph is not of the size of the first.
+        BadInputError: as `read_photograph`, or a photograph's size differs from the first.
     """
     first = ""
     for path in paths:
@@ -204,7 +204,7 @@ def read_each(paths: Sequence[Path], kind: PhotographFormat | None = None) -> It
         pixels = describe_pixels(image) + (" in colour" if stored.ndim == 3 else "")
         first = first or pixels
         if pixels != first:
-            raise BadInputError(f"{path}: is {pixels}, but {paths[0].name} is {first}; all of a set must be alike.")
+            raise BadInputError(f"{path}: is {pixels}, but {paths[0].name} is {first}; a set must have one format.")
         yield image
 
 
@@ -214,6 +214,6 @@ def describe_pixels(image: CodeImage) -> str:
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
-    """Digits as numbers: 2 before 10."""
+    """Return a sorting key of a name with digits as numbers: 2 before 10."""
     parts = re.split(r"(\d+)", path.name)
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

@@ -13,13 +13,13 @@ _OPENCV_DIRECTIVE = "%YAML:"  # OpenCV's first line up to version 4, which YAML 
 
 
 def read_mapping(file: Path, text: str, kind: str, remedy: str) -> dict[str, Any]:
-    """Return the keys and values of a YAML or JSON text; of several YAML documents, the first that is not empty.
+    """Return the keys and values of a YAML or JSON text, of the first YAML document that is not empty.
 
     Args:
-        file: that has the text, for errors.
-        text: of the file.
-        kind: what the file should be, e.g. "a file of a lens".
-        remedy: what to do, without a full stop.
+        file: path of the file, for errors.
+        text: text of the file.
+        kind: expected content, e.g. "a file of a lens".
+        remedy: remedy, without a full stop.
 
     Raises:
         BadInputError: the text is neither YAML nor JSON, or holds no keys; the sentence has the line.
@@ -39,11 +39,11 @@ def read_mapping(file: Path, text: str, kind: str, remedy: str) -> dict[str, Any
 
 
 def _first_document(text: str) -> Any:
-    """Return the first YAML document of a text that is not empty, or None."""
+    """Return the first non-empty YAML document of a text, or None."""
     try:
         return next((document for document in yaml.safe_load_all(text) if document is not None), None)
     except yaml.MarkedYAMLError as error:
         line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
         raise ValueError(f"{line}{error.problem}") from error
-    except AttributeError as error:  # as PyYAML raises
+    except AttributeError as error:  # raised by PyYAML
         raise ValueError("a value is not of its tag's type") from error

@@ -1,7 +1,7 @@
 """One measuring session: the setup and, row by row, the readings. Device frame (OpenXR), metres, seconds.
 
-A row of a *plan* says where the bench believed its parts to be when it took one reading; the *session* adds the
-reading. A simulation predicts the readings of a plan, so that measured minus simulated is one subtraction.
+A row of a *plan* has the nominal state of the bench for one reading; the *session* adds the reading. A simulation
+predicts the readings of a plan, so that measured minus simulated is one subtraction.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -16,19 +16,19 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class DisplayPlan:
-    """Readings of the panel: which panel position a camera pixel shows.
+    """Setup of the panel's readings: the panel position that a camera pixel shows.
 
     Attributes:
         capture: (n,) index of the photograph.
-        time_s: (n,) since the session's start.
+        time_s: (n,) time since the session's start.
         travel: (n,) direction of the stage's last move in x, +1 or -1.
-        stage: (n, 3) where the micrometers say that the camera's centre of projection is.
-        channel: (n,) 0 red, 1 green, 2 blue.
-        camera_pixel: (n, 2) in which camera pixel.
-        orientation: (n, 3, 3) device_from_camera where the camera was turned between captures; None where it always
-            looks along -z.
-        sigma_px: (n,) standard deviation of each reading per axis, camera pixels; None where the bench's
-            `point_sigma_px` holds for all.
+        stage: (n, 3) position of the camera's centre of projection read from the micrometers.
+        channel: (n,) colour: 0 red, 1 green, 2 blue.
+        camera_pixel: (n, 2) camera pixels.
+        orientation: (n, 3, 3) device_from_camera if the camera was turned between captures; None if it always looks
+            along -z.
+        sigma_px: (n,) standard deviation of each reading per axis, camera pixels; None if the bench's `point_sigma_px`
+            holds for all.
     """
 
     capture: IntArray
@@ -46,16 +46,16 @@ class DisplayPlan:
 
 @dataclass(frozen=True, eq=False)
 class SeeThroughPlan:
-    """Readings of a printed target through the optics: in which camera pixel a dot appears.
+    """Setup of a printed target's readings through the optics: the camera pixel of a dot.
 
     Attributes:
         capture, time_s, travel, stage: as in `DisplayPlan`; captures count from 0 for every pose of the target.
         target_pose: (n,) index of the target's pose.
-        dot: (n, 2) the dot's place on the printed target, metres.
+        dot: (n, 2) position of the dot on the printed target, metres.
         orientation: as in `DisplayPlan`.
-        bare_pixel: (n, 2) where the same camera, at the same place, saw the dot without the headset; None where that
-            was not photographed. The dot is taken to lie on that pixel's ray, at its distance by the tracked pose.
-        height: (n,) of the dot above the plane of the target, metres; None for a flat target.
+        bare_pixel: (n, 2) pixels of the dots for the same camera at the same position without the headset; None if not
+            photographed. A dot is assumed to lie on that pixel's ray, at its distance from the tracked pose.
+        height: (n,) height of the dot above the plane of the target, metres; None for a flat target.
         sigma_px: as in `DisplayPlan`.
     """
 
@@ -76,16 +76,16 @@ class SeeThroughPlan:
 
 @dataclass(frozen=True, eq=False)
 class RunTimePlan:
-    """Readings while the glasses run: where the real dot and the virtual one meant to cover it are seen.
+    """Setup of run-time readings: the camera pixels of the real dot and of the virtual dot meant to cover it.
 
     Attributes:
         capture: (n,) index of the recording.
-        time_s: (n,) when the frame was meant to be seen.
+        time_s: (n,) intended display time of the frame.
         world_from_device: (n, 4, 4) head pose at that time.
         head_velocity: (n, 3) metres per second, world frame.
         head_rate: (n, 3) angular velocity, radians per second, world frame.
-        viewpoint: (n, 3) tracked place of the pupil.
-        gaze: (n, 3) unit direction in which the eye looks.
+        viewpoint: (n, 3) tracked position of the pupil.
+        gaze: (n, 3) unit gaze direction.
         dot: (n, 3) the real dot, world frame.
     """
 
@@ -107,7 +107,7 @@ AnyPlan = TypeVar("AnyPlan", DisplayPlan, SeeThroughPlan, RunTimePlan)
 
 @dataclass(frozen=True, eq=False)
 class SessionPlan:
-    """All readings that a session takes; a part that it does not have is None."""
+    """Setup of all readings of a session; a missing part is None."""
 
     display: DisplayPlan | None = None
     see_through: SeeThroughPlan | None = None
@@ -121,7 +121,7 @@ class SessionPlan:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What was seen, or is predicted to be seen, for each row of a plan; None for a part that is not there.
+    """Measured or predicted readings for each row of a plan; None for a missing part.
 
     Attributes:
         panel_pixel: (n, 2) panel position for each display row.
@@ -141,12 +141,12 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A plan and what was read.
+    """A plan and its readings.
 
     Attributes:
-        name: where it came from, for messages and reports.
-        plan: what was set up.
-        readings: what was seen.
+        name: source of the session, for messages and reports.
+        plan: setup of the readings.
+        readings: the readings.
     """
 
     name: str
@@ -166,7 +166,7 @@ class Session:
 
 
 def select_rows(plan: AnyPlan, rows: NDArray[Any]) -> AnyPlan:
-    """Return the rows of a plan that an index or mask names."""
+    """Return the rows of a plan, by index or mask."""
     kept: dict[str, Any] = {}
     for field in fields(plan):
         value = getattr(plan, field.name)

@@ -1,6 +1,6 @@
-"""Read every photograph of a session in parallel, and keep what was read so that interrupted work resumes.
+"""Read every photograph of a session in parallel, and keep the results so that interrupted work can be resumed.
 
-A photograph that cannot be read does not stop the others: it is excluded and named with its reason.
+A photograph that cannot be read does not stop the others: it is excluded and listed with the reason.
 """
 
 import functools
@@ -34,21 +34,21 @@ from wlr_render.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import THIS_MACHINE, Spread, as_finished
 from wlr_render.progress import SILENT, Progress
 
-_VERSION = 6  # of the way of reading: results of another one are read again
-_THUMBNAIL_PX = 160  # width of the picture of rejections that is kept of a decoded set
-_MOST_WORKERS = 3  # decoding takes half a gigabyte a process for 1280 x 1024 pixels; all together stay below two
+_VERSION = 6  # version of the reader: results of another version are read again
+_THUMBNAIL_PX = 160  # width of the picture of rejections that is kept for a decoded set
+_MOST_WORKERS = 3  # most workers by default: decoding 1280 x 1024 pixels takes half a gigabyte in each process
 
 
 @dataclass(frozen=True)
 class Excluded:
-    """A photograph, or a set, that could not be read, or that results are made without.
+    """A photograph or set that could not be read, or that the results do not use.
 
     Attributes:
-        name: as reports give it.
-        reason: the sentence.
-        fault: whether the session is not as session.toml says (missing, of another size, out of order, without the
-            board), rather than one photograph having failed.
-        off_arcmin: how far what it shows lies from where the other photographs predict it; 0 where nothing was read.
+        name: name in reports.
+        reason: reason as a sentence.
+        fault: True if the session contradicts session.toml (missing, of another size, out of order, without the board),
+            rather than one photograph having failed.
+        off_arcmin: distance of its features from the prediction of the other photographs; 0 if nothing was read.
     """
 
     name: str
@@ -59,15 +59,15 @@ class Excluded:
 
 @dataclass(frozen=True, eq=False)
 class PanelReading:
-    """What a set of code photographs says.
+    """Result of decoding a set of code photographs.
 
     Attributes:
         samples: panel positions at camera pixels.
-        counts: (number of reasons,) how many camera pixels have which `Rejection`.
+        counts: (number of reasons,) number of camera pixels for each `Rejection`.
         fates: (h, w) uint8 `Rejection` of a thinned-out picture.
         extent: (2, 2) lowest and highest panel position accepted.
-        missing: names of the pictures of which there is no photograph; the others replace them.
-        file_note: sentence about the format of the files, if it was found out and not stated.
+        missing: names of the pictures without a photograph; the others replace them.
+        file_note: sentence about the format of the files, if it was detected and not stated.
     """
 
     samples: DecodedSamples
@@ -80,13 +80,13 @@ class PanelReading:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a session's photographs say.
+    """Results of reading a session's photographs.
 
     Attributes:
         boards: observation of each photograph of the board that could be read.
-        panels: of each set of code photographs that could be decoded, by its folder.
-        excluded: what could not be read, and why.
-        kept: how many were found read already by an earlier run.
+        panels: reading of each decoded set of code photographs, by its folder.
+        excluded: photographs that could not be read, with the reasons.
+        kept: number of results from an earlier run.
     """
 
     boards: dict[Path, BoardObservation] = field(default_factory=dict)
@@ -105,26 +105,26 @@ class Reading:
         ]
 
     def seen(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
-        """Those of some photographs that could be read, with their observations in the regions of their entries."""
+        """Return the readable photographs with their features inside the entry's regions."""
         read = [(each, self.boards[each.path]) for each in photographs if each.path in self.boards]
         counted = [(each, observation.only(each.counts(observation.pixel))) for each, observation in read]
         return [(each, observation) for each, observation in counted if len(observation)]
 
     def decoded(self, sets: Sequence[CodeSet]) -> list[tuple[CodeSet, PanelReading]]:
-        """Those of some sets that could be decoded, with what they say."""
+        """Return the decoded sets with their readings."""
         return [(each, self.panels[each.folder]) for each in sets if each.folder in self.panels]
 
 
 def read_session(
     session: PhotoSession, folder: Path, spread: Spread = THIS_MACHINE, progress: Progress = SILENT
 ) -> Reading:
-    """Find the board and decode the panel wherever the session has photographs of them.
+    """Find the board and decode the panel in all photographs of a session.
 
     Args:
-        session: names the photographs.
-        folder: in which what was read is kept, and found again by the next run.
-        spread: where it is done; by default on all cores, but not more than memory allows.
-        progress: shows how far the work is.
+        session: session with the paths of the photographs.
+        folder: folder in which the results are kept for the next run.
+        spread: processes or machines; by default all cores that memory allows.
+        progress: progress display.
     """
     panels, boards = list(_panel_tasks(session)), list(_board_tasks(session))
     tasks: list[_Task] = [*panels, *boards]  # the long ones first
@@ -141,11 +141,13 @@ def read_session(
 
 
 def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
-    for each in session.display:
-        camera, pattern = session.eyeball_camera, session.panels[each.eye].pattern
-        name = session.name_of(each.folder)
+    for code_set in session.display:
+        camera, pattern = session.eyeball_camera, session.panels[code_set.eye].pattern
+        name = session.name_of(code_set.folder)
         order, manifest = session.code_order, session.code_manifest
-        yield _PanelTask(name, each.folder, order, manifest, pattern, session.decoding, camera.size_px, camera.format)
+        yield _PanelTask(
+            name, code_set.folder, order, manifest, pattern, session.decoding, camera.size_px, camera.format
+        )
 
 
 def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
@@ -163,7 +165,7 @@ def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
 
 @dataclass(frozen=True, eq=False)
 class _BoardTask:
-    """Find the board in one photograph."""
+    """Task: find the board in one photograph."""
 
     name: str
     path: Path
@@ -177,22 +179,27 @@ class _BoardTask:
     def read(self) -> dict[str, NDArray[Any]]:
         image = read_photograph(self.path, self.kind)
         check_photograph(image, self.size_px, self.kind, self.name)
-        found = self.board.find(image, self.name)
-        counts = np.array([found.unidentified, found.disagreeing, found.ambiguous_half_turn])
-        seen = {"index": found.index, "pixel": found.pixel, "sigma_px": found.sigma_px, "counts": counts}
-        discs = found.discs
-        return seen if discs is None else seen | {"centroid": discs.centroid, "radius_m": discs.radius_m}
+        observation = self.board.find(image, self.name)
+        counts = np.array([observation.unidentified, observation.disagreeing, observation.ambiguous_half_turn])
+        arrays = {
+            "index": observation.index,
+            "pixel": observation.pixel,
+            "sigma_px": observation.sigma_px,
+            "counts": counts,
+        }
+        discs = observation.discs
+        return arrays if discs is None else arrays | {"centroid": discs.centroid, "radius_m": discs.radius_m}
 
     def result(self, kept: dict[str, NDArray[Any]]) -> BoardObservation:
         unidentified, disagreeing, half_turn = (int(number) for number in kept["counts"])
-        seen = kept["index"], kept["pixel"], kept["sigma_px"]
+        features = kept["index"], kept["pixel"], kept["sigma_px"]
         discs = Discs(kept["centroid"], kept["radius_m"]) if "centroid" in kept else None
-        return BoardObservation(*seen, unidentified, disagreeing, bool(half_turn), discs)
+        return BoardObservation(*features, unidentified, disagreeing, bool(half_turn), discs)
 
 
 @dataclass(frozen=True, eq=False)
 class _PanelTask:
-    """Decode one set of code photographs."""
+    """Task: decode one set of code photographs."""
 
     name: str
     folder: Path
@@ -230,7 +237,7 @@ class _PanelTask:
         }
 
     def _check_first(self, files: CodeFiles) -> None:
-        """Check the first picture with light of the panel, its exposures merged: its faults are those of all.
+        """Check the first lit picture of the panel, its exposures merged, on behalf of all.
 
         Raises:
             BadInputError: as `check_photograph`.
@@ -254,12 +261,12 @@ _Task = _BoardTask | _PanelTask
 
 
 def _do_task(work: tuple[_Task, Path]) -> Excluded | None:
-    """Read photographs and keep what they say; returns what is wrong with them."""
+    """Read photographs and keep the result; returns the reason if that fails."""
     task, folder = work
     try:
         arrays = task.read()
     except BadInputError as error:
-        # One photograph of the board that failed is one place less; a code without one of its pictures is none.
+        # A failed photograph of the board loses one position; a code without one of its pictures is lost as a whole.
         one_less = isinstance(error, BadPhotographError) and isinstance(task, _BoardTask)
         text = str(error)
         for prefix in (f"{task.path}: ", f"{task.name}: ", f"{task.path}/", f"{task.name}/"):
@@ -270,7 +277,7 @@ def _do_task(work: tuple[_Task, Path]) -> Excluded | None:
 
 
 def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
-    """Return what was kept, if it was read from these very files in this very way; else None."""
+    """Return the kept result if it comes from exactly these files and settings, else None."""
     path = _kept_path(task, folder)
     try:
         kept = read_arrays(path, "a kept reading")
@@ -280,13 +287,13 @@ def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
 
 
 def _kept_path(task: _Task, folder: Path) -> Path:
-    # The hash tells names apart of which the rest is the same; 50 characters are 200 bytes at most.
+    # The hash distinguishes names that are otherwise equal; 50 characters are 200 bytes at most.
     name = task.name.replace("/", "__")[-50:]
     return folder / f"{name}-{hashlib.sha256(task.name.encode()).hexdigest()[:16]}.npz"
 
 
 def _fingerprint(paths: Sequence[Path], how: object) -> str:
-    """Return the SHA-256 of the names and contents of files, and of how they are read."""
+    """Return the SHA-256 of the names and contents of files, and of the settings of reading."""
     about = [(path.name, _sha256(path, path.stat().st_mtime_ns)) for path in paths]
     return hashlib.sha256(json.dumps([_VERSION, about, repr(how)]).encode()).hexdigest()
 
@@ -298,7 +305,7 @@ def _sha256(path: Path, date_ns: int) -> str:
 
 
 def _why_nothing(decoded: Decoded) -> str:
-    """Return what most of the camera's lit pixels were rejected for."""
+    """Return the reason for which most of the camera's lit pixels were rejected."""
     counts = decoded.counts()
     counts.pop(Rejection.DARK, None)
     if not counts:

@@ -1,11 +1,11 @@
-"""Tables of a bench session: columns, their units and checks, and their conversion to plans and readings and back.
+"""Tables of a bench session: columns, units, checks, and conversion to and from plans and readings.
 
 Reading, writing, checking and docs/bench-session.md follow `SCHEMAS`.
 
-`device_from_file` (3, 3) turns the axes that bench.toml states into the device frame's: the identity for "openxr",
-diag(1, -1, -1) for "opencv". It applies alike to the device, the world, the camera and the printed target, so that a
-rotation R of the file becomes `device_from_file @ R @ device_from_file.T`. Camera pixels have their centres at whole
-numbers in the file and half a pixel further here; panel pixels are the same in both.
+`device_from_file` (3, 3) turns the axes of bench.toml into the device frame's: the identity for "openxr", diag(1, -1,
+-1) for "opencv". It applies to the device, the world, the camera and the printed target, so that a rotation R of the
+file becomes `device_from_file @ R @ device_from_file.T`. Camera pixels have their centres at whole numbers in the file
+and half a pixel further here; panel pixels are the same in both.
 """
 
 import math
@@ -30,16 +30,16 @@ Conversion = Callable[[Any, FloatArray], Any]
 MM = 1e-3
 """One millimetre in metres."""
 HALF_PIXEL = 0.5
-"""From a pixel's whole-numbered centre in a file to our pixels, which count from the image's outer corner."""
+"""Offset from a pixel's integer centre in a file to pixels that count from the image's outer corner."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of quantity, by how it changes between a session's files and this library.
+    """A kind of quantity, defined by its conversion between a session's files and this library.
 
     Attributes:
-        of_file: (what a few columns (n, k) or a key hold, device_from_file) -> what a plan or a bench holds.
-        to_file: the inverse.
+        of_file: (columns (n, k) or a key of the file, device_from_file) -> value in a plan or a bench.
+        to_file: the inverse conversion.
     """
 
     of_file: Conversion = lambda value, _: value
@@ -95,13 +95,13 @@ class Column:
     """One column of a table.
 
     Attributes:
-        name: in the header line.
-        unit: in words; empty for a bare number.
-        meaning: in words, for the documentation.
+        name: name in the header line.
+        unit: unit in words; empty for a bare number.
+        meaning: description for the documentation.
         kind: allowed values.
         group: name of a group of optional columns that occur together; empty for a required column.
         absent: default of an optional column; None if the default is not a number.
-        most: largest plausible absolute value in `unit`; None: that of `_MOST`.
+        most: largest plausible absolute value in `unit`; None: the value in `_MOST`.
         least: smallest plausible value in `unit`.
     """
 
@@ -121,18 +121,18 @@ class Column:
 
 
 _MOST = {"": LIMITS.index, "mm": 1e5, "px": 1e6, "s": LIMITS.time_s, "mm/s": 2e4, "rad/s": 20.0}
-"""By unit: a target or a head within 100 m, a head that turns 1100 degrees a second."""
+"""Largest plausible value by unit: a target or a head within 100 m, a head that turns 1100 degrees a second."""
 _MOST_IN_DEVICE_MM = 1e4
 
 
 @dataclass(frozen=True)
 class Field:
-    """Columns that together hold one attribute of a plan, or its reading.
+    """Columns that together form one attribute of a plan, or its reading.
 
     Attributes:
-        attribute: of the plan, or of `Readings`.
-        quantity: how the columns, (n, k), are converted.
-        columns: k of them; all optional or none.
+        attribute: attribute of the plan, or of `Readings`.
+        quantity: conversion of the columns, (n, k).
+        columns: the k columns; all optional or none.
     """
 
     attribute: str
@@ -140,7 +140,7 @@ class Field:
     columns: tuple[Column, ...]
 
     def stacked(self, columns: Columns) -> FloatArray:
-        """Return (n, k)."""
+        """Return the field's columns stacked, (n, k)."""
         return np.stack([columns[column.name] for column in self.columns], axis=1)
 
 
@@ -149,13 +149,14 @@ class Schema:
     """One table, a part of a session.
 
     Attributes:
-        name: the file's name without its suffix.
-        title: of what it has one row each.
-        plan: the attribute of a `SessionPlan`; `plan_type`: its type.
-        reading: the attribute of `Readings`.
-        fields: in the order in which their columns are written; a file may have columns in any order.
-        capture_key: the columns that together say which capture a row belongs to.
-        setup: the columns that are the same in all rows of a capture, and differ from one capture to the next.
+        name: name of the file without its suffix.
+        title: content of a row.
+        plan: attribute of a `SessionPlan`.
+        plan_type: its type.
+        reading: attribute of `Readings`.
+        fields: fields in the order of writing; a file may have columns in any order.
+        capture_key: columns that together identify the capture of a row.
+        setup: columns that are equal in all rows of a capture, and differ from one capture to the next.
         unit_vectors: columns that together are a vector of length 1.
     """
 
@@ -175,7 +176,7 @@ class Schema:
         return tuple(column for field in self.fields for column in field.columns)
 
     def of_file(self, columns: Columns, device_from_file: FloatArray) -> tuple[Any, FloatArray]:
-        """Return the plan, and its readings."""
+        """Convert columns of a file to a plan and its readings."""
         values = {
             field.attribute: field.quantity.of_file(field.stacked(columns), device_from_file)
             for field in self.fields
@@ -185,7 +186,7 @@ class Schema:
         return self.plan_type(**values), reading
 
     def to_file(self, plan: Any, reading: FloatArray, device_from_file: FloatArray) -> Columns:
-        """Return the inverse of `of_file`."""
+        """Convert a plan and its readings to columns of a file."""
         columns: Columns = {}
         for field in self.fields:
             value = reading if field.attribute == self.reading else getattr(plan, field.attribute)

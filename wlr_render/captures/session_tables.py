@@ -23,17 +23,17 @@ _UNIT_SUFFIX = re.compile(r"(_(mm|cm|m|um|inch|deg|rad|mrad|arcmin|px|s|ms|us|mi
 
 
 def read_table(path: Path, schema: Schema) -> Columns:
-    """Read a table and check every cell; optional columns that it does not have are filled in, or not in the result.
+    """Read a table and check every cell; missing optional columns get their default or are left out.
 
     Raises:
-        BadInputError: a column is missing, unknown or in another unit, a cell is no number or one that its column
-            does not allow, there are no rows, or captures contradict or repeat each other.
+        BadInputError: a column is missing, unknown or in another unit, a cell is not a number or not allowed in its
+            column, the table is empty, or captures contradict or repeat each other.
     """
     lines = _lines(path)
     header = [name.strip() for name in lines[0][1].split(",")] if lines else []
     _check_header(path, header, schema)
     if len(lines) < 2:
-        raise BadInputError(f"{path}: has no rows; is the recording empty? Omit the file if there are none.")
+        raise BadInputError(f"{path}: has no rows; is the recording empty? Omit the file without rows.")
     numbers = [number for number, _ in lines[1:]]
     values = _values(path, header, [text for _, text in lines[1:]], numbers)
     columns = {name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(header)}
@@ -44,7 +44,7 @@ def read_table(path: Path, schema: Schema) -> Columns:
 
 
 def write_table(path: Path, schema: Schema, columns: Mapping[str, FloatArray]) -> Path:
-    """Write a table whole or not at all, gzipped if the name ends in .gz, so that numbers keep 15 digits."""
+    """Write a table atomically, gzipped if the name ends in .gz; numbers keep 15 digits."""
     written = [column for column in schema.columns if column.name in columns]
     formats = ["%.15g" if column.kind in (Kind.NUMBER, Kind.POSITIVE) else "%d" for column in written]
     values = np.stack([columns[column.name] for column in written], axis=1)
@@ -65,7 +65,7 @@ def _text(path: Path) -> str:
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Return lines that are not blank, with their numbers; cells are separated by commas, and decimals by points."""
+    """Return the non-blank lines with their numbers, with commas between cells and decimal points."""
     lines = [(number, text) for number, text in enumerate(_text(path).split("\n"), 1) if text.strip()]
     if lines and STATED_SEPARATOR.fullmatch(lines[0][1].strip()):
         lines = lines[1:]
@@ -79,11 +79,11 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
     """Refuse unknown, repeated and missing columns."""
-    known = {column.name: column for column in schema.columns}
+    columns = {column.name: column for column in schema.columns}
     for name in header:
-        if name not in known:
+        if name not in columns:
             raise BadInputError(
-                f"{path}: {_unknown(name, [each for each in known.values() if each.name not in header])}"
+                f"{path}: {_unknown(name, [each for each in columns.values() if each.name not in header])}"
             )
         if header.count(name) > 1:
             raise BadInputError(f"{path}: column '{name}' occurs twice; keep one.")
@@ -95,7 +95,7 @@ def _check_header(path: Path, header: Sequence[str], schema: Schema) -> None:
 
 
 def _unknown(name: str, absent: Sequence[Column]) -> str:
-    """Return the message about a column that the schema does not have."""
+    """Return the error for a column that the schema does not have."""
     for column in absent:
         if _UNIT_SUFFIX.sub("", name) == _UNIT_SUFFIX.sub("", column.name):
             unit = column.unit or "a bare number"
@@ -117,7 +117,7 @@ def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Seq
 
 
 def _cell_fault(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> BadInputError:
-    """Return the error of the first row that is not a row of numbers."""
+    """Return the error for the first row that is not a row of numbers."""
     for number, row in zip(numbers, rows, strict=True):
         cells = row.split(",")
         if len(cells) != len(header):
@@ -137,7 +137,7 @@ _REMEDY = "leave out rows without a measurement"
 
 
 def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence[int]) -> None:
-    """Finite everywhere, of the column's kind, and unit vectors of unit length."""
+    """Refuse values that are not finite or not of the column's kind, and vectors that are not of unit length."""
     for column in schema.columns:
         if column.name not in columns:
             continue
@@ -197,27 +197,27 @@ def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Seque
         differs = f"{capture} has another setup ({names}) in line {{}}; give each setup its own capture number"
         _refuse(path, numbers, of_capture, both, differs)
     if "time_s" not in setup:
-        return  # Without times, captures taken twice from one place are alike.
+        return  # Without times, captures taken twice from one position are equal.
     same = f"the capture in line {{}} has the same setup ({names}); keep one of the two"
     _refuse(path, numbers, of_setup, both, same)
 
 
 def _first_alike(columns: Columns, names: Sequence[str]) -> NDArray[np.int64]:
-    """For each row (n,), the first row with the same values in these columns."""
+    """Return, for each row (n,), the first row with the same values in these columns."""
     key = np.stack([columns[name] for name in names])
     order = np.lexsort(key)
     starts = np.append(True, np.any(key[:, order[1:]] != key[:, order[:-1]], axis=0))
     first = np.empty_like(order)
-    # lexsort is stable: the first row of a run of equal ones comes first.
+    # lexsort is stable: the first of several equal rows comes first.
     first[order] = order[starts][np.cumsum(starts) - 1]
     return first
 
 
 def _refuse(
-    path: Path, numbers: Sequence[int], earlier: NDArray[np.int64], own: NDArray[np.int64], sentence: str
+    path: Path, numbers: Sequence[int], earlier: NDArray[np.int64], group: NDArray[np.int64], sentence: str
 ) -> None:
-    """Refuse the first row whose `earlier` row is not its `own`."""
-    wrong = np.flatnonzero(earlier != own)
+    """Refuse the first row whose `earlier` row is not its `group`."""
+    wrong = np.flatnonzero(earlier != group)
     if wrong.size:
         row = int(wrong[0])
         raise BadInputError(f"{path} line {numbers[row]}: {sentence.format(numbers[int(earlier[row])])}.")
