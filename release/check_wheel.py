@@ -1,10 +1,11 @@
 """Build the wheel, install it for some interpreters, and run the program from an empty folder.
 
-    python release/check_wheel.py [PYTHON ...] [--pipx] [--wheel WHEEL] [--extras [EXTRA ...]]
+    python release/check_wheel.py [PYTHON ...] [--lowest] [--pipx] [--wheel WHEEL] [--extras [EXTRA ...]]
 
 The wheel is built from the sdist, as an installer that finds no wheel would build it. For each interpreter (default:
 this one) a fresh venv gets the wheel with the newest versions of its dependencies, as a user gets them, and runs the
-demo; its table must be that of README.md. `--extras` installs each extra alone and prints its size, `--pipx` runs the
+demo; its table must be that of README.md. `--lowest` takes the oldest versions that pyproject.toml allows, which have
+wheels for Python 3.11 only. `--extras` installs each extra alone and prints its size, `--pipx` runs the
 demo by `pipx run`. Needs network; takes one to three minutes for each interpreter.
 """
 
@@ -35,6 +36,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pythons", nargs="*", default=[sys.executable], metavar="PYTHON", help="interpreters to check")
     parser.add_argument("--extras", nargs="*", metavar="EXTRA", help="install each of these (all) alone")
+    parser.add_argument("--lowest", action="store_true", help="install the lower bounds of pyproject.toml")
     parser.add_argument("--pipx", action="store_true", help="run the demo by pipx as well")
     parser.add_argument("--wheel", type=Path, help="check this wheel; none is built")
     options = parser.parse_args()
@@ -42,10 +44,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         wheel = options.wheel.resolve() if options.wheel else build(folder)
+        bounds = lower_bounds() if options.lowest else []
         faults = [
             fault
             for number, python in enumerate(options.pythons)
-            for fault in check_interpreter(python, wheel, folder / f"python-{number}")
+            for fault in check_interpreter(python, [str(wheel), *bounds], folder / f"python-{number}")
         ]
         if options.pipx:
             faults += check_pipx(options.pythons[0], wheel, folder / "pipx")
@@ -65,9 +68,16 @@ def build(folder: Path) -> Path:
     return next((folder / "dist").glob("*.whl"))
 
 
-def check_interpreter(python: str, wheel: Path, folder: Path) -> Iterator[str]:
-    """Install the wheel for an interpreter and run the demo; yields what is wrong."""
-    own = make_venv(python, folder / "venv", str(wheel))
+def lower_bounds() -> list[str]:
+    """Requirements for the oldest version of each dependency that pyproject.toml allows."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    return [requirement.replace(">=", "==") for requirement in project["dependencies"]]
+
+
+def check_interpreter(python: str, requirements: list[str], folder: Path) -> Iterator[str]:
+    """Install the wheel, the first requirement, for an interpreter and run the demo; yields faults."""
+    wheel = Path(requirements[0])
+    own = make_venv(python, folder / "venv", *requirements)
     version = run([own, "-c", "import platform; print(platform.python_version())"], folder).strip()
     place = folder / "empty"
     place.mkdir()
@@ -145,12 +155,12 @@ def check_extras(python: str, wheel: Path, extras: list[str], folder: Path) -> I
         shutil.rmtree(folder / extra)
 
 
-def make_venv(python: str, folder: Path, requirement: str) -> str:
-    """Make a venv with one requirement and what it depends on; returns the path of its interpreter."""
+def make_venv(python: str, folder: Path, *requirements: str) -> str:
+    """Make a venv with requirements and their dependencies; returns the path of its interpreter."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     run([python, "-m", "venv", str(folder)], folder.parent)
     own = str(folder / "bin" / "python")
-    run([own, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", requirement], folder.parent)
+    run([own, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements], folder.parent)
     return own
 
 

@@ -28,7 +28,8 @@ def check_wheel():
 
 def in_conda(requirement):
     """A requirement of pyproject.toml as a recipe states it."""
-    name, bound = re.fullmatch(r"([\w-]+)(>=[\d.]+)", requirement).groups()
+    name, bound = re.fullmatch(r"([\w-]+)(>=[\w.]+)", requirement).groups()
+    bound = re.sub(r"(\d+\.\d+\.\d+)\.\d+$", r"\1", bound)  # a fourth number counts OpenCV's builds for pip
     return f"{OF_CONDA.get(name, name).lower()} {bound}"
 
 
