@@ -184,7 +184,6 @@ def test_commands_that_messages_and_docstrings_name_exist(path):
         "`./wlr bench speed --recrod DIR`",
         "`render --shadow`",
         "`wlr-render render --shadow`",
-        "`./wlr calibrate SESSION`",
         "```\n./wlr render northstar\n```\n",
         "```\n./wlr render northstar desk --maps jpeg  # a comment\n```\n",
         "    ./wlr render northstar desk --eyes left\n",
