@@ -11,10 +11,8 @@ import pytest
 
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.cli import main
-from wlr_render.compositing.raster_painter import raster_painter
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.jobs.verify import session as verify
 from wlr_render.jobs.verify import session_photographs
 from wlr_render.jobs.verify.session import METHODS, VerifySessionOptions, verify_session
 from wlr_render.models.model_file import load_eye_model, save_eye_models
@@ -57,20 +55,6 @@ def test_drawn_dots_cover_real_ones(options):
     assert {path.name for path in result.files} >= {"misalignment.png", "close_up.png", "report.html"}
     record = json.loads((options.out / "report.json").read_text(encoding="utf-8"))
     assert record["session"] == str(options.session)
-
-
-def test_the_raster_of_the_paper_covers_real_dots_too(options, monkeypatch):
-    """Nothing hides anything from either place: both draw the same dots."""
-    made = []
-
-    def spy(mappings, raster, renderer, map_from, resolution, raster_camera):
-        made.append((map_from, raster_camera))
-        return raster_painter(mappings, raster, renderer, map_from, resolution, raster_camera)
-
-    monkeypatch.setattr(verify, "raster_painter", spy)
-    result = verify_session(replace(options, viewpoints=1, raster_camera="viewpoint", map_from="mesh"))
-    assert made == [("mesh", "viewpoint")]
-    assert all(0 < row[4] < 1.0 for row in result.tables[1].rows)
 
 
 def test_without_opengl_no_row_says_that_frames_were_rasterised(options):
