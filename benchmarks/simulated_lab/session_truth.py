@@ -97,7 +97,7 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
     poses |= dict(zip((each.path for each in session.see_through), truth.see_through, strict=True))
     headset = Headset(session.device, session.eye, session.eye_box)
     panels = []
-    for each, panel in found.reading.decoded(session.display):
+    for each, panel in found.reading.panels_of(session.display):
         pose, samples = poses[each.folder], panel.samples
         seen = camera_view.panel_position(bench.optics, camera, pose, samples.camera_pixel)
         noise = rng.normal(size=seen.value.shape) * samples.sigma_px[:, None]
@@ -105,7 +105,7 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
         panels.append(PanelView(pose, _rows(whole, seen.usable)))
     targets = []
     places: dict[str, int] = {}
-    for photograph, observation in found.reading.seen(session.see_through):
+    for photograph, observation in found.reading.views_of(session.see_through):
         pose, target = poses[photograph.path], bench.device_from_target[photograph.target_pose]
         on_target = bench.printed.point_of(observation.index)
         point = transforms.apply(target, on_target)

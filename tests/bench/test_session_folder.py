@@ -82,13 +82,14 @@ def assert_same(found, expected):
 
 
 def test_what_is_saved_is_loaded_but_for_rows_without_a_reading(tmp_path, bench, session):
-    assert np.isfinite(session.readings.seen).all(axis=1).mean() > 0.5
+    assert np.isfinite(session.readings.run_time_pixel).all(axis=1).mean() > 0.5
     seen = {
-        name: np.isfinite(getattr(session.readings, name)).all(axis=1) for name in ("panel_pixel", "dot_pixel", "seen")
+        name: np.isfinite(getattr(session.readings, name)).all(axis=1)
+        for name in ("panel_pixel", "dot_pixel", "run_time_pixel")
     }
     _, loaded = load_session(save_session(tmp_path / "night", bench, session))
     assert loaded.name == "night"
-    for part, reading in (("display", "panel_pixel"), ("see_through", "dot_pixel"), ("run_time", "seen")):
+    for part, reading in (("display", "panel_pixel"), ("see_through", "dot_pixel"), ("run_time", "run_time_pixel")):
         rows = seen[reading]
         assert_same(getattr(loaded.plan, part), select_rows(getattr(session.plan, part), rows))
         np.testing.assert_allclose(
@@ -102,12 +103,12 @@ def test_a_loaded_bench_predicts_what_was_saved(tmp_path, bench, session):
 
 
 def test_run_time_pixels_are_written_as_measured_whatever_camera_is_saved_with_them(tmp_path, bench, session):
-    rows = np.isfinite(session.readings.seen).all(axis=1)
+    rows = np.isfinite(session.readings.run_time_pixel).all(axis=1)
     measured = np.random.default_rng(3).uniform(100, 1100, (rows.sum(), 4)).round(3)
     plan = SessionPlan(run_time=select_rows(session.plan.run_time, rows))
-    save_session(tmp_path / "measured", bench, Session("night", plan, Readings(seen=measured)))
+    save_session(tmp_path / "measured", bench, Session("night", plan, Readings(run_time_pixel=measured)))
     read = load_session(tmp_path / "measured")[1]
-    np.testing.assert_array_equal(read.readings.seen, measured)
+    np.testing.assert_array_equal(read.readings.run_time_pixel, measured)
     camera = replace(bench.camera, distortion=np.zeros(2), focal_px=1.01 * bench.camera.focal_px)
     save_session(tmp_path / "corrected", replace(bench, camera=camera), read)
     for name in ("measured", "corrected"):

@@ -41,7 +41,7 @@ def plan_for(bench, depth_m, tangents=(-0.15, 0.15), velocity=(0.0, 0.0, 0.0), r
 
 def seen(bench, plan):
     """Tangents (n, 2) of the virtual and of the real dot."""
-    pixel = simulate(bench, SessionPlan(run_time=plan)).seen
+    pixel = simulate(bench, SessionPlan(run_time=plan)).run_time_pixel
     return bench.camera.tangents_of_pixel(pixel[:, :2]), bench.camera.tangents_of_pixel(pixel[:, 2:])
 
 

@@ -39,7 +39,7 @@ POSE = transforms.rigid(
     transforms.rotation_about("x", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.01, 0.04, -0.05])
 )
 PANEL = SessionPanel(make_pattern("gray-fringes", Panel(320, 200)))
-KNOWN = SessionCamera((640, 480), PhotographFormat(8), known=LENS)
+KNOWN = SessionCamera((640, 480), PhotographFormat(8), calibrated=LENS)
 TILTED = np.array([0.0, 0.6, -0.8])
 
 
@@ -197,8 +197,8 @@ def with_all_else(folder):
     return replace(
         session,
         decoding=DecodeOptions(full_scale=form.full_scale),
-        eyeball_camera=SessionCamera((640, 480), form, known=fisheye, known_sigma=np.arange(1.0, 9.0)),
-        tracking_camera=replace(KNOWN, known_sigma=np.array([0.5, 0.5, 1.0, 1.0, 0, 0, 0, 0, 0])),
+        eyeball_camera=SessionCamera((640, 480), form, calibrated=fisheye, calibrated_sigma=np.arange(1.0, 9.0)),
+        tracking_camera=replace(KNOWN, calibrated_sigma=np.array([0.5, 0.5, 1.0, 1.0, 0, 0, 0, 0, 0])),
         tracking_sigma=(np.radians(0.05), 0.0003),
         bare=tuple(
             replace(each, orientation=turn, name=f"{turn}{each.name}") for each in session.bare for turn in (0, 1)
@@ -335,10 +335,10 @@ def test_a_lens_of_another_program_is_read(tmp_path):
     camera |= {"lens_file": "eye.cameramodel", "focal_sigma_px": 0.5, "centre_sigma_px": 1.5}
     write_toml(folder / FILE, content)
     found = load_photo_session(folder)
-    known = found.eyeball_camera.known
+    known = found.eyeball_camera.calibrated
     assert known.kind == "rational"
     assert np.allclose(known.values[:4], [700.0, 701.0, 321.0, 239.5])
-    assert np.allclose(found.eyeball_camera.known_sigma, [0.5, 0.5, 1.5, 1.5] + [0] * 8)
+    assert np.allclose(found.eyeball_camera.calibrated_sigma, [0.5, 0.5, 1.5, 1.5] + [0] * 8)
     assert differences(found, load_photo_session(saved(found))) == []
     write_toml(folder / FILE, content | {"eyeball_camera": camera | {"width_px": 1280}})
     with pytest.raises(BadInputError, match=r"1280 x 480 pixels, but the lens in .* was calibrated for 640 x 480"):
@@ -368,14 +368,14 @@ def test_dots_in_a_region_are_seen_past_the_optics_and_not_through_them(tmp_path
     pixel = np.array([[50.0, 200.0], [300.0, 200.0], [620.0, 479.0], [100.0, 480.0]])
     dots = BoardObservation(np.zeros((4, 2), dtype=np.int64), pixel, np.full(4, 0.1))
     reading = Reading({each.path: dots for each in (*session.beside, *session.see_through, *session.tracking)})
-    seen = {each: observation.pixel[:, 0].tolist() for each, observation in reading.seen(session.beside)}
+    seen = {each: observation.pixel[:, 0].tolist() for each, observation in reading.views_of(session.beside)}
     assert seen[session.beside[0]] == [50, 620, 100]
     assert len(seen[session.beside[-1]]) == 4
-    assert [each.pixel[:, 0].tolist() for _, each in reading.seen(session.see_through)] == [[300]] * 3
-    (tracked,) = reading.seen(session.tracking)
+    assert [each.pixel[:, 0].tolist() for _, each in reading.views_of(session.see_through)] == [[300]] * 3
+    (tracked,) = reading.views_of(session.tracking)
     assert len(tracked[1]) == 4
     past = Reading({session.see_through[0].path: dots.only(pixel[:, 0] == 50)})
-    assert past.seen(session.see_through) == []
+    assert past.views_of(session.see_through) == []
 
 
 def test_a_target_may_have_a_board_of_its_own(tmp_path):

@@ -38,7 +38,7 @@ def session(tmp_path):
         eyeball_camera=SessionCamera(
             (640, 512), PhotographFormat(12), tuple(tmp_path / "lens" / f"{k}.png" for k in range(3))
         ),
-        tracking_camera=SessionCamera((640, 480), PhotographFormat(8), known=lens),
+        tracking_camera=SessionCamera((640, 480), PhotographFormat(8), calibrated=lens),
         device_from_tracking=transforms.rigid(
             transforms.rotation_about("x", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.01, 0.04, -0.05])
         ),
@@ -68,8 +68,8 @@ def test_what_is_written_is_read_back(session):
     assert np.allclose(again.eye_box.size, session.eye_box.size, atol=1e-12)
     assert np.allclose(again.device_from_tracking, session.device_from_tracking, atol=1e-12)
     assert again.eyeball_camera.intrinsics == session.eyeball_camera.intrinsics
-    assert np.allclose(again.tracking_camera.known.centre_px, [321.0, 239.5])
-    assert np.allclose(again.tracking_camera.known.distortion, [0.1, 0, 0, 0, 0])
+    assert np.allclose(again.tracking_camera.calibrated.centre_px, [321.0, 239.5])
+    assert np.allclose(again.tracking_camera.calibrated.distortion, [0.1, 0, 0, 0, 0])
     for ours, theirs in zip(again.bare + again.see_through, session.bare + session.see_through, strict=True):
         assert ours.path == theirs.path
         assert np.allclose(ours.stage, theirs.stage, atol=1e-12)

@@ -114,8 +114,8 @@ def with_noise(observations, sigma_px, rng):
         changes["panel_pixel"] = read.panel_pixel + np.linalg.solve(observations.camera_from_panel, kick)[:, :, 0]
     if read.dot_pixel is not None:
         changes["dot_pixel"] = read.dot_pixel + rng.normal(0, sigma_px, read.dot_pixel.shape)
-    if read.seen is not None:
-        changes["seen"] = read.seen + rng.normal(0, sigma_px, read.seen.shape)
+    if read.run_time_pixel is not None:
+        changes["run_time_pixel"] = read.run_time_pixel + rng.normal(0, sigma_px, read.run_time_pixel.shape)
     return with_readings(observations, **changes)
 
 

@@ -90,7 +90,11 @@ def read(plans):
 
     def all_readings(bench, cause):
         found = simulate(bench, plans[cause.part in RUN_TIME])
-        own = [found.panel_pixel, found.dot_pixel, None if found.seen is None else found.seen.reshape(-1, 2)]
+        own = [
+            found.panel_pixel,
+            found.dot_pixel,
+            None if found.run_time_pixel is None else found.run_time_pixel.reshape(-1, 2),
+        ]
         return np.concatenate([part for part in own if part is not None])
 
     return all_readings

@@ -130,9 +130,9 @@ def test_a_single_capture_allows_no_correction(noisy):
 
 def test_run_time_errors_can_be_bound_as_well(bench, run_time):
     observations = measured(bench, run_time, SIGMA_PX, seed=6)
-    read, camera = observations.session.readings.seen.copy(), observations.nominal.camera
+    read, camera = observations.session.readings.run_time_pixel.copy(), observations.nominal.camera
     read[:, 1] += SIGMA_PX * 30 * camera.tangents_of_pixel(read[:, 2:])[:, 0] ** 2 * SIZE
-    first = of(with_readings(observations, seen=read), RUN_TIME)[0]
+    first = of(with_readings(observations, run_time_pixel=read), RUN_TIME)[0]
     assert (first.part, first.depends_on) == ("run-time", "camera pixels")
     assert first.improvement.percent > 10
 

@@ -65,9 +65,9 @@ def test_a_panel_position_that_is_seen_a_sigma_beside_is_one_unit(bench, clean):
 def test_at_run_time_only_the_gap_between_the_dots_counts(bench, every_part):
     read = every_part.session.readings
     predicted = simulate(bench, every_part.session.plan)
-    both = with_readings(every_part, seen=read.seen + 10.0)
+    both = with_readings(every_part, run_time_pixel=read.run_time_pixel + 10.0)
     np.testing.assert_allclose(both.residual(predicted), 0.0, atol=1e-9)
-    one = with_readings(every_part, seen=read.seen + SIGMA_PX * np.array([1.0, 0.0, 0.0, 0.0]))
+    one = with_readings(every_part, run_time_pixel=read.run_time_pixel + SIGMA_PX * np.array([1.0, 0.0, 0.0, 0.0]))
     rows = every_part.part == RUN_TIME
     # Two dots are read, so that one of them off by sigma is less than a standard deviation of the gap.
     np.testing.assert_allclose(one.residual(predicted)[rows], np.tile([np.sqrt(0.5), 0.0], (rows.sum(), 1)), atol=1e-9)

@@ -98,7 +98,7 @@ def test_several_captures_that_moved_alike_do_not_hide_each_other(bench, plan, c
 
 def test_recordings_at_run_time_have_no_camera_to_move(bench, run_time):
     observations = measured(bench, run_time, SIGMA_PX)
-    observations.session.readings.seen[observations.group == 2] += [9.0, 0.0, 0.0, 0.0]
+    observations.session.readings.run_time_pixel[observations.group == 2] += [9.0, 0.0, 0.0, 0.0]
     assert found_in(observations) == []
 
 

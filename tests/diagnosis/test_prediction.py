@@ -95,7 +95,9 @@ def test_run_time_readings_are_predicted_plainly_too(bench, run_time):
         explanation(camera_distortion=[0.02, -0.01]),
     ):
         state = predictor.state(step, state)
-        np.testing.assert_allclose(state.readings.seen, simulate(step.bench(bench), run_time).seen, atol=1e-11)
+        np.testing.assert_allclose(
+            state.readings.run_time_pixel, simulate(step.bench(bench), run_time).run_time_pixel, atol=1e-11
+        )
 
 
 def test_a_part_that_a_cause_cannot_touch_is_not_done_again(predictor):
@@ -170,7 +172,7 @@ def test_a_cause_of_other_colours_changes_the_readings(bench, plan, run_time, ch
 
     at = Explanation().plus(Hypothesis(cause, "v"), np.ones(1))
     found, plain = predictor.state(at).readings, simulate(at.bench(bench), whole)
-    for name in ("panel_pixel", "dot_pixel", "seen"):
+    for name in ("panel_pixel", "dot_pixel", "run_time_pixel"):
         np.testing.assert_allclose(getattr(found, name), getattr(plain, name), atol=1e-7, err_msg=name)
     nominal = predictor.state(Explanation()).readings
     assert tuple(new is not old for new, old in zip(found.parts, nominal.parts, strict=True)) == touched

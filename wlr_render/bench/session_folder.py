@@ -30,7 +30,7 @@ from wlr_render.toml_files import read_toml
 
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")
-_TABLES = {"display": "display", "dot_pixel": "seethrough", "seen": "runtime"}
+_TABLES = {"display": "display", "dot_pixel": "seethrough", "run_time_pixel": "runtime"}
 _REACH_M = 0.5  # largest range of stage and eye: beyond it, lengths are in another unit
 _NEAREST_M = 0.03  # least distance of a target from the camera
 _MOST_PITCHES = 1000  # most pitches in a row of a target
@@ -214,7 +214,9 @@ def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], read
     if "panel_pixel" in readings:
         size = bench.optics.panel.pixels.size_px
         require_on_panel(f"{folder}: {bench.device.name}, display table", readings["panel_pixel"], size)
-    pictures: dict[str, FloatArray] = {name: readings[name] for name in ("dot_pixel", "seen") if name in readings}
+    pictures: dict[str, FloatArray] = {
+        name: readings[name] for name in ("dot_pixel", "run_time_pixel") if name in readings
+    }
     if "display" in plans:
         pictures["display"] = plans["display"].camera_pixel
     for name, pixel in pictures.items():

@@ -208,7 +208,7 @@ def sound_captures(
         BadInputError: all cameras stand far from the eye box: a pose or a length of session.toml is wrong.
     """
     headset = Headset(session.device, session.eye, session.eye_box)
-    sets, through, excluded = reading.decoded(session.display), reading.seen(session.see_through), []
+    sets, through, excluded = reading.panels_of(session.display), reading.views_of(session.see_through), []
     panels = [
         PanelView(bench.device_from_camera(each), _of_primary(session, each, found.samples), recorded_of(each))
         for each, found in sets

@@ -32,20 +32,20 @@ class SessionCamera:
         size_px: width and height of its photographs.
         format: conversion of its files to linear values.
         intrinsics: photographs of the board from many sides, without the headset, for its calibration.
-        known: the camera if it is already calibrated, else None.
+        calibrated: the camera if it is already calibrated, else None.
         lens: lens model to fit, a key of `lens_camera.LENS_KINDS`, or "auto": chosen by cross-validation. "auto" if the
             lens is calibrated.
-        known_sigma: (P,) standard deviations of `known.values`: fx, fy, cx, cy in pixels, then the distortion; None if
-            the lens is stated as exact.
-        lens_file: the file that `known` was read from, else None.
+        calibrated_sigma: (P,) standard deviations of `calibrated.values`: fx, fy, cx, cy in pixels, then the
+            distortion; None if the lens is stated as exact.
+        lens_file: the file that `calibrated` was read from, else None.
     """
 
     size_px: tuple[int, int]
     format: PhotographFormat
     intrinsics: tuple[Path, ...] = ()
-    known: Lens | None = None
+    calibrated: Lens | None = None
     lens: str = "auto"
-    known_sigma: FloatArray | None = None
+    calibrated_sigma: FloatArray | None = None
     lens_file: Path | None = None
 
     @property

@@ -50,7 +50,7 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
     else:
         file, calibrated = None, _known(table, size, lens)
     return SessionCamera(
-        size, form, known=calibrated, known_sigma=_sigma(table, len(calibrated.values)), lens_file=file
+        size, form, calibrated=calibrated, calibrated_sigma=_sigma(table, len(calibrated.values)), lens_file=file
     )
 
 
@@ -106,11 +106,11 @@ def written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
     """Return the keys of a camera that `read_camera` reads back."""
     keys: dict[str, Any] = {"width_px": camera.size_px[0], "height_px": camera.size_px[1]}
     keys |= camera.format.keys()
-    if camera.known_sigma is not None:
-        keys["sigma"] = camera.known_sigma.tolist()
+    if camera.calibrated_sigma is not None:
+        keys["sigma"] = camera.calibrated_sigma.tolist()
     if camera.lens_file is not None:
         return keys | {"lens_file": str(camera.lens_file.relative_to(folder))}
-    calibrated = camera.known
+    calibrated = camera.calibrated
     if calibrated is None:
         kind = {} if camera.lens == "auto" else {"lens": camera.lens}
         return keys | kind | {"intrinsics": str(camera.intrinsics[0].parent.relative_to(folder))}

@@ -126,17 +126,17 @@ class Readings:
     Attributes:
         panel_pixel: (n, 2) panel position for each display row.
         dot_pixel: (m, 2) camera pixel for each see-through row.
-        seen: (k, 4) camera pixel of the virtual dot (2), then of the real dot (2), for each run-time row.
+        run_time_pixel: (k, 4) camera pixel of the virtual dot (2), then of the real dot (2), for each run-time row.
     """
 
     panel_pixel: FloatArray | None = None
     dot_pixel: FloatArray | None = None
-    seen: FloatArray | None = None
+    run_time_pixel: FloatArray | None = None
 
     @property
     def parts(self) -> tuple[FloatArray | None, FloatArray | None, FloatArray | None]:
         """The readings of each part, in order."""
-        return self.panel_pixel, self.dot_pixel, self.seen
+        return self.panel_pixel, self.dot_pixel, self.run_time_pixel
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,13 +104,13 @@ class Reading:
             if panel.missing
         ]
 
-    def seen(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
+    def views_of(self, photographs: Sequence[BoardPhotograph]) -> list[tuple[BoardPhotograph, BoardObservation]]:
         """Return the readable photographs with their features inside the entry's regions."""
         read = [(each, self.boards[each.path]) for each in photographs if each.path in self.boards]
         counted = [(each, observation.only(each.counts(observation.pixel))) for each, observation in read]
         return [(each, observation) for each, observation in counted if len(observation)]
 
-    def decoded(self, sets: Sequence[CodeSet]) -> list[tuple[CodeSet, PanelReading]]:
+    def panels_of(self, sets: Sequence[CodeSet]) -> list[tuple[CodeSet, PanelReading]]:
         """Return the decoded sets with their readings."""
         return [(each, self.panels[each.folder]) for each in sets if each.folder in self.panels]
 

@@ -320,7 +320,7 @@ RUN_TIME = Schema(
     "time at which a real dot and the virtual dot drawn over it were observed",
     "run_time",
     RunTimePlan,
-    "seen",
+    "run_time_pixel",
     (
         _index("capture", "index of the recording; a recording has many rows"),
         _TIME,
@@ -342,7 +342,7 @@ RUN_TIME = Schema(
         Field("gaze", _DIRECTION, _axes("gaze", "", "", "unit gaze direction, device frame")),
         Field("dot", _POINT, _axes("dot", "mm", "_mm", "the real dot, world frame")),
         Field(
-            "seen",
+            "run_time_pixel",
             CAMERA_PIXEL,
             (
                 *_pixel("virtual", "position of the virtual dot in the eyeball camera's image"),

@@ -188,7 +188,7 @@ class Compositor:
 
     def submit(
         self,
-        color: Any,
+        colour: Any,
         depth: Any = None,
         *,
         eye: str | None = None,
@@ -201,11 +201,11 @@ class Compositor:
         """Submit the picture of an eye, drawn with the camera that `begin_frame` returned, or an inset of it.
 
         Args:
-            color: a numpy array (height, width, 3 or 4) of uint8, uint16, float16 or float32 with its top row first; or
-                a texture (ModernGL's, its OpenGL number with that of `depth`, or a `framebuffers.TextureLayer`); or a
-                ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of our own
+            colour: a numpy array (height, width, 3 or 4) of uint8, uint16, float16 or float32 with its top row first;
+                or a texture (ModernGL's, its OpenGL number with that of `depth`, or a `framebuffers.TextureLayer`); or
+                a ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of our own
                 renderers, which alone is not copied.
-            depth: a numpy array (height, width) or a texture, unless `color` holds it. Pixels that hold NaN are
+            depth: a numpy array (height, width) or a texture, unless `colour` holds it. Pixels that hold NaN are
                 background. Numbers outside `StoredDepth.limits` are refused in arrays; in textures, which are not read
                 back, they are background too.
             eye: may be left out if there is one eye.
@@ -232,7 +232,7 @@ class Compositor:
         if eye not in handle:
             raise BadInputError(f"the {eye} eye has no camera in this frame; name its viewpoint in begin_frame.")
         if inset is not None:
-            self._submit_inset(inset, handle, eye, color, depth, stored, rows, stored_colour)
+            self._submit_inset(inset, handle, eye, colour, depth, stored, rows, stored_colour)
             return
         if eye in handle.submitted:
             raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
@@ -242,7 +242,7 @@ class Compositor:
                 f"frame {handle.number} is older than frame {last.handle.number}, which the {eye} eye shows already; "
                 "drop its picture."
             )
-        not_copied = color.colour if isinstance(color, GpuImage) else None
+        not_copied = colour.colour if isinstance(colour, GpuImage) else None
         others = (each for name, each in self._newest.items() if name != eye)
         if not_copied is not None and any(not_copied is other.not_copied for other in others):
             raise BadInputError(
@@ -250,7 +250,7 @@ class Compositor:
                 "draw_on_gpu(view, eye)."
             )
         with self._backend.working():
-            self._backend.eyes[eye].set_picture(handle[eye].view, color, depth, stored, rows, stored_colour)
+            self._backend.eyes[eye].set_picture(handle[eye].view, colour, depth, stored, rows, stored_colour)
         handle.submitted.add(eye)
         self._newest[eye] = _Submitted(handle, not_copied)
 

@@ -134,13 +134,13 @@ class GlEye:
         """Number of pictures composed; each overwrites the one before."""
 
     def set_picture(
-        self, view: View, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
+        self, view: View, colour: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
     ) -> None:
         """See `Compositor.submit`; after an error the last picture stays."""
-        if isinstance(color, GpuImage):
-            image = checked_image(color, view, self._context)
+        if isinstance(colour, GpuImage):
+            image = checked_image(colour, view, self._context)
         else:
-            image = self._import.take(view.camera, color, depth, stored, rows, stored_colour)
+            image = self._import.take(view.camera, colour, depth, stored, rows, stored_colour)
         self._pictures = [WarpedPicture(image, self._plan.samples_per_axis)]
 
     @property
@@ -149,14 +149,14 @@ class GlEye:
         return self._pictures[-1].image.camera
 
     def add_inset(
-        self, view: View, color: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
+        self, view: View, colour: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
     ) -> None:
         """Add a picture of `Compositor.submit(inset=...)`, which lies within the last one."""
         self.check_picture()
         wider = self._pictures[-1].image
-        if isinstance(color, GpuImage):
-            checked_image(color, view, self._context)
-        has_alpha = color.has_alpha if isinstance(color, GpuImage) else stored_colour.alpha
+        if isinstance(colour, GpuImage):
+            checked_image(colour, view, self._context)
+        has_alpha = colour.has_alpha if isinstance(colour, GpuImage) else stored_colour.alpha
         if has_alpha != wider.has_alpha:
             raise BadInputError("an inset has alpha if and only if the picture around it has; submit both with alpha.")
         _check_side(f"the {self._plan.eye} eye's inset", view.camera.size_px, self._context.largest_side_px, "size_px")
@@ -164,7 +164,7 @@ class GlEye:
         if len(self._import_insets) < count:
             self._import_insets.append(PictureImport(self._context))
         take = self._import_insets[count - 1].take
-        image = take(view.camera, color, depth, stored, rows, stored_colour, wider)
+        image = take(view.camera, colour, depth, stored, rows, stored_colour, wider)
         self._pictures.append(WarpedPicture(image, self._plan.samples_of(view.camera)))
 
     def check_picture(self) -> None:

@@ -205,7 +205,7 @@ def _see_through_designs(observations: Observations) -> Iterator[Design]:
 
 
 def _run_time_designs(observations: Observations) -> Iterator[Design]:
-    seen = observations.session.readings.seen
+    seen = observations.session.readings.run_time_pixel
     if seen is not None:
         yield "camera pixels", "smooth", _polynomial(seen[:, 2:], 4)
 

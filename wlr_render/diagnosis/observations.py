@@ -85,9 +85,9 @@ class Observations:
             parts.append((self.camera_from_panel @ difference)[:, :, 0] / self.sigma_of(DISPLAY))
         if measured.dot_pixel is not None and predicted.dot_pixel is not None:
             parts.append((measured.dot_pixel - predicted.dot_pixel) / self.sigma_of(SEE_THROUGH))
-        if measured.seen is not None and predicted.seen is not None:
+        if measured.run_time_pixel is not None and predicted.run_time_pixel is not None:
             # The virtual dot against the real one: whoever sees both need not know where he looks.
-            difference = measured.seen - predicted.seen
+            difference = measured.run_time_pixel - predicted.run_time_pixel
             parts.append((difference[:, :2] - difference[:, 2:]) / self.sigma_of(RUN_TIME))
         return np.concatenate(parts)
 

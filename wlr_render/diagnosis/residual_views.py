@@ -153,7 +153,7 @@ def _see_through(diagnosis: Diagnosis) -> PartView:
 
 def _run_time(diagnosis: Diagnosis) -> PartView:
     observations = diagnosis.observations
-    plan, seen = observations.session.plan.run_time, observations.session.readings.seen
+    plan, seen = observations.session.plan.run_time, observations.session.readings.run_time_pixel
     assert plan is not None
     assert seen is not None
     real_deg = np.degrees(np.arctan(tangents_of_dir(observations.nominal.camera.view_dir_of_pixel(seen[:, 2:]))))

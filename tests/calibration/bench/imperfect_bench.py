@@ -219,7 +219,7 @@ def start_of(observations):
     lens = {}
     for name, setup in observations.cameras.items():
         views = [view for view in observations.views if view.camera == name and view.target is None]
-        lens[name] = setup.known if setup.known is not None else start_lens(views, setup.size_px, setup.kind)
+        lens[name] = setup.calibrated if setup.calibrated is not None else start_lens(views, setup.size_px, setup.kind)
     return start_state(observations, lens)
 
 

@@ -95,7 +95,7 @@ def test_display_alone_in_the_frame_of_the_camera(usual, tmp_path, known_lens):
         stage=StageDescription(axes),
     )
     if known_lens:  # then no board was ever photographed
-        camera = replace(session.eyeball_camera, intrinsics=(), known=bench.eyeball.camera)
+        camera = replace(session.eyeball_camera, intrinsics=(), calibrated=bench.eyeball.camera)
         session = replace(session, eyeball_camera=camera)
     found, report = calibrated(session, usual.reading, tmp_path)
     assert "see-through" not in report.verdict

@@ -115,7 +115,7 @@ def prior_pulls(adjustment: Adjustment) -> list[Pull]:
     if seen.device_from_tracking is not None:
         named["pose of the tracking camera"] = ("extrinsics", "tracking")
     named |= {f"given pose of target {number}": ("target", number) for number in seen.targets}
-    known = [name for name, setup in seen.cameras.items() if setup.known is not None and name in state.lens]
+    known = [name for name, setup in seen.cameras.items() if setup.calibrated is not None and name in state.lens]
     named |= {f"known lens of the {_CAMERAS[name]}": ("lens", name) for name in known}
     named |= {f"shape of the {name}": ("shape", name) for name in state.shape}
     pulls = []

@@ -111,14 +111,14 @@ class CameraSetup:
     Attributes:
         size_px: width and height.
         kind: of its lens model; "auto" to choose by held-out photographs.
-        known: the lens where it is calibrated already.
-        known_sigma: (values,) standard deviations of its values; zero where they count as exact.
+        calibrated: the lens if it is calibrated already.
+        calibrated_sigma: (values,) standard deviations of its values; zero where they count as exact.
     """
 
     size_px: tuple[int, int]
     kind: str = "auto"
-    known: Lens | None = None
-    known_sigma: FloatArray | None = None
+    calibrated: Lens | None = None
+    calibrated_sigma: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,10 +171,10 @@ def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservat
         tracking = KnownPose(session.device_from_tracking, session.tracking_sigma or _EXACT)
     views += [
         _view(session, photo, seen, EYEBALL, place_key(session, photo))
-        for photo, seen in chain(reading.seen(session.bare), reading.seen(session.beside))
+        for photo, seen in chain(reading.views_of(session.bare), reading.views_of(session.beside))
     ]
     if tracking is not None:
-        views += [_view(session, photo, seen, TRACKING, None) for photo, seen in reading.seen(session.tracking)]
+        views += [_view(session, photo, seen, TRACKING, None) for photo, seen in reading.views_of(session.tracking)]
     targets = {k: KnownPose(given.device_from, given.sigma) for k, given in session.targets.items()}
     device_from_camera = None
     if session.gauge_target is not None:
@@ -210,7 +210,7 @@ def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservat
 
 
 def _setup(camera: SessionCamera) -> CameraSetup:
-    return CameraSetup(camera.size_px, camera.lens, camera.known, camera.known_sigma)
+    return CameraSetup(camera.size_px, camera.lens, camera.calibrated, camera.calibrated_sigma)
 
 
 def board_name(session: PhotoSession, target: int) -> str:
@@ -269,7 +269,7 @@ def _repeated_views(bench: CalibratedBench, reading: Reading) -> list[RepeatedVi
     """First and last photographs through the optics of one place and target pose."""
     session = bench.session
     taken: dict[tuple[int, str, str], list[tuple[BoardPhotograph, BoardObservation]]] = {}
-    for photo, seen in reading.seen(session.see_through):
+    for photo, seen in reading.views_of(session.see_through):
         taken.setdefault((photo.target_pose, photo.place, photo.eye), []).append((photo, seen))
     found = []
     for (target, _, _), pairs in taken.items():

@@ -68,7 +68,7 @@ def sound_views(views: Sequence[BoardView], setup: CameraSetup, observations: Be
     rejected |= _misread([view for view in views if view.name not in rejected])
     usable = [view for view in views if view.name not in rejected]
     tried: dict[str, float] = {}
-    lens = setup.known
+    lens = setup.calibrated
     if lens is None:
         try:
             lens, tried = _chosen_lens(usable, setup, observations)

@@ -247,7 +247,7 @@ class BenchState:
         kind, which = key
         seen = self.observations
         if kind == "lens":
-            known = seen.cameras[str(which)].known
+            known = seen.cameras[str(which)].calibrated
             values = self.lens[str(which)].values
             return np.where(np.arange(len(values)) < 4, 0.0, values) if known is None else values - known.values
         if kind == "shape":

@@ -121,8 +121,8 @@ def layout_of(state: BenchState) -> Layout:
 
 
 def _lens_sizes(lens: Lens, setup: CameraSetup) -> FloatArray:
-    if setup.known is not None:
-        return np.zeros(len(lens.values)) if setup.known_sigma is None else setup.known_sigma
+    if setup.calibrated is not None:
+        return np.zeros(len(lens.values)) if setup.calibrated_sigma is None else setup.calibrated_sigma
     sizes = np.full(len(lens.values), 0.3 * float(np.mean(lens.focal_px)))
     # A term may be as large as to displace the corner of the picture by its distance from the centre.
     corner = float(np.linalg.norm(0.5 * np.array(lens.size_px) / lens.focal_px))

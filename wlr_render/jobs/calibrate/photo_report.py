@@ -47,7 +47,7 @@ def advice(found: SessionCalibration) -> list[str]:
 
 def set_names(found: SessionCalibration, eye: EyeCalibration) -> list[str]:
     """Names of the panel's photographed sets of an eye, by number of the display's capture."""
-    return [found.session.name_of(each.folder) for each, _ in found.reading.decoded(eye.session.display)]
+    return [found.session.name_of(each.folder) for each, _ in found.reading.panels_of(eye.session.display)]
 
 
 def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
@@ -81,7 +81,7 @@ def reading_blocks(session: PhotoSession, reading: Reading, excluded: Iterable[E
 
 
 def _decoding(folder: Path, found: SessionCalibration) -> list[Picture]:
-    if not found.reading.decoded(found.session.display):
+    if not found.reading.panels_of(found.session.display):
         return []
     drawn = _draw_rejections(folder / "decoding.png", found)
     return [Picture("Decoding", drawn, "Camera pixels of every set of the panel.")]
@@ -101,10 +101,10 @@ def _read_table(session: PhotoSession, reading: Reading) -> ReportTable:
         ("target through the optics", session.see_through),
         *((("target past the optics", session.beside),) if session.beside else ()),
     ):
-        dots = [len(observation) for _, observation in reading.seen(photographs)]
-        sigma = [float(np.median(observation.sigma_px)) for _, observation in reading.seen(photographs)]
+        dots = [len(observation) for _, observation in reading.views_of(photographs)]
+        sigma = [float(np.median(observation.sigma_px)) for _, observation in reading.views_of(photographs)]
         rows.append([name, len(photographs), len(dots), sum(dots), float(np.median(sigma)) if sigma else None])
-    samples = [each.samples for _, each in reading.decoded(session.display)]
+    samples = [each.samples for _, each in reading.panels_of(session.display)]
     sigma_px = float(np.median(np.concatenate([each.sigma_px for each in samples]))) if samples else None
     rows.append(["panel", len(session.display), len(samples), sum(len(each) for each in samples), sigma_px])
     columns = ["photographs of", "given", "read", "features or samples", "sigma per reading (px)"]
@@ -122,7 +122,7 @@ def _excluded_table(excluded: Iterable[Excluded]) -> ReportTable:
 
 def _decoded_table(session: PhotoSession, reading: Reading) -> ReportTable:
     rows: list[list[Cell]] = []
-    for each, panel in reading.decoded(session.display):
+    for each, panel in reading.panels_of(session.display):
         share = panel.counts / panel.counts.sum()
         low, high = panel.extent
         covered = float(np.prod((high - low) / session.panels[each.eye].pattern.panel.size_px))
@@ -305,7 +305,7 @@ def _draw_rejections(path: Path, found: SessionCalibration) -> Path:
 
     colours = rejection_colours()
     colour_map = ListedColormap(colours)
-    sets = found.reading.decoded(found.session.display)
+    sets = found.reading.panels_of(found.session.display)
     rows = -(-len(sets) // _ACROSS)
     figure = Figure(figsize=(13.5, 1.9 * rows + 0.8), layout="constrained")
     axes = figure.subplots(rows, _ACROSS, squeeze=False).ravel()
