@@ -24,7 +24,7 @@ from wlr_render.captures.correspondences import AnyCaptures, SeeThroughCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.input_files import LIMITS, read_bytes
-from wlr_render.mappings import EyeBox, EyeMappings
+from wlr_render.mappings import Eye, EyeBox
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
@@ -79,7 +79,7 @@ class EvaluatedEye:
 
 
 @lru_cache
-def truth(at: EvaluatedEye) -> EyeMappings:
+def truth(at: EvaluatedEye) -> Eye:
     """The traced eye."""
     device = load_device(at.device)
     eye = traced_eye(device, at.eye)

@@ -18,7 +18,7 @@ from gl_caller import Caller
 from wlr_render.errors import MissingGlError
 from wlr_render.extras import MissingExtraError
 from wlr_render.geometry import directions, rays
-from wlr_render.mappings import EyeBox, EyeMappings, Panel, QueryResult, Status
+from wlr_render.mappings import Eye, EyeBox, Panel, QueryResult, Status
 from wlr_render.rendering import gl
 from wlr_render.rendering.mitsuba_frames import PathTracer
 from wlr_render.rendering.scene import Scene
@@ -135,7 +135,7 @@ class PrismPlate:
 @pytest.fixture
 def flat_image_headset():
     box = EyeBox(np.array([0.001, -0.002, 0.01]), np.array([0.010, 0.008, 0.006]))
-    return EyeMappings("flat image", "right", FlatImage(Panel(140, 100)), PrismPlate(), box)
+    return Eye("flat image", "right", FlatImage(Panel(140, 100)), PrismPlate(), box)
 
 
 @pytest.fixture

@@ -4,8 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from wlr_render.calibration.fit_eye import fit_eye
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.calibration.fit_eye import calibrate
+from wlr_render.captures.correspondences import Captures
 from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -18,12 +18,12 @@ DEGREES = {3: 2, 5: 3}  # of the display, and of see-through beside it
 def captures(device, kind="planar"):
     setup = CaptureSetup(traced_eye(load_device(device), "right"), grid=(17, 15))
     positions, rng = setup.camera_positions(kind, 25), np.random.default_rng(0)
-    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
 @lru_cache
 def fitted_eye(device, degree):
-    return fit_eye(captures(device), "planar", degree, DEGREES[degree]).mappings
+    return calibrate(captures(device), "planar", degree, DEGREES[degree]).mappings
 
 
 def fitted_polynomial(function, box, degree):

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fitted_eyes import captures, fitted_eye
 
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.html_summary import MOST_ROWS, SummaryTable, html_summary
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.model_file import EyeModel
 from wlr_render.optics.device_file import load_device
@@ -71,7 +71,7 @@ def test_a_model_of_one_side_or_with_a_strange_report_is_shown_too(eye):
 
 
 def test_a_fit_states_its_kinds_and_predicted_errors_and_prints_as_one_line():
-    fit = fit_eye(captures("northstar"), "planar", 3, 2)
+    fit = calibrate(captures("northstar"), "planar", 3, 2)
     texts = shown(fit)
     assert texts[0].startswith("Fit of northstar")
     first = texts.index("display")
@@ -126,7 +126,7 @@ def test_long_tables_are_cut_and_say_so():
 def test_hostile_names_are_text(eye):
     found = captures("northstar")
     table = ReportTable(HOSTILE, [HOSTILE], [[HOSTILE]], [HOSTILE])
-    named = EyeMappings(HOSTILE, HOSTILE, eye.display, eye.see_through, eye.eye_box)
+    named = Eye(HOSTILE, HOSTILE, eye.display, eye.see_through, eye.eye_box)
     for value, times in (
         (replace(model(named), device=HOSTILE), 3),
         (named, 2),

@@ -208,8 +208,11 @@ class SeeThroughMapping(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class EyeMappings:
-    """Both mappings of one eye of a headset, with its eye box and nominal field of view.
+class Eye:
+    """One eye of a headset: the mappings of its display and of the world, its eye box and nominal field of view.
+
+    `open_eye` gives one with exact optics or fitted models, `calibrate` a fitted one. All queries take arrays with any
+    leading axes, in the device frame, and give a `value` and the `Status` of each element.
 
     Attributes:
         name: device name, and how the mappings were made, e.g. "northstar (planar N=5)".
@@ -218,6 +221,12 @@ class EyeMappings:
         see_through: the world's mapping.
         eye_box: box of valid viewpoints; its centre is the nominal viewpoint.
         field: the nominal field of view, over which errors are stated; None for the whole panel.
+
+    Example:
+        >>> import numpy as np, wlr_render as wlr
+        >>> eye = wlr.open_eye("northstar", "right")
+        >>> view_dir = eye.display.view_dir_of_pixel(np.array([720.0, 800.0]), eye.eye_box.centre).value
+        >>> world_ray = eye.see_through.real_ray_of_view_dir(view_dir, eye.eye_box.centre).value  # point, direction
     """
 
     name: str
@@ -250,9 +259,7 @@ class EyeMappings:
         return html_summary(f"{self.name}, {self.eye} eye", [], [self.summary])
 
 
-Eye = EyeMappings
-
-EyeChannels = tuple[EyeMappings, ...]
+EyeChannels = tuple[Eye, ...]
 """One pair of mappings for all colours of an eye, or three for red, green and blue."""
 COLOURS = ("red", "green", "blue")
 _OfChannel = TypeVar("_OfChannel")
@@ -308,7 +315,7 @@ class PlanarSeeThrough(Protocol):
         """Polynomial (x m, y m, tx, ty) -> (Ax, Ay, Bx m, By m)."""
 
 
-def require_planar(mappings: EyeMappings) -> tuple[PlanarDisplay, PlanarSeeThrough]:
+def require_planar(mappings: Eye) -> tuple[PlanarDisplay, PlanarSeeThrough]:
     """Return the planar display and see-through models of an eye.
 
     Raises:

@@ -16,8 +16,8 @@ from benchmarks.trials import (
     Measure,
     Outcome,
 )
-from wlr_render.calibration.fit_eye import fit_eye
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.calibration.fit_eye import calibrate
+from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import summary
 from wlr_render.mappings import EyeBox
@@ -59,12 +59,12 @@ class PrescribedTrial(DisplayTrial):
         exact, setup = _bench(self.at, self.turn_deg, self.shift_mm, self.shape, self.repeat, self.viewpoints, seed)
         rng = self.rng(seed)
         panel, world = exact.both
-        captures = EyeCaptures(
+        captures = Captures(
             with_camera_noise(panel, self.camera_noise_arcmin, rng),
             with_camera_noise(world, self.camera_noise_arcmin, rng),
         )
         prescription = load_device(self.device).eyes[self.eye]
-        fit = fit_eye(captures, self.kind, prescription=None if self.kind == "planar" else prescription)
+        fit = calibrate(captures, self.kind, prescription=None if self.kind == "planar" else prescription)
         shown, seen = _observations(setup, seed)
         display, see_through = fit.both[0].mapping, fit.both[1].mapping
         errors = {
@@ -79,7 +79,7 @@ class PrescribedTrial(DisplayTrial):
 @lru_cache(maxsize=2)
 def _bench(
     at: EvaluatedEye, turn_deg: float, shift_mm: float, shape: float, repeat: int, count: int, seed: int
-) -> tuple[EyeCaptures, CaptureSetup]:
+) -> tuple[Captures, CaptureSetup]:
     """Captures without noise of a headset that differs from its prescription, and how they were taken."""
     device = load_device(at.device)
     wrong = wrong_headset(device.eyes[at.eye], np.random.default_rng([seed, repeat]), turn_deg, shift_mm, shape)
@@ -87,7 +87,7 @@ def _bench(
     eye = replace(eye, name=device.name, eye_box=EyeBox(eye.eye_box.centre, np.array(at.eye_box_mm) * 1e-3))
     setup, rng = CaptureSetup(eye, camera_field=eye.field), np.random.default_rng(0)
     positions = setup.camera_positions("planar", count)
-    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng)), setup
+    return Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng)), setup
 
 
 def _observations(

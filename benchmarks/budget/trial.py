@@ -16,14 +16,14 @@ from wlr_render.budget.statement import REGIONS, region_of, variance
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.bench.half_turns import with_half_turns
 from wlr_render.calibration.calibrate_session import sound_captures
-from wlr_render.calibration.fit_eye import Calibration, fit_eye
+from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.budget import BudgetOptions
 from wlr_render.jobs.plan.planned_bench import ReadingOptions
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
@@ -109,7 +109,7 @@ def run_trial(trial: BudgetTrial, seed: int) -> BudgetOutcome:
     try:
         simulated, reading, bench = _calibrated(trial.device, bench_seed)
         captures, _ = sound_captures(simulated.session, reading, bench)
-        fit = fit_eye(captures, "planar")
+        fit = calibrate(captures, "planar")
     except BadInputError as error:
         return BudgetOutcome(trial, refused=str(error))
     made = simulated.truth.bench
@@ -139,8 +139,8 @@ def _report(fit: Calibration) -> dict[str, Any]:
 
 def judged(
     condition: str,
-    eye: EyeMappings,
-    truth: EyeMappings,
+    eye: Eye,
+    truth: Eye,
     model_from_true: FloatArray,
     sizes: ErrorSizes,
     rng: np.random.Generator,
@@ -183,7 +183,7 @@ def judged(
 
 
 def _true_error(
-    truth: EyeMappings, true_from_model: FloatArray, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
+    truth: Eye, true_from_model: FloatArray, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
 ) -> FloatArray:
     """Direction (n, 3) of pixels less that of points, as the headset shows them; axes of the model's frame."""
     viewpoint, point = (transforms.apply(true_from_model, each) for each in (viewpoint, point))

@@ -30,7 +30,7 @@ from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import Options, ProgressArgument, described
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
@@ -127,7 +127,7 @@ def _rows(view: ExportedView, folder: Path) -> Iterator[list[Cell]]:
         ]
 
 
-def _seen(view: ExportedView, truth: EyeMappings, folder: Path, words: str) -> Iterator[list[Cell]]:
+def _seen(view: ExportedView, truth: Eye, folder: Path, words: str) -> Iterator[list[Cell]]:
     """Points where a reader of the file puts them, seen through the exact optics."""
     if find_spec("OpenImageIO") is None:
         return

@@ -16,7 +16,7 @@ from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.code_files import CodeFiles
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
+from wlr_render.captures.correspondences import Captures, DisplayCaptures
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import read_each, read_photograph
@@ -126,7 +126,7 @@ def _procam_graycode(source: Path, out: Path, progress: Progress) -> Report:
 
 def _saved(out: Path, *eyes: DisplayCaptures) -> list[Path]:
     folder = output_folder(out)
-    return [save_captures(folder / f"captures-{each.eye}.npz", EyeCaptures(each, None)) for each in eyes]
+    return [save_captures(folder / f"captures-{each.eye}.npz", Captures(each, None)) for each in eyes]
 
 
 DATA_SETS: dict[DataSet, Callable[[Path, Path, Progress], Report]] = {

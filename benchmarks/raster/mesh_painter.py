@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.painters import Frame, TracedPainter, by_colour, channels_of
 from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
@@ -25,7 +25,7 @@ class MeshWarpedPainter:
 
     def __init__(
         self,
-        mappings: EyeMappings | Sequence[EyeMappings],
+        mappings: Eye | Sequence[Eye],
         raster: SceneRaster,
         renderer: RayRenderer,
         resolution: float = 1.0,

@@ -26,7 +26,7 @@ from wlr_render.jobs.options import (
     eyes_of,
     folder_of_eye,
 )
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
@@ -141,7 +141,7 @@ def run(options: RasterOptions, *, progress: ProgressArgument = SILENT) -> Repor
 
 
 def _compare_eye(
-    mappings: EyeMappings,
+    mappings: Eye,
     viewpoint: FloatArray,
     raster: SceneRaster,
     renderer: RayRenderer,

@@ -21,14 +21,14 @@ from benchmarks.trials import (
     see_through_observations,
     truth,
 )
-from wlr_render.captures.correspondences import AnyCaptures, EyeCaptures
+from wlr_render.captures.correspondences import AnyCaptures, Captures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import load_device
@@ -148,12 +148,12 @@ def _bench_of(at: EvaluatedEye, optics: EyeOptics) -> CaptureSetup:
     return CaptureSetup(replace(eye, eye_box=here.eye_box, field=here.field), camera_field=here.field)
 
 
-def _captures(trial: MethodTrial, kind: str, rng: np.random.Generator) -> EyeCaptures:
+def _captures(trial: MethodTrial, kind: str, rng: np.random.Generator) -> Captures:
     display = _simulated(trial, kind, simulate_display, rng)
     see_through = _simulated(trial, kind, simulate_see_through, rng)
     step = _wrong_by(len(display), trial.outliers, rng)
     kick = np.pad(_wrong_by(len(see_through), trial.outliers, rng), ((0, 0), (0, 1))) * ARCMIN
-    return EyeCaptures(
+    return Captures(
         replace(display, pixel=display.pixel + step),
         replace(see_through, view_dir=normalised(see_through.view_dir + kick)),
     )
@@ -198,9 +198,7 @@ def _at_depth(at: EvaluatedEye, seed: int, depth_m: float) -> SeeThroughObservat
     return mapping_error.see_through_observations(truth(at).see_through, seen.viewpoint, seen.view_dir, depth)
 
 
-def _composite(
-    exact: EyeMappings, rival: Rival, seen: SeeThroughObservations, offset: FloatArray | None = None
-) -> FloatArray:
+def _composite(exact: Eye, rival: Rival, seen: SeeThroughObservations, offset: FloatArray | None = None) -> FloatArray:
     """Angles (n,) at the eye between real points and the pixels that a method shows for them.
 
     The method is queried at viewpoints that are wrong by `offset` (n, 3) metres.
@@ -244,7 +242,7 @@ def _errors_along_rays(at: EvaluatedEye, rival: Rival, seed: int) -> dict[str, S
     }
 
 
-def _frame_ms(exact: EyeMappings, rival: Rival, rng: np.random.Generator) -> float:
+def _frame_ms(exact: Eye, rival: Rival, rng: np.random.Generator) -> float:
     """Median process time of the rays of a frame for an eye that moves, from the last frame's solution."""
     eye = replace(exact, display=rival.display, see_through=rival.see_through)
     axes = middle_axes(exact)

@@ -21,7 +21,7 @@ from wlr_render.calibration.fit_display import DISPLAY, fit_display
 from wlr_render.calibration.fit_eye import eye_trends, fit_with_trends
 from wlr_render.calibration.fit_prescription import FittedAssembly, Prescription, fit_assembly
 from wlr_render.calibration.fit_see_through import SEE_THROUGH, fit_see_through
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.mappings import DisplayMapping, SeeThroughMapping
 from wlr_render.models.static import undeviated
 from wlr_render.optics.assembly import ASSEMBLY_NAMES
@@ -49,12 +49,12 @@ class MethodData:
         bench_of: prescription -> a bench on which it stands in place of the headset, for methods that fit traced rays.
     """
 
-    planar: EyeCaptures
-    volumetric: EyeCaptures
+    planar: Captures
+    volumetric: Captures
     drawn: Callable[[float], Prescription]
     bench_of: Callable[[Prescription], CaptureSetup]
 
-    def of(self, structure: str) -> EyeCaptures:
+    def of(self, structure: str) -> Captures:
         """The captures that a structure is fitted to."""
         return self.volumetric if structure == "volumetric" else self.planar
 
@@ -128,12 +128,12 @@ def _structured(fit: Fit, structure: str, data: MethodData) -> Rival:
     return Rival(shown, seen, pixels.numbers + directions.numbers)
 
 
-def _pinhole(fit: Callable[[EyeCaptures], tuple[PinholeDisplay, FixedEyeSeeThrough]], data: MethodData) -> Rival:
+def _pinhole(fit: Callable[[Captures], tuple[PinholeDisplay, FixedEyeSeeThrough]], data: MethodData) -> Rival:
     shown, seen = fit(data.planar)
     return Rival(shown, seen, shown.numbers)
 
 
-def _screen(fit: Callable[[EyeCaptures], PinholeDisplay], data: MethodData) -> Rival:
+def _screen(fit: Callable[[Captures], PinholeDisplay], data: MethodData) -> Rival:
     """A flat virtual screen, and the world as if there were no combiner."""
     shown = fit(data.planar)
     return Rival(shown, undeviated(shown.eye_box), shown.numbers)
@@ -188,7 +188,7 @@ def _traced_components(fitted: bool, structure: str, data: MethodData) -> Rival:
         optics = assembly.optics
     setup, rng = data.bench_of(optics), np.random.default_rng(0)
     positions = setup.camera_positions(structure, TRACED_POSITIONS)
-    traced = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    traced = Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
     found = _structured(principal_components, structure, replace(data, planar=traced, volumetric=traced))
     return replace(found, shared_seconds=seconds)
 

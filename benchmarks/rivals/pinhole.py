@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.rivals.pinhole_models import FixedEyeSeeThrough, PinholeDisplay, homogeneous
 from wlr_render.calibration.readings import fitted_box
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.mappings import EYE_BOX_MARGIN
@@ -31,7 +31,7 @@ _UNDETERMINED = 1e-7  # least singular value of a fit's scaled derivatives, of t
 _SPAAM_NUMBERS = 11
 
 
-def spaam(captures: EyeCaptures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
+def spaam(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
     """Single Point Active Alignment Method (Tuceryan and Navab 2000): one 3 x 4 projection, for one eye position.
 
     The world-to-pixel matrix comes from a direct linear transform with Hartley's normalisation, refined by least
@@ -55,7 +55,7 @@ def spaam(captures: EyeCaptures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
     return _by_position(display, see_through, [nearest])
 
 
-def spaam_redone(captures: EyeCaptures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
+def spaam_redone(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
     """SPAAM at each camera position, used with the position nearest to the viewpoint; see `spaam`.
 
     An upper bound of what a user who aligns again after each motion of the headset reaches.
@@ -112,7 +112,7 @@ def indica_full(captures: DisplayCaptures) -> PinholeDisplay:
     return _image_display(captures, box, *_fit_image(captures, scaled, image, start), numbers=8)
 
 
-def indica_recycle(captures: EyeCaptures) -> PinholeDisplay:
+def indica_recycle(captures: Captures) -> PinholeDisplay:
     """INDICA, recycle setup (Itoh and Klinker 2014): SPAAM at one eye position, shifted by the screen's distance.
 
     P = K_E0 K2 [R | t], K2 = [[z + dz, 0, -dx], [0, z + dz, -dy], [0, 0, z]] / z, with d the motion of the eye since

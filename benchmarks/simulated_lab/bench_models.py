@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.simulated_lab.simulate_readings import SimulatedReadings
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.calibrate_session import sound_captures
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.photograph_captures import (
     Headset,
     PanelView,
@@ -16,7 +16,7 @@ from wlr_render.calibration.photograph_captures import (
     see_through_captures,
     within_field,
 )
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry import transforms
 from wlr_render.jobs.options import seed_of
@@ -44,7 +44,7 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
         NOMINAL: (_exact(simulated, *_nominal(simulated)), tests),
     }
     return {
-        name: {error: each.rms for error, each in own.errors(fit_eye(captures, "planar").mappings).items()}
+        name: {error: each.rms for error, each in own.errors(calibrate(captures, "planar").mappings).items()}
         for name, (captures, own) in sources.items()
     }
 
@@ -57,7 +57,7 @@ def _nominal(simulated: SimulatedReadings) -> tuple[FloatArray, FloatArray]:
     return np.array(shown), np.array([camera_at(np.asarray(each.stage)) for each in session.see_through])
 
 
-def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: FloatArray) -> EyeCaptures:
+def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: FloatArray) -> Captures:
     """Captures by true lenses, board and targets, and the camera poses (n, 4, 4) given."""
     session, truth, reading = simulated.session, simulated.truth, simulated.reading
     headset = Headset(session.device, session.eye, session.eye_box)
@@ -77,7 +77,7 @@ def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: Float
             view = TargetView(pose, target, each.target_pose, place, seen, point, {"visit": len(targets)}, lens)
             targets.append(view)
     shown = display_captures(headset, session.pattern.panel, truth.bench.eyeball.camera, panels)
-    return EyeCaptures(shown, within_field(see_through_captures(headset, truth.bench.eyeball.camera, targets), shown))
+    return Captures(shown, within_field(see_through_captures(headset, truth.bench.eyeball.camera, targets), shown))
 
 
 def _moved(tests: TruthTests, motion: FloatArray) -> TruthTests:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.simulated_lab.bench_truth import BenchTruth, true_values
 from benchmarks.simulated_lab.faults import Faults
 from wlr_render.calibration.calibrate_session import SessionCalibration
-from wlr_render.calibration.fit_eye import Calibration, fit_eye
+from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.calibration.photograph_captures import (
     Headset,
     PanelView,
@@ -23,13 +23,13 @@ from wlr_render.calibration.photograph_captures import (
     within_field,
 )
 from wlr_render.calibration.poses import motion_between
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.options import seed_of
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable
 from wlr_render.simulation.photographs import camera_view
@@ -62,7 +62,7 @@ def compare_with_truth(bench: PhotoBench, found: SessionCalibration, seed: int) 
     truth = true_values(session, bench, visits, Faults())
     captures = _exact_captures(truth, found, np.random.default_rng([seed, 3]))
     moved = _in_true_frame(found.eyes[bench.eye].captures, truth)
-    return SessionTruth(truth, found, fit_eye(moved, "planar"), fit_eye(captures, "planar"))
+    return SessionTruth(truth, found, calibrate(moved, "planar"), calibrate(captures, "planar"))
 
 
 def truth_tables(compared: SessionTruth, seed: int) -> tuple[ReportTable, ReportTable]:
@@ -72,7 +72,7 @@ def truth_tables(compared: SessionTruth, seed: int) -> tuple[ReportTable, Report
     return _model_table(compared, truth, seed), _station_table(compared)
 
 
-def _in_true_frame(captures: EyeCaptures, truth: BenchTruth) -> EyeCaptures:
+def _in_true_frame(captures: Captures, truth: BenchTruth) -> Captures:
     true_from_stated = truth.bench.device_from_tracking @ transforms.inverse(truth.bench.stated_device_from_tracking)
 
     def moved(each: DisplayCaptures | SeeThroughCaptures) -> dict[str, Any]:
@@ -85,13 +85,13 @@ def _in_true_frame(captures: EyeCaptures, truth: BenchTruth) -> EyeCaptures:
     assert display is not None  # of a simulated session
     assert see_through is not None
     point = transforms.apply(true_from_stated, see_through.point)
-    return EyeCaptures(
+    return Captures(
         replace(display, **moved(display)),
         replace(see_through, **moved(see_through), point=point),
     )
 
 
-def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random.Generator) -> EyeCaptures:
+def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random.Generator) -> Captures:
     session, bench, camera = found.session, truth.bench, truth.bench.eyeball.camera
     poses = dict(zip((each.folder for each in session.display), truth.display, strict=True))
     poses |= dict(zip((each.path for each in session.see_through), truth.see_through, strict=True))
@@ -116,7 +116,7 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
         place = places.setdefault(photograph.place, len(places))
         targets.append(TargetView(pose, target, photograph.target_pose, place, whole_observation, on_target[sound]))
     display = display_captures(headset, session.pattern.panel, camera, panels)
-    return EyeCaptures(display, within_field(see_through_captures(headset, camera, targets), display))
+    return Captures(display, within_field(see_through_captures(headset, camera, targets), display))
 
 
 def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:
@@ -129,7 +129,7 @@ def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:
     )
 
 
-def _model_table(compared: SessionTruth, truth: EyeMappings, seed: int) -> ReportTable:
+def _model_table(compared: SessionTruth, truth: Eye, seed: int) -> ReportTable:
     tests = TruthTests.of(truth, seed_of(seed, truth.eye, 1))
     measured, ideal = (
         tests.errors(compared.measured.mappings),

@@ -26,7 +26,7 @@ from wlr_render.jobs.options import (
     described_size,
     eyes_of,
 )
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Picture, Report
@@ -77,7 +77,7 @@ def run(options: SoakOptions, *, progress: ProgressArgument = SILENT) -> Report:
         BadInputError: faulty files, or trajectories that are too short.
         MissingGlError: OpenGL does not open.
     """
-    models: dict[str, EyeMappings] = {eye: open_eye(options.headset, eye) for eye in eyes_of(options.eye)}
+    models: dict[str, Eye] = {eye: open_eye(options.headset, eye) for eye in eyes_of(options.eye)}
     folder = output_folder(options.out)
     stream = draw(options, models, progress)
     rows = write_text(folder / "frames.csv", frames_csv(stream))
@@ -94,7 +94,7 @@ def run(options: SoakOptions, *, progress: ProgressArgument = SILENT) -> Report:
     return save_report(report, folder, "soak")
 
 
-def draw(options: SoakOptions, models: Mapping[str, EyeMappings], progress: Progress = SILENT) -> Stream:
+def draw(options: SoakOptions, models: Mapping[str, Eye], progress: Progress = SILENT) -> Stream:
     """Draw all frames of some models, and write nothing.
 
     Raises:

@@ -16,7 +16,7 @@ from wlr_render.compositing.frame_handle import row_poses
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth
 from wlr_render.rendering.ray_intersections import SceneTracer
@@ -38,14 +38,14 @@ class Subject:
         tracer: of the scene, for those rays.
     """
 
-    mappings: EyeMappings
+    mappings: Eye
     compositor: Compositor
     source: SceneSource
     plan: RayMapPlan
     tracer: SceneTracer
 
 
-def subject(mappings: EyeMappings, scene: Scene, context: str = "auto") -> Subject:
+def subject(mappings: Eye, scene: Scene, context: str = "auto") -> Subject:
     """Everything ready; release its compositor."""
     panel = mappings.display.panel
     compositor = Compositor(mappings, (panel.width_px, panel.height_px), context=context)

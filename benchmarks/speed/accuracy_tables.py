@@ -11,7 +11,7 @@ from benchmarks.speed.workload import HEAD_POSE
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN, ray_error_arcmin
 from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
@@ -32,7 +32,7 @@ _PIXELS = 20_000
 _ROW_BY_ROW = "all, row by row"
 
 
-def ray_map_table(models: Mapping[str, EyeMappings], context: str) -> ReportTable:
+def ray_map_table(models: Mapping[str, Eye], context: str) -> ReportTable:
     """The shader's rays of planar models between a warp grid's points; needs OpenGL."""
     rows = [_ray_map_row(device, mappings, context) for device, mappings in models.items()]
     notes = (
@@ -44,7 +44,7 @@ def ray_map_table(models: Mapping[str, EyeMappings], context: str) -> ReportTabl
     return ReportTable("Rays of the shader", columns, rows, notes)
 
 
-def _ray_map_row(device: str, mappings: EyeMappings, context: str) -> list[Cell]:
+def _ray_map_row(device: str, mappings: Eye, context: str) -> list[Cell]:
     panel = mappings.display.panel
     with Compositor(mappings, (panel.width_px, panel.height_px), context=context) as compositor:
         plan = compositor.plan(mappings.eye)
@@ -56,7 +56,7 @@ def _ray_map_row(device: str, mappings: EyeMappings, context: str) -> list[Cell]
     return [name, chosen.bound_arcmin, found.rms, found.maximum, f"max <= {TOLERANCE_ARCMIN}: {verdict}"]
 
 
-def ray_map_error_arcmin(solve: GlPlanarSolver, mappings: EyeMappings, warp_grid: WarpGrid) -> FloatArray:
+def ray_map_error_arcmin(solve: GlPlanarSolver, mappings: Eye, warp_grid: WarpGrid) -> FloatArray:
     """Errors at pixel centres, (places, pixels), of a solve on that warp grid; NaN where there is no ray."""
     pixel = np.floor(np.random.default_rng(4).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
     errors = []
@@ -68,7 +68,7 @@ def ray_map_error_arcmin(solve: GlPlanarSolver, mappings: EyeMappings, warp_grid
     return np.stack(errors)
 
 
-def landing_part(models: Mapping[str, EyeMappings], scenes: Sequence[str], context: str) -> Part:
+def landing_part(models: Mapping[str, Eye], scenes: Sequence[str], context: str) -> Part:
     """Composed frames beside ray-traced ones, and what the place of the raster camera saves."""
     rows = [landing_row(device, models[device], scene, context) for device in models for scene in scenes]
     columns = (
@@ -108,7 +108,7 @@ def landing_figures(rows: Sequence[Sequence[Cell]]) -> list[Figure]:
     ]
 
 
-def landing_row(device: str, mappings: EyeMappings, scene: str, context: str) -> list[Cell]:
+def landing_row(device: str, mappings: Eye, scene: str, context: str) -> list[Cell]:
     """Its row, over all `PLACES`."""
     on = subject(mappings, load_scene(scene), context)
     try:
@@ -124,7 +124,7 @@ def landing_row(device: str, mappings: EyeMappings, scene: str, context: str) ->
     return [f"{device}, {scene}", rms, max(each.worst_arcmin for each in landed), at_pupil, at_rays, cut]
 
 
-def late_table(device: str, mappings: EyeMappings, scene: str, context: str) -> ReportTable:
+def late_table(device: str, mappings: Eye, scene: str, context: str) -> ReportTable:
     """What 10 ms cost, and what is left after late correction."""
     on = subject(mappings, load_scene(scene), context)
     try:

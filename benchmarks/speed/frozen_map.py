@@ -26,7 +26,7 @@ from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.choose_warp_grid import choose_warp_grid
 from wlr_render.rendering.ray_map import middle_axes, solve_pixels
@@ -105,7 +105,7 @@ class FrozenMap:
 
 
 def frozen_map(
-    mappings: EyeMappings,
+    mappings: Eye,
     scheme: Scheme,
     viewpoint: FloatArray,
     device_from_camera: FloatArray,
@@ -129,7 +129,7 @@ def frozen_map(
 
 
 def frozen_map_error_arcmin(
-    truth: EyeMappings, shown: FrozenMap, viewpoint: FloatArray, pixel: FloatArray, depth_m: float
+    truth: Eye, shown: FrozenMap, viewpoint: FloatArray, pixel: FloatArray, depth_m: float
 ) -> FloatArray:
     """The angle between where the eye sees what a pixel shows and where it sees the real thing: see the module.
 
@@ -149,7 +149,7 @@ def frozen_map_error_arcmin(
     return misalignment_arcmin(truth, viewpoint, pixel, point)
 
 
-def frozen_map_table(mappings: EyeMappings) -> ReportTable:
+def frozen_map_table(mappings: Eye) -> ReportTable:
     """What both schemes get wrong on a headset whose exact mappings are `mappings`: rms and largest, in arcminutes."""
     rows = [row for scheme in (MESH, IMAGE_MAPS) for row in (_interpolation(mappings, scheme), _swim(mappings, scheme))]
     rows.append(_followed(mappings))
@@ -162,21 +162,21 @@ def frozen_map_table(mappings: EyeMappings) -> ReportTable:
     return ReportTable(f"What a map computed once gets wrong: {mappings.name}", columns, rows, notes)
 
 
-def _interpolation(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
+def _interpolation(mappings: Eye, scheme: Scheme) -> list[Cell]:
     centre, axes, pixel = mappings.eye_box.centre, middle_axes(mappings), _judged_pixels(mappings)
     maps = {depth: frozen_map(mappings, scheme, centre, axes, depth) for depth in DEPTHS_M}
     errors = [frozen_map_error_arcmin(mappings, shown, centre, pixel, depth) for depth, shown in maps.items()]
     return [f"{scheme.name}, at its own viewpoint", *_rms_and_max(errors)]
 
 
-def _swim(mappings: EyeMappings, scheme: Scheme) -> list[Cell]:
+def _swim(mappings: Eye, scheme: Scheme) -> list[Cell]:
     pixel, viewpoint = _judged_pixels(mappings), _other_viewpoints(mappings)[:, None]
     shown = frozen_map(mappings, scheme, mappings.eye_box.centre, middle_axes(mappings))
     errors = [frozen_map_error_arcmin(mappings, shown, viewpoint, pixel, depth) for depth in DEPTHS_M]
     return [f"{scheme.name}, frozen", *_rms_and_max(errors)]
 
 
-def _followed(mappings: EyeMappings) -> list[Cell]:
+def _followed(mappings: Eye) -> list[Cell]:
     """What is left where the map follows the eye: the reading between the points of the compositor's warp grid."""
     axes, pixel = middle_axes(mappings), _judged_pixels(mappings)
     warp_grid = choose_warp_grid(mappings, axes).grid
@@ -202,12 +202,12 @@ def _on_rays(
     return transforms.apply(transforms.rigid(device_from_camera, viewpoint), in_camera)
 
 
-def _other_viewpoints(mappings: EyeMappings) -> FloatArray:
+def _other_viewpoints(mappings: Eye) -> FloatArray:
     """(n, 3) all over the eye box."""
     return mappings.eye_box.at(np.random.default_rng(9).uniform(-1, 1, (_VIEWPOINTS, 3)))
 
 
-def _judged_pixels(mappings: EyeMappings) -> FloatArray:
+def _judged_pixels(mappings: Eye) -> FloatArray:
     """Centres of pseudo-random pixels, which do not fall into step with any map's points."""
     return np.floor(np.random.default_rng(8).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
 

@@ -18,7 +18,7 @@ from benchmarks.speed.timing import alternately, in_ms, ratio, times_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload, bench_model, bench_scene
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.gl import open_context
 from wlr_render.rendering.painters import Painter, TracedPainter
@@ -112,7 +112,7 @@ def map_rows(work: Workload) -> list[list[Cell]]:
     ]
 
 
-def map_error_px(mappings: EyeMappings, viewpoint: FloatArray) -> float:
+def map_error_px(mappings: Eye, viewpoint: FloatArray) -> float:
     """Largest difference between the fast field and the exact solve of every pixel, in display pixels.
 
     Differences of the tangents at infinity and at the nearest depth, over the size of the pixel.

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.speed.timing import ROUNDS
-from wlr_render.calibration.fit_eye import fit_eye
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.calibration.fit_eye import calibrate
+from wlr_render.captures.correspondences import Captures
 from wlr_render.jobs.demo import simulated_captures
-from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -34,12 +34,12 @@ class Workload:
         places: (rounds + 1, 3) in -1..1.
     """
 
-    eyes: Mapping[str, EyeMappings]
+    eyes: Mapping[str, Eye]
     scene: Scene
     places: FloatArray
 
     @property
-    def mappings(self) -> EyeMappings:
+    def mappings(self) -> Eye:
         """The right eye's."""
         return self.eyes["right"]
 
@@ -79,7 +79,7 @@ def _places(rounds: int) -> FloatArray:
 
 def bench_model(
     panel: Panel | None = None, eye: str = "right", device: str = DEVICE, display_degree: int | None = None
-) -> EyeMappings:
+) -> Eye:
     """A planar model of a shipped device, whose panel may be given another number of pixels.
 
     As `calibrate` fits it, unless the degree of the display is limited.
@@ -88,13 +88,13 @@ def bench_model(
     return _planar(truth, panel or truth.display.panel, _SEED, display_degree)
 
 
-def _planar(truth: EyeMappings, panel: Panel, seed: int, display_degree: int | None) -> EyeMappings:
+def _planar(truth: Eye, panel: Panel, seed: int, display_degree: int | None) -> Eye:
     """What a simulated calibration with camera noise makes of an eye, its panel in other pixels."""
     captures = simulated_captures(truth, seed)
     display, see_through = captures.both
     pixel = display.pixel / display.panel.size_px * panel.size_px
-    scaled = EyeCaptures(replace(display, panel=panel, pixel=pixel), see_through)
-    return fit_eye(scaled, "planar", display_degree).mappings
+    scaled = Captures(replace(display, panel=panel, pixel=pixel), see_through)
+    return calibrate(scaled, "planar", display_degree).mappings
 
 
 def bench_scene(triangles: int = TRIANGLES) -> Scene:

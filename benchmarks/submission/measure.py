@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.submission.gl_calls import GlCalls, is_get
 from wlr_render.compositing.compositor import Compositor
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 
 WAYS = {
@@ -55,7 +55,7 @@ class Submission:
 class Host:
     """A program that draws both eyes into framebuffers of its own and composes into one of twice the width."""
 
-    def __init__(self, models: Mapping[str, EyeMappings], size: tuple[int, int], way: str) -> None:
+    def __init__(self, models: Mapping[str, Eye], size: tuple[int, int], way: str) -> None:
         settings: Any = {"standalone": True, "require": 410, "backend": "egl"}
         self._caller = None if way == "own" else moderngl.create_context(**settings)
         host_state: Any = "clean" if way == "clean" else "kept"
@@ -97,7 +97,7 @@ class Host:
         return self.compositor.context.drawing() if self._caller is None else contextlib.nullcontext()
 
 
-def measure(models: Mapping[str, EyeMappings], size: tuple[int, int], way: str, frames: int) -> Submission:
+def measure(models: Mapping[str, Eye], size: tuple[int, int], way: str, frames: int) -> Submission:
     """Measure one of `WAYS` over some frames of displays of (width, height).
 
     Raises:

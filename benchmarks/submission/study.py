@@ -11,7 +11,7 @@ from benchmarks.speed.workload import PANEL, bench_model
 from benchmarks.submission.measure import WAYS, Submission, measure
 from wlr_render.atomic_files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
@@ -36,7 +36,7 @@ def run(
     options: SubmissionOptions = _DEFAULTS,
     *,
     progress: ProgressArgument = SILENT,
-    models: Annotated[Mapping[str, EyeMappings] | None, Parameter(parse=False)] = None,
+    models: Annotated[Mapping[str, Eye] | None, Parameter(parse=False)] = None,
 ) -> Report:
     """Measure; writes submission.html, .md and .json into `options.out`.
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.self_calibration import Clicks, WearSettings, WearState
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import EyeBox, EyeMappings
+from wlr_render.mappings import Eye, EyeBox
 from wlr_render.models.moved_panel import MovedPanelDisplay
 from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
@@ -106,24 +106,24 @@ class WearResult:
     slips: tuple[Slip, ...]
 
 
-def worn_eye(device: str) -> EyeMappings:
+def worn_eye(device: str) -> Eye:
     """The traced right eye of a shipped device, with the larger eye box."""
     truth = traced_eye(load_device(device), "right")
     return replace(truth, eye_box=EyeBox(truth.eye_box.centre, EYE_BOX_M))
 
 
-def calibrated(truth: EyeMappings, rng: np.random.Generator) -> EyeMappings:
+def calibrated(truth: Eye, rng: np.random.Generator) -> Eye:
     """Models fitted to simulated captures with noise of 0.25' and a stage that errs by 10 um and 30 urad."""
     setup = CaptureSetup(truth, 0.25, 10e-6, truth.field, stage_turn_rad=30e-6)
     positions = setup.camera_positions("planar", _CAPTURES)
-    captures = EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
-    return replace(fit_eye(captures).mappings, field=truth.field)
+    captures = Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return replace(calibrate(captures).mappings, field=truth.field)
 
 
 class Wearer:
     """The true state of a headset on a head over time."""
 
-    def __init__(self, truth: EyeMappings, wear: Wear, rng: np.random.Generator) -> None:
+    def __init__(self, truth: Eye, wear: Wear, rng: np.random.Generator) -> None:
         self._truth, self._wear, self._rng = truth, wear, rng
         self._bias_m = rng.normal(0.0, wear.fitting_m, 3)
         self._by_gaze = rng.normal(0.0, wear.by_gaze, (3, 3))
@@ -146,7 +146,7 @@ class Wearer:
         self._bias_m = self._bias_m - self._wear.unseen * step
 
     @property
-    def _now(self) -> EyeMappings:
+    def _now(self) -> Eye:
         warmth = 1.0 - np.exp(-self.minute / _WARM_MIN)
         return replace(
             self._truth,
@@ -212,7 +212,7 @@ class Wearer:
         return float(np.sqrt(np.mean(error[kept] ** 2))), float(np.sqrt(np.mean(predicted**2)))
 
 
-def _inner_field(truth: EyeMappings) -> tuple[FloatArray, FloatArray]:
+def _inner_field(truth: Eye) -> tuple[FloatArray, FloatArray]:
     assert truth.field is not None
     middle, half = 0.5 * (truth.field.low + truth.field.high), 0.5 * (truth.field.high - truth.field.low)
     return middle - _FIELD_SHARE * half, middle + _FIELD_SHARE * half
@@ -226,7 +226,7 @@ def _after(state: WearState, clicks: Clicks, count: int) -> WearState:
         return state
 
 
-def half_hour(truth: EyeMappings, models: EyeMappings, wear: Wear, rng: np.random.Generator) -> WearResult:
+def half_hour(truth: Eye, models: Eye, wear: Wear, rng: np.random.Generator) -> WearResult:
     """Wear a headset: clicks when it is put on, then slips, each unannounced and followed by clicks."""
     wearer = Wearer(truth, wear, rng)
     never = WearState.begin(models)

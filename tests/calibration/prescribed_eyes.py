@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from wlr_render.captures.correspondences import EyeCaptures
-from wlr_render.mappings import EyeMappings
+from wlr_render.captures.correspondences import Captures
+from wlr_render.mappings import Eye
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
@@ -14,9 +14,9 @@ def prescription(name):
 
 
 def captured(optics, count=9, noise=0.0, stage_error_m=0.0, seed=1, grid=(15, 13), stage_turn_rad=0.0):
-    truth = EyeMappings(
+    truth = Eye(
         "test", "right", TracedDisplay(optics, 0.55), TracedSeeThrough(optics, 0.55), optics.eye_box, optics.field
     )
     setup = CaptureSetup(truth, noise, stage_error_m, optics.field, grid, stage_turn_rad=stage_turn_rad)
     rng, positions = np.random.default_rng(seed), setup.camera_positions("planar", count)
-    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))

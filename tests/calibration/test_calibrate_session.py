@@ -9,7 +9,7 @@ import pytest
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration import calibrate_session as steps
 from wlr_render.calibration.calibrate_session import RefusedCalibrationError, calibrate_session
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures
+from wlr_render.captures.correspondences import Captures, DisplayCaptures
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.plan.planned_bench import ReadingOptions
@@ -63,9 +63,7 @@ def session(monkeypatch):
     monkeypatch.setattr(steps, "with_half_turns", lambda session, reading: reading)
     monkeypatch.setattr(steps, "calibrate_bench", lambda *_: SimpleNamespace(checks=(), rejected=()))
     monkeypatch.setattr(steps, "save_station", lambda *_: None)
-    monkeypatch.setattr(
-        steps, "sound_captures", lambda own, *_: (EyeCaptures(replace(captures, eye=own.eye)), (MOVED,))
-    )
+    monkeypatch.setattr(steps, "sound_captures", lambda own, *_: (Captures(replace(captures, eye=own.eye)), (MOVED,)))
     return session
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_eye import fit_eye
-from wlr_render.captures.correspondences import CommonErrors, EyeCaptures
+from wlr_render.calibration.fit_eye import calibrate
+from wlr_render.captures.correspondences import Captures, CommonErrors
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.models.registration import UNSHARED, model_registration_covariance
 from wlr_render.optics.device_file import load_device
@@ -23,7 +23,7 @@ def simulated(seed=1, places=9):
     setup = CaptureSetup(truth, 0.25)
     positions = setup.camera_positions("planar", places)
     rng = np.random.default_rng(seed)
-    return truth, EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return truth, Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
 def stated(part, target_m=1e-3):
@@ -37,7 +37,7 @@ def stated(part, target_m=1e-3):
 
 
 def with_common(captures):
-    return EyeCaptures(stated(captures.display), stated(captures.see_through))
+    return Captures(stated(captures.display), stated(captures.see_through))
 
 
 def off_by(captures, variables):
@@ -49,14 +49,14 @@ def off_by(captures, variables):
         if changes.point is not None:
             moved["point"] = part.point + changes.point @ variables
         parts.append(dataclasses.replace(part, **moved))
-    return EyeCaptures(*parts)
+    return Captures(*parts)
 
 
 @pytest.fixture(scope="module")
 def session():
     truth, captures = simulated()
     captures = with_common(captures)
-    return truth, captures, fit_eye(captures)
+    return truth, captures, calibrate(captures)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(sessio
     _, captures, fit = session
     pixel, viewpoint, point, _ = tested
     values = np.eye(3)[variable]
-    other = fit_eye(off_by(captures, values))
+    other = calibrate(off_by(captures, values))
     for side, subject in (("display", pixel), ("see_through", point)):
         before, after = getattr(fit.mappings, side), getattr(other.mappings, side)
         answer = before.view_dir(subject, viewpoint).value
@@ -110,7 +110,7 @@ def test_viewpoints_that_are_off_are_predicted(tested):
 def test_mean_and_noise_do_not_depend_on_stated_common_errors(session, tested):
     """A fit cannot see what all captures share."""
     _, _, fit = session
-    other = fit_eye(simulated()[1])
+    other = calibrate(simulated()[1])
     for one, two in ((fit.display, other.display), (fit.see_through, other.see_through)):
         np.testing.assert_array_equal(one.smooth.polynomial.coefficients, two.smooth.polynomial.coefficients)
         assert one.report.held_out_arcmin == two.report.held_out_arcmin

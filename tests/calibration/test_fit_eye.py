@@ -6,9 +6,9 @@ import pytest
 from prescribed_eyes import captured, prescription
 from toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
 
-from wlr_render.calibration.fit_eye import eye_trends, fit_eye, fit_kinds, fit_with_trends
+from wlr_render.calibration.fit_eye import calibrate, eye_trends, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
-from wlr_render.captures.correspondences import CaptureMotionPrior, EyeCaptures
+from wlr_render.captures.correspondences import CaptureMotionPrior, Captures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
@@ -21,11 +21,11 @@ from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
-CAPTURES = EyeCaptures(display_captures(positions_in_plane(12)), see_through_captures(positions_in_plane(12)))
+CAPTURES = Captures(display_captures(positions_in_plane(12)), see_through_captures(positions_in_plane(12)))
 
 
 def test_eye_fit_names_what_it_is_and_goes_through_a_file(tmp_path):
-    eye = fit_eye(CAPTURES, "planar", 2, 1)
+    eye = calibrate(CAPTURES, "planar", 2, 1)
     assert eye.mappings.name == "toy (planar)"
     path = save_eye_models(tmp_path / "right.json", [eye.model()])
     loaded = load_eye_model(path)
@@ -37,20 +37,20 @@ def test_eye_fit_names_what_it_is_and_goes_through_a_file(tmp_path):
 
 
 def test_point_per_pixel_goes_with_a_static_see_through():
-    eye = fit_eye(CAPTURES, "point-per-pixel", 3, 2)
+    eye = calibrate(CAPTURES, "point-per-pixel", 3, 2)
     assert isinstance(eye.mappings.see_through, StaticSeeThrough)
     assert (eye.display.kind, eye.see_through.kind) == ("point-per-pixel", "static")
 
 
 def test_report_is_json_ready():
-    record = fit_eye(CAPTURES, "planar", 1, 1).model().report
+    record = calibrate(CAPTURES, "planar", 1, 1).model().report
     assert json.loads(json.dumps(record))["see_through"]["residual_px"] is None
 
 
 @pytest.mark.parametrize(("missing", "lacking"), [("display", "display"), ("see_through", "see-through")])
 def test_captures_of_one_side_give_its_model_and_the_other_side_refuses_every_use(tmp_path, missing, lacking):
-    fit = fit_eye(dataclasses.replace(CAPTURES, **{missing: None}), "planar", 1, 1)
-    both = fit_eye(CAPTURES, "planar", 1, 1).mappings
+    fit = calibrate(dataclasses.replace(CAPTURES, **{missing: None}), "planar", 1, 1)
+    both = calibrate(CAPTURES, "planar", 1, 1).mappings
     (kept,) = {"display", "see_through"} - {missing}
     viewpoint, pixel, far = EYE_BOX.centre, np.array([480.0, 420.0]), EYE_BOX.centre - [0.0, 0.0, 1.0]
     path = save_eye_models(tmp_path / "model.json", [fit.model()])
@@ -73,7 +73,7 @@ def test_captures_of_one_side_give_its_model_and_the_other_side_refuses_every_us
 @pytest.mark.parametrize("kind", ["grey-box", "prescription"])
 def test_a_kind_that_needs_a_prescription_says_so(kind):
     with pytest.raises(BadInputError, match=f"a {kind} model needs the device's prescription"):
-        fit_eye(CAPTURES, kind)
+        calibrate(CAPTURES, kind)
 
 
 def display_errors(fit, truth):
@@ -123,7 +123,7 @@ def test_evidence_compares_kinds_on_the_same_readings():
     captures = captured(truth, 5, 1.0)
     pixel = captures.display.pixel.copy()
     pixel[::40] += np.linspace(1.0, 64.0, len(pixel[::40]))[:, None]
-    spoilt = EyeCaptures(dataclasses.replace(captures.display, pixel=pixel), captures.see_through)
+    spoilt = Captures(dataclasses.replace(captures.display, pixel=pixel), captures.see_through)
     kinds = fit_kinds(spoilt, prescription("birdbath28"))
     weights = [fit.display.smooth.kept for fit in kinds.fits.values()]
     assert weights[0][::40][-1] == 0.0
@@ -133,7 +133,7 @@ def test_evidence_compares_kinds_on_the_same_readings():
 
 def test_the_corrected_prescription_is_in_the_model_file(tmp_path):
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(0))
-    fit = fit_eye(captured(truth, 5, 0.25), "prescription", prescription=prescription("birdbath28"))
+    fit = calibrate(captured(truth, 5, 0.25), "prescription", prescription=prescription("birdbath28"))
     report = load_eye_model(save_eye_models(tmp_path / "right.json", [fit.model()])).report["prescription"]
     path = tmp_path / "corrected.toml"
     path.write_text(report["device_file"])
@@ -195,7 +195,7 @@ def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables
 def test_display_and_see_through_are_of_one_stage():
     """Five positions alone cannot tell motions of 17 um from a shape that is wrong; see-through knows them."""
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(2), shape=0.002)
-    fit = fit_eye(
+    fit = calibrate(
         captured(truth, 5, 0.25, seed=102, grid=(25, 21)), "grey-box", prescription=prescription("birdbath28")
     )
     assert fit.display.smooth.stage == pytest.approx(fit.see_through.smooth.stage)
@@ -219,13 +219,13 @@ def few_places_of_freeform40(seed):
         sides.append(
             dataclasses.replace(side, view_dir=normalised(side.view_dir + noise), sigma_arcmin=sigma, motion=motion)
         )
-    return truth, EyeCaptures(*sides)
+    return truth, Captures(*sides)
 
 
 @pytest.mark.slow
 def test_few_places_of_strong_optics_neither_inflate_the_stage_nor_the_predicted_error():
     truth, captures = few_places_of_freeform40(seed=3)
-    fit = fit_eye(captures)
+    fit = calibrate(captures)
     assert fit.display.smooth.shift_m < 12e-6
     rng = np.random.default_rng(4)
     pixel = rng.uniform(0.05, 0.95, (400, 2)) * truth.display.panel.size_px

@@ -7,7 +7,7 @@ import pytest
 from prescribed_eyes import captured, prescription
 
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE, display_trend, fit_assembly, see_through_trend
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.numerics.polynomial import Box
@@ -89,13 +89,13 @@ def test_gross_outliers_do_not_move_the_fit():
     captures = captured(truth, noise=0.25)
     pixel = captures.display.pixel.copy()
     pixel[::20] += 64.0
-    spoilt = EyeCaptures(replace(captures.display, pixel=pixel), captures.see_through)
+    spoilt = Captures(replace(captures.display, pixel=pixel), captures.see_through)
     assert forward_rms(fit_assembly(spoilt, prescription("northstar")).optics, truth) < 0.1
 
 
 def test_a_display_alone_is_enough():
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(0))
-    fitted = fit_assembly(EyeCaptures(captured(truth, noise=0.25).display), prescription("birdbath28"))
+    fitted = fit_assembly(Captures(captured(truth, noise=0.25).display), prescription("birdbath28"))
     assert forward_rms(fitted.optics, truth) < 0.05
     assert fitted.see_through_arcmin is None
 

@@ -9,9 +9,9 @@ import pytest
 from wlr_render.captures.capture_file import load_captures, load_observations, place_warnings, save_captures
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
+    Captures,
     Conditions,
     DisplayCaptures,
-    EyeCaptures,
     SeeThroughCaptures,
     select,
 )
@@ -55,7 +55,7 @@ RECORDED = Conditions.recorded(
 )
 
 MOTION = CaptureMotionPrior(np.arange(9), RNG.uniform(0, 1e-5, (9, 6)), 0.2)
-WITH_MOTION = EyeCaptures(dataclasses.replace(DISPLAY, motion=MOTION), dataclasses.replace(SEE_THROUGH, motion=MOTION))
+WITH_MOTION = Captures(dataclasses.replace(DISPLAY, motion=MOTION), dataclasses.replace(SEE_THROUGH, motion=MOTION))
 
 
 def documented_header():
@@ -87,11 +87,11 @@ def test_the_documented_header_is_read(tmp_path):
 def test_places_that_span_little_of_the_eye_box_are_named(scale, named):
     apart = EYE_BOX.centre + scale * 0.5 * EYE_BOX.size * np.linspace(-1, 1, 20)[:, None]
     sides = [dataclasses.replace(each, viewpoint=apart, eye_box=EYE_BOX) for each in (DISPLAY, SEE_THROUGH)]
-    warnings = place_warnings(EyeCaptures(*sides))
+    warnings = place_warnings(Captures(*sides))
     assert len(warnings) == named
     assert all("span" in warning and "eye box of 10 mm" in warning for warning in warnings)
     alone = dataclasses.replace(sides[0], capture=np.zeros(20, int))
-    assert place_warnings(EyeCaptures(alone, None)) == []
+    assert place_warnings(Captures(alone, None)) == []
 
 
 def assert_same(first, second):
@@ -116,7 +116,7 @@ def assert_same_captures(read, captures):
 
 @pytest.mark.parametrize(
     "captures",
-    [EyeCaptures(DISPLAY), EyeCaptures(DISPLAY, SEE_THROUGH), WITH_MOTION],
+    [Captures(DISPLAY), Captures(DISPLAY, SEE_THROUGH), WITH_MOTION],
     ids=["display", "both", "with motion"],
 )
 def test_captures_come_back_exactly(tmp_path, captures):
@@ -169,7 +169,7 @@ def of_version_1(captures):
     return arrays
 
 
-@pytest.mark.parametrize("captures", [EyeCaptures(DISPLAY), EyeCaptures(DISPLAY, SEE_THROUGH)], ids=["display", "both"])
+@pytest.mark.parametrize("captures", [Captures(DISPLAY), Captures(DISPLAY, SEE_THROUGH)], ids=["display", "both"])
 def test_files_of_version_1_are_read(tmp_path, captures):
     np.savez(tmp_path / "eye.npz", **of_version_1(captures))
     assert_same_captures(load_captures(tmp_path / "eye.npz"), captures)
@@ -181,7 +181,7 @@ def rewritten(tmp_path, header, arrays):
     with np.load(path) as archive:
         content = dict(archive)
     if "display_pixel" in arrays or "see_through_point" in arrays:
-        content = of_version_1(EyeCaptures(DISPLAY, SEE_THROUGH))
+        content = of_version_1(Captures(DISPLAY, SEE_THROUGH))
     content["header"] = np.array(json.dumps(json.loads(str(content["header"])) | header))
     content |= arrays
     np.savez(path, **{name: value for name, value in content.items() if value is not None})
@@ -262,15 +262,15 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, header, array
 def test_points_in_kilometres_and_captures_numbered_by_row_are_refused(tmp_path):
     near = dataclasses.replace(SEE_THROUGH, point=SEE_THROUGH.viewpoint - [0, 0, 1e-3])
     with pytest.raises(BadInputError, match="real point 1 mm from its viewpoint"):
-        load_captures(save_captures(tmp_path / "near.npz", EyeCaptures(DISPLAY, near)))
+        load_captures(save_captures(tmp_path / "near.npz", Captures(DISPLAY, near)))
     rows = np.zeros(2001, int)
     many = dataclasses.replace(select(DISPLAY, rows), capture=np.arange(2001), pixel=np.linspace([0, 0], [5, 4], 2001))
     with pytest.raises(BadInputError, match="'capture' has 2001 different numbers"):
-        load_captures(save_captures(tmp_path / "many.npz", EyeCaptures(many)))
+        load_captures(save_captures(tmp_path / "many.npz", Captures(many)))
 
 
 def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
-    path = save_captures(tmp_path / "eye.npz", EyeCaptures(DISPLAY))
+    path = save_captures(tmp_path / "eye.npz", Captures(DISPLAY))
     path.write_bytes(path.read_bytes()[:700])
     with pytest.raises(BadInputError, match="cannot be read as a capture file"):
         load_captures(path)
@@ -290,7 +290,7 @@ def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
 
 def test_a_row_that_is_repeated_is_named(tmp_path):
     rows = np.append(np.arange(20), 3)
-    path = save_captures(tmp_path / "eye.npz", EyeCaptures(select(DISPLAY, rows)))
+    path = save_captures(tmp_path / "eye.npz", Captures(select(DISPLAY, rows)))
     with pytest.raises(BadInputError, match="row 20 repeats row 3"):
         load_captures(path)
 
@@ -310,4 +310,4 @@ def test_more_rows_than_are_read_are_refused_before_they_take_memory(tmp_path):
 
 def test_other_suffixes_are_refused(tmp_path):
     with pytest.raises(BadInputError, match=r"must be named \*\.npz"):
-        save_captures(tmp_path / "eye.json", EyeCaptures(DISPLAY))
+        save_captures(tmp_path / "eye.json", Captures(DISPLAY))

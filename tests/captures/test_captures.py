@@ -5,9 +5,9 @@ import pytest
 
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
+    Captures,
     Conditions,
     DisplayCaptures,
-    EyeCaptures,
     SeeThroughCaptures,
     concatenate,
     select,
@@ -81,7 +81,7 @@ def test_eyes_are_left_or_right_and_do_not_mix():
     with pytest.raises(BadInputError, match="'eye' is 'middle'"):
         dataclasses.replace(display(), eye="middle")
     with pytest.raises(BadInputError, match=r"of toy \(right eye\), the see-through captures of toy \(left eye\)"):
-        EyeCaptures(display(), dataclasses.replace(see_through(), eye="left"))
+        Captures(display(), dataclasses.replace(see_through(), eye="left"))
 
 
 def test_selected_rows_join_to_the_whole():

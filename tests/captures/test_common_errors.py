@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import (
+    Captures,
     CommonErrors,
     Conditions,
     DisplayCaptures,
-    EyeCaptures,
     SeeThroughCaptures,
     point_terms,
     with_copies,
@@ -112,7 +112,7 @@ def test_a_file_keeps_them(tmp_path, lens):
     shown, seen = (
         dataclasses.replace(each, common=dataclasses.replace(each.common, lens=lens)) for each in (DISPLAY, SEE_THROUGH)
     )
-    read = load_captures(save_captures(tmp_path / "captures.npz", EyeCaptures(shown, seen)))
+    read = load_captures(save_captures(tmp_path / "captures.npz", Captures(shown, seen)))
     for before, after in ((shown, read.display), (seen, read.see_through)):
         assert after.common.sources == SOURCES
         assert (after.common.lens is None) == (lens is None)
@@ -152,4 +152,4 @@ def test_captures_of_which_they_leave_something_out_are_refused():
 
 def test_both_parts_of_an_eye_must_share_the_same_variables():
     with pytest.raises(BadInputError, match="must have the same variables; give both the same 'sources'"):
-        EyeCaptures(dataclasses.replace(DISPLAY, common=None), SEE_THROUGH)
+        Captures(dataclasses.replace(DISPLAY, common=None), SEE_THROUGH)

@@ -14,7 +14,7 @@ from benchmarks.speed.accuracy import near_silhouettes
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.rendering.painters import position_of_source, with_inverse_depth
 from wlr_render.rendering.ray_map import RayMap, middle_axes, solve_pixels
 from wlr_render.rendering.ray_tracing import RayRenderer
@@ -56,7 +56,7 @@ class Traced:
     ray_map: RayMap
 
 
-def traced(mappings: EyeMappings, size, at_viewpoint, pose, renderer: RayRenderer) -> Traced:
+def traced(mappings: Eye, size, at_viewpoint, pose, renderer: RayRenderer) -> Traced:
     axes = middle_axes(mappings)
     solved = solve_pixels(mappings, axes, WarpGrid.of_pixels(mappings.display.panel, size).panel_pixel(), at_viewpoint)
     field = RayMap(at_viewpoint, axes, np.moveaxis(solved.slope_offset, -1, 0).astype(np.float32), solved.status)

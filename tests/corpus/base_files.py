@@ -35,12 +35,12 @@ from corpus.base_texts import (
     TARGET_KALIBR,
 )
 from wlr_render.atomic_files import resource
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png
 from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.mappings import Panel
@@ -59,8 +59,8 @@ def make_bases(folder: Path) -> None:
     _write_meshes(folder)
     _write_photographs(folder)
     seen = captures(str(device))
-    save_captures(folder / "captures.npz", EyeCaptures(seen.display, seen.see_through))
-    fitted = fit_eye(seen, "planar", 3, 2).mappings
+    save_captures(folder / "captures.npz", Captures(seen.display, seen.see_through))
+    fitted = calibrate(seen, "planar", 3, 2).mappings
     save_eye_models(folder / "model.json", [EyeModel(replace(fitted, name="fitted"), "no_optics")])
     _write_bench_session(folder / "bench")
 

@@ -6,20 +6,20 @@ import pytest
 from browser import needs_browser, open_page
 from memo import memoised
 
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.image_files import read_png
 from wlr_render.report.blocks import Picture, Plot
 
-FIT = "wlr_render.jobs.demo.fit_eye"
+FIT = "wlr_render.jobs.demo.calibrate"
 
 
 @pytest.fixture(scope="module")
 def fit_with_memo():
-    """`fit_eye`, which fits the same captures to the same kind of model once: a demo spends most of its time there."""
-    return memoised(fit_eye)
+    """`calibrate`, which fits captures to a kind of model only once: a demo spends most of its time there."""
+    return memoised(calibrate)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from command_line import refused
 from fitted_eyes import captures
 from small_headsets import LeftHalf
 
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.escapes import markdown_text
@@ -303,7 +303,7 @@ def test_models_of_one_name_keep_their_own_hashes(straight_device, tmp_path):
     files = [tmp_path / colour / "fit" / "model.json" for colour in ("green", "red", "blue")]
     for number, file in enumerate(files):
         file.parent.mkdir(parents=True)
-        fitted = fit_eye(captures(straight_device), "planar", 2 + number, 2).mappings
+        fitted = calibrate(captures(straight_device), "planar", 2 + number, 2).mappings
         save_eye_models(file, [EyeModel(fitted, "no_optics")])
     options = ExportOptions("npz", str(files[0]), red_model=files[1], blue_model=files[2])
     sha256 = views_from_centres(options)["right"].origin.sha256

@@ -8,7 +8,7 @@ from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS, bundle_display, bundle_s
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.model_file import EyeModel, add_eye_models, load_eye_model, load_eye_models, save_eye_models
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.polynomial import Polynomial, limited_orders
@@ -16,7 +16,7 @@ from wlr_render.numerics.polynomial import Polynomial, limited_orders
 
 def model(display=None, see_through=None):
     display, see_through = display or bundle_display(), see_through or bundle_see_through()
-    mappings = EyeMappings("toy (planar N=2)", "left", display, see_through, EYE_BOX)
+    mappings = Eye("toy (planar N=2)", "left", display, see_through, EYE_BOX)
     return EyeModel(mappings, "toy", {"display": {"rms_arcmin": 0.1 + 0.2}})
 
 

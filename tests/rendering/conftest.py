@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.geometry import directions, rays
-from wlr_render.mappings import EyeBox, EyeMappings, Panel, QueryResult, Status
+from wlr_render.mappings import Eye, EyeBox, Panel, QueryResult, Status
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class LateralOffset:
 
 def make_headset(width=96, height=80, hole_px=0.0):
     box = EyeBox(np.array([0.0, 0.0, 0.01]), np.array([0.010, 0.008, 0.006]))
-    return EyeMappings("toy", "right", CurvedImage(Panel(width, height), hole_px), LateralOffset(), box)
+    return Eye("toy", "right", CurvedImage(Panel(width, height), hole_px), LateralOffset(), box)
 
 
 @pytest.fixture

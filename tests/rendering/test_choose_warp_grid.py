@@ -5,7 +5,7 @@ import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.geometry import directions
-from wlr_render.mappings import EyeMappings, Panel, QueryResult
+from wlr_render.mappings import Eye, Panel, QueryResult
 from wlr_render.rendering.choose_warp_grid import (
     TOLERANCE_ARCMIN,
     choose_warp_grid,
@@ -32,7 +32,7 @@ class CubicImage:
 
 
 def cubic_eye(toy_headset, bent):
-    return EyeMappings("cubic", "right", CubicImage(bent), toy_headset.see_through, toy_headset.eye_box)
+    return Eye("cubic", "right", CubicImage(bent), toy_headset.see_through, toy_headset.eye_box)
 
 
 def test_the_error_of_a_cubic_field_is_its_third_difference(toy_headset):

@@ -5,7 +5,7 @@ import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EyeMappings, QueryResult, Status
+from wlr_render.mappings import Eye, QueryResult, Status
 from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
 from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, middle_axes, solve_every_pixel
 from wlr_render.rendering.warp_grid import WarpGrid
@@ -84,9 +84,7 @@ def test_nodes_without_an_answer_are_filled_and_the_hole_stays(gl_context, toy_h
 
 
 def test_where_no_node_has_an_answer_the_last_map_is_kept(gl_context, toy_headset):
-    blind = EyeMappings(
-        "blind", "right", BlindAtRight(toy_headset.display), toy_headset.see_through, toy_headset.eye_box
-    )
+    blind = Eye("blind", "right", BlindAtRight(toy_headset.display), toy_headset.see_through, toy_headset.eye_box)
     nodes = GlNodeSolver(gl_context, blind, plan_of(toy_headset, count=9))
     last = nodes.solve(toy_headset.eye_box.at(np.array([0.3, 0.5, 0]))).read()
     field = nodes.solve(toy_headset.eye_box.at(np.array([1.2, 0, 0]))).read()

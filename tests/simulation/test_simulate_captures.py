@@ -6,7 +6,7 @@ import pytest
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.geometry.transforms import rotations_of_vectors
-from wlr_render.mappings import EyeMappings, FieldOfView, Panel
+from wlr_render.mappings import Eye, FieldOfView, Panel
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
@@ -211,6 +211,6 @@ def test_a_panel_that_nobody_sees_is_said(flat_image_headset):
             seen = flat_image_headset.display.view_dir_of_pixel(pixel, viewpoint)
             return replace(seen, value=seen.value * np.nan, status=np.full_like(seen.status, 3))
 
-    truth = EyeMappings("dark", "right", Dark(), flat_image_headset.see_through, flat_image_headset.eye_box)
+    truth = Eye("dark", "right", Dark(), flat_image_headset.see_through, flat_image_headset.eye_box)
     with pytest.raises(BadInputError, match="no panel pixel of dark is seen"):
         _ = CaptureSetup(truth).field

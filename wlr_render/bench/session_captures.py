@@ -20,7 +20,7 @@ from wlr_render.bench.simulate_session import (
     stage_readings,
     undecoded,
 )
-from wlr_render.captures.correspondences import Conditions, DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import Captures, Conditions, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.observation_table import ObservationTable, observation_table
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
@@ -36,7 +36,7 @@ LEAST_SIGMA_PX = 1e-3
 _OFF_TARGET_M = 0.05  # distance from the target's plane; no target is curved by more
 
 
-def captures_of(bench: Bench, session: Session) -> EyeCaptures:
+def captures_of(bench: Bench, session: Session) -> Captures:
     """Return the captures of the bench's eye, from its panel and eye box; the device's optics are not used.
 
     Raises:

@@ -13,7 +13,7 @@ from wlr_render.budget.error_sizes import ErrorSizes
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import radius_within, variance
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
-from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics import chebyshev
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.rendering.sampling import bilinear_at
@@ -80,7 +80,7 @@ class ErrorMap:
         pixel: (rows, columns, 2) panel pixels of the maps: centres of equal cells.
     """
 
-    def __init__(self, eye: EyeMappings, sizes: ErrorSizes, columns: int = 18, rows: int = 16) -> None:
+    def __init__(self, eye: Eye, sizes: ErrorSizes, columns: int = 18, rows: int = 16) -> None:
         """Compute covariances over eye box, panel and depth.
 
         Args:

@@ -16,7 +16,7 @@ from wlr_render.budget.error_sizes import ErrorSizes, variances
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import EyeMappings, QueryResult
+from wlr_render.mappings import Eye, QueryResult
 from wlr_render.models.fitted_model import FittedDisplay, FittedModel, FittedSeeThrough
 from wlr_render.models.registration import model_registration_covariance, right_and_up
 from wlr_render.numerics.arrays import BoolArray, FloatArray
@@ -63,7 +63,7 @@ class RegistrationCovariance:
 
 
 def registration_covariance(
-    eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray, sizes: ErrorSizes
+    eye: Eye, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray, sizes: ErrorSizes
 ) -> RegistrationCovariance:
     """Covariance of registration of pixels, by source.
 
@@ -84,7 +84,7 @@ def registration_covariance(
 
 
 def _covered(
-    eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray
+    eye: Eye, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray
 ) -> tuple[QueryResult, QueryResult, FloatArray]:
     shown = eye.display.view_dir_of_pixel(pixel, viewpoint)
     seen = eye.see_through.real_ray_of_view_dir(shown.value, viewpoint)
@@ -92,7 +92,7 @@ def _covered(
 
 
 def disparity_covariance(
-    eyes: Sequence[EyeMappings], point: FloatArray, viewpoints: Sequence[FloatArray], sizes: Sequence[ErrorSizes]
+    eyes: Sequence[Eye], point: FloatArray, viewpoints: Sequence[FloatArray], sizes: Sequence[ErrorSizes]
 ) -> dict[str, FloatArray]:
     """Covariance of both eyes' disparity: registration of the right eye less that of the left, by source.
 
@@ -136,7 +136,7 @@ class _Sensitivity:
     """How registration of pixels (..., 2) with points (..., 3), seen along (..., 3), follows every error."""
 
     def __init__(
-        self, eye: EyeMappings, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray, view_dir: FloatArray
+        self, eye: Eye, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray, view_dir: FloatArray
     ) -> None:
         self.eye, self.pixel, self.viewpoint, self.point = eye, pixel, viewpoint, point
         axes = right_and_up(view_dir) / ARCMIN

@@ -26,7 +26,7 @@ from wlr_render.calibration.photograph_captures import (
 )
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.observation_table import observation_table
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession
@@ -52,7 +52,7 @@ class EyeCalibration:
     """
 
     session: PhotoSession
-    captures: EyeCaptures
+    captures: Captures
     kinds: KindComparison
     excluded: tuple[Excluded, ...]
     primaries: Mapping[str, Calibration] = field(default_factory=dict)
@@ -114,7 +114,7 @@ def worst_first(excluded: Sequence[Excluded]) -> list[Excluded]:
 
 
 def calibrate_session(
-    session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[EyeCaptures], KindComparison]
+    session: PhotoSession, reading: Reading, folder: Path, fit: Callable[[Captures], KindComparison]
 ) -> SessionCalibration:
     """Calibrate the bench, and fit models to the captures of each eye.
 
@@ -183,9 +183,9 @@ def _excluded_before(excluded: Sequence[Excluded]) -> str:
 
 def _fitted(
     session: PhotoSession,
-    captures: EyeCaptures,
+    captures: Captures,
     excluded: tuple[Excluded, ...],
-    fit: Callable[[EyeCaptures], KindComparison],
+    fit: Callable[[Captures], KindComparison],
 ) -> EyeCalibration:
     """Fit the models of one eye to green, white or the first colour, and to each other colour that was photographed."""
     table = observation_table(captures.display, captures.see_through)
@@ -195,13 +195,13 @@ def _fitted(
     for number, name in enumerate(CHANNELS):
         display = table.display(number)
         if display is not None and shown is not None and shown.channel[0] != number:
-            primaries[name] = fit(EyeCaptures(display, main.see_through)).chosen
+            primaries[name] = fit(Captures(display, main.see_through)).chosen
     return EyeCalibration(session, main, kinds, excluded, primaries)
 
 
 def sound_captures(
     session: PhotoSession, reading: Reading, bench: CalibratedBench
-) -> tuple[EyeCaptures, tuple[Excluded, ...]]:
+) -> tuple[Captures, tuple[Excluded, ...]]:
     """Return captures of one eye without those that were not taken where they are said to be, and which those are.
 
     Raises:
@@ -229,7 +229,7 @@ def sound_captures(
         excluded = [_exclusion(session.name_of(sets[each.group][0].folder), each) for each in moved]
         display = select(display, ~np.isin(display.capture, [each.group for each in moved]))
     if see_through is None:
-        return EyeCaptures(display), tuple(excluded)
+        return Captures(display), tuple(excluded)
     if display is None:
         _refuse_far_places(session, see_through.viewpoint)
     else:
@@ -238,7 +238,7 @@ def sound_captures(
     gone = see_through_outliers(see_through, _visits(see_through))
     excluded += [_exclusion(through[each.group][0].name, each) for each in gone]
     see_through = select(see_through, ~np.isin(_visits(see_through), [each.group for each in gone]))
-    return EyeCaptures(display, see_through), tuple(excluded)
+    return Captures(display, see_through), tuple(excluded)
 
 
 def _of_targets(

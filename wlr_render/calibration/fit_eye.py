@@ -24,11 +24,11 @@ from wlr_render.calibration.fit_prescription import (
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.readings import Trend
 from wlr_render.calibration.smooth_prior import Stage
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.html_summary import SummaryTable, html_summary
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.model_file import EyeModel, save_eye_models
@@ -57,7 +57,7 @@ class Calibration:
         assembly: the prescription with the assembly errors that both models found; None without one.
     """
 
-    mappings: EyeMappings
+    mappings: Eye
     device: str
     display: ModelFit[FittedDisplay] | None
     see_through: ModelFit[FittedSeeThrough] | None
@@ -149,8 +149,8 @@ class KindComparison:
         )
 
 
-def fit_eye(
-    captures: EyeCaptures,
+def calibrate(
+    captures: Captures,
     kind: str = "planar",
     display_degree: int | None = None,
     see_through_degree: int | None = None,
@@ -202,11 +202,8 @@ def fit_eye(
     return _eye_fit(captures, shown, seen, sum(_log_evidence(each) for each in (shown, seen) if each is not None))
 
 
-calibrate = fit_eye
-
-
 def fit_kinds(
-    captures: EyeCaptures,
+    captures: Captures,
     prescription: Prescription,
     display_degree: int | None = None,
     see_through_degree: int | None = None,
@@ -217,10 +214,10 @@ def fit_kinds(
     Outliers are those of the planar fit, which needs no prescription: evidence compares models of the same readings.
 
     Raises:
-        BadInputError: as `fit_eye`.
+        BadInputError: as `calibrate`.
     """
     degrees = (display_degree, see_through_degree)
-    planar = fit_eye(captures, "planar", *degrees, base_plane)
+    planar = calibrate(captures, "planar", *degrees, base_plane)
     shown, seen = planar.both
     trends = eye_trends(captures, fit_assembly(captures, prescription), base_plane)
     weights = shown.smooth.kept, seen.smooth.kept
@@ -248,7 +245,7 @@ class EyeTrends:
     see_through: Trend
 
 
-def eye_trends(captures: EyeCaptures, assembly: FittedAssembly, base_plane: BasePlane | None = None) -> EyeTrends:
+def eye_trends(captures: Captures, assembly: FittedAssembly, base_plane: BasePlane | None = None) -> EyeTrends:
     """Compile the fitted prescription over what the captures cover.
 
     Raises:
@@ -268,7 +265,7 @@ def eye_trends(captures: EyeCaptures, assembly: FittedAssembly, base_plane: Base
 
 
 def fit_with_trends(
-    captures: EyeCaptures,
+    captures: Captures,
     kind: str,
     trends: EyeTrends,
     degrees: tuple[int | None, int | None] = (None, None),
@@ -306,7 +303,7 @@ _Both = tuple[ModelFit[FittedDisplay], ModelFit[FittedSeeThrough]]
 
 
 def _both(
-    captures: EyeCaptures,
+    captures: Captures,
     kind: str,
     trends: EyeTrends,
     degrees: tuple[int | None, int | None],
@@ -365,14 +362,14 @@ def _log_evidence(fitted: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]) 
 
 
 def _eye_fit(
-    captures: EyeCaptures,
+    captures: Captures,
     shown: ModelFit[FittedDisplay] | None,
     seen: ModelFit[FittedSeeThrough] | None,
     log_evidence: float,
 ) -> Calibration:
     source = captures.source
     kind = next(each.kind for each in (shown, seen) if each is not None)
-    mappings = EyeMappings(
+    mappings = Eye(
         f"{source.device} ({kind})",
         source.eye,
         AbsentDisplay() if shown is None else shown.mapping,

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from wlr_render.calibration.readings import Trend
-from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, EyeCaptures, SeeThroughCaptures, select
+from wlr_render.captures.correspondences import AnyCaptures, Captures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
@@ -68,7 +68,7 @@ class FittedAssembly:
         return assembled(self.prescription, self.values)
 
 
-def fit_assembly(captures: EyeCaptures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
+def fit_assembly(captures: Captures, optics: EyeOptics, wavelength_um: float = 0.55) -> FittedAssembly:
     """Fit the twelve assembly errors of a prescription to display and see-through captures together.
 
     Nonlinear least squares, robust in the angles; each error has a Gaussian prior of its plausible size. The size of
@@ -247,7 +247,7 @@ def _check_reached(residual: FloatArray, device: str) -> None:
         )
 
 
-def _stated_sigma(captures: EyeCaptures) -> float:
+def _stated_sigma(captures: Captures) -> float:
     """Of the readings, arcminutes: the larger median of both parts; 0 where they are exact."""
     parts = (part for part in (captures.display, captures.see_through) if part is not None)
     return max(float(np.median(part.sigma_arcmin)) for part in parts)

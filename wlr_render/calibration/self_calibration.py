@@ -27,7 +27,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.input_files import shown
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.moved_panel import MovedPanelDisplay, pixel_at_calibration
 from wlr_render.models.registration import registration_changes, right_and_up
@@ -164,7 +164,7 @@ class WearState:
         has_slipped: whether the last update found a slip that was not announced by `slipped`.
     """
 
-    calibrated: EyeMappings
+    calibrated: Eye
     settings: WearSettings
     mean: FloatArray
     covariance: FloatArray
@@ -172,7 +172,7 @@ class WearState:
     has_slipped: bool = False
 
     @classmethod
-    def begin(cls, calibrated: EyeMappings, settings: WearSettings = WearSettings()) -> "WearState":
+    def begin(cls, calibrated: Eye, settings: WearSettings = WearSettings()) -> "WearState":
         """The state when the headset is put on: nothing has moved, and all of it may have."""
         return cls(calibrated, settings, np.zeros(PARAMETERS), np.diag(settings.at_start))
 
@@ -234,7 +234,7 @@ class WearState:
         turn = transforms.rotations_of_vectors(self.mean[TURN])
         return np.asarray(world_from_device @ transforms.rigid(turn.T, np.zeros(3)))
 
-    def corrected(self, mappings: EyeMappings) -> EyeMappings:
+    def corrected(self, mappings: Eye) -> Eye:
         """Calibrated mappings, of any colour, with the panel where it is now; for corrected viewpoints and poses."""
         display = MovedPanelDisplay(mappings.display, self.mean[SHIFT], float(self.mean[GROWTH][0]))
         return replace(mappings, display=display)

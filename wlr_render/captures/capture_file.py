@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from wlr_render.atomic_files import write_arrays
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
+    Captures,
     CommonErrors,
     Conditions,
     DisplayCaptures,
-    EyeCaptures,
     SeeThroughCaptures,
 )
 from wlr_render.captures.observation_table import (
@@ -72,12 +72,12 @@ _PLAUSIBLE = {
 """Ranges of conditions: metres or radians of the stage."""
 
 
-def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) -> Path:
+def save_captures(path: str | Path, captures: Captures | ObservationTable) -> Path:
     """Write a capture file atomically; the name must end in .npz."""
     if Path(path).suffix != ".npz":
         raise BadInputError(f"{path}: a capture file must be named *.npz.")
     table = captures
-    if isinstance(table, EyeCaptures):
+    if isinstance(table, Captures):
         table = observation_table(table.display, table.see_through)
     box, panel = table.see_through_eye_box, table.panel
     header = {
@@ -107,7 +107,7 @@ def save_captures(path: str | Path, captures: EyeCaptures | ObservationTable) ->
     return write_arrays(path, {"header": np.array(json.dumps(header))} | columns | recorded | motions | shared)
 
 
-def load_captures(path: str | Path) -> EyeCaptures:
+def load_captures(path: str | Path) -> Captures:
     """Read the captures of a fit from a capture file: the panel in one colour, and see-through.
 
     Raises:
@@ -132,7 +132,7 @@ def load_observations(path: str | Path) -> ObservationTable:
     return table
 
 
-def place_warnings(captures: EyeCaptures) -> list[str]:
+def place_warnings(captures: Captures) -> list[str]:
     """Warn if the camera positions span little of the eye box, as with a unit that is off by ten."""
     warnings = []
     for name, side in (("display", captures.display), ("see-through", captures.see_through)):

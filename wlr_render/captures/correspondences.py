@@ -411,8 +411,10 @@ class SeeThroughCaptures(_Rows):
 
 
 @dataclass(frozen=True)
-class EyeCaptures:
-    """All captures of one eye, the content of a capture file.
+class Captures:
+    """All captures of one eye, device frame, metres: the content of a capture file.
+
+    `load_captures` reads them, `simulate` simulates them, `calibrate` fits models to them.
 
     Attributes:
         display: captures of the panel; None without photographs of it.
@@ -472,9 +474,6 @@ class EyeCaptures:
 
     def _repr_html_(self) -> str:
         return _summary([part for part in (self.display, self.see_through) if part is not None])
-
-
-Captures = EyeCaptures
 
 
 def _summary(parts: "Sequence[_Rows]") -> str:

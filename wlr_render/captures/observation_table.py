@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.correspondences import (
     CaptureMotionPrior,
+    Captures,
     CommonErrors,
     Conditions,
     DisplayCaptures,
-    EyeCaptures,
     SeeThroughCaptures,
     concatenate,
     select,
@@ -125,13 +125,13 @@ class ObservationTable:
             common=self.see_through_common,
         )
 
-    def captures(self) -> EyeCaptures:
+    def captures(self) -> Captures:
         """Return the captures for a fit of one wavelength: green if available, else the first colour."""
         channels = np.unique(self.conditions.channel[self.kind == PANEL_PIXEL])
         display = None
         if len(channels):
             display = self.display(_GREEN if _GREEN in channels else int(channels[0]))
-        return EyeCaptures(display, self.see_through())
+        return Captures(display, self.see_through())
 
     def _common(self, rows: BoolArray) -> dict[str, Any]:
         """Return the attributes that both kinds of captures share."""
@@ -157,7 +157,7 @@ def observation_table(
     Raises:
         BadInputError: both are missing, or they are of different eyes.
     """
-    first = EyeCaptures(display, see_through).source
+    first = Captures(display, see_through).source
     parts = [each for each in (display, see_through) if each is not None]
     columns = [_columns(each) for each in parts]
     return ObservationTable(

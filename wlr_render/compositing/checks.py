@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import LIMITS, shown
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeBox, EyeChannels, EyeMappings
+from wlr_render.mappings import EYE_BOX_MARGIN, Eye, EyeBox, EyeChannels
 from wlr_render.numerics.arrays import FloatArray, finite_array
 from wlr_render.rendering.framebuffers import is_number
 from wlr_render.rendering.gl_overlay import Quad
@@ -132,7 +132,7 @@ def checked_number(value: object, what: str, at_least: float, at_most: float) ->
 
 
 def checked_models(
-    models: EyeMappings | Sequence[EyeMappings] | Mapping[str, EyeMappings | Sequence[EyeMappings]],
+    models: Eye | Sequence[Eye] | Mapping[str, Eye | Sequence[Eye]],
 ) -> dict[str, EyeChannels]:
     """Channels by eye, the left eye first.
 
@@ -145,16 +145,16 @@ def checked_models(
     return {eye: _checked_channels(eye, by_eye[eye]) for eye in sorted(by_eye)}
 
 
-def _eye_of(models: EyeMappings | Sequence[EyeMappings]) -> str:
+def _eye_of(models: Eye | Sequence[Eye]) -> str:
     first = models[0] if isinstance(models, Sequence) and models else models
-    if not isinstance(first, EyeMappings):
+    if not isinstance(first, Eye):
         raise BadInputError(
-            f"a {type(first).__name__} is not a model of an eye; give EyeMappings, or a dictionary by eye for two."
+            f"a {type(first).__name__} is not a model of an eye; give Eye, or a dictionary by eye for two."
         )
     return first.eye
 
 
-def _checked_channels(eye: str, models: EyeMappings | Sequence[EyeMappings]) -> EyeChannels:
+def _checked_channels(eye: str, models: Eye | Sequence[Eye]) -> EyeChannels:
     if not isinstance(models, Sequence):
         _eye_of(models)
     channels = tuple(models) if isinstance(models, Sequence) else (models,)
@@ -369,7 +369,7 @@ def _reach(box: EyeBox) -> FloatArray:
     return np.asarray((0.5 + REACH) * box.size + EYE_BOX_MARGIN)
 
 
-def _near_the_box(eye: str, viewpoint: FloatArray, mappings: EyeMappings) -> FloatArray:
+def _near_the_box(eye: str, viewpoint: FloatArray, mappings: Eye) -> FloatArray:
     box = mappings.eye_box
     beyond = np.abs(viewpoint - box.centre) - _reach(box)
     if (beyond > _ROUNDING_M).any():

@@ -41,7 +41,7 @@ from wlr_render.compositing.frame_handle import HISTORY, FrameHandle, MotionPred
 from wlr_render.compositing.gl_backend import GlBackend, HostState
 from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.input_files import shown
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.gl import GlContext
 from wlr_render.rendering.gl_warp import MAX_OVERLAYS
@@ -72,7 +72,7 @@ class Compositor:
 
     def __init__(
         self,
-        models: EyeMappings | Mapping[str, EyeMappings | Sequence[EyeMappings]],
+        models: Eye | Mapping[str, Eye | Sequence[Eye]],
         size: tuple[int, int],
         *,
         context: Any = "auto",

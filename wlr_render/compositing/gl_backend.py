@@ -14,7 +14,7 @@ from wlr_render.compositing.composed_frame import CachedRayMaps
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.input_files import shown
-from wlr_render.mappings import EyeMappings, PlanarDisplay, PlanarSeeThrough, count_unsolved
+from wlr_render.mappings import Eye, PlanarDisplay, PlanarSeeThrough, count_unsolved
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_overlay import Overlay, OverlayImport, Quad, SeenOverlay
@@ -353,9 +353,7 @@ def _context(context: Any, host_is_clean: bool) -> gl.GlContext:
     return gl.adopt_context(None if isinstance(context, str) else context, host_is_clean)
 
 
-def _solve_of(
-    context: gl.GlContext, mappings: EyeMappings, offset_px: FloatArray, plan: EyePlan
-) -> RayMapSolver[GpuRayMap]:
+def _solve_of(context: gl.GlContext, mappings: Eye, offset_px: FloatArray, plan: EyePlan) -> RayMapSolver[GpuRayMap]:
     """The solver for a primary whose sub-pixels lie at an offset (2,) from the pixels' centres, in display pixels."""
     warp_grid, axes = plan.warp_grid.grid, plan.device_from_camera
     warp_grid = replace(warp_grid, first_px=warp_grid.first_px + offset_px * warp_grid.panel.size_px / plan.size_px)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.painters import (
     Frame,
@@ -27,7 +27,7 @@ class WarpedPainter:
 
     def __init__(
         self,
-        mappings: EyeMappings | Sequence[EyeMappings],
+        mappings: Eye | Sequence[Eye],
         raster: SceneRaster,
         resolution: float = 1.0,
         raster_camera: RasterPlace = "nearest",

@@ -22,7 +22,7 @@ from wlr_render.compositing.checks import (
 )
 from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN, ray_error_arcmin
 from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
@@ -61,7 +61,7 @@ class WarpMesh:
 
     def __init__(
         self,
-        models: EyeMappings | Sequence[EyeMappings],
+        models: Eye | Sequence[Eye],
         size: tuple[int, int],
         *,
         resolution: float = 1.0,
@@ -165,15 +165,15 @@ def mesh_triangles(grid: WarpGrid) -> NDArray[np.uint32]:
     return np.asarray((corner[..., 1] * grid.columns + corner[..., 0]).reshape(-1, 3), np.uint32)
 
 
-def _plan(mappings: EyeMappings, axes: FloatArray, grid: WarpGrid) -> RayMapPlan:
+def _plan(mappings: Eye, axes: FloatArray, grid: WarpGrid) -> RayMapPlan:
     return RayMapPlan.onto_grid(grid, _node_count(mappings), axes)
 
 
-def _node_count(mappings: EyeMappings) -> int:
+def _node_count(mappings: Eye) -> int:
     return choose_plan(mappings, _NODES_TOLERANCE_PX).node_count
 
 
-def mesh_grid(mappings: EyeMappings, axes: FloatArray, size_px: tuple[int, int], tolerance_arcmin: float) -> WarpGrid:
+def mesh_grid(mappings: Eye, axes: FloatArray, size_px: tuple[int, int], tolerance_arcmin: float) -> WarpGrid:
     """The coarsest grid of square cells whose triangles are within the tolerance; no finer than the picture."""
     panel = mappings.display.panel
     finest_px, coarsest_px = float(np.min(panel.size_px / size_px)), float(np.min(panel.size_px)) / _COARSEST_CELLS
@@ -194,7 +194,7 @@ def mesh_grid(mappings: EyeMappings, axes: FloatArray, size_px: tuple[int, int],
     return chosen
 
 
-def _error_arcmin(mappings: EyeMappings, plan: RayMapPlan, ray_map_at: Callable[[FloatArray], RayMap]) -> float:
+def _error_arcmin(mappings: Eye, plan: RayMapPlan, ray_map_at: Callable[[FloatArray], RayMap]) -> float:
     """Largest error of rays between the vertices, in cells all over the panel and viewpoints all over the eye box.
 
     Against the exact solve, as `ray_error_arcmin`; infinite if no ray is found anywhere.

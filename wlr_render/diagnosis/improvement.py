@@ -25,7 +25,7 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.mappings import DisplayMapping, EyeMappings, SeeThroughMapping
+from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.viewpoints import random_in_eye_box
@@ -195,17 +195,17 @@ def improvement_in_use(nominal: Bench, corrected: Bench, session: Session) -> Im
     )
 
 
-def _eye(bench: Bench, display: DisplayMapping, see_through: SeeThroughMapping) -> EyeMappings:
-    return EyeMappings(bench.device.name, bench.eye, display, see_through, bench.optics.eye_box)
+def _eye(bench: Bench, display: DisplayMapping, see_through: SeeThroughMapping) -> Eye:
+    return Eye(bench.device.name, bench.eye, display, see_through, bench.optics.eye_box)
 
 
-def _traced(bench: Bench) -> EyeMappings:
+def _traced(bench: Bench) -> Eye:
     """The device as the session's captures saw it: its panel in green, the world in the targets' light."""
     display = TracedDisplay(bench.optics, bench.wavelengths_um[_GREEN])
     return _eye(bench, display, TracedSeeThrough(bench.optics, bench.target_wavelength_um))
 
 
-def _places(truth: EyeMappings, model: EyeMappings) -> tuple[FloatArray, FloatArray]:
+def _places(truth: Eye, model: Eye) -> tuple[FloatArray, FloatArray]:
     """Viewpoints (n, 3) in the eye box and real points (n, 3) that the panel covers, none outside the model's fit."""
     rng = np.random.default_rng(0)
     eyes = random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None, None]
@@ -217,9 +217,7 @@ def _places(truth: EyeMappings, model: EyeMappings) -> tuple[FloatArray, FloatAr
     return seen.viewpoint[kept], seen.point[kept]
 
 
-def _rendered(
-    judge: EyeMappings, before: EyeMappings, after: EyeMappings, viewpoint: FloatArray, point: FloatArray
-) -> Rendered:
+def _rendered(judge: Eye, before: Eye, after: Eye, viewpoint: FloatArray, point: FloatArray) -> Rendered:
     old, new = (
         misalignment_arcmin(judge, viewpoint, _lit_pixel(eye, viewpoint, point), point) for eye in (before, after)
     )
@@ -227,7 +225,7 @@ def _rendered(
     return Rendered(summary(old[both]), summary(new[both]))
 
 
-def _lit_pixel(eye: EyeMappings, viewpoint: FloatArray, point: FloatArray) -> FloatArray:
+def _lit_pixel(eye: Eye, viewpoint: FloatArray, point: FloatArray) -> FloatArray:
     """The panel position (n, 2) that rendering with an eye's mappings lights for a real point."""
     seen = eye.see_through.view_dir_of_real_point(point, viewpoint)
     return eye.display.pixel_of_view_dir(seen.value, viewpoint).value

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
-from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings
+from wlr_render.mappings import DisplayMapping, Eye, EyeBox
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
@@ -84,7 +84,7 @@ class DeviceFigures:
         return x, y
 
 
-def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -> DeviceFigures:
+def device_figures(mappings: Eye, blue: Eye, red: Eye) -> DeviceFigures:
     """Compute all figures.
 
     Args:
@@ -114,7 +114,7 @@ def device_figures(mappings: EyeMappings, blue: EyeMappings, red: EyeMappings) -
     )
 
 
-def figures_table(mappings: EyeMappings, figures: DeviceFigures) -> ReportTable:
+def figures_table(mappings: Eye, figures: DeviceFigures) -> ReportTable:
     """The figures of an eye as a table in arcminutes; field and image distance are in the notes."""
     box_mm = " x ".join(f"{1e3 * side:g}" for side in mappings.eye_box.size)
     rows: list[list[Cell]] = [["one pixel", figures.pixel_arcmin, None, None]]
@@ -146,7 +146,7 @@ def _extent(low: float, high: float) -> str:
     return f"{low:.1f} to {high:+.1f} degrees" if np.isfinite(low) else "not seen"
 
 
-def judged_pixels(mappings: EyeMappings, columns: int, rows: int) -> FloatArray:
+def judged_pixels(mappings: Eye, columns: int, rows: int) -> FloatArray:
     """Pixels (n, 2) spaced evenly in tangents over the nominal field, or evenly over the panel if there is none."""
     if mappings.field is None:
         return mappings.display.panel.grid(columns, rows).reshape(-1, 2)
@@ -164,7 +164,7 @@ def _swim(display: DisplayMapping, pixel: FloatArray, centre: FloatArray, axis: 
     return AngleSpread.of(arcmin_between(low, high))
 
 
-def _far(mappings: EyeMappings, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
+def _far(mappings: Eye, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
     """Directions of the real rays beyond the optics, (..., 3)."""
     return mappings.see_through.real_ray_of_view_dir(view_dir, viewpoint).value[..., 3:]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from wlr_render.evaluation.device_figures import judged_pixels
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import directions, rays
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.mappings import Eye, EyeChannels
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
@@ -31,7 +31,7 @@ class LateralColour:
     world_ray: FloatArray
 
 
-def lateral_colour(green: EyeMappings, other: EyeMappings, viewpoint: FloatArray, pixel: FloatArray) -> LateralColour:
+def lateral_colour(green: Eye, other: Eye, viewpoint: FloatArray, pixel: FloatArray) -> LateralColour:
     """Compare one colour with green at pixels (n, 2) from a viewpoint (3,).
 
     The real points are at `DEPTH_M` on the green rays of the pixels.
@@ -43,7 +43,7 @@ def lateral_colour(green: EyeMappings, other: EyeMappings, viewpoint: FloatArray
     return LateralColour(*(directions.arcmin_between(*pair) for pair in (seen, through, places)))
 
 
-def _met(mappings: EyeMappings, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
+def _met(mappings: Eye, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
     """Points (n, 3) at `DEPTH_M` in front of the viewpoint, visible in directions (n, 3)."""
     real = mappings.see_through.real_ray_of_view_dir(view_dir, viewpoint).value
     return rays.split(rays.at_z(real, viewpoint[2] - DEPTH_M))[0]

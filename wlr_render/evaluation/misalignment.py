@@ -3,11 +3,11 @@
 import numpy as np
 
 from wlr_render.geometry import directions
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 
 
-def misalignment_arcmin(truth: EyeMappings, viewpoint: FloatArray, pixel: FloatArray, point: FloatArray) -> FloatArray:
+def misalignment_arcmin(truth: Eye, viewpoint: FloatArray, pixel: FloatArray, point: FloatArray) -> FloatArray:
     """Angle at the viewpoint between a panel pixel and the real point that the pixel shows.
 
     Both directions come from `truth`: the pixel's from its display mapping, the point's from its see-through mapping. A

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
+from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.rendering.raster_camera import RasterPlace, RasterPosition, intermediate_camera
 from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, middle_axes, ray_map, solve_pixels
@@ -62,7 +62,7 @@ class ExportedView:
     depth_m: float = math.inf
     time_s: float | None = None
     place_of: Callable[[FloatArray], FloatArray] = np.array
-    other_light: Mapping[str, EyeMappings] = field(default_factory=dict)
+    other_light: Mapping[str, Eye] = field(default_factory=dict)
 
     def moved_to(self, viewpoint: FloatArray, stem: str, time_s: float | None) -> "ExportedView":
         """Return the view of another pupil position, with its camera."""
@@ -95,7 +95,7 @@ class ExportedView:
         """Name of the map in the middle of the spectrum."""
         return middle_channel(self.colours)
 
-    def mappings(self, colour: str) -> EyeMappings:
+    def mappings(self, colour: str) -> Eye:
         """Return the mappings of one colour."""
         return self.channels[self.colours.index(colour)]
 
@@ -127,7 +127,7 @@ class ExportedView:
         """
         return self.rays_of(self.mappings(colour), pixel, self.viewpoint if viewpoint is None else viewpoint)
 
-    def rays_of(self, mappings: EyeMappings, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    def rays_of(self, mappings: Eye, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
         """Return the same rays for other mappings of this eye."""
         solved = solve_pixels(mappings, self.source.device_from_camera, pixel, viewpoint)
         return np.moveaxis(self._at_camera(solved.slope_offset, viewpoint), 0, -1)
@@ -172,7 +172,7 @@ def view_from_centre(
     source_size: tuple[int, int] | None = None,
     source_camera: RasterPlace = "viewpoint",
     depth_m: float = math.inf,
-    other_light: Mapping[str, EyeMappings] | None = None,
+    other_light: Mapping[str, Eye] | None = None,
 ) -> ExportedView:
     """Return a view from the centre of the eye box, with the camera that serves all of the box.
 

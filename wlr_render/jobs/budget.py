@@ -17,7 +17,7 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.headset import headset_path, is_model, open_eye
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Eyes, Options, ProgressArgument, described, eyes_of, flag_of
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
@@ -193,7 +193,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     return save_report(report, folder, "budget")
 
 
-def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[EyeMappings, ErrorSizes]:
+def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[Eye, ErrorSizes]:
     """Both mappings of an eye, and the sizes of all errors but those of the models.
 
     Raises:
@@ -209,7 +209,7 @@ def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[EyeMappings, Er
     return mappings, options.sizes(grid.bound_arcmin, truncation)
 
 
-def eye_budget(eye: EyeMappings, depth_m: float, sizes: ErrorSizes, in_camera_frame: bool = False) -> EyeBudget:
+def eye_budget(eye: Eye, depth_m: float, sizes: ErrorSizes, in_camera_frame: bool = False) -> EyeBudget:
     """Budget of an eye over its eye box and nominal field, or panel if it states no field.
 
     Args:
@@ -273,7 +273,7 @@ class DisparityShare:
     vertical_arcmin: float
 
 
-def _disparity(eyes: Sequence[EyeMappings], sizes: Sequence[ErrorSizes], depth_m: float) -> list[DisparityShare]:
+def _disparity(eyes: Sequence[Eye], sizes: Sequence[ErrorSizes], depth_m: float) -> list[DisparityShare]:
     """By source, over points that cover the panel of the first eye and viewpoints all over the eye boxes."""
     viewpoints = [volumetric(eye.eye_box, _VIEWPOINTS)[:, None] for eye in eyes]
     first = registration_covariance(
@@ -346,7 +346,7 @@ def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
     return warnings
 
 
-def _eye_blocks(found: EyeBudget, eye: EyeMappings, depth_m: float) -> list[Block]:
+def _eye_blocks(found: EyeBudget, eye: Eye, depth_m: float) -> list[Block]:
     cell = eye.display.panel.width_px / _COLUMNS
     rows: list[list[Cell]] = [
         [each.name, each.rms_arcmin, each.worst_arcmin, 100 * each.share, each.radius_if_halved_arcmin]

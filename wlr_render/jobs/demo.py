@@ -26,8 +26,8 @@ from wlr_render.budget.error_sizes import Drawing, ErrorSizes, Truncation
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.fit_eye import Calibration, fit_eye
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.calibration.fit_eye import Calibration, calibrate
+from wlr_render.captures.correspondences import Captures
 from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
@@ -56,7 +56,7 @@ from wlr_render.jobs.options import (
     folder_of_eye,
     seed_of,
 )
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.static import undeviated
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
@@ -186,7 +186,7 @@ def _verdict(overall: ReportTable, what: str) -> str:
     )
 
 
-def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
+def judged_viewpoints(truth: Eye, count: int) -> FloatArray:
     """The eye box's centre, then fixed pseudo-random viewpoints, the first of them near a corner: (count, 3)."""
     rng = np.random.default_rng(5)
     unit = np.concatenate([np.zeros((1, 3)), [[0.8, 0.8, -0.8]], rng.uniform(-1, 1, (count - 2, 3))])
@@ -194,14 +194,14 @@ def judged_viewpoints(truth: EyeMappings, count: int) -> FloatArray:
 
 
 def _painters(
-    truth: EyeMappings, renderer: RayRenderer, raster: SceneRaster | None, options: DemoOptions
+    truth: Eye, renderer: RayRenderer, raster: SceneRaster | None, options: DemoOptions
 ) -> tuple[Calibration, dict[str, Painter]]:
     captures = simulated_captures(truth, options.seed)
-    fit = fit_eye(captures, "planar")
+    fit = calibrate(captures, "planar")
     planar = fit.mappings
-    static = fit_eye(captures, "static").mappings
+    static = calibrate(captures, "static").mappings
     flat = fit_display(captures.both[0], "static", 1).mapping
-    naive = EyeMappings("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
+    naive = Eye("naive", truth.eye, flat, undeviated(truth.eye_box), truth.eye_box)
     painters: dict[str, Painter] = {"naive": TracedPainter(naive, renderer), "static": TracedPainter(static, renderer)}
     if raster is not None:
         painters["raster + warp"] = WarpedPainter(planar, raster)
@@ -213,16 +213,16 @@ def _planar_of(methods: Collection[str]) -> str:
     return METHODS[2] if METHODS[2] in methods else METHODS[3]
 
 
-def simulated_captures(truth: EyeMappings, seed: int) -> EyeCaptures:
+def simulated_captures(truth: Eye, seed: int) -> Captures:
     """A planar calibration with camera noise, plus one position at the centre for the static map."""
     rng = np.random.default_rng(seed_of(seed, truth.eye))
     setup = CaptureSetup(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN)
     planar = stage.planar(truth.eye_box, setup.field.reach, CAMERA_POSITIONS)
     positions = np.concatenate([planar, stage.nominal(truth.eye_box)])
-    return EyeCaptures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    return Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
 
 
-def _views(truth: EyeMappings, fit: Calibration, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
+def _views(truth: Eye, fit: Calibration, painters: dict[str, Painter], places: FloatArray) -> Iterator[_View]:
     pixel = np.floor(truth.display.panel.grid(*_GRID)) + 0.5
     planar = _planar_of(painters)
     # The error of raster frames was measured with the warp grid's, whose bound would count it twice.
@@ -251,7 +251,7 @@ def _shown_points(frame: Frame, pixel: FloatArray) -> FloatArray:
     return np.asarray(frame.position[pixel[..., 1].astype(int), pixel[..., 0].astype(int)], np.float64)
 
 
-def _overall(truth: EyeMappings, scene: Scene, seen: list[_View]) -> ReportTable:
+def _overall(truth: Eye, scene: Scene, seen: list[_View]) -> ReportTable:
     rows: list[list[Cell]] = []
     for method in seen[0].misalignment:
         s = summary(np.concatenate([view.misalignment[method] for view in seen]))
@@ -296,7 +296,7 @@ def _prediction_of(view: _View) -> tuple[FloatArray, FloatArray]:
     return view.predicted, view.misalignment[_planar_of(view.misalignment)]
 
 
-def _prediction_maps(truth: EyeMappings, seen: list[_View]) -> Plot:
+def _prediction_maps(truth: Eye, seen: list[_View]) -> Plot:
     predicted, true = (np.stack(each) for each in zip(*(_prediction_of(view) for view in seen), strict=True))
     both = np.isfinite(predicted + true)
     count = both.sum(axis=0)
@@ -318,7 +318,7 @@ def _distribution(seen: list[_View]) -> Plot:
     return curves("Distribution of misalignment", lines, axes, log_x=True, caption="All viewpoints.")
 
 
-def _save_views(folder: Path, device: str, truth: EyeMappings, renderer: RayRenderer, view: _View) -> list[Path]:
+def _save_views(folder: Path, device: str, truth: Eye, renderer: RayRenderer, view: _View) -> list[Path]:
     """Look through the true optics with each method's picture on the panel; the last file is the picture of all."""
 
     def look(camera: Pinhole) -> EyeView:
@@ -342,7 +342,7 @@ def _save_views(folder: Path, device: str, truth: EyeMappings, renderer: RayRend
     return [*written, save_picture(folder / "alignment.png", panoramas, (overview, close_up), heading)]
 
 
-def _content_tangents(truth: EyeMappings, scene: Scene, viewpoint: FloatArray) -> FloatArray:
+def _content_tangents(truth: Eye, scene: Scene, viewpoint: FloatArray) -> FloatArray:
     """Tangents of what there is to see: where panel and scene overlap, with a margin."""
     panel = truth.display.panel
     edge = truth.display.view_dir_of_pixel(panel.grid(9, 9).reshape(-1, 2), viewpoint)

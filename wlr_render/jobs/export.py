@@ -36,7 +36,7 @@ from wlr_render.jobs.headset import (
 )
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
-from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
+from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import GREEN_UM
 from wlr_render.progress import SILENT
@@ -208,7 +208,7 @@ def _view_from_centre(options: ExportOptions, channels: EyeChannels, origin: Ori
     )
 
 
-def _other_light(options: ExportOptions, eye: str) -> dict[str, EyeMappings]:
+def _other_light(options: ExportOptions, eye: str) -> dict[str, Eye]:
     """Mappings of a device in red and blue light, for which one map is used too; empty if each colour has a map."""
     if options.has_colours or is_model(options.headset):
         return {}
@@ -217,7 +217,7 @@ def _other_light(options: ExportOptions, eye: str) -> dict[str, EyeMappings]:
     return dict(zip(names, (red, blue), strict=True))
 
 
-def _still_pupils(options: ExportOptions, mappings: EyeMappings) -> Iterator[tuple[str, FloatArray]]:
+def _still_pupils(options: ExportOptions, mappings: Eye) -> Iterator[tuple[str, FloatArray]]:
     """Stem of the files and viewpoint of each pupil that does not move."""
     box, eye = mappings.eye_box, mappings.eye
     chosen = options.viewpoint_m(eye)

@@ -32,7 +32,7 @@ from wlr_render.jobs.frame_plan import PlannedFrame
 from wlr_render.jobs.headset import headset_path, is_model, open_channels
 from wlr_render.jobs.options import eyes_of, seed_of
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.mappings import COLOURS, EyeChannels, EyeMappings, middle_channel
+from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.optics.traced_mappings import TRACED
 from wlr_render.processes import THIS_MACHINE, as_finished
 from wlr_render.rendering.exr_file import require_exr
@@ -62,7 +62,7 @@ class OpenedFiles:
     """
 
     channels: Mapping[str, EyeChannels]
-    truths: Mapping[str, EyeMappings]
+    truths: Mapping[str, Eye]
     scene: Scene
     inputs: Mapping[str, str]
 
@@ -95,12 +95,12 @@ class OpenedFiles:
         first = next(iter(self.middle().values()))
         return {"headset": first.name.removesuffix(TRACED), "scene": self.scene.name}
 
-    def middle(self) -> dict[str, EyeMappings]:
+    def middle(self) -> dict[str, Eye]:
         """The only or the green channel of each eye."""
         return {eye: middle_channel(of_eye) for eye, of_eye in self.channels.items()}
 
 
-def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, EyeMappings]:
+def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, Eye]:
     """Exact mappings of each eye, if misalignment is asked for.
 
     Raises:

@@ -22,7 +22,7 @@ from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import transforms
 from wlr_render.input_files import LIMITS, read_text, shown
 from wlr_render.jobs.frame_plan import PlannedFrame
-from wlr_render.mappings import EyeMappings, Panel
+from wlr_render.mappings import Eye, Panel
 from wlr_render.rendering.exr_file import write_exr
 from wlr_render.rendering.frame_layers import MEANINGS, Layer
 from wlr_render.rendering.painters import Frame
@@ -140,7 +140,7 @@ def instance_annotations(instance: NDArray[np.uint32]) -> list[dict[str, Any]]:
     return found
 
 
-def frame_misalignment(truth: EyeMappings, planned: PlannedFrame, frame: Frame) -> dict[str, Any]:
+def frame_misalignment(truth: Eye, planned: PlannedFrame, frame: Frame) -> dict[str, Any]:
     """Angles at the eye between what a frame shows and the real points, through other mappings than it is drawn with.
 
     Args:

@@ -12,7 +12,7 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.headset import require_in_eye_box
 from wlr_render.jobs.options import Eyes, eyes_of
 from wlr_render.jobs.sequence_record import RECORD
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
@@ -70,7 +70,7 @@ def read_trajectories(options: MotionOptions) -> tuple[HeadTrajectory | None, Ey
 
 
 def planned_frames(
-    options: MotionOptions, mappings: dict[str, EyeMappings], head: HeadTrajectory | None, eyes: EyeTrajectory | None
+    options: MotionOptions, mappings: dict[str, Eye], head: HeadTrajectory | None, eyes: EyeTrajectory | None
 ) -> list[PlannedFrame]:
     """When and from where each frame is drawn, in time order.
 
@@ -91,7 +91,7 @@ def planned_frames(
 
 
 def _pupils(
-    options: MotionOptions, mappings: EyeMappings, eyes: EyeTrajectory | None, times: FloatArray
+    options: MotionOptions, mappings: Eye, eyes: EyeTrajectory | None, times: FloatArray
 ) -> list[tuple[FloatArray, bool, float]]:
     """Viewpoint (3,) of each frame, whether it is held, and the length of the gap in which it lies, or 0.
 

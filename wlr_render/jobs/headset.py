@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import EyeChannels, EyeMappings
+from wlr_render.mappings import Eye, EyeChannels
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
@@ -34,7 +34,7 @@ def headset_path(spec: str | Path) -> Path:
     return Path(spec) if is_model(spec) else device_path(spec)
 
 
-def open_eye(spec: str | Path, eye: str = "right") -> EyeMappings:
+def open_eye(spec: str | Path, eye: str = "right") -> Eye:
     """Mappings of one eye: traced for a device name or .toml, fitted for a model .json.
 
     Raises:
@@ -92,7 +92,7 @@ def open_colours(
     return _same_eye(green, red_model), green, _same_eye(green, blue_model)
 
 
-def _same_eye(green: EyeMappings, spec: Path) -> EyeMappings:
+def _same_eye(green: Eye, spec: Path) -> Eye:
     other = open_eye(spec, green.eye)
     first, second = (np.stack([mappings.eye_box.centre, mappings.eye_box.size]) for mappings in (green, other))
     if green.display.panel != other.display.panel or not np.allclose(first, second, rtol=0, atol=1e-9):
@@ -102,7 +102,7 @@ def _same_eye(green: EyeMappings, spec: Path) -> EyeMappings:
     return other
 
 
-def require_in_eye_box(mappings: EyeMappings, viewpoint: FloatArray, where: str) -> None:
+def require_in_eye_box(mappings: Eye, viewpoint: FloatArray, where: str) -> None:
     """Refuse a viewpoint (3,) that the mappings were not made for.
 
     Raises:

@@ -12,7 +12,7 @@ from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eye, Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.options import EyeName, Options, ProgressArgument, Range, described, described_size
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import device_of
 from wlr_render.optics.device_writer import device_content, save_device
@@ -53,7 +53,7 @@ class ImportLensOptions(Options):
         described("Place of the pupil in the device in mm (x right, y up, z back)."),
         _PLACE_MM,
     ] = (0.0, 0.0, 0.0)
-    eye: Annotated[Eye, described("Side of the eye.")] = "right"
+    eye: Annotated[EyeName, described("Side of the eye.")] = "right"
     starts_at: Annotated[
         Literal["eye", "panel"], described("Where the light of the file begins; most designs are traced from the eye.")
     ] = "eye"

@@ -242,7 +242,7 @@ def _default(field: "dataclasses.Field[object]") -> object:
 ProgressArgument = Annotated[Progress, Parameter(parse=False)]
 """Type of a job's `progress` argument, which is no option of the command line."""
 Code = Literal["gray", "fringes", "gray-fringes"]
-Eye = Literal["left", "right"]
+EyeName = Literal["left", "right"]
 Eyes = Literal["left", "right", "both"]
 Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],
@@ -335,7 +335,7 @@ def described_size(text: str, *, optional: bool = False, in_mm: bool = False) ->
     )
 
 
-def eyes_of(eye: Eyes) -> tuple[Eye, ...]:
+def eyes_of(eye: Eyes) -> tuple[EyeName, ...]:
     """The eyes that an `--eye` option names."""
     return ("left", "right") if eye == "both" else (eye,)
 
@@ -348,6 +348,6 @@ def seed_of(seed: int, eye: str, stream: int = 0) -> list[int]:
     return [seed, stream, ("right", "left").index(eye)]
 
 
-def folder_of_eye(folder: Path, eye: Eye, eyes: Eyes) -> Path:
+def folder_of_eye(folder: Path, eye: EyeName, eyes: Eyes) -> Path:
     """Where the files of one eye go: into the output folder, or its subfolders "left" and "right" for both eyes."""
     return folder / eye if eyes == "both" else folder

@@ -10,7 +10,7 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Code,
-    Eye,
+    EyeName,
     ProgressArgument,
     Range,
     Scheduler,
@@ -36,7 +36,7 @@ class SimulateOptions(SpreadOptions):
     session: Annotated[Path, described("Folder of the session; an interrupted simulation continues there.")]
     _: KW_ONLY
     device: Annotated[str, described("A shipped device or a device file (.toml).")] = "freeform40"
-    eye: Annotated[Eye, described("Eye to photograph: a session is of one eye.")] = "right"
+    eye: Annotated[EyeName, described("Eye to photograph: a session is of one eye.")] = "right"
     viewpoints: Annotated[int, described("Number of camera positions."), limits.PLACES] = 25
     pattern: Annotated[Code, described("Code that the panel shows.")] = "gray-fringes"
     camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), limits.CAMERA_PIXELS] = (

@@ -13,7 +13,7 @@ from wlr_render.evaluation.device_figures import DeviceFigures, device_figures, 
 from wlr_render.evaluation.lateral_colour import lateral_colour_table
 from wlr_render.jobs.headset import open_colours
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eye, Eyes, Options, ProgressArgument, described, eyes_of
+from wlr_render.jobs.options import EyeName, Eyes, Options, ProgressArgument, described, eyes_of
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.drawing import draw_device, require_eye
@@ -88,7 +88,7 @@ class _TracedEye:
     imaging: FirstOrder | None
 
 
-def _trace_eye(spec: str, device: Device, eye: Eye, folder: Path) -> _TracedEye:
+def _trace_eye(spec: str, device: Device, eye: EyeName, folder: Path) -> _TracedEye:
     optics, middle_um = device.eyes[eye], FRAUNHOFER_F_D_C_UM[1]
     losses = display_losses(optics, middle_um)
     drawing = folder / f"{device.name}-{eye}.png"
@@ -122,7 +122,7 @@ def _trace_eye(spec: str, device: Device, eye: Eye, folder: Path) -> _TracedEye:
     return _TracedEye(eye, verdict, warnings, blocks, figures, losses, imaging)
 
 
-def _figures(spec: str, device: Device, eye: Eye) -> tuple[DeviceFigures, list[Block]]:
+def _figures(spec: str, device: Device, eye: EyeName) -> tuple[DeviceFigures, list[Block]]:
     """The figures of one eye, and their tables.
 
     Raises:
@@ -219,7 +219,7 @@ def _appearance(imaging: FirstOrder) -> _Appearance:
     )
 
 
-def orientation_warnings(eye: Eye, imaging: FirstOrder | None) -> list[str]:
+def orientation_warnings(eye: EyeName, imaging: FirstOrder | None) -> list[str]:
     """Whether a picture on the panel does not appear upright: right for some devices, and a mistake in others."""
     if imaging is None or not (appearance := _appearance(imaging)).remedy:
         return []

@@ -65,7 +65,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.input_files import parsing, require_pixels
-from wlr_render.mappings import DisplayMapping, EyeBox, EyeMappings, Panel, SeeThroughMapping
+from wlr_render.mappings import DisplayMapping, Eye, EyeBox, Panel, SeeThroughMapping
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
@@ -110,7 +110,7 @@ class EyeModel:
         report: JSON-ready figures of the fit; stored, never interpreted.
     """
 
-    mappings: EyeMappings
+    mappings: Eye
     device: str
     report: Mapping[str, Any] = field(default_factory=dict)
 
@@ -244,9 +244,7 @@ def _eye_model(table: Table, device: str, version: int) -> EyeModel:
         display = _mapping(table.table("display"), DISPLAYS, eye_box, version)
     if table.has("see_through"):
         see_through = _mapping(table.table("see_through"), SEE_THROUGHS, eye_box, version)
-    mappings = EyeMappings(
-        table.text("name"), table.text("eye", choices=["left", "right"]), display, see_through, eye_box
-    )
+    mappings = Eye(table.text("name"), table.text("eye", choices=["left", "right"]), display, see_through, eye_box)
     report = table.free("report")
     with parsing(f"{table.where}: 'report'", "plain JSON", "calibrate again"):
         json.dumps(report, allow_nan=False)  # refuses a report that could not be written again

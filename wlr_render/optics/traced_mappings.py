@@ -15,7 +15,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.input_files import shown
-from wlr_render.mappings import EyeMappings, Panel, QueryResult, Status, StatusArray, count_unsolved
+from wlr_render.mappings import Eye, Panel, QueryResult, Status, StatusArray, count_unsolved
 from wlr_render.numerics import newton
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
@@ -100,7 +100,7 @@ Miss = Callable[[FloatArray, NDArray[np.int64]], FloatArray]
 """(tangents (k, m, 2), index (m,) into the queries) -> misses of the rays at their targets, (k, m, 2)."""
 
 
-def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_UM) -> EyeMappings:
+def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_UM) -> Eye:
     """Return the mappings of one eye of a device at one vacuum wavelength in micrometres.
 
     Raises:
@@ -126,7 +126,7 @@ def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_
             f"{device.name}: every see-through ray from the middle of the eye box is lost ({why}); check "
             "'see_through_path', the surfaces and their apertures, and that all lengths are in mm."
         )
-    return EyeMappings(device.name + TRACED, eye, display, see_through, optics.eye_box, optics.field)
+    return Eye(device.name + TRACED, eye, display, see_through, optics.eye_box, optics.field)
 
 
 @dataclass(frozen=True, eq=False)

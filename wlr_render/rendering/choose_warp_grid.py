@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.ray_map import NEAREST_M, solve_pixels
 from wlr_render.rendering.warp_grid import WarpGrid
@@ -54,7 +54,7 @@ class ChosenWarpGrid:
 
 
 def choose_warp_grid(
-    mappings: EyeMappings,
+    mappings: Eye,
     device_from_camera: FloatArray,
     tolerance_arcmin: float = TOLERANCE_ARCMIN,
 ) -> ChosenWarpGrid:
@@ -92,7 +92,7 @@ def _cells_along(size_px: int, most_px: float) -> int:
     return size_px // whole_blocks[-1] if whole_blocks else int(np.ceil(size_px / most_px))
 
 
-def _judged(mappings: EyeMappings, device_from_camera: FloatArray, warp_grid: WarpGrid) -> ChosenWarpGrid:
+def _judged(mappings: Eye, device_from_camera: FloatArray, warp_grid: WarpGrid) -> ChosenWarpGrid:
     pixel = judged_pixels(warp_grid)
     error = np.stack(
         [
@@ -115,7 +115,7 @@ def judged_pixels(warp_grid: WarpGrid) -> FloatArray:
 
 
 def warp_grid_error_arcmin(
-    mappings: EyeMappings,
+    mappings: Eye,
     device_from_camera: FloatArray,
     warp_grid: WarpGrid,
     viewpoint: FloatArray,

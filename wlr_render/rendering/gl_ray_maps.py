@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.mappings import EYE_BOX_MARGIN, EyeMappings, Status, StatusArray, require_planar
+from wlr_render.mappings import EYE_BOX_MARGIN, Eye, Status, StatusArray, require_planar
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.ray_map import NEAREST_M, FilledRayMaps, RayMap, RayMapPlan, checked_viewpoint
@@ -87,7 +87,7 @@ class GlPlanarSolver:
     def __init__(
         self,
         context: gl.GlContext,
-        mappings: EyeMappings,
+        mappings: Eye,
         warp_grid: WarpGrid,
         device_from_camera: FloatArray,
     ) -> None:
@@ -145,7 +145,7 @@ class GlPlanarSolver:
 class GlNodeSolver:
     """`RayMapSolver` for any mappings from Chebyshev nodes; the plan states warp grid and axes."""
 
-    def __init__(self, context: gl.GlContext, mappings: EyeMappings, plan: RayMapPlan) -> None:
+    def __init__(self, context: gl.GlContext, mappings: Eye, plan: RayMapPlan) -> None:
         """Prepare, and query every point once to know where the device shows nothing."""
         self._context, self._plan = context, plan
         self._ray_maps = FilledRayMaps(mappings, plan)

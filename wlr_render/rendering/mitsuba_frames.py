@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.extras import MissingExtraError, installed_by
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.painters import Frame, by_colour, channels_of, ray_maps_of
 from wlr_render.rendering.ray_intersections import Intersections
@@ -124,7 +124,7 @@ class PathTracedPainter:
 
     def __init__(
         self,
-        mappings: EyeMappings | Sequence[EyeMappings],
+        mappings: Eye | Sequence[Eye],
         tracer: PathTracer,
         samples: int = 64,
         seed: int | Sequence[int] = 0,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeChannels, EyeMappings, middle_channel
+from wlr_render.mappings import Eye, EyeChannels, middle_channel
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan, ray_map
@@ -128,9 +128,9 @@ class Painter(Protocol):
         """
 
 
-def channels_of(mappings: EyeMappings | Sequence[EyeMappings]) -> EyeChannels:
+def channels_of(mappings: Eye | Sequence[Eye]) -> EyeChannels:
     """One pair of mappings, or one each for red, green and blue, as a tuple."""
-    return (mappings,) if isinstance(mappings, EyeMappings) else tuple(mappings)
+    return (mappings,) if isinstance(mappings, Eye) else tuple(mappings)
 
 
 def by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
@@ -148,7 +148,7 @@ class TracedPainter:
 
     def __init__(
         self,
-        mappings: EyeMappings | Sequence[EyeMappings],
+        mappings: Eye | Sequence[Eye],
         renderer: RayRenderer,
         supersample: int = 1,
         shadows: bool = False,

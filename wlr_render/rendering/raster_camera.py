@@ -17,7 +17,7 @@ import numpy as np
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeChannels, EyeMappings, middle_channel
+from wlr_render.mappings import Eye, EyeChannels, middle_channel
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.rendering.choose_warp_grid import ChosenWarpGrid, choose_warp_grid
@@ -31,7 +31,7 @@ RasterPlace = Literal["nearest", "viewpoint"]
 
 
 def intermediate_camera(
-    channels: Sequence[EyeMappings],
+    channels: Sequence[Eye],
     device_from_camera: FloatArray,
     resolution: float,
     size_px: tuple[int, int],
@@ -93,7 +93,7 @@ def nearest_point_to_rays(slope_offset: FloatArray) -> FloatArray:
 class RasterPosition:
     """Position of the raster camera as a function of the viewpoint: a polynomial fitted over the eye box."""
 
-    def __init__(self, mappings: EyeMappings, device_from_camera: FloatArray) -> None:
+    def __init__(self, mappings: Eye, device_from_camera: FloatArray) -> None:
         """Fit; best for a camera with these axes (3, 3), across whose viewing axis offsets are measured."""
         eye_box, pixel = mappings.eye_box, mappings.display.panel.grid(_GRID, _GRID)
         half = 0.5 * np.maximum(eye_box.size, 1e-6)
@@ -147,7 +147,7 @@ def largest_minification(
 
 
 def minification_over_eye_box(
-    mappings: EyeMappings, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
+    mappings: Eye, device_from_camera: FloatArray, camera: Pinhole, size_px: tuple[int, int]
 ) -> float:
     """`largest_minification` of an eye's ray maps at the centre of the eye box and at its nearest and farthest corners.
 

@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from wlr_render.geometry import directions, rays, transforms
-from wlr_render.mappings import EyeMappings, Panel, Status, StatusArray, worst_status
+from wlr_render.mappings import Eye, Panel, Status, StatusArray, worst_status
 from wlr_render.numerics import chebyshev
 from wlr_render.numerics.arrays import Float32Array, FloatArray, finite_array
 from wlr_render.numerics.polynomial import Box, basis, total_degree
@@ -166,7 +166,7 @@ def checked_viewpoint(viewpoint: FloatArray) -> FloatArray:
 
 
 def solve_pixels(
-    mappings: EyeMappings,
+    mappings: Eye,
     device_from_camera: FloatArray,
     pixel: FloatArray,
     viewpoint: FloatArray,
@@ -191,7 +191,7 @@ def solve_pixels(
 
 
 def solve_every_pixel(
-    mappings: EyeMappings, viewpoint: FloatArray, device_from_camera: FloatArray, pixel: FloatArray | None = None
+    mappings: Eye, viewpoint: FloatArray, device_from_camera: FloatArray, pixel: FloatArray | None = None
 ) -> RayMap:
     """Solve every pixel, which takes minutes: for a reference, or where the nodes have holes.
 
@@ -213,9 +213,7 @@ def solve_every_pixel(
     return RayMap(viewpoint, device_from_camera, slope_offset, status)
 
 
-def ray_map(
-    mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, warm_start: WarmStart | None = None
-) -> RayMap:
+def ray_map(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, warm_start: WarmStart | None = None) -> RayMap:
     """Return the ray map of a viewpoint, interpolated between the Chebyshev nodes of `plan`.
 
     Where a node has no answer the polynomial through the nodes means nothing; then every warp grid point is solved.
@@ -248,7 +246,7 @@ class FilledRayMaps:
     a ray at the centre have none in any map.
     """
 
-    def __init__(self, mappings: EyeMappings, plan: RayMapPlan) -> None:
+    def __init__(self, mappings: Eye, plan: RayMapPlan) -> None:
         """Query every point of the warp grid and every node; the plan is of the mappings' panel."""
         self._mappings, self._plan = mappings, plan
         centre, axes = mappings.eye_box.centre, plan.device_from_camera
@@ -300,7 +298,7 @@ def _spread_status(plan: RayMapPlan, at_nodes: StatusArray) -> StatusArray:
     return np.asarray(np.maximum(across[below], across[above]))
 
 
-def ray_map_error_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> FloatArray:
+def ray_map_error_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> FloatArray:
     """Error of the interpolated ray map at some pixels against the exact solve there, in display pixels.
 
     Args:
@@ -339,7 +337,7 @@ def _neighbour_px(panel: Panel) -> FloatArray:
     return np.minimum(1.0, 0.5 * panel.size_px)
 
 
-def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005) -> RayMapPlan:
+def choose_plan(mappings: Eye, tolerance_px: float = 0.005) -> RayMapPlan:
     """The least number of nodes that keeps the ray map within `tolerance_px` at the centre and corners of the eye box.
 
     Judged on 150 fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
@@ -360,7 +358,7 @@ def choose_plan(mappings: EyeMappings, tolerance_px: float = 0.005) -> RayMapPla
     return plan
 
 
-def _worst_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> float:
+def _worst_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> float:
     """The largest known error at pixels (n, 2); infinity where none is, because a node itself has no answer.
 
     Extrapolated values count less: models bend at the border of their fit, which would cost many nodes.
@@ -372,7 +370,7 @@ def _worst_px(mappings: EyeMappings, viewpoint: FloatArray, plan: RayMapPlan, pi
     return float(known.max()) if known.size else np.inf
 
 
-def required_tangents(mappings: EyeMappings, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
+def required_tangents(mappings: Eye, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
     """View tangents (n, 2) of the rays' points at infinity and at the nearest depth, from one viewpoint.
 
     What a raster camera must cover, from a grid of pixels that reaches the panel's borders; NaN where there is no ray.
@@ -385,7 +383,7 @@ def required_tangents(mappings: EyeMappings, device_from_camera: FloatArray, vie
     return np.concatenate([slope_offset[:, :2], slope_offset[:, :2] + slope_offset[:, 2:] / NEAREST_M])
 
 
-def middle_axes(mappings: EyeMappings) -> FloatArray:
+def middle_axes(mappings: Eye) -> FloatArray:
     """Axes `device_from_camera` (3, 3) that look at the middle of the field of view from the eye box's centre.
 
     Turned about the device's vertical, then nodded; never rolled. The device's own axes where the panel is not seen.

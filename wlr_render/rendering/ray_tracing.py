@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, rays
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.ray_intersections import Intersections, SceneTracer
 from wlr_render.rendering.sampling import remap
@@ -190,7 +190,7 @@ class EyeView:
 
 
 def eye_view(
-    truth: EyeMappings, renderer: RayRenderer, viewpoint: FloatArray, world_from_device: FloatArray, camera: Pinhole
+    truth: Eye, renderer: RayRenderer, viewpoint: FloatArray, world_from_device: FloatArray, camera: Pinhole
 ) -> EyeView:
     """Render the eyeball camera's view through the optics.
 

@@ -13,7 +13,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, rays
 from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
-from wlr_render.mappings import Eye, EyeMappings, FieldOfView
+from wlr_render.mappings import Eye, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
 
@@ -47,7 +47,7 @@ class CaptureSetup:
         BadInputError: a negative error, an empty grid, target depths that do not determine a ray, or other rays.
     """
 
-    truth: EyeMappings
+    truth: Eye
     camera_noise_arcmin: float = 0.0
     stage_error_m: float = 0.0
     camera_field: FieldOfView | None = None

@@ -12,7 +12,7 @@ from benchmarks.rivals import methods, networks
 from benchmarks.rivals.method_trials import _bench_of, _drawn
 from benchmarks.rivals.methods import METHODS, REGRESSORS, STRUCTURES, MethodData
 from benchmarks.trials import EvaluatedEye, capture_setup
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.mapping_error import see_through_observations
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.simulation import viewpoints
@@ -44,7 +44,7 @@ def captured():
     for kind in ("planar", "volumetric"):
         positions = setup.camera_positions(kind, 16)
         both = simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng)
-        eyes.append(EyeCaptures(*(with_pixel_noise(each, NOISE_PX, rng) for each in both)))
+        eyes.append(Captures(*(with_pixel_noise(each, NOISE_PX, rng) for each in both)))
     viewpoint = viewpoints.random_in_eye_box(setup.truth.eye_box, 6, rng)[:, None]
     view_dir = setup.field.directions(5, 4)
     view_dir = view_dir * [0.8, 0.8, 1.0]

@@ -8,7 +8,7 @@ from rival_headsets import EYE_BOX, IN_VOLUME, PIXELS, display_captures, rms, se
 from scipy.spatial.transform import Rotation
 
 from benchmarks.rivals.pinhole import direct_plane, indica_full, indica_recycle, spaam, spaam_redone
-from wlr_render.captures.correspondences import EyeCaptures, select
+from wlr_render.captures.correspondences import Captures, select
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.mapping_error import display_error
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents, normalised
@@ -69,9 +69,7 @@ def test_a_screen_of_oblique_axes_is_a_plane_but_no_rigid_screen():
 
 
 def spaam_captures(positions, offset, inverse_depth=1.4):
-    return EyeCaptures(
-        display_captures(positions, screen(inverse_depth)), see_through_captures(positions, eye_at(offset))
-    )
+    return Captures(display_captures(positions, screen(inverse_depth)), see_through_captures(positions, eye_at(offset)))
 
 
 def test_spaam_is_one_projection_for_all_viewpoints():
@@ -79,7 +77,7 @@ def test_spaam_is_one_projection_for_all_viewpoints():
     offset, nominal = np.array([4e-3, -2e-3, 1e-3]), EYE_BOX.centre[None]
     captures = spaam_captures(nominal, offset)
     twice = np.tile(np.arange(len(captures.both[1])), 2)  # the targets were photographed again
-    display, see_through = spaam(EyeCaptures(captures.display, select(captures.both[1], twice)))
+    display, see_through = spaam(Captures(captures.display, select(captures.both[1], twice)))
     eye = EYE_BOX.centre + offset
     np.testing.assert_allclose(see_through.eye, eye[None], atol=1e-9)
     seen = see_through.view_dir_of_real_point(POINT, VIEWPOINT)
@@ -134,11 +132,11 @@ def test_captures_that_do_not_serve_are_refused():
     display, see_through = whole.both
     one_depth = select(see_through, see_through.target_pose == 0)
     elsewhere = dataclasses.replace(see_through, viewpoint=see_through.viewpoint + [0.0, 2e-3, 0.0])
-    for captures in (EyeCaptures(display, one_depth), EyeCaptures(display, elsewhere)):
+    for captures in (Captures(display, one_depth), Captures(display, elsewhere)):
         with pytest.raises(BadInputError, match="two target depths from the same position"):
             spaam(captures)
     with pytest.raises(BadInputError, match="no see-through part"):
-        indica_recycle(EyeCaptures(display))
+        indica_recycle(Captures(display))
     line = display_captures(IN_VOLUME[:4], screen(1.4), np.column_stack([PIXELS[:, 0], np.full(len(PIXELS), 400.0)]))
     alone = select(display, display.capture == 0)
     for fit in (direct_plane, indica_full):
@@ -147,7 +145,7 @@ def test_captures_that_do_not_serve_are_refused():
         with pytest.raises(BadInputError, match="two or more camera positions"):
             fit(alone)
     with pytest.raises(BadInputError, match="two or more camera positions"):
-        indica_recycle(EyeCaptures(alone, see_through))
+        indica_recycle(Captures(alone, see_through))
 
 
 def composite_arcmin(display, see_through):
@@ -162,7 +160,7 @@ def composite_arcmin(display, see_through):
 def test_a_traced_headset_is_no_projector():
     """A flat image misses North Star's distortion by a degree, however it is fitted; noise does not matter."""
     _, display, see_through, observed, _ = traced()
-    both, straight = EyeCaptures(display, see_through), undeviated(EYE_BOX)
+    both, straight = Captures(display, see_through), undeviated(EYE_BOX)
     plane = display_error(direct_plane(display), observed)
     assert rms(plane.forward_arcmin) == pytest.approx(63.5, abs=0.5)
     assert rms(plane.backward_px) == pytest.approx(34.0, abs=0.5)

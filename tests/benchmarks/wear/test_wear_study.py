@@ -9,7 +9,7 @@ from fitted_eyes import captures
 from benchmarks.wear import study
 from benchmarks.wear.simulated_wear import MOST_CLICKS, SLIPS, Wear, Wearer, half_hour, worn_eye
 from benchmarks.wear.study import WearOptions, run
-from wlr_render.calibration.fit_eye import fit_eye
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.self_calibration import WearState
 
 DEVICE = "birdbath28"
@@ -17,7 +17,7 @@ DEVICE = "birdbath28"
 
 @pytest.fixture(scope="module")
 def models():
-    return replace(fit_eye(captures(DEVICE), "planar", 3, 2).mappings, field=worn_eye(DEVICE).field)
+    return replace(calibrate(captures(DEVICE), "planar", 3, 2).mappings, field=worn_eye(DEVICE).field)
 
 
 @pytest.fixture(scope="module")

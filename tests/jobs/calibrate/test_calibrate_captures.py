@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from browser import needs_browser, open_page
 
+import wlr_render as wlr
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.bench_file import save_bench
 from wlr_render.bench.session_folder import save_session
 from wlr_render.bench.simulate_session import simulate as read_off
-from wlr_render.calibration.fit_eye import KindComparison, fit_eye
+from wlr_render.calibration.fit_eye import KindComparison
 from wlr_render.calibration.fit_report import FitReport, OneMore, Residuals
 from wlr_render.calibration.smooth_fit import CaptureMotion, MotionAgreement
 from wlr_render.captures.capture_file import load_captures, save_captures
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
@@ -59,7 +60,7 @@ def residual(report):
 @pytest.mark.parametrize("kind", ["planar", "volumetric"])
 def test_noise_free_captures_of_an_image_that_the_model_can_hold_are_recovered(flat_image_headset, kind):
     captures = simulate_captures(flat_image_headset, replace(SMALL, fit=FitOptions(kind=kind)))
-    fitted = fit_eye(captures, kind, 2, 2).mappings
+    fitted = wlr.calibrate(captures, kind, 2, 2).mappings
     rng = np.random.default_rng(8)
     viewpoint = flat_image_headset.eye_box.at(rng.uniform(-1, 1, (20, 1, 3)))
     pixel = rng.uniform(0, 1, (20, 5, 2)) * [140, 100]
@@ -260,7 +261,7 @@ def test_maps_of_the_predicted_error_cover_the_panel(calibrated):
 def linear():
     """A fit of degree 1 and a report of it in which nothing is wrong."""
     captures = simulate_captures(traced_eye(load_device("birdbath28")), SMALL)
-    fit = fit_eye(captures, "planar", 1, 1)
+    fit = wlr.calibrate(captures, "planar", 1, 1)
     good = FitReport(
         kind="planar",
         orders="total 1",
@@ -309,7 +310,7 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
         in fit_sentence(stated)
     )
     assert fit_warnings(stated) == []
-    captures = EyeCaptures(stated.display.captures, stated.see_through.captures)
+    captures = Captures(stated.display.captures, stated.see_through.captures)
     (table,) = (
         block
         for block in fit_blocks(KindComparison({"planar": stated}, "planar"), captures)
@@ -429,7 +430,7 @@ def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys
 def test_captures_of_one_side_alone_are_calibrated_and_their_model_is_not_rendered(calibrated, tmp_path, side, capsys):
     folder, _ = calibrated
     both = load_captures(folder / "captures-right.npz")
-    alone = EyeCaptures(both.display) if side == "display" else EyeCaptures(None, both.see_through)
+    alone = Captures(both.display) if side == "display" else Captures(None, both.see_through)
     path = save_captures(tmp_path / "alone.npz", alone)
     report = calibrate(CalibrateOptions(path, out=tmp_path / "out"))
     lacking = "see-through" if side == "display" else "display"

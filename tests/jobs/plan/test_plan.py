@@ -6,7 +6,7 @@ import pytest
 from small_headsets import changed_device
 
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import CommonErrors, Conditions, EyeCaptures
+from wlr_render.captures.correspondences import Captures, CommonErrors, Conditions
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.plan import plan as plan_job
@@ -241,7 +241,7 @@ def calibration(bench, tmp_path_factory):
     folder = tmp_path_factory.mktemp("calibration")
     unit = of_family(bench, 12).unit * [0.5, 1.0, 1.0] - [0.5, 0.0, 0.0]
     captures = simulated_captures(bench, unit, 5)
-    save_captures(folder / "captures-right.npz", EyeCaptures(*(_with_lens_error(each) for each in captures.both)))
+    save_captures(folder / "captures-right.npz", Captures(*(_with_lens_error(each) for each in captures.both)))
     return folder
 
 
@@ -275,7 +275,7 @@ def test_a_calibration_that_is_good_enough_needs_no_places(calibration, tmp_path
 
 def test_captures_without_see_through_are_refused(bench, tmp_path):
     captures = simulated_captures(bench, of_family(bench, 9).unit, 5)
-    save_captures(tmp_path / "captures-right.npz", EyeCaptures(captures.display))
+    save_captures(tmp_path / "captures-right.npz", Captures(captures.display))
     with pytest.raises(BadInputError, match="have no see-through part"):
         plan(PlanOptions(DEVICE, calibration=tmp_path, out=tmp_path))
 

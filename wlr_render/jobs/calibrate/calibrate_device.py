@@ -6,7 +6,7 @@ from dataclasses import replace
 from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.fit_eye import Calibration
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TEST_DEPTHS_M, TESTS, TruthTests
 from wlr_render.jobs.calibrate.calibrate_options import (
@@ -17,7 +17,7 @@ from wlr_render.jobs.calibrate.calibrate_options import (
 )
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.options import ProgressArgument, eyes_of, seed_of
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
@@ -79,7 +79,7 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
     return save_report(report, folder)
 
 
-def simulate_captures(truth: EyeMappings, options: CalibrateOptions) -> EyeCaptures:
+def simulate_captures(truth: Eye, options: CalibrateOptions) -> Captures:
     """Captures of both sides of an eye, taken where the type of model needs them."""
     return simulate(
         truth,

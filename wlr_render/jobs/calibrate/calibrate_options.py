@@ -10,8 +10,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Group
 
-from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, Calibration, KindComparison, fit_eye, fit_kinds
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, Calibration, KindComparison, calibrate, fit_kinds
+from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.photo_session import CHANNELS
 from wlr_render.captures.photo_session_file import FILE as PHOTO_SESSION
 from wlr_render.errors import BadInputError
@@ -107,7 +107,7 @@ class FitOptions(Options):
             )
         return device.eyes[eye]
 
-    def fit(self, captures: EyeCaptures) -> KindComparison:
+    def fit(self, captures: Captures) -> KindComparison:
         """Fit the models of one eye: of one kind, or of all that a prescription allows.
 
         Raises:
@@ -117,10 +117,12 @@ class FitOptions(Options):
         prescription = self.prescription_of(captures.source.eye)
         if prescription is None:
             kind = self.kind or "planar"
-            return KindComparison({kind: fit_eye(captures, kind, *limits)}, kind)
+            return KindComparison({kind: calibrate(captures, kind, *limits)}, kind)
         if self.kind is None:
             return fit_kinds(captures, prescription, *limits)
-        return KindComparison({self.kind: fit_eye(captures, self.kind, *limits, prescription=prescription)}, self.kind)
+        return KindComparison(
+            {self.kind: calibrate(captures, self.kind, *limits, prescription=prescription)}, self.kind
+        )
 
 
 DEFAULT_FIT = FitOptions()

@@ -10,7 +10,7 @@ from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
 from wlr_render.calibration.fit_report import FitReport, ModelFit
 from wlr_render.calibration.smooth_fit import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
-from wlr_render.captures.correspondences import DisplayCaptures, EyeCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
 from wlr_render.mappings import Status
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
@@ -178,7 +178,7 @@ def _gain(report: FitReport) -> float:
     return 1.0 - report.one_more.predicted_arcmin / report.predicted_arcmin
 
 
-def fit_blocks(comparison: KindComparison, captures: EyeCaptures, display_names: Sequence[str] = ()) -> list[Block]:
+def fit_blocks(comparison: KindComparison, captures: Captures, display_names: Sequence[str] = ()) -> list[Block]:
     """Tables, maps of the predicted error and plots of the residuals.
 
     Args:
@@ -325,7 +325,7 @@ def _predicted(display: FittedDisplay, pixel: FloatArray, viewpoint: FloatArray)
     return np.where(status == Status.OK, display.sigma(pixel, viewpoint), np.nan)
 
 
-def _residual_plots(fit: Calibration, captures: EyeCaptures, display_names: Sequence[str]) -> list[Plot]:
+def _residual_plots(fit: Calibration, captures: Captures, display_names: Sequence[str]) -> list[Plot]:
     """Residual of each camera position (and target pose), and maps of the residuals."""
     parts = {"display": captures.display, "see-through": captures.see_through}
     caption = (

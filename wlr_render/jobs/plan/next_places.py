@@ -18,7 +18,7 @@ from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan_report import error_map, places_table
 from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.jobs.plan.planned_errors import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Report, ReportTable
@@ -117,7 +117,7 @@ def _predicted(display: FittedDisplay, see_through: FittedSeeThrough, tests: Eye
 
 
 def _report(
-    truth: EyeMappings,
+    truth: Eye,
     path: Path,
     device: str,
     steps: list[_Step],

@@ -11,7 +11,7 @@ from wlr_render.jobs.headset import is_model
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Code,
-    Eye,
+    EyeName,
     Options,
     ProgressArgument,
     Range,
@@ -43,7 +43,7 @@ class PlanOptions(Options):
 
     headset: Annotated[str, described("A shipped device or a device file (.toml).")]
     _: KW_ONLY
-    eye: Annotated[Eye, described("Eye to calibrate.")] = "right"
+    eye: Annotated[EyeName, described("Eye to calibrate.")] = "right"
     accuracy_arcmin: Annotated[
         float, described("Wanted registration error in arcmin, of 95 % of the eye box."), Range(0.001, 600)
     ] = 0.3

@@ -5,12 +5,12 @@ from functools import cached_property
 
 import numpy as np
 
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.jobs.plan.designs import places_of
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photographs, stage_axis_count
@@ -100,7 +100,7 @@ class PlannedBench:
             five levels of that axis, too.
     """
 
-    truth: EyeMappings
+    truth: Eye
     recipe: SimulationRecipe
     noise: ReadingOptions
     bench: PhotoBench
@@ -165,7 +165,7 @@ class PlannedBench:
 
     def captures(
         self, places: FloatArray, seed: list[int], curve: StageCurve | None, depths_m: tuple[float, ...] | None = None
-    ) -> EyeCaptures:
+    ) -> Captures:
         """Simulate the captures of a session with camera places (m, 3)."""
         sizes, rng = self.recipe.bench.imperfections, np.random.default_rng(seed)
         shown, seen = (
@@ -181,7 +181,7 @@ class PlannedBench:
                 (self.noise.dot_px, self.camera_arcmin, self.noise.most_dots),
             )
         )
-        return EyeCaptures(simulate_display(shown, places, rng), simulate_see_through(seen, places, rng))
+        return Captures(simulate_display(shown, places, rng), simulate_see_through(seen, places, rng))
 
     def photographs(self, places: int) -> dict[str, int]:
         """Number of photographs of a session by what they show."""

@@ -9,12 +9,12 @@ from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.captures.correspondences import EyeCaptures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.jobs.plan.planned_bench import PlannedBench
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.registration import model_registration_covariance
 from wlr_render.numerics.arrays import FloatArray
@@ -36,7 +36,7 @@ class PlannedFit:
     see_through: ModelFit[FittedSeeThrough]
 
     @classmethod
-    def to(cls, captures: EyeCaptures) -> "PlannedFit":
+    def to(cls, captures: Captures) -> "PlannedFit":
         """Fit as calibration does, but outliers, of which captures have none here, are not looked for."""
         shown, seen = captures.both
         return cls(fit_display(shown, weights=np.ones(len(shown))), fit_see_through(seen, weights=np.ones(len(seen))))
@@ -56,7 +56,7 @@ class EyeTests:
     view_dir: FloatArray
 
     @classmethod
-    def of(cls, truth: EyeMappings, seed: int) -> "EyeTests":
+    def of(cls, truth: Eye, seed: int) -> "EyeTests":
         """Random directions of the nominal field, or of the whole panel if the device names no field."""
         rng = np.random.default_rng([seed, _TESTS])
         viewpoint = viewpoints.random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None]
@@ -209,6 +209,6 @@ def _lengths(sigma: FloatArray, curve: FloatArray) -> Summary:
     return summary(np.hypot(curve + along, across))
 
 
-def simulated_captures(bench: PlannedBench, unit: FloatArray, seed: int) -> EyeCaptures:
+def simulated_captures(bench: PlannedBench, unit: FloatArray, seed: int) -> Captures:
     """Captures of one session with all errors of the bench; the smooth ones are none of those predicted with."""
     return bench.captures(bench.places(unit), [seed, _PILOT], bench.curve(_CURVES + 1 + seed))

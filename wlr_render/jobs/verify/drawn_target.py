@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wlr_render.calibration.bench.state import BoardShape
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.geometry import transforms
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.scene import Instance, Mesh, Scene
 from wlr_render.rendering.shapes import construction
@@ -59,7 +59,7 @@ def _mesh(board: DotBoard, shape: BoardShape | None) -> Mesh:
 
 
 def wholly_shown(
-    models: EyeMappings, board: DotBoard, device_from_target: FloatArray, viewpoint: FloatArray
+    models: Eye, board: DotBoard, device_from_target: FloatArray, viewpoint: FloatArray
 ) -> NDArray[np.bool_]:
     """(rows, columns) which dots lie on the panel with their surroundings: the panel's edge displaces the others.
 

@@ -10,7 +10,7 @@ from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Eye, Options, ProgressArgument, described
+from wlr_render.jobs.options import EyeName, Options, ProgressArgument, described
 from wlr_render.jobs.verify.misalignment_tables import Judged, PairPosition, judge_pair, misalignment_report
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -32,7 +32,7 @@ class VerifyPairsOptions(Options):
     calibration: Annotated[Path, described("Output folder of `calibrate photos`, for the lens of the camera.")] = Path(
         "out/calibrate"
     )
-    eye: Annotated[Eye, described("Eye that the camera was calibrated for.")] = "right"
+    eye: Annotated[EyeName, described("Eye that the camera was calibrated for.")] = "right"
     out: Annotated[Path, described("Output folder.")] = Path("out/verify-pairs")
 
 

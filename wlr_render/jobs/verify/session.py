@@ -45,7 +45,7 @@ from wlr_render.jobs.verify.session_photographs import (
     photograph,
     photograph_tracking,
 )
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.progress import SILENT
@@ -130,7 +130,7 @@ class _Calibration:
 
     label: str
     prefix: str
-    models: EyeMappings
+    models: Eye
     station: SavedStation
 
     def viewpoints(self, visits: Sequence[Visit]) -> FloatArray:

@@ -11,7 +11,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.mappings import EyeMappings
+from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.traced_mappings import TracedSeeThrough, traced_eye
@@ -163,7 +163,7 @@ class _Aim:
     half_tangents: FloatArray
 
     @classmethod
-    def at(cls, truth: EyeMappings) -> "_Aim":
+    def at(cls, truth: Eye) -> "_Aim":
         field = CaptureSetup(truth).field  # refuses an invisible panel
         box, pixel = truth.eye_box, truth.display.panel.grid(15, 11).reshape(-1, 2)
         view = truth.display.view_dir_of_pixel(pixel, box.at(_CORNERS)[:, None])
@@ -246,7 +246,7 @@ def passes_optics(
     return np.asarray(through.usable)
 
 
-def _half_travel(truth: EyeMappings) -> FloatArray:
+def _half_travel(truth: Eye) -> FloatArray:
     """Return the largest distances (3,) of a session's readings from the middle."""
     size, reach = truth.eye_box.size, CaptureSetup(truth).field.reach
     return np.asarray(0.5 * size + [*(0.5 * size[2] * reach), 0.0])
