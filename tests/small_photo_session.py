@@ -20,7 +20,6 @@ from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import READ, calibrated, report_of
-from wlr_render.jobs.verify import session_photographs
 from wlr_render.simulation.photographs import recipe, simulate_photo_session
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
@@ -68,7 +67,7 @@ def make_small(patch):
     """Have everything about simulated sessions small, by a `pytest.MonkeyPatch`."""
     patch.setattr(recipe, "design_photo_bench", small_bench)
     patch.setattr(simulate_photo_session, "plan_photographs", small_plan)
-    for module in (simulate_photo_session, session_reading, session_photographs):
+    for module in (simulate_photo_session, session_reading):
         patch.setattr(module, "as_finished", in_this_process)
 
 

@@ -18,7 +18,7 @@ from cyclopts import Parameter
 
 from wlr_render import __version__
 from wlr_render.atomic_files import resource
-from wlr_render.cli import FOLDERS_OF_VERBS, VERBS, main, make_app
+from wlr_render.cli import VERBS, main, make_app
 from wlr_render.errors import MissingGlError
 from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of
@@ -83,13 +83,6 @@ def test_help_lists_the_verbs_in_their_groups(arguments, capsys):
     assert all(f"{verb.words.split()[0]} " in text for verb in VERBS)
     assert all(part in text for part in ("HEADSET is a shipped device", "SCENE is a shipped scene", "--debug"))
     assert "--install-completion" in text
-
-
-def test_a_verb_with_verbs_of_its_own_lists_them(capsys):
-    for folder in FOLDERS_OF_VERBS:
-        text = printed_by([folder], capsys)
-        own = [verb.words.split()[1] for verb in VERBS if verb.words.startswith(f"{folder} ")]
-        assert all(f"│ {name} " in text for name in own)
 
 
 def test_completion_knows_the_verbs_and_their_options():

@@ -80,7 +80,6 @@ def test_pictures_at_the_end_of_the_scale_are_refused_as_over_exposed(tmp_path, 
 
 PHOTOGRAPH_FAULTS = {
     "no session": (lambda f: ["calibrate", str(f)], "has no session.toml"),
-    "no simulated session": (lambda f: ["verify", "session", str(f)], "has no simulation.toml"),
     "no panel": (lambda f: ["decode", str(f)], "decode needs --panel"),
     "no photographs": (lambda f: ["decode", str(f), "--panel", "64x40"], "holds no photographs"),
     "no folder": (lambda f: ["decode", str(f / "none"), "--panel", "64x40"], "there is no such folder"),
@@ -111,13 +110,10 @@ def test_sizes_that_make_no_sense_are_refused(size, tmp_path, capsys):
         (["simulate", "--bits", "9"], "Invalid value"),
         (["simulate", "--sampling", "volumetric", "--stage", "xy"], "volumetric sampling needs the stage xyz."),
         (["simulate", "--stated-axes-deg", "9"], "--stated-axes-deg is 9.0; it must be between 0 and 5."),
-        (["verify", "session", "--poses", "upright"], "Invalid value"),
-        (["verify", "session", "--viewpoints", "0"], "--viewpoints is 0; it must be between 1 and 1000."),
         (["decode", "--panel", "64x40", "--bits", "7"], "--bits is 7; it must be between 8 and 16."),
         (["calibrate", "--workers", "0"], "--workers is 0; it must be between 1 and 256."),
     ],
 )
 def test_wrong_options_are_refused_in_one_line(wrong, sentence, tmp_path, capsys):
-    verb = wrong[: 2 if wrong[0] == "verify" else 1]
-    assert sentence in refused([*verb, str(tmp_path / "none"), *wrong[len(verb) :]], capsys)
+    assert sentence in refused([wrong[0], str(tmp_path / "none"), *wrong[1:]], capsys)
     assert list(tmp_path.iterdir()) == []

@@ -37,7 +37,7 @@ DRAW, CALIBRATE, EXPLAIN, DATA = "Draw", "Calibrate", "Explain", "Data"
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb: its words on the command line, its group in --help, the function it calls, and its help text."""
+    """A verb: its name on the command line, its group in --help, the function it calls, and its help text."""
 
     words: str
     group: str
@@ -73,16 +73,10 @@ VERBS = (
         "Fit the models of one or both eyes to photographs, a bench session or captures, or to a simulated device.",
     ),
     Verb(
-        "verify session",
+        "verify",
         CALIBRATE,
-        "verify.session:verify_session",
-        "Simulate photographs of the drawn target, using a calibration, and measure the misalignment.",
-    ),
-    Verb(
-        "verify pairs",
-        CALIBRATE,
-        "verify.pairs:verify_pairs",
-        "Measure the misalignment in your own photographs of the target, display off and on.",
+        "verify:verify",
+        "Measure the misalignment in your own photographs of the drawn target, display off and on.",
     ),
     Verb(
         "budget",
@@ -122,10 +116,6 @@ VERBS = (
         "Write the pictures of a panel code with a page that shows them, or photograph each with your camera.",
     ),
 )
-FOLDERS_OF_VERBS = {
-    "verify": (CALIBRATE, "Measure how far the drawn target appears from the real one."),
-}
-"""Verbs that have verbs of their own."""
 
 RENAMED = {
     "calibrate photos": "calibrate PATH",
@@ -222,18 +212,10 @@ def make_app() -> App:
         default_parameter=Parameter(negative=(), converter=_converted),
     )
     groups = {title: Group(title, sort_key=order) for order, title in enumerate((DRAW, CALIBRATE, EXPLAIN, DATA))}
-    folders = {}
-    for name, (group, text) in FOLDERS_OF_VERBS.items():
-        folders[name] = App(name=name, help=text, help_epilogue=DEBUG_NOTE, group=groups[group])
-        app.command(folders[name])
     for verb in VERBS:
-        *folder, name = verb.words.split()
-        parent = folders[folder[0]] if folder else app
-        group_of_verb = None if folder else groups[verb.group]
         note = EPILOGUE if verb.words in ("render", "export") else DEBUG_NOTE
-        parent.command(
-            f"wlr_render.jobs.{verb.function}", name=name, help=verb.help, group=group_of_verb, help_epilogue=note
-        )
+        function, group = f"wlr_render.jobs.{verb.function}", groups[verb.group]
+        app.command(function, name=verb.words, help=verb.help, group=group, help_epilogue=note)
     app.register_install_completion_command()
     return app
 

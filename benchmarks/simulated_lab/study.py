@@ -1,9 +1,7 @@
-"""Accuracy of reading photographs: codes at low signal, a whole session if one is given, and calibrated benches."""
+"""Accuracy of reading photographs: codes at low signal, whole sessions and their registration, benches."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 from benchmarks.kept_trials import finished_trials
 from benchmarks.simulated_lab.bench_tables import bench_tables
@@ -16,65 +14,22 @@ from benchmarks.simulated_lab.bench_trial import (
     run_bench_trial,
 )
 from benchmarks.simulated_lab.codes import code_table, code_trials
+from benchmarks.simulated_lab.lab_options import SimulatedLabOptions
+from benchmarks.simulated_lab.registration import register
 from benchmarks.simulated_lab.session_truth import compare_with_truth, truth_tables
 from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import calibrated
-from wlr_render.jobs.options import (
-    OnlyWith,
-    ProgressArgument,
-    Range,
-    Scheduler,
-    Seed,
-    SpreadOptions,
-    Workers,
-    described,
-)
+from wlr_render.jobs.options import ProgressArgument
 from wlr_render.optics.device_file import load_device
 from wlr_render.progress import SILENT, Progress
-from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.report.blocks import Block, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
 from wlr_render.simulation.photographs.recipe import load_recipe
 
-PartName = Literal["codes", "bench", "faults", "models"]
-
 _DEVICE = "freeform40"  # its panel has 1920 x 1080 pixels
 _TRIALS = "trials"
-
-
-@dataclass(frozen=True)
-class SimulatedLabOptions(SpreadOptions):
-    """Options of `simulated-lab`."""
-
-    _: KW_ONLY
-    part: Annotated[
-        tuple[PartName, ...],
-        described("Measurements to make, one or more of codes, bench, faults and models.", many=True),
-    ] = ("codes",)
-    benches: Annotated[
-        int, described("Sessions of simulated benches."), Range(at_least=1), OnlyWith("part", ("bench",))
-    ] = 40
-    faults: Annotated[int, described("Sessions with each fault."), Range(at_least=1), OnlyWith("part", ("faults",))] = (
-        20
-    )
-    models: Annotated[
-        int, described("Sessions whose models are fitted."), Range(at_least=1), OnlyWith("part", ("models",))
-    ] = 6
-    resume: Annotated[
-        bool,
-        described("Keep the trials of benches that an earlier run of the same program left there.", flag=True),
-    ] = False
-    workers: Workers = None
-    scheduler: Scheduler = None
-    record: Annotated[Path | None, described("Folder in which simulated-lab-PARTS.md is kept, too.")] = None
-    session: Annotated[
-        Path | None, described("Also compare the calibration of this simulated session with the truth.")
-    ] = None
-    calibration: Annotated[Path, described("Folder of that session's calibration.")] = Path("out/calibrate")
-    snr: Annotated[float, described("Signal-to-noise ratio of a white panel."), Range(above=0)] = 20.0
-    seed: Seed = 1
-    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/simulated-lab")
 
 
 _DEFAULTS = SimulatedLabOptions()
@@ -87,15 +42,9 @@ def run(options: SimulatedLabOptions = _DEFAULTS, *, progress: ProgressArgument 
         BadInputError: the session is not a simulated one, or cannot be calibrated.
     """
     folder = output_folder(options.out)
-    tables: list[ReportTable] = []
-    if "codes" in options.part:
-        bench = design_photo_bench(load_device(_DEVICE), "right")
-        trials = list(progress(code_trials(bench, options.snr, options.seed), 3, "codes"))
-        tables = [code_table(trials, bench, options.snr)]
-    if options.session is not None:
-        truth = load_recipe(options.session).build()
-        found = calibrated(CalibrateOptions(str(options.session), out=options.calibration), progress=progress)
-        tables += truth_tables(compare_with_truth(truth, found, options.seed), options.seed)
+    tables = _tables(options, progress)
+    registration = register(options, folder, progress) if "registration" in options.part else None
+    blocks: list[Block] = [*tables, *(registration.blocks(folder) if registration else [])]
     inputs = [] if options.session is None else [options.session]
     outcomes: list[BenchOutcome] = []
     tasks = bench_trials(options)
@@ -105,15 +54,36 @@ def run(options: SimulatedLabOptions = _DEFAULTS, *, progress: ProgressArgument 
     finally:
         outcomes.sort(key=lambda each: tasks.index(each.trial))
         record = {"seed": options.seed, "trials": outcomes}
-        blocks = [*tables, *bench_tables(outcomes)]
         title = "Photographs compared with the truth"
         title += f": {len(outcomes)} of {len(tasks)} benches" if tasks else ""
-        report = Report(title, blocks=blocks, inputs=inputs, record=record)
+        report = Report(
+            title,
+            registration.verdict if registration else "",
+            warnings=registration.warnings if registration else [],
+            blocks=[*blocks, *bench_tables(outcomes)],
+            inputs=inputs,
+            record=record,
+        )
         report = save_report(report, folder, "simulated-lab")
         if options.record is not None:
             name = f"simulated-lab-{'-'.join(options.part)}.md"
             write_text(options.record / name, markdown(report, options.record))
     return report
+
+
+def _tables(options: SimulatedLabOptions, progress: Progress) -> list[ReportTable]:
+    """Measure codes, and the calibration of a session against its truth, where they are asked for."""
+    tables: list[ReportTable] = []
+    if "codes" in options.part:
+        bench = design_photo_bench(load_device(_DEVICE), "right")
+        trials = list(progress(code_trials(bench, options.snr, options.seed), 3, "codes"))
+        tables = [code_table(trials, bench, options.snr)]
+    if "truth" in options.part:
+        truth = load_recipe(options.simulated_session).build()
+        given = CalibrateOptions(str(options.simulated_session), out=options.calibration[0])
+        compared = compare_with_truth(truth, calibrated(given, progress=progress), options.seed)
+        tables += truth_tables(compared, options.seed)
+    return tables
 
 
 def bench_trials(options: SimulatedLabOptions) -> list[BenchTrial]:

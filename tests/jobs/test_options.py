@@ -128,7 +128,6 @@ def test_every_number_of_every_verb_has_limits_at_both_ends(verb):
         (["plan", "northstar", "--depths-m", *map(str, range(1, 22))], "--depths-m 21 are 21 distances"),
         (["pattern", "--panel", "8x8", "--photograph", "nowhere {path}"], "there is no program 'nowhere'"),
         (["decode", "s", "--panel", "8x8", "--bits", "12", "--camera", "c.toml"], "both state the bits"),
-        (["verify", "session", "s", "--viewpoints", "1000", "--depths-m", *map(str, range(1, 21))], "photographs"),
     ],
 )
 def test_requests_out_of_range_are_refused_before_work_begins(arguments, words, tmp_path, monkeypatch, capsys):

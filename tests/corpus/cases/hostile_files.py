@@ -12,7 +12,7 @@ from corpus.case import Case, Change, nothing, several, written
 RENDER = ("--backend", "cpu", "--out", "out")
 DIAGNOSE = ("--max-causes", "0", "--causes", "stage_scale", "--out", "out")
 SCENE = ("scene.toml", "box.obj")
-PAIRS = ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out")
+PAIRS = ("verify", "pairs", "board.toml", "--calibration", "calibration", "--out", "out")
 PAIRS_FILES = ("pairs", "board.toml", "calibration")
 PHOTOS = ("calibrate", "photos", "--workers", "1", "--out", "out")
 OPTICS = ("--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")

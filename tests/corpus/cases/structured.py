@@ -70,7 +70,7 @@ def cases() -> Iterator[Case]:
     photos = ("calibrate", "photos", "--workers", "1", "--out", "out")
     content = tomllib.loads(PHOTO_SESSION)
     yield from damaged("photo session", content, "photos/session.toml", save_toml, photos, ("photos",), set())
-    pairs = ("verify", "pairs", "pairs", "board.toml", "--calibration", "calibration", "--out", "out")
+    pairs = ("verify", "pairs", "board.toml", "--calibration", "calibration", "--out", "out")
     files = ("pairs", "board.toml", "calibration")
     yield from damaged("station", STATION, "calibration/station-right.json", save_json, pairs, files, set())
     yield from damaged("board", BOARD, "board.toml", save_toml, pairs, files, set(), 4)

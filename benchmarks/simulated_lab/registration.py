@@ -1,43 +1,23 @@
-"""Verify calibrations on the simulated bench of their session, as on a real one.
+"""Registration of calibrations on the simulated bench of their session, measured as on a real one.
 
 The target is drawn over itself and photographed with the display off and on. It is drawn by the fitted models, for the
 camera position that the stage's reading gives and the target pose that the tracking camera sees. Photographs show the
 true bench: each visit of the stage has its own random errors, and photographs are blurred, hazy and noisy as those of
-the session. Nothing of the truth goes into the judgement. Several calibrations are compared on the same visits,
-targets and photographs with the display off.
+the session. Nothing of the truth goes into the result. Several calibrations are compared on the same visits, targets,
+photographs with the display off, and dots.
 """
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import output_folder
-from wlr_render.calibration.bench.board_views import TRACKING, BoardView
-from wlr_render.calibration.bench.start import board_pose
-from wlr_render.calibration.bench.station_file import SavedStation, load_station
-from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
-from wlr_render.errors import BadInputError
-from wlr_render.jobs import limits
-from wlr_render.jobs.job import job
-from wlr_render.jobs.options import (
-    Backend,
-    ProgressArgument,
-    Range,
-    Scheduler,
-    Seed,
-    SpreadOptions,
-    Workers,
-    described,
-)
-from wlr_render.jobs.verify.drawn_target import target_scene, wholly_shown
-from wlr_render.jobs.verify.misalignment_tables import Judged, by_the_same_dots, judge_pair, misalignment_report
-from wlr_render.jobs.verify.session_photographs import (
+from benchmarks.simulated_lab.drawn_target import target_scene, wholly_shown
+from benchmarks.simulated_lab.lab_options import SimulatedLabOptions, TargetPose
+from benchmarks.simulated_lab.registration_photographs import (
     Frames,
     TargetPlace,
     off_path,
@@ -45,14 +25,32 @@ from wlr_render.jobs.verify.session_photographs import (
     photograph,
     photograph_tracking,
 )
+from wlr_render.calibration.bench.board_views import TRACKING, BoardView
+from wlr_render.calibration.bench.start import board_pose
+from wlr_render.calibration.bench.station_file import SavedStation, load_station
+from wlr_render.captures.boards.board import BoardObservation
+from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
+from wlr_render.errors import BadInputError
+from wlr_render.jobs.verify import (
+    NOTES,
+    JudgedPair,
+    by_method,
+    complaints,
+    judge_pair,
+    misalignment_pictures,
+    misalignment_table,
+    table_of_pairs,
+    verdict,
+)
 from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import SILENT
+from wlr_render.progress import Progress
 from wlr_render.rendering.painters import Painter, TracedPainter
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_raster import open_scene_raster
-from wlr_render.report.blocks import Report
+from wlr_render.report.blocks import Block, Plot, ReportTable
+from wlr_render.report.plots import curves
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at
 from wlr_render.simulation.photographs.photo_plan import Visit, later_visits
 from wlr_render.simulation.photographs.recipe import load_recipe
@@ -61,60 +59,56 @@ from wlr_render.simulation.viewpoints import random_in_eye_box
 
 METHODS = ("raster + warp", "ray traced")
 """Without OpenGL the second alone."""
-TargetPose = Literal["frontal", "tilted", "shifted"]
 _FRONTAL: tuple[TargetPose, ...] = ("frontal",)
 _ALL_POSES: tuple[TargetPose, ...] = ("frontal", "tilted", "shifted")
+_TILT_DEG, _SHIFT_M = 20.0, 0.06  # of the target: about the vertical; to the right, and half as much down
 _SUPERSAMPLE = 3  # rays per display pixel and axis: the target's dots must not be jagged
 
 
-@dataclass(frozen=True)
-class VerifySessionOptions(SpreadOptions):
-    """Options of `verify session`."""
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """The judged pairs of photographs.
 
-    session: Annotated[Path, described("Folder of a simulated session, whose bench is used again.")]
-    _: KW_ONLY
-    calibration: Annotated[
-        tuple[Path, ...],
-        described(
-            "Output folders of `calibrate photos`: of one calibration, or of several to compare, which may be of other "
-            "sessions of the same bench.",
-            many=True,
-        ),
-    ] = (Path("out/calibrate"),)
-    viewpoints: Annotated[int, described("Number of camera positions in the eye box."), limits.PLACES] = 5
-    depths_m: Annotated[tuple[float, ...], described("Distances of the target in m.", many=True), limits.DISTANCE_M] = (
-        0.5,
-        0.8,
-    )
-    poses: Annotated[
-        tuple[TargetPose, ...],
-        described(
-            "Poses of the target at each distance: facing the eye, tilted, shifted (default: frontal for one "
-            "calibration, all for several).",
-            flag=True,
-            many=True,
-        ),
-    ] = ()
-    tilt_deg: Annotated[
-        float,
-        described("Angle by which the tilted target is rotated about the vertical, in degrees."),
-        Range(at_least=-60, at_most=60),
-    ] = 20.0
-    shift_mm: Annotated[
-        float,
-        described("Displacement of the shifted target to the right in mm; half as much down."),
-        Range(-1000, 1000),
-    ] = 60.0
-    seed: Seed = 1
-    backend: Backend = "auto"
-    workers: Workers = None
-    scheduler: Scheduler = None
-    out: Annotated[Path, described("Output folder.")] = Path("out/verify-session")
+    Attributes:
+        judged: by target, viewpoint, calibration and method; methods of several calibrations begin with their names.
+        of_target: the target of each pair, by the pair's name.
+        drawn: the pairs to draw.
+        warnings: frames that are not rasterised, photographs that show too little.
+    """
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self._check_product(limits.DEPTHS, "distances", "depths_m")
-        self._check_product(10_000, "photographs", "viewpoints", "depths_m")
+    judged: list[JudgedPair]
+    of_target: dict[str, str]
+    drawn: list[JudgedPair]
+    warnings: list[str]
+
+    @property
+    def verdict(self) -> str:
+        """A sentence for each method."""
+        return verdict(self._overall())
+
+    def blocks(self, folder: Path) -> list[Block]:
+        """Return tables over everything, by target where there are several, and of each pair; draws into `folder`."""
+        by_target = []
+        if len(set(self.of_target.values())) > 1:
+            heads = {"target": lambda pair: self.of_target[pair.name], "method": by_method}
+            by_target = [misalignment_table(self.judged, "By target", heads)]
+        pictures = misalignment_pictures(self.drawn, folder)
+        return [self._overall(), *by_target, table_of_pairs(self.judged), self._distribution(), *pictures]
+
+    def _overall(self) -> ReportTable:
+        notes = (*NOTES, "The dots that all methods show whole, found in all photographs of a position.")
+        return misalignment_table(self.judged, "Misalignment from photographs", {"method": by_method}, notes)
+
+    def _distribution(self) -> Plot:
+        percent = np.linspace(0, 100, 201)
+        lines = {}
+        for method in dict.fromkeys(pair.method for pair in self.judged):
+            pairs = [pair.misalignment for pair in self.judged if pair.method == method]
+            angle = np.concatenate([each.arcmin for each in pairs if each is not None] or [np.empty(0)])
+            if len(angle):
+                lines[method] = np.percentile(angle, percent), percent
+        axes = ("misalignment (arcmin)", "dots with less (%)")
+        return curves("Distribution of misalignment", lines, axes, log_x=True, caption="All targets and viewpoints.")
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,72 +128,62 @@ class _Calibration:
     station: SavedStation
 
     def viewpoints(self, visits: Sequence[Visit]) -> FloatArray:
-        """(n, 3) where the camera stands by its readings."""
+        """Return the positions (n, 3) of the camera by its readings."""
         readings = [visit.reading for visit in visits]
         return np.stack([self.station.device_from_camera(each)[:3, 3] for each in readings if each is not None])
 
 
-@job
-def verify_session(options: VerifySessionOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Draw, photograph and match; writes photographs, pictures and the report into `options.out`.
+def register(options: SimulatedLabOptions, folder: Path, progress: Progress) -> Registration:
+    """Draw, photograph and match; writes the photographs into `photographs` in `folder`.
 
     Raises:
         BadInputError: the session is not a simulated one, a calibration is missing or of another session, or the
             target is not seen where it stands.
     """
-    bench = load_recipe(options.session).build()
+    bench, photographs = load_recipe(options.simulated_session).build(), folder / "photographs"
     calibrations = _calibrations(options, bench)
-    folder = output_folder(options.out)
-    photographs = folder / "photographs"
     box = bench.optics.eye_box
     rng = np.random.default_rng([options.seed, 2])
     others = random_in_eye_box(box, options.viewpoints, rng)[1:] - box.centre
     visits = later_visits(bench, np.round(np.concatenate([np.zeros((1, 3)), others]), 6), rng)
     targets = _targets(bench, options)
     tracked = photograph_tracking(bench, targets, photographs, options.seed)
-    found = [[_tracked_pose(each.station, bench, seen) for seen in tracked] for each in calibrations]
+    poses = [[_tracked_pose(each.station, bench, view) for view in tracked] for each in calibrations]
     viewpoints = [each.viewpoints(visits) for each in calibrations]
     frames: list[dict[str, NDArray[np.uint8]]] = [{} for _ in range(len(targets) * len(visits))]
     warnings: list[str] = []
     drawn = (
         images
-        for each, poses, places in zip(calibrations, found, viewpoints, strict=True)
-        for pose in poses
+        for each, poses_of_target, places in zip(calibrations, poses, viewpoints, strict=True)
+        for pose in poses_of_target
         for images in _draw(each, bench, pose, places, options, warnings)
     )
     for number, images in enumerate(progress(drawn, len(calibrations) * len(frames), "frames")):
         frames[number % len(frames)] |= images
     photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.spread)
     methods = [method for method in METHODS if calibrations[0].prefix + method in frames[0]]
-    judged = [
-        one
-        for k, target in enumerate(targets)
-        for number in range(len(visits))
-        for one in _judge(
-            bench,
-            calibrations,
-            methods,
-            target,
-            number,
-            [each[k] for each in found],
-            [v[number] for v in viewpoints],
-            photographs,
-        )
-    ]
-    inputs = [options.session, *(each / "model.json" for each in options.calibration)]
-    name = calibrations[0].models.name if len(calibrations) == 1 else f"{len(calibrations)} calibrations"
-    return misalignment_report(judged, name, folder, inputs, options, list(dict.fromkeys(warnings)))
+    found = Registration([], {}, [], list(dict.fromkeys(warnings)))
+    for k, target in enumerate(targets):
+        for number in range(len(visits)):
+            placed = [
+                (each, of_target[k], places[number])
+                for each, of_target, places in zip(calibrations, poses, viewpoints, strict=True)
+            ]
+            pairs = _judge(bench, placed, methods, target, number, photographs)
+            found.judged.extend(pairs)
+            found.of_target[target.position(number)] = target.words
+            found.drawn.extend(pairs if len(calibrations) == 1 or number == 0 else [])
+    found.warnings.extend(complaints(found.judged))
+    return found
 
 
-def _calibrations(options: VerifySessionOptions, bench: PhotoBench) -> list[_Calibration]:
+def _calibrations(options: SimulatedLabOptions, bench: PhotoBench) -> list[_Calibration]:
     """Load the calibrations.
 
     Raises:
         BadInputError: one is missing, named twice, or of another session.
     """
     folders = options.calibration
-    if not folders:
-        raise BadInputError("--calibration is empty; name an output folder of `wlr-render calibrate photos`.")
     for number, folder in enumerate(folders):
         if folder in folders[:number]:
             raise BadInputError(f"--calibration names {folder} twice; name each calibration once.")
@@ -212,12 +196,12 @@ def _calibrations(options: VerifySessionOptions, bench: PhotoBench) -> list[_Cal
     for number, (folder, stem) in enumerate(zip(folders, stems, strict=True)):
         if not (folder / "model.json").is_file():
             raise BadInputError(
-                f"{folder}: holds no model.json; run `wlr-render calibrate photos {options.session} --out "
+                f"{folder}: holds no model.json; run `wlr-render calibrate {options.simulated_session} --out "
                 f"{folder}` first, or name its folder with --calibration."
             )
         model = load_eye_model(folder / "model.json", bench.eye)
         station = load_station(folder / f"station-{bench.eye}.json")
-        _refuse_another(folder, options.session, (model.device, model.mappings.eye), station, bench)
+        _refuse_another(folder, options.simulated_session, (model.device, model.mappings.eye), station, bench)
         prefix = f"model{number} " if several else ""
         found.append(_Calibration(stem if several else "", prefix, model.mappings, station))
     return found
@@ -231,7 +215,7 @@ def _refuse_another(
         raise BadInputError(
             f"{folder}: is a calibration of {calibrated[0]}, {calibrated[1]} eye, with a camera of "
             f"{size[0]} x {size[1]} pixels, and not of {session}; name the folder of what "
-            "`wlr-render calibrate photos` made of that session."
+            "`wlr-render calibrate` made of that session."
         )
     if station.tracking_camera is None or station.device_from_tracking is None:
         raise BadInputError(
@@ -240,9 +224,9 @@ def _refuse_another(
         )
 
 
-def _targets(bench: PhotoBench, options: VerifySessionOptions) -> list[TargetPlace]:
+def _targets(bench: PhotoBench, options: SimulatedLabOptions) -> list[TargetPlace]:
     poses = options.poses or (_FRONTAL if len(options.calibration) == 1 else _ALL_POSES)
-    changes = {"frontal": (0.0, 0.0), "tilted": (options.tilt_deg, 0.0), "shifted": (0.0, 1e-3 * options.shift_mm)}
+    changes = {"frontal": (0.0, 0.0), "tilted": (_TILT_DEG, 0.0), "shifted": (0.0, _SHIFT_M)}
     return [
         TargetPlace(depth, "" if poses == _FRONTAL else pose, target_at(bench, depth, *changes[pose]))
         for depth in dict.fromkeys(options.depths_m)
@@ -251,7 +235,7 @@ def _targets(bench: PhotoBench, options: VerifySessionOptions) -> list[TargetPla
 
 
 def _tracked_pose(station: SavedStation, bench: PhotoBench, seen: BoardObservation) -> FloatArray:
-    """device_from_target (4, 4) by the tracking camera of a calibrated bench."""
+    """Return device_from_target (4, 4) by the tracking camera of a calibrated bench."""
     assert station.tracking_camera is not None  # refused before
     assert station.device_from_tracking is not None
     point = bench.board.point_of(seen.index)
@@ -267,10 +251,10 @@ def _draw(
     bench: PhotoBench,
     target: FloatArray,
     viewpoints: FloatArray,
-    options: VerifySessionOptions,
+    options: SimulatedLabOptions,
     warnings: list[str],
 ) -> Iterator[dict[str, NDArray[np.uint8]]]:
-    """What the panel must show of a target at device_from_target (4, 4), from each viewpoint (n, 3), by each method.
+    """Yield what the panel must show of a target at device_from_target (4, 4) by each method, per viewpoint (n, 3).
 
     The target has the shape that calibration found. `warnings` receives a sentence if frames are ray traced for want of
     OpenGL.
@@ -292,34 +276,31 @@ def _draw(
 
 def _judge(
     bench: PhotoBench,
-    calibrations: Sequence[_Calibration],
+    placed: Sequence[tuple[_Calibration, FloatArray, FloatArray]],
     methods: Sequence[str],
     target: TargetPlace,
     viewpoint: int,
-    poses: Sequence[FloatArray],
-    places: Sequence[FloatArray],
     folder: Path,
-) -> list[Judged]:
-    """Match the dots of one place's photographs: those found in all that the panel can show whole by every calibration.
+) -> list[JudgedPair]:
+    """Match the dots of one position: those found in all photographs that the panel shows whole by every calibration.
 
-    `poses` (4, 4) of the target and `places` (3,) of the camera are by calibration.
+    `placed` has each calibration with the poses (4, 4) of target and (3,) of camera by it.
     """
-    shown = np.all(
-        [
-            wholly_shown(each.models, bench.board, pose, place)
-            for each, pose, place in zip(calibrations, poses, places, strict=True)
-        ],
-        axis=0,
-    )
-    position, off = target.position(viewpoint), off_path(folder, target, viewpoint)
-    names = tuple(each.prefix + method for each in calibrations for method in methods)
+    whole = np.all([wholly_shown(each.models, bench.board, pose, place) for each, pose, place in placed], axis=0)
+    names = tuple(each.prefix + method for each, *_ in placed for method in methods)
     paths = iter(PanelShots(on_folder(folder, target, viewpoint), Frames(names, ())).paths())
-    return by_the_same_dots(
-        [
-            judge_pair(
-                position, method, (off, next(paths)), bench.board, each.station.eyeball_camera, shown, each.label
-            )
-            for each in calibrations
-            for method in methods
-        ]
-    )
+    position, off = target.position(viewpoint), off_path(folder, target, viewpoint)
+    pairs = [
+        judge_pair(
+            position,
+            f"{each.label}, {method}" if each.label else method,
+            (off, next(paths)),
+            bench.board,
+            each.station.eyeball_camera,
+        )
+        for each, *_ in placed
+        for method in methods
+    ]
+    matched = [{*map(tuple, each.misalignment.index.tolist())} for each in pairs if each.misalignment is not None]
+    common = {(int(column), int(row)) for row, column in np.argwhere(whole)}.intersection(*matched)
+    return [replace(each, misalignment=each.misalignment and each.misalignment.only(common)) for each in pairs]

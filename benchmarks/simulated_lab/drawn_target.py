@@ -1,4 +1,4 @@
-"""The target as `verify` draws it: a scene of the board alone, and which of its dots the panel can show whole."""
+"""The drawn target: a scene of the board alone, and which of its dots the panel can show whole."""
 
 from dataclasses import replace
 
@@ -61,7 +61,9 @@ def _mesh(board: DotBoard, shape: BoardShape | None) -> Mesh:
 def wholly_shown(
     models: Eye, board: DotBoard, device_from_target: FloatArray, viewpoint: FloatArray
 ) -> NDArray[np.bool_]:
-    """(rows, columns) which dots lie on the panel with their surroundings: the panel's edge displaces the others.
+    """Return a mask (rows, columns) of the dots that lie on the panel with their surroundings.
+
+    The panel's edge displaces the others.
 
     Args:
         models: of the eye.

@@ -10,7 +10,7 @@ from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
-from wlr_render.jobs.verify.pairs import VerifyPairsOptions, verify_pairs
+from wlr_render.jobs.verify import VerifyOptions, verify
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -29,11 +29,11 @@ def pairs(photo_session, tmp_path):
 
 
 def options(session, pairs, folder):
-    return VerifyPairsOptions(pairs, session.folder / "board.toml", calibration=session.out, out=folder / "out")
+    return VerifyOptions(pairs, session.folder / "board.toml", calibration=session.out, out=folder / "out")
 
 
 def test_a_known_displacement_is_measured(photo_session, pairs, tmp_path):
-    report = verify_pairs(options(photo_session, pairs, tmp_path))
+    report = verify(options(photo_session, pairs, tmp_path))
     overall, each = report.tables
     assert [row[:2] for row in each.rows] == [["left", "traced"], ["left", "warped"]]
     medians = {row[0]: row[2] for row in overall.rows}
@@ -47,13 +47,13 @@ def test_a_known_displacement_is_measured(photo_session, pairs, tmp_path):
 
 def test_the_command_line_judges_pairs(photo_session, pairs, tmp_path, capsys):
     given = ["--calibration", str(photo_session.out), "--out", str(tmp_path / "verified")]
-    assert main(["verify", "pairs", str(pairs), *given]) == 2
+    assert main(["verify", str(pairs), *given]) == 2
     assert "needs BOARD" in capsys.readouterr().err
     board = str(photo_session.folder / "board.toml")
-    assert main(["verify", "pairs", str(pairs), board, *given, "--eye", "left"]) == 2
+    assert main(["verify", str(pairs), board, *given, "--eye", "left"]) == 2
     assert "station-left.json" in capsys.readouterr().err
     assert not (tmp_path / "verified").exists()
-    assert main(["verify", "pairs", str(pairs), board, *given]) == 0
+    assert main(["verify", str(pairs), board, *given]) == 0
     assert "drawn dots lie" in capsys.readouterr().out
     record = json.loads((tmp_path / "verified" / "report.json").read_text(encoding="utf-8"))
     assert record["photographs"] == str(pairs)
@@ -75,7 +75,7 @@ def test_a_photograph_that_cannot_be_compared_is_named_before_anything_is_writte
 ):
     damage(pairs / "left_on_warped.png")
     with pytest.raises(BadInputError, match=rf"left_on_warped\.png: {sentence}"):
-        verify_pairs(options(photo_session, pairs, tmp_path))
+        verify(options(photo_session, pairs, tmp_path))
     assert not (tmp_path / "out" / "misalignment.png").exists()
 
 
@@ -83,9 +83,9 @@ def test_what_is_no_pair_is_named(photo_session, pairs, tmp_path):
     given = options(photo_session, pairs, tmp_path)
     (pairs / "left_off.png").unlink()
     with pytest.raises(BadInputError, match=r"left_on_traced\.png: has no photograph with the display off beside it"):
-        verify_pairs(given)
+        verify(given)
     for path in pairs.glob("*_on_*"):
         path.unlink()
     write_photograph(pairs / "x.png", np.zeros((4, 4), np.uint8))
     with pytest.raises(BadInputError, match="holds no pairs of photographs"):
-        verify_pairs(given)
+        verify(given)

@@ -1,4 +1,4 @@
-"""Photographs of a verification on a simulated bench: the target alone, by both cameras, and what the panel shows."""
+"""Photographs of a registration on a simulated bench: the target alone, by both cameras, and what the panel shows."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.photographs import read_photograph
-from wlr_render.jobs.verify.misalignment_tables import PairPosition
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import Spread, as_finished
 from wlr_render.progress import Progress
@@ -38,10 +37,14 @@ class TargetPlace:
         """Part of the names of photographs."""
         return f"{1e3 * self.depth_m:.0f}mm" + (f"_{self.pose}" if self.pose else "")
 
-    def position(self, viewpoint: int) -> PairPosition:
-        """Position of the photographs from a viewpoint."""
-        words = [f"{self.depth_m:g} m", *([self.pose] if self.pose else []), f"viewpoint {viewpoint}"]
-        return PairPosition(", ".join(words), self.depth_m, viewpoint, self.pose)
+    @property
+    def words(self) -> str:
+        """Distance and pose, for tables."""
+        return f"{self.depth_m:g} m" + (f", {self.pose}" if self.pose else "")
+
+    def position(self, viewpoint: int) -> str:
+        """Return the name of the photographs from a viewpoint."""
+        return f"{self.words}, viewpoint {viewpoint}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +66,7 @@ class Frames:
 def photograph_tracking(
     bench: PhotoBench, targets: Sequence[TargetPlace], folder: Path, seed: int
 ) -> list[BoardObservation]:
-    """The target as the tracking camera sees it at each place; BadInputError where it does not."""
+    """Photograph the target at each place with the tracking camera; BadInputError where it is not seen."""
     shots = tuple(BoardShot(folder / f"tracking_{each.stem}.png", each.device_from_target) for each in targets)
     pose = poses_on(bench, seed)
     take(pose(bench.tracking, bench.tracking_sensor, bench.device_from_tracking, None, boards=shots))
@@ -95,10 +98,10 @@ def photograph(
 
 
 def off_path(folder: Path, target: TargetPlace, viewpoint: int) -> Path:
-    """Of the photograph with the display off."""
+    """Return the path of the photograph with the display off."""
     return folder / f"{target.stem}_view{viewpoint:02d}_off.png"
 
 
 def on_folder(folder: Path, target: TargetPlace, viewpoint: int) -> Path:
-    """Of the photographs with the display on."""
+    """Return the folder of the photographs with the display on."""
     return folder / f"{target.stem}_view{viewpoint:02d}_on"

@@ -1,1 +1,0 @@
-"""`verify`: measure the misalignment of dots drawn over a real target."""
