@@ -21,7 +21,7 @@ from benchmarks.trials import (
 )
 from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.options import BoxSize, Eyes, Scheduler, Seed, SpreadOptions, Workers, described, eyes_of
+from wlr_render.jobs.options import Eyes, Range, Scheduler, Seed, SpreadOptions, Workers, described, eyes_of
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import Progress
@@ -48,7 +48,11 @@ class StudyOptions(SpreadOptions):
     )
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to evaluate.")] = "right"
-    box: BoxSize = None
+    box: Annotated[
+        tuple[float, float, float] | None,
+        described("Eye box: width, height and depth in mm, e.g. 10 8 6, about the centre of the device's own one."),
+        Range(above=0, at_most=1000),
+    ] = None
     seed: Seed = 1
     workers: Workers = None
     scheduler: Scheduler = None

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.kept_trials import kept_outcome, outcome_folder
+from benchmarks.moved_observations import displaced, straight_error
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
@@ -265,7 +266,7 @@ class DisplayTrial(Trial):
         """Errors of a fitted model."""
         observations = display_observations(self.at, seed)
         offset = rng.normal(0.0, 1e-3 * self.tracking_error_mm, observations.viewpoint.shape)
-        error = mapping_error.display_error(model, mapping_error.displaced(observations, offset))
+        error = mapping_error.display_error(model, displaced(observations, offset))
         return {
             Measure.FORWARD: summary(error.forward_arcmin),
             Measure.BACKWARD: summary(error.backward_px),
@@ -324,7 +325,7 @@ class NoModelTrial:
     def run(self, seed: int) -> Outcome:
         """Angle between the straight line to a real point and the direction in which it is seen."""
         observations = see_through_observations(self.at, seed)
-        return Outcome({Measure.REAL_POINT: summary(mapping_error.straight_error(observations))})
+        return Outcome({Measure.REAL_POINT: summary(straight_error(observations))})
 
 
 AnyTrial = Trial | NoModelTrial

@@ -16,6 +16,7 @@ from benchmarks.trials import (
     Measure,
     Outcome,
 )
+from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation import mapping_error
@@ -23,7 +24,6 @@ from wlr_render.evaluation.metrics import summary
 from wlr_render.mappings import EyeBox
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
     CaptureSetup,

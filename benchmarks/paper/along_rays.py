@@ -6,6 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from benchmarks.moved_observations import moved_back, self_inconsistency_arcmin, through_depth
 from benchmarks.trials import (
     BACK_M,
     DisplayTrial,
@@ -17,9 +18,6 @@ from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import (
     DisplayObservations,
     SeeThroughObservations,
-    moved_back,
-    self_inconsistency_arcmin,
-    through_depth,
 )
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import rays

@@ -7,6 +7,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from benchmarks import moved_observations
 from benchmarks.rivals.methods import METHODS, MethodData, Rival
 from benchmarks.trials import (
     BACK_M,
@@ -21,25 +22,24 @@ from benchmarks.trials import (
     see_through_observations,
     truth,
 )
+from benchmarks.wrong_headset import wrong_headset
 from wlr_render.captures.correspondences import AnyCaptures, Captures
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.mapping_error import DisplayObservations, SeeThroughObservations
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
-from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, normalised
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.rendering.ray_map import RayMapPlan, middle_axes, solve_pixels
 from wlr_render.simulation.simulate_captures import (
     CaptureSetup,
     simulate_display,
     simulate_see_through,
-    with_pixel_noise,
 )
 
 DEPTHS_M = (0.25, 0.5, 1.0, 10.0)
@@ -231,11 +231,11 @@ def _separate_errors(at: EvaluatedEye, rival: Rival, seed: int) -> dict[str, Sum
 
 def _errors_along_rays(at: EvaluatedEye, rival: Rival, seed: int) -> dict[str, Summary]:
     pixels, _ = _judged(at, seed)
-    back = mapping_error.moved_back(pixels, BACK_M)
+    back = moved_observations.moved_back(pixels, BACK_M)
     moved = rival.display.view_dir_of_pixel(back.pixel, back.viewpoint).value
-    through = mapping_error.through_depth(pixels.view_dir, 1e-3 * at.eye_box_mm[2])
-    front = mapping_error.moved_back(pixels, -0.5 * through).viewpoint
-    apart = mapping_error.self_inconsistency_arcmin(rival.display, front, pixels.pixel, through)
+    through = moved_observations.through_depth(pixels.view_dir, 1e-3 * at.eye_box_mm[2])
+    front = moved_observations.moved_back(pixels, -0.5 * through).viewpoint
+    apart = moved_observations.self_inconsistency_arcmin(rival.display, front, pixels.pixel, through)
     return {
         MethodMeasure.MOVED_BACK: summary(arcmin_between(moved, pixels.view_dir)),
         MethodMeasure.ALONG_RAY: summary(apart),
@@ -254,3 +254,16 @@ def _frame_ms(exact: Eye, rival: Rival, rng: np.random.Generator) -> float:
         warm = solve_pixels(eye, axes, nodes, viewpoint, warm).warm_start
         taken.append(1e3 * (time.process_time() - started))
     return float(np.median(taken[1:]))
+
+
+def with_pixel_noise(captures: AnyCaptures, sigma_px: float, rng: np.random.Generator) -> AnyCaptures:
+    """Displace every measured direction by a pinhole camera's pixel noise, and record its sigma.
+
+    The camera looks along -z; a pixel in its middle is an arcminute wide. Off axis the same pixel covers a smaller
+    angle: `sigma_arcmin` is the geometric mean of the radial and the other axis. (Paper, section 4.3.)
+    """
+    if sigma_px == 0.0:
+        return captures
+    tangents = captures.tangents + rng.normal(0.0, sigma_px * ARCMIN, captures.tangents.shape)
+    sigma = sigma_px * (1.0 + np.sum(captures.tangents**2, axis=1)) ** -0.75
+    return replace(captures, view_dir=dir_of_tangents(tangents), sigma_arcmin=sigma)

@@ -9,12 +9,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.intervals import INTERVAL, interval_percent
+from benchmarks.simulated_lab import exact_views
 from wlr_render.captures.decoded import Decoded
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern
 from wlr_render.captures.photographs import photographs_in, read_each, write_photograph
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
-from wlr_render.simulation.photographs import camera_view
 from wlr_render.simulation.photographs.camera import Sensor
 from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
@@ -118,7 +118,7 @@ def _exact_positions(bench: PhotoBench, device_from_camera: FloatArray) -> Float
     width, height = bench.eyeball.camera.size_px
     u, v = np.meshgrid(np.arange(0, width, _EVERY) + 0.5, np.arange(0, height, _EVERY) + 0.5)
     pixel = np.stack([u, v], axis=-1)
-    return camera_view.panel_position(bench.optics, bench.eyeball.camera, device_from_camera, pixel).value
+    return exact_views.panel_position(bench.optics, bench.eyeball.camera, device_from_camera, pixel).value
 
 
 def _judged(name: str, pictures: int, decoded: Decoded, truth: FloatArray, decode_s: float, read_s: float) -> CodeTrial:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.simulated_lab import exact_views
 from benchmarks.simulated_lab.bench_truth import BenchTruth, true_values
 from benchmarks.simulated_lab.faults import Faults
 from wlr_render.calibration.calibrate_session import SessionCalibration
@@ -32,7 +33,6 @@ from wlr_render.jobs.options import seed_of
 from wlr_render.mappings import Eye
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Cell, ReportTable
-from wlr_render.simulation.photographs import camera_view
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 
@@ -99,7 +99,7 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
     panels = []
     for each, panel in found.reading.panels_of(session.display):
         pose, samples = poses[each.folder], panel.samples
-        seen = camera_view.panel_position(bench.optics, camera, pose, samples.camera_pixel)
+        seen = exact_views.panel_position(bench.optics, camera, pose, samples.camera_pixel)
         noise = rng.normal(size=seen.value.shape) * samples.sigma_px[:, None]
         whole = DecodedSamples(samples.camera_pixel, seen.value + noise, samples.sigma_px, samples.scale)
         panels.append(PanelView(pose, _rows(whole, seen.usable)))
@@ -109,7 +109,7 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
         pose, target = poses[photograph.path], bench.device_from_target[photograph.target_pose]
         on_target = bench.printed.point_of(observation.index)
         point = transforms.apply(target, on_target)
-        pixel = camera_view.pixel_of_real_point(bench.optics, camera, pose, point)
+        pixel = exact_views.pixel_of_real_point(bench.optics, camera, pose, point)
         pixel = pixel + rng.normal(size=pixel.shape) * observation.sigma_px[:, None]
         sound = np.asarray(np.isfinite(pixel).all(axis=-1))
         whole_observation = replace(observation, pixel=pixel).only(sound)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.simulated_lab.bench_truth import BenchTruth, known_number, true_values
+from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_real_point
 from benchmarks.simulated_lab.faults import NO_FAULTS, Exchange, Faults
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.decoded import DecodedSamples, Rejection
@@ -23,7 +24,6 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
 from wlr_render.simulation.photographs.photo_bench import passes_optics
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe

@@ -6,6 +6,7 @@ import pytest
 from prescribed_eyes import captured, prescription
 from toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
 
+from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_eye import calibrate, eye_trends, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
 from wlr_render.captures.correspondences import CaptureMotionPrior, Captures
@@ -17,7 +18,6 @@ from wlr_render.models.static import StaticSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
-from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from prescribed_eyes import captured, prescription
 
+from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE, display_trend, fit_assembly, see_through_trend
 from wlr_render.captures.correspondences import Captures
 from wlr_render.errors import BadInputError
@@ -13,7 +14,6 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.numerics.polynomial import Box
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.traced_mappings import TracedDisplay
-from wlr_render.optics.wrong_headset import wrong_headset
 from wlr_render.simulation import viewpoints
 
 DEVICES = ("northstar", "freeform40", "birdbath28")

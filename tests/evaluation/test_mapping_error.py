@@ -3,6 +3,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from benchmarks.moved_observations import displaced, straight_error
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -120,7 +121,7 @@ def test_an_injected_offset_of_the_real_ray_is_measured(flat_image_headset, see_
 def test_straight_error_is_the_deviation_of_the_optics(flat_image_headset, see_through_observations):
     straight = replace(flat_image_headset.see_through, offset_m=0.0, prism=0.0)
     expected = mapping_error.see_through_error(straight, see_through_observations).backward_arcmin
-    np.testing.assert_allclose(mapping_error.straight_error(see_through_observations), expected, rtol=1e-9)
+    np.testing.assert_allclose(straight_error(see_through_observations), expected, rtol=1e-9)
 
 
 def test_a_static_display_errs_by_the_parallax(flat_image_headset):
@@ -133,7 +134,7 @@ def test_a_static_display_errs_by_the_parallax(flat_image_headset):
 
 
 def test_an_eye_tracking_error_costs_its_parallax(flat_image_headset, display_observations):
-    wrong = mapping_error.displaced(display_observations, np.array([1e-4, 0.0, 0.0]))
+    wrong = displaced(display_observations, np.array([1e-4, 0.0, 0.0]))
     error = mapping_error.display_error(flat_image_headset.display, wrong)
     parallax = 1e-4 / 2.01 / ARCMIN
     assert np.all((error.forward_arcmin > 0.8 * parallax) & (error.forward_arcmin < 1.01 * parallax))

@@ -4,7 +4,7 @@ Exact answers are computed once, as *observations*, and compared with any number
 is far slower than a fitted model.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,43 +123,6 @@ def see_through_error(candidate: SeeThroughMapping, observations: SeeThroughObse
         directions.arcmin_between(rays.split(ray)[1], rays.split(observations.real_ray)[1]),
         rays.distance_to_point(ray, observations.point),
     )
-
-
-def straight_error(observations: SeeThroughObservations) -> FloatArray:
-    """Errors (n,) in arcminutes of assuming straight see-through rays, as an uncalibrated device does."""
-    straight = directions.normalised(observations.point - observations.viewpoint)
-    return directions.arcmin_between(straight, observations.view_dir)
-
-
-def displaced(observations: DisplayObservations, offset: FloatArray) -> DisplayObservations:
-    """The same observations with viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
-    return replace(observations, viewpoint=observations.viewpoint + offset)
-
-
-def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
-    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
-    return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
-
-
-def through_depth(view_dir: FloatArray, depth_m: float) -> FloatArray:
-    """Length (...) of a ray of direction (..., 3) between planes of constant z that are `depth_m` apart, metres."""
-    return np.asarray(depth_m / -view_dir[..., 2])
-
-
-def self_inconsistency_arcmin(
-    candidate: DisplayMapping, viewpoint: FloatArray, pixel: FloatArray, distance_m: FloatArray
-) -> FloatArray:
-    """Self-inconsistency of a mapping along its own rays.
-
-    Compares the direction of a pixel (..., 2) at a viewpoint (..., 3) with that at the viewpoint `distance_m` (...)
-    farther back on the same ray, where it must be the same.
-
-    Returns:
-        (...) arcminutes, zero for any real display; NaN where the mapping has no value.
-    """
-    first = candidate.view_dir_of_pixel(pixel, viewpoint).value
-    behind = viewpoint - np.asarray(distance_m)[..., None] * first
-    return directions.arcmin_between(first, candidate.view_dir_of_pixel(pixel, behind).value)
 
 
 def _rows(array: FloatArray, kept: NDArray[np.bool_], width: int) -> FloatArray:

@@ -287,16 +287,6 @@ Degree = Range(at_least=1, at_most=12)
 """Limits of polynomial degrees: more only costs time."""
 
 
-_BOX_HELP = (
-    "Eye box: width, height and depth in mm, e.g. 10x8x6, about the centre of the device's own one (default: the "
-    "device's own)."
-)
-
-
-def _box_size(_: type, tokens: Sequence[Token]) -> tuple[float, ...]:
-    return _lengths(tokens[0], float, 3, "width, height and depth in mm, e.g. 10x8x6")
-
-
 def _pixel_size(_: type, tokens: Sequence[Token]) -> tuple[int, ...]:
     return _lengths(tokens[0], int, 2, "width and height in pixels, e.g. 1280x1024")
 
@@ -313,14 +303,6 @@ def _lengths(token: Token, kind: Callable[[str], Length], count: int, wanted: st
     if len(lengths) != count:
         raise BadInputError(f"'{token.value}' is not {wanted}.")
     return lengths
-
-
-BoxSize = Annotated[
-    tuple[float, float, float] | None,
-    Parameter(converter=_box_size, n_tokens=1, accepts_keys=False, metavar="WxHxD", help=_BOX_HELP, name="--box"),
-    Range(above=0, at_most=1000),
-]
-"""Edge lengths of an eye box in millimetres; None for the device's own eye box."""
 
 
 def described_size(text: str, *, optional: bool = False, in_mm: bool = False) -> Parameter:

@@ -294,19 +294,6 @@ def _met_by_camera_pixels(setup: CaptureSetup, depth_m: float, viewpoint: FloatA
     return position[beyond], view_dir[column[beyond]], point[beyond]
 
 
-def with_pixel_noise(captures: AnyCaptures, sigma_px: float, rng: np.random.Generator) -> AnyCaptures:
-    """Displace every measured direction by a pinhole camera's pixel noise, and record its sigma.
-
-    The camera looks along -z; a pixel in its middle is an arcminute wide. Off axis the same pixel covers a smaller
-    angle: `sigma_arcmin` is the geometric mean of the radial and the other axis. (Paper, section 4.3.)
-    """
-    if sigma_px == 0.0:
-        return captures
-    tangents = captures.tangents + rng.normal(0.0, sigma_px * ARCMIN, captures.tangents.shape)
-    sigma = sigma_px * (1.0 + np.sum(captures.tangents**2, axis=1)) ** -0.75
-    return replace(captures, view_dir=directions.dir_of_tangents(tangents), sigma_arcmin=sigma)
-
-
 def with_camera_noise(captures: AnyCaptures, sigma_arcmin: float, rng: np.random.Generator) -> AnyCaptures:
     """Turn every measured direction by Gaussian angles about two transverse axes, and record their sigma.
 

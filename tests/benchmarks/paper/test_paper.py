@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
+from benchmarks.moved_observations import moved_back, self_inconsistency_arcmin
 from benchmarks.paper.along_rays import (
     DepthMeasure,
     DepthTrial,
@@ -117,10 +118,10 @@ def test_a_true_display_is_unchanged_along_its_rays(flat_image_headset):
         flat_image_headset.display, viewpoint, np.full((20, 2), [70.0, 50.0])
     )
     assert len(display_observations.pixel) > 10
-    back = mapping_error.moved_back(display_observations, 0.010)
+    back = moved_back(display_observations, 0.010)
     error = mapping_error.display_error(flat_image_headset.display, back)
     np.testing.assert_allclose(error.forward_arcmin, 0.0, atol=1e-9)
-    inconsistency = mapping_error.self_inconsistency_arcmin(
+    inconsistency = self_inconsistency_arcmin(
         flat_image_headset.display, display_observations.viewpoint, display_observations.pixel, np.array(0.003)
     )
     np.testing.assert_allclose(inconsistency, 0.0, atol=1e-9)

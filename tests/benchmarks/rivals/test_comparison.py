@@ -8,7 +8,7 @@ import pytest
 from benchmarks import trials
 from benchmarks.rivals import comparison as methods_module
 from benchmarks.rivals import study
-from benchmarks.rivals.method_trials import OUTLIER_PX, MethodMeasure, MethodTrial, _data
+from benchmarks.rivals.method_trials import OUTLIER_PX, MethodMeasure, MethodTrial, _data, with_pixel_noise
 from benchmarks.rivals.methods import METHODS, Method
 from benchmarks.trial_study import Findings
 from wlr_render.captures.correspondences import DisplayCaptures
@@ -16,7 +16,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.report.blocks import Text
-from wlr_render.simulation.simulate_captures import with_pixel_noise
 
 NAMES = ("planar", "linear-table-planar", "spaam")
 TITLES = (

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks.rivals import methods, networks
-from benchmarks.rivals.method_trials import _bench_of, _drawn
+from benchmarks.rivals.method_trials import _bench_of, _drawn, with_pixel_noise
 from benchmarks.rivals.methods import METHODS, REGRESSORS, STRUCTURES, MethodData
 from benchmarks.trials import EvaluatedEye, capture_setup
 from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.mapping_error import see_through_observations
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through, with_pixel_noise
+from wlr_render.simulation.simulate_captures import simulate_display, simulate_see_through
 
 AT = EvaluatedEye("birdbath28", "right", (10.0, 8.0, 6.0))
 GRID = (9, 7)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_real_point
 from benchmarks.simulated_lab.faults import BoardMove, Exchange, Faults, HeadsetSlip, Shift
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.captures.decoded import sample
@@ -13,7 +14,6 @@ from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.jobs.plan.planned_bench import ReadingOptions
-from wlr_render.simulation.photographs.camera_view import panel_position, pixel_of_real_point
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab import exact_views
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotation_about
 from wlr_render.optics.device_file import load_device
-from wlr_render.simulation.photographs import camera_view
 from wlr_render.simulation.photographs.board_light import BoardLight, FarWall
 from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.camera_view import CameraView
@@ -44,7 +44,7 @@ def test_dots_seen_through_optics_lie_where_exact_rays_say(name):
     eye = load_device(name).eyes["right"]
     light = CameraView.through_optics(eye, LENS, LOOKING_AHEAD).world_light(BoardLight(BOARD, TILTED, BLACK_WALL))
     points = apply(TILTED, BOARD.point_of(BOARD.indices()))
-    pixels = camera_view.pixel_of_real_point(eye, CAMERA, LOOKING_AHEAD, points)
+    pixels = exact_views.pixel_of_real_point(eye, CAMERA, LOOKING_AHEAD, points)
     inside = np.flatnonzero(np.all((pixels > 12) & (pixels < np.array(CAMERA.size_px) - 12), axis=-1))
     assert inside.size > 15
     for pixel in pixels[inside]:

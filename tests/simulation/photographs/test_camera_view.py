@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab.exact_views import panel_position
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens_camera import LensCamera
@@ -68,10 +69,10 @@ def test_a_uniform_panel_gives_uniform_light_up_to_its_edge_and_none_beyond(name
     lens = SimulatedLens(camera((96, 64), 100.0, BROWN))
     eye = optics(name)
     light = sight(name, lens).panel_light(uniform(255, (eye.panel.pixels.height_px, eye.panel.pixels.width_px)))
-    seen = camera_view.panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((96, 64)))
+    seen = panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((96, 64)))
     inner = np.abs(seen.value / eye.panel.pixels.size_px - 0.5).max(axis=-1) < 0.44
     assert 300 < inner.sum() < 5000
-    finer = camera_view.panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((768, 512)) / 8)
+    finer = panel_position(eye, lens.camera, LOOKING_AHEAD, pixel_centres((768, 512)) / 8)
     np.testing.assert_allclose(light[inner], 1.0, atol=1e-5)
     assert light.min() == 0.0
     assert light.max() < 1.0 + 1e-5
@@ -197,7 +198,7 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(name, focal, monkeypatc
     assert 0.0 < max(world_arcmin) < 0.01
 
     one = CameraView.through_optics(eye, lens, pose, samples=1)
-    seen = camera_view.panel_position(eye, lens.camera, pose, pixel_centres((240, 180)))
+    seen = panel_position(eye, lens.camera, pose, pixel_centres((240, 180)))
     there = np.moveaxis(one.on_panel[0].planes(), 0, -1)[seen.ok]
     assert seen.ok.mean() > 0.3
     np.testing.assert_allclose(there, seen.value[seen.ok], atol=0.01)

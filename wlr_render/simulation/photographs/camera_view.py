@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
-from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.geometry.transforms import inverse, rotate
-from wlr_render.mappings import Panel, QueryResult, Status
+from wlr_render.geometry.transforms import inverse
+from wlr_render.mappings import Panel, Status
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
@@ -191,25 +190,3 @@ def _sharpen(place: Float32Array, blur: FloatArray) -> None:
         axis -= np.float32(0.5)
         whole = np.floor(axis)
         axis[...] = whole + np.clip((axis - whole - np.float32(0.5)) / width + np.float32(0.5), 0.0, 1.0)
-
-
-def panel_position(
-    optics: EyeOptics,
-    camera: LensCamera,
-    device_from_camera: FloatArray,
-    pixel: FloatArray,
-) -> QueryResult:
-    """Return the panel positions that camera pixels (..., 2) see; `value` (..., 2) panel pixels."""
-    direction = rotate(device_from_camera, camera.dir_of_pixel(pixel))
-    return TracedDisplay(optics, WAVELENGTH_UM).pixel_of_view_dir(direction, device_from_camera[:3, 3])
-
-
-def pixel_of_real_point(
-    optics: EyeOptics,
-    camera: LensCamera,
-    device_from_camera: FloatArray,
-    point: FloatArray,
-) -> FloatArray:
-    """Return the camera pixels (..., 2) of real points (..., 3), device frame, through the optics; NaN if not seen."""
-    view = TracedSeeThrough(optics, WAVELENGTH_UM).view_dir_of_real_point(point, device_from_camera[:3, 3])
-    return camera.pixel_of_point(rotate(inverse(device_from_camera), view.value))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.wrong_headset import misshapen
 from wlr_render.optics.sag_surfaces import XYPolynomial
-from wlr_render.optics.wrong_headset import misshapen
 
 _SMALL = 1e-4  # metres from the vertex: higher powers do not matter
 

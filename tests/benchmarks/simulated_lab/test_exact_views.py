@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.simulated_lab import exact_views
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV, apply, inverse, rigid, rotate, rotation_about
 from wlr_render.mappings import Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import TracedDisplay
-from wlr_render.simulation.photographs import camera_view
 
 CAMERA = LensCamera((640, 480), np.array([700.0, 690.0]), np.array([322.0, 236.0]), np.array([-0.1, 0.02, 1e-3, 0, 0]))
 POSE = rigid(OPENXR_FROM_OPENCV @ rotation_about("x", 0.05), [0.001, -0.002, 0.001])
@@ -20,12 +20,12 @@ def optics(name):
 def test_without_optics_a_camera_sees_straight(lead):
     rng = np.random.default_rng(3)
     point = np.concatenate([rng.uniform(-0.1, 0.1, (*lead, 2)), rng.uniform(-0.6, -0.5, (*lead, 1))], axis=-1)
-    pixel = camera_view.pixel_of_real_point(optics("no_optics"), CAMERA, POSE, point)
+    pixel = exact_views.pixel_of_real_point(optics("no_optics"), CAMERA, POSE, point)
     np.testing.assert_allclose(pixel, CAMERA.pixel_of_point(apply(inverse(POSE), point)), atol=1e-8)
 
     # The bare panel: 0.25 mm pixels 500 mm ahead, v down.
     on_panel = np.concatenate([rng.uniform(-0.08, 0.08, (*lead, 2)), np.full((*lead, 1), -0.5)], axis=-1)
-    seen = camera_view.panel_position(
+    seen = exact_views.panel_position(
         optics("no_optics"), CAMERA, POSE, CAMERA.pixel_of_point(apply(inverse(POSE), on_panel))
     )
     np.testing.assert_allclose(seen.value, on_panel[..., :2] / [0.00025, -0.00025] + [640, 360], atol=1e-6)
@@ -37,12 +37,12 @@ def test_panel_positions_are_the_inverse_of_view_directions(name):
     view_dir = TracedDisplay(optics(name), 0.55).view_dir_of_pixel(position, POSE[:3, 3]).value
     pixel = CAMERA.pixel_of_point(rotate(inverse(POSE), view_dir))
     assert np.isfinite(pixel).all()
-    np.testing.assert_allclose(camera_view.panel_position(optics(name), CAMERA, POSE, pixel).value, position, atol=1e-6)
+    np.testing.assert_allclose(exact_views.panel_position(optics(name), CAMERA, POSE, pixel).value, position, atol=1e-6)
 
 
 def test_what_is_not_seen_is_nan():
-    behind = camera_view.pixel_of_real_point(optics("freeform40"), CAMERA, POSE, np.array([0.0, 0.0, 0.5]))
+    behind = exact_views.pixel_of_real_point(optics("freeform40"), CAMERA, POSE, np.array([0.0, 0.0, 0.5]))
     assert np.isnan(behind).all()
-    beside = camera_view.panel_position(optics("flat_mirror"), CAMERA, POSE, np.array([5.0, 5.0]))
+    beside = exact_views.panel_position(optics("flat_mirror"), CAMERA, POSE, np.array([5.0, 5.0]))
     assert beside.status == Status.CLIPPED
     assert np.isnan(beside.value).all()
