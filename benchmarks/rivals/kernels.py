@@ -7,14 +7,14 @@ folds are of camera positions, not of readings; the widths 0.1 and 0.2 are left 
 jointly for both outputs.
 """
 
+import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize
 
 from benchmarks.rivals.samples import Samples
+from wlr_render.extras import installed_by
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.numerics.regressor import NumericRegressor
@@ -25,6 +25,7 @@ _SMALL_RIDGES = np.logspace(-13, -3, 6)
 _TUNED = 4_000  # readings by which width and ridge are chosen
 _TUNING_CENTRES = 200
 _LIKELY = 400  # readings whose likelihood gives the hyperparameters of the Gaussian process
+_START_LENGTH = 3.0  # of the search for the likeliest; from shorter ones it may take the function for noise
 _JITTER = 1e-9
 _RIDGE_ROUNDING = 1e-14
 
@@ -111,72 +112,52 @@ def _squares(points: FloatArray, centres: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(square, 0.0))
 
 
-@dataclass(frozen=True)
-class _Process:
-    """Hyperparameters of a Gaussian process of unit noise.
-
-    Attributes:
-        lengths: (variables,) of the Gaussian, in inputs scaled to -1..1.
-        size: standard deviation of the function.
-        noise: factor on the stated sigma.
-    """
-
-    lengths: FloatArray
-    size: float
-    noise: float
-
-
 def gaussian_process(samples: Samples) -> NumericRegressor:
     """Fit a Gaussian process with a length for each input, on a polynomial trend.
 
     The hyperparameters maximise the likelihood of 400 readings. All readings then give the weights of inducing points
     (subset of regressors: Rasmussen and Williams, "Gaussian Processes for Machine Learning", section 8.3.1).
+
+    Raises:
+        MissingExtraError: scikit-learn is not installed.
     """
     trend = _trend(samples)
-    process = _most_likely(samples, trend)
+    lengths, noise_by_size = _most_likely(samples, trend)
     rng = np.random.default_rng(2)
-    inducing = samples.scaled[rng.permutation(len(samples))[: 600 // samples.readings.blocks]] / process.lengths
+    inducing = samples.scaled[rng.permutation(len(samples))[: 600 // samples.readings.blocks]] / lengths
     root = np.asarray(cholesky(_gaussians(inducing, inducing) + _JITTER * np.eye(len(inducing))))
-    prior = np.kron(np.eye(samples.readings.blocks), root) * (process.noise / process.size)
+    prior = np.kron(np.eye(samples.readings.blocks), root) * noise_by_size
     box = samples.readings.box
 
     def features(inputs: FloatArray) -> FloatArray:
-        return _gaussians(box.scaled(inputs) / process.lengths, inducing)
+        return _gaussians(box.scaled(inputs) / lengths, inducing)
 
     return _solved(samples, features, prior, trend, inducing.size)
 
 
-def _most_likely(samples: Samples, trend: Polynomial) -> _Process:
-    rng = np.random.default_rng(3)
-    rows = rng.permutation(len(samples))[:_LIKELY]
-    inputs, target = samples.scaled[rows], samples.target(trend, rows)
-    weight, multiplier = samples.readings.weight[rows], samples.readings.multiplier[rows]
-    gain = (multiplier * weight[:, None]) @ (multiplier * weight[:, None]).T
-    size = float(np.sqrt(np.mean(target**2))) or 1.0
-    variables = inputs.shape[1]
-    apart = [np.subtract.outer(inputs[:, axis], inputs[:, axis]) ** 2 for axis in range(variables)]
+def _most_likely(samples: Samples, trend: Polynomial) -> tuple[FloatArray, float]:
+    """Return the lengths (variables,) of a process in scaled inputs, and its noise over the size of the function.
 
-    def cost(log: FloatArray) -> tuple[float, FloatArray]:
-        """Minus the log likelihood and its gradient by the logarithms of lengths, size and noise."""
-        lengths, amplitude, noise = np.exp(log[:variables]), np.exp(log[-2]), np.exp(log[-1])
-        correlation = np.exp(-0.5 * sum(each / length**2 for each, length in zip(apart, lengths, strict=True)))
-        function = amplitude**2 * gain * correlation
-        covariance = function + (noise**2 + 1e-10 * amplitude**2 * gain.max()) * np.eye(len(rows))
-        try:
-            root = cholesky(covariance, lower=True)
-        except np.linalg.LinAlgError:
-            return 1e12, np.zeros(len(log))
-        inverse = solve_triangular(root, np.eye(len(rows)), lower=True)
-        inverse = inverse.T @ inverse
-        seen = inverse @ target
-        value = 2.0 * float(np.sum(np.log(np.diag(root)))) + 0.5 * float(np.sum(target * seen))
-        slope = inverse - 0.5 * (seen @ seen.T)  # by the covariance: both axes share it
-        by_lengths = [np.sum(slope * function * each) / length**2 for each, length in zip(apart, lengths, strict=True)]
-        gradient = [*by_lengths, 2.0 * np.sum(slope * function), 2.0 * noise**2 * np.trace(slope)]
-        return value, np.array(gradient)
+    The noise is that of a weighted reading: a factor on the stated sigma.
+    """
+    with installed_by("bench", "gaussian_process"):
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import ConstantKernel, WhiteKernel
 
-    stated = 0.0 if np.any(samples.readings.sigma > 0) else np.log(1e-3 * size)
-    start = np.concatenate([np.zeros(variables), [np.log(size / np.sqrt(gain.diagonal().mean())), stated]])
-    bounds = [(-2.0, 4.0)] * variables + [(start[-2] - 8.0, start[-2] + 8.0), (start[-1] - 14.0, start[-1] + 2.0)]
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 60}).x
-    return _Process(np.exp(found[:variables]), float(np.exp(found[-2])), float(np.exp(found[-1])))
+        from benchmarks.rivals.weighted_kernel import WeightedKernel
+
+    rows = np.random.default_rng(3).permutation(len(samples))[:_LIKELY]
+    target, weight = samples.target(trend, rows), samples.readings.weight[rows]
+    multiplier = samples.readings.multiplier[rows] * weight[:, None]
+    gain = np.sum(multiplier**2, axis=1)
+    size = (float(np.mean(target**2)) or 1.0) / float(np.mean(gain))
+    noise = 1.0 if np.any(samples.readings.sigma > 0) else 1e-6 * size * float(np.mean(gain))
+    lengths = np.full(samples.scaled.shape[1], _START_LENGTH)
+    kernel = ConstantKernel(size, (np.exp(-16.0) * size, np.exp(16.0) * size)) * WeightedKernel(
+        lengths, (np.exp(-2.0), np.exp(4.0)), blocks=multiplier.shape[1]
+    ) + WhiteKernel(noise, (np.exp(-28.0) * noise, np.exp(4.0) * noise))
+    process = GaussianProcessRegressor(kernel, alpha=1e-10 * size * float(gain.max()))
+    with warnings.catch_warnings(action="ignore", category=ConvergenceWarning):  # a length at its bound
+        found = process.fit(np.hstack([samples.scaled[rows], multiplier]), target).kernel_
+    return found.k1.k2.length_scale, float(np.sqrt(found.k2.noise_level / found.k1.k1.constant_value))
