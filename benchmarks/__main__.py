@@ -14,12 +14,10 @@ BENCHMARKS = {
     "submission": "CPU cost of a frame: time of submission without drawing, OpenGL calls, allocations.",
     "soak": "Soak test: many frames for a moving wearer; frame times, memory, map errors.",
     "kills": "Jobs that are killed at random moments and resumed, compared with undisturbed ones.",
-    "cluster": "Two workers of a Dask cluster beside one, and what a million frames and fits cost.",
     "diagnosis": "Diagnoses of simulated sessions with hidden effects, scored.",
     "simulated-lab": "Simulated photographs: readings, calibrations and corrected displays, compared with the truth.",
     "budget": "Predicted covariance of registration against true errors of simulated sessions.",
-    "published-data": "Published data sets as bench sessions and capture files, or decoded.",
-    "boards": "Detectors of boards on published photographs, beside OpenCV's.",
+    "published-data": "Published data sets: converted, decoded, display models and detectors of boards on them.",
     "accuracy": "Errors of fitted models by camera positions, noise and stage, beside what the models predict.",
     "design": "Errors of simulated sessions by the design of their camera places.",
     "wear": "Self-calibration by clicks over half an hour of simulated wear with slips.",
@@ -29,8 +27,6 @@ BENCHMARKS = {
     "exports": "Other programs that read exports, compared with our own maps.",
     "rivals": "Published methods and ours on the same captures, simulated or measured by others.",
     "monado": "Monado's compositor with an exported distortion, compared with our own map.",
-    "gallery": "Demos, a calibration, a budget and a diagnosis, shown on one page.",
-    "two-views": "Pupil models supported by decoded captures from two viewpoints.",
 }
 """Help texts; each benchmark is the function `run` of `study.py` in its folder."""
 

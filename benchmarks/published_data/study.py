@@ -1,4 +1,4 @@
-"""Convert published data sets into bench sessions or capture files, or decode them: one function for each set."""
+"""Convert, decode or judge published data sets: one function for each."""
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, replace
@@ -7,11 +7,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from benchmarks.published_data.board_photographs import compare_detectors
 from benchmarks.published_data.itoh_seethrough import read_itoh_seethrough, see_through_session
 from benchmarks.published_data.northstar_vcam import read_northstar_vcam
 from benchmarks.published_data.opencv_decoder import compared_with_opencv, has_opencv_decoder
 from benchmarks.published_data.osvr_hdk13 import PIXEL_MM, read_osvr_captures
 from benchmarks.published_data.procam_graycode import read_procam_graycode
+from benchmarks.published_data.two_view_tables import tables, verdict
+from benchmarks.published_data.viewpoint_evidence import viewpoint_evidence
 from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
@@ -30,21 +33,28 @@ from wlr_render.report.save import save_report
 _BASELINE_AGREES = 5e-3  # relative difference of baselines that the printed monitor and the camera model leave open
 
 
-DataSet = Literal["itoh-seethrough", "northstar-vcam", "osvr-hdk13", "procam-graycode"]
+DataSet = Literal["itoh-seethrough", "northstar-vcam", "two-views", "osvr-hdk13", "procam-graycode", "boards"]
 
 
 @dataclass(frozen=True)
 class PublishedDataOptions(Options):
     """Options of `published-data`."""
 
-    data_set: Annotated[DataSet, described("Data set (docs/measured-data.md).", name="dataset")]
+    data_set: Annotated[
+        DataSet,
+        described(
+            "Data set (docs/measured-data.md); two-views: display models on that of northstar-vcam; boards: detectors "
+            "of boards on its photographs.",
+            name="dataset",
+        ),
+    ]
     path: Annotated[Path, described("Folder of the data set.")]
     _: KW_ONLY
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/published-data")
 
 
 def run(options: PublishedDataOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Convert a set into a bench session or capture files, or decode it, in `options.out`.
+    """Convert, decode or judge a set; writes into `options.out`.
 
     Raises:
         BadInputError: the set is faulty, or the folder cannot be written or holds another session.
@@ -94,6 +104,18 @@ def _northstar_vcam(source: Path, out: Path, _: Progress) -> Report:
     )
 
 
+def _two_views(source: Path, _: Path, progress: Progress) -> Report:
+    captures = read_northstar_vcam(source)
+    progress.say("fitting the models")
+    evidence = viewpoint_evidence([captures.left, captures.right])
+    return Report("", verdict(evidence), blocks=tables(evidence))
+
+
+def _boards(source: Path, _: Path, progress: Progress) -> Report:
+    progress.say("finding the boards")
+    return compare_detectors(source)
+
+
 def _osvr_hdk13(source: Path, out: Path, _: Progress) -> Report:
     captures = read_osvr_captures(source)
     files = _saved(out, captures)
@@ -132,7 +154,9 @@ def _saved(out: Path, *eyes: DisplayCaptures) -> list[Path]:
 DATA_SETS: dict[DataSet, Callable[[Path, Path, Progress], Report]] = {
     "itoh-seethrough": _itoh_seethrough,
     "northstar-vcam": _northstar_vcam,
+    "two-views": _two_views,
     "osvr-hdk13": _osvr_hdk13,
     "procam-graycode": _procam_graycode,
+    "boards": _boards,
 }
 """For each data set, the function that reads a folder, writes into another, and returns the report."""

@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.published_data.viewpoint_evidence import BUNDLE, IGNORED, POINT, Survey
 from benchmarks.rivals.displays import DISPLAYS, FitDisplay
 from benchmarks.rivals.held_out import COLUMNS, HeldOut, cells, held_out
-from benchmarks.two_views.evidence import BUNDLE, IGNORED, POINT, Survey
 from wlr_render.calibration.readings import angular_metric
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.geometry.directions import tangents_of_dir

@@ -70,6 +70,6 @@ def test_a_stream_that_cannot_be_is_told_in_one_line_and_leaves_nothing_behind(t
 
 
 def test_a_benchmark_refuses_the_options_of_another(capsys):
-    for arguments in (["speed", "--trials", "3"], ["diagnosis", "--record", "kept"], ["two-views", "x", "--seed", "1"]):
+    for arguments in (["speed", "--trials", "3"], ["diagnosis", "--record", "kept"], ["raster", "a", "--seed", "1"]):
         assert main(arguments) == 2
         assert arguments[-2] in capsys.readouterr().err

@@ -7,11 +7,11 @@ from benchmarks.__main__ import main
 
 def test_display_captures_of_a_headset_support_a_bundle_of_rays(measured_data, tmp_path, capsys):
     source = measured_data("northstar_vcam_graycode") / "session2_head"
-    assert main(["two-views", str(source), "--out", str(tmp_path)]) == 0
+    assert main(["published-data", "two-views", str(source), "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "Which model the captures support" in printed
     assert "the rig's, 0.2" in printed
-    rows = json.loads((tmp_path / "two-views.json").read_text())["tables"][0]["rows"]
+    rows = json.loads((tmp_path / "published-data.json").read_text())["tables"][0]["rows"]
     for ignored, point, bundle in (rows[:3], rows[3:]):
         assert ignored["over noise"] > 30
         assert point["over noise"] > 5

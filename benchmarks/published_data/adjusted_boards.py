@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.boards.sets import PhotographSet
+from benchmarks.published_data.board_sets import PhotographSet
 from wlr_render.calibration.bench.adjustment import Adjustment, adjust
 from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, BoardView, CameraSetup
 from wlr_render.calibration.bench.lenses import sound_views

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.boards.sets import SETS
+from benchmarks.published_data.board_sets import SETS
 from wlr_render.captures.boards.board import BoardNotFoundError
 from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.photographs import photographs_in, read_photograph

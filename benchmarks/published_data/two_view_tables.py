@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.two_views.evidence import EyeEvidence, MirrorSplit, ViewpointEvidence, rms, vector_rms
+from benchmarks.published_data.viewpoint_evidence import EyeEvidence, MirrorSplit, ViewpointEvidence, rms, vector_rms
 from wlr_render.report.blocks import Cell, ReportTable
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.published_data.northstar_vcam import read_northstar_vcam
-from benchmarks.two_views.evidence import rms, viewpoint_evidence
-from benchmarks.two_views.tables import tables
+from benchmarks.published_data.two_view_tables import tables
+from benchmarks.published_data.viewpoint_evidence import rms, viewpoint_evidence
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir

@@ -1,27 +1,21 @@
 """Our detectors of boards beside OpenCV's on published photographs: what is found, and how well a camera fits it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import cv2
 import numpy as np
 
-from benchmarks.boards.adjusted import adjusted_row
-from benchmarks.boards.sets import SETS, PhotographSet
-from wlr_render.atomic_files import output_folder
+from benchmarks.published_data.adjusted_boards import adjusted_row
+from benchmarks.published_data.board_sets import SETS, PhotographSet
 from wlr_render.captures.boards.board import BoardNotFoundError, BoardObservation
 from wlr_render.captures.boards.charuco import CharucoBoard
 from wlr_render.captures.boards.markers import dictionary_of
 from wlr_render.captures.photographs import Photograph, as_bytes, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
-from wlr_render.report.save import save_report
 
 _FLAGS = {"brown": 0, "rational": cv2.CALIB_RATIONAL_MODEL}
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -33,25 +27,17 @@ Corners = tuple[IntArray, FloatArray]
 """Index (n, 2) and pixel (n, 2) in one photograph."""
 
 
-@dataclass(frozen=True)
-class BoardsOptions(Options):
-    """Options of `boards`."""
-
-    folder: Annotated[Path, described("Folder that holds the sets; missing ones are left out.")]
-    out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/boards")
-
-
-def run(options: BoardsOptions, *, progress: ProgressArgument = SILENT) -> Report:
+def compare_detectors(folder: Path) -> Report:
     """Find the boards in all photographs with our detectors and OpenCV's, and calibrate with the corners of each.
 
     Raises:
         BadInputError: the folder has none of the sets.
     """
-    present = [each for each in SETS if (options.folder / each.name).is_dir()]
+    present = [each for each in SETS if (folder / each.name).is_dir()]
     if not present:
-        raise BadInputError(f"{options.folder}: holds none of {', '.join(each.name for each in SETS)}.")
-    found_in = {each.title: _found(each, options.folder) for each in present}
-    rows = [_row(each, options.folder, found_in[each.title][0]) for each in present]
+        raise BadInputError(f"{folder}: holds none of {', '.join(each.name for each in SETS)}.")
+    found_in = {each.title: _found(each, folder) for each in present}
+    rows = [_row(each, folder, found_in[each.title][0]) for each in present]
     cells = [list(row.values()) for row in rows]
     notes = ("rms: of cv2.calibrateCamera with the corners of each detector, per corner over both axes.",)
     table = ReportTable("Boards found, and calibration", list(rows[0]), cells, notes)
@@ -62,10 +48,7 @@ def run(options: BoardsOptions, *, progress: ProgressArgument = SILENT) -> Repor
         "bow: of the middle against the edge, into the board; stretch: of each photograph, relative.",
     )
     joint = ReportTable("The joint adjustment", list(fits[0]), [list(each.values()) for each in fits], about_fits)
-    report = Report(
-        "Boards", f"{found} of {pictures} boards were found.", blocks=[table, joint], inputs=[options.folder]
-    )
-    return save_report(report, output_folder(options.out), "boards")
+    return Report("", f"{found} of {pictures} boards were found.", blocks=[table, joint])
 
 
 def _found(of: PhotographSet, root: Path) -> tuple[list[BoardObservation], tuple[int, int]]:

@@ -1,1 +1,0 @@
-"""Detectors of boards on published photographs."""

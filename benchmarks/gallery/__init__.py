@@ -1,1 +1,0 @@
-"""Runs of the main verbs, shown on one page."""
