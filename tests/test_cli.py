@@ -123,6 +123,13 @@ def test_every_verb_explains_itself(verb, capsys, monkeypatch):
         assert all(f" Range: {limits.short()}." in described.help for limits in notes if isinstance(limits, Range))
 
 
+@every_verb
+def test_the_help_of_every_verb_fits_on_two_screens(verb, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main([*verb.words.split(), "--help"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) <= 100
+
+
 def test_no_two_verbs_replace_each_others_reports_by_default():
     out = {
         verb.words: field.default
@@ -174,9 +181,11 @@ def test_the_script_beside_the_package_runs_the_verbs(arguments, called, tmp_pat
 @every_verb
 def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    needed = {"pattern": ["--panel", "64x48"], "import-lens": ["--panel", "64x48", "--panel-mm", "8x6"]}.get(
-        verb.words, []
-    )
+    needed = {
+        "pattern": ["--panel", "64x48"],
+        "export": ["--format", "stmap"],
+        "import-lens": ["--panel", "64x48", "--panel-mm", "8x6"],
+    }.get(verb.words, [])
     sentence = refused([*verb.words.split(), *needed, "--nonsense"], capsys)
     assert sentence.startswith("wlr-render: Unknown option: --nonsense.")
     assert not list(tmp_path.iterdir())
@@ -186,14 +195,14 @@ def test_every_verb_refuses_an_option_that_it_does_not_have(verb, tmp_path, monk
 def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     fields = list(fields_of(options_of(verb)))
-    good, named = {}, []
+    good, named = {}, {}
     for options, field, kind, _ in fields:
         if field.default is field.default_factory is dataclasses.MISSING:
             value = (
                 (typing.get_args(kind) or [field.name])[0] if typing.get_origin(kind) is typing.Literal else field.name
             )
             if field.kw_only:
-                named += [flag_of(options, field.name), "64x48"]
+                named[field.name] = [flag_of(options, field.name), value if value != field.name else "64x48"]
             else:
                 good[field.name] = value
     for options, field, kind, notes in fields:
@@ -207,7 +216,8 @@ def test_every_verb_refuses_values_that_are_no_choice_or_out_of_range(verb, tmp_
             continue
         flag = [] if field.name in good else [flag_of(options, field.name), wrong]
         positional = (good | {field.name: wrong} if field.name in good else good).values()
-        assert sentence in refused([*verb.words.split(), *positional, *named, *flag], capsys), field.name
+        others = [word for name, words in named.items() if name != field.name for word in words]
+        assert sentence in refused([*verb.words.split(), *positional, *others, *flag], capsys), field.name
     assert not list(tmp_path.iterdir())
 
 
@@ -244,7 +254,7 @@ def test_an_argument_too_many_is_refused(capsys):
     [
         (["import-lens", "lens.zmx"], "import-lens needs --panel"),
         (["import-lens", "lens.zmx", "--panel", "800x600"], "import-lens needs --panel-mm"),
-        (["export", "stmap"], "export needs HEADSET"),
+        (["export", "--format", "stmap"], "export needs HEADSET"),
         (["calibrate"], "calibrate needs PATH"),
     ],
 )
@@ -339,7 +349,7 @@ FAULTS = {
     ),
     "unknown choice": (lambda f: ["render", device(f), "dots", "--eye", "third"], '"third" for --eye'),
     "no number": (lambda f: ["demo", "--viewpoints", "many"], "'many' is not a whole number"),
-    "fewer numbers": (lambda f: ["export", "npz", device(f), "--viewpoint-mm", "1"], "--viewpoint-mm"),
+    "fewer numbers": (lambda f: ["export", device(f), "--format", "npz", "--viewpoint-mm", "1"], "--viewpoint-mm"),
     "too few viewpoints": (lambda f: ["demo", "--viewpoints", "4"], "--viewpoints is 4"),
     "no model": (lambda f: ["render", str(f / "none.json"), "dots"], "none.json: there is no such file"),
 }

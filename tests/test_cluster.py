@@ -209,9 +209,9 @@ def test_a_simulated_session_is_that_of_local_processes(address, tmp_path, monke
     monkeypatch.setattr(simulate_photo_session, "camera_poses", lambda *given: [*poses(*given)][-2:])
     monkeypatch.setattr(simulate_photo_session, "plan_photographs", small_plan)
     small = {"viewpoints": 2, "camera": (160, 128), "tracking_camera": (160, 120)}
-    options = SimulateOptions(tmp_path / "here", device=far_panel_device(tmp_path), **small, workers=1)
+    options = SimulateOptions(far_panel_device(tmp_path), **small, workers=1, out=tmp_path / "here")
     simulate(options)
-    simulate(replace(options, session=tmp_path / "there", workers=None, scheduler=address))
+    simulate(replace(options, out=tmp_path / "there", workers=None, scheduler=address))
     photographs = whole(tmp_path / "here")
     assert len(photographs) > 8
     assert whole(tmp_path / "there") == photographs

@@ -32,7 +32,7 @@ from wlr_render.errors import BadInputError, Terminated
 PROGRAM = "wlr-render"
 LONGEST_SENTENCE = 960
 """Characters of an error: room for the names of all causes or methods."""
-DRAW, CALIBRATE, EXPLAIN, DATA = "Draw", "Calibrate", "Explain", "Data"
+START, HEADSET, LAB, MODELS, PICTURES = GROUPS = "Start", "Headset", "Lab", "Models", "Pictures"
 
 
 @dataclass(frozen=True)
@@ -46,74 +46,74 @@ class Verb:
 
 
 VERBS = (
-    Verb("demo", DRAW, "demo:demo", "Draw a scene four ways for one headset and measure the misalignment of each."),
-    Verb("trace", DRAW, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),
+    Verb("demo", START, "demo:demo", "Draw a scene four ways for one headset and measure the misalignment of each."),
+    Verb("trace", HEADSET, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),
     Verb(
-        "render",
-        DRAW,
-        "render:render",
-        "Draw the frames of one or both eyes for a still or moving wearer; pack them as a data set.",
-    ),
-    Verb(
-        "export",
-        DRAW,
-        "export:export",
-        "Write a headset's warp maps for other programs, with a page that explains them.",
+        "import-lens",
+        HEADSET,
+        "import_lens:import_lens",
+        "Convert a lens file of Zemax, Optiland or rayoptics into a device file.",
     ),
     Verb(
         "plan",
-        CALIBRATE,
+        LAB,
         "plan.plan:plan",
         "Plan a session: where to put the camera, and how many photographs reach an accuracy.",
     ),
     Verb(
+        "board", LAB, "print_board:board", "Design a calibration board and write it for printing and for calibration."
+    ),
+    Verb(
+        "pattern",
+        LAB,
+        "show_pattern:pattern",
+        "Write the pictures of a panel code with a page that shows them, or photograph each with your camera.",
+    ),
+    Verb("decode", LAB, "decode:decode", "Decode photographs of a panel or projector that shows a code."),
+    Verb("simulate", LAB, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
+    Verb(
         "calibrate",
-        CALIBRATE,
+        MODELS,
         "calibrate.calibrate:calibrate",
         "Fit the models of one or both eyes to photographs, a bench session or captures, or to a simulated device.",
     ),
     Verb(
         "verify",
-        CALIBRATE,
+        MODELS,
         "verify:verify",
         "Measure the misalignment in your own photographs of the drawn target, display off and on.",
     ),
     Verb(
         "budget",
-        EXPLAIN,
+        MODELS,
         "budget:budget",
         "State the error budget of a headset: arcminutes by source, pixel by pixel, and what to improve first.",
     ),
     Verb(
         "diagnose",
-        EXPLAIN,
+        MODELS,
         "diagnose:diagnose",
         "Compare a measured session with the bench model, find the physical causes of any difference, and write a "
         "corrected bench model.",
     ),
     Verb(
         "predict",
-        EXPLAIN,
+        MODELS,
         "predict:predict",
         "Predict the captures of a session with a bench model found elsewhere, e.g. the corrected bench of another "
         "session.",
     ),
     Verb(
-        "import-lens",
-        DATA,
-        "import_lens:import_lens",
-        "Convert a lens file of Zemax, Optiland or rayoptics into a device file.",
-    ),
-    Verb("simulate", DATA, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
-    Verb("decode", DATA, "decode:decode", "Decode photographs of a panel or projector that shows a code."),
-    Verb(
-        "board", DATA, "print_board:board", "Design a calibration board and write it for printing and for calibration."
+        "render",
+        PICTURES,
+        "render:render",
+        "Draw the frames of one or both eyes for a still or moving wearer; pack them as a data set.",
     ),
     Verb(
-        "pattern",
-        DATA,
-        "show_pattern:pattern",
-        "Write the pictures of a panel code with a page that shows them, or photograph each with your camera.",
+        "export",
+        PICTURES,
+        "export:export",
+        "Write a headset's warp maps for other programs, with a page that explains them.",
     ),
 )
 
@@ -128,7 +128,7 @@ RENAMED = {
     "import": "bench published-data",
     "import-optics": "import-lens FILE",
     "pack": "render HEADSET SCENE --pack webdataset|huggingface",
-    "verify pairs": "verify PHOTOGRAPHS",
+    "verify pairs": "verify PHOTOGRAPHS BOARD",
     "verify session": "bench simulated-lab",
 }
 """Verbs of version 0.2 and their names now; `bench` is a command of a checkout's ./wlr."""
@@ -211,7 +211,7 @@ def make_app() -> App:
         version_flags=["--version"],
         default_parameter=Parameter(negative=(), converter=_converted),
     )
-    groups = {title: Group(title, sort_key=order) for order, title in enumerate((DRAW, CALIBRATE, EXPLAIN, DATA))}
+    groups = {title: Group(title, sort_key=order) for order, title in enumerate(GROUPS)}
     for verb in VERBS:
         note = EPILOGUE if verb.words in ("render", "export") else DEBUG_NOTE
         function, group = f"wlr_render.jobs.{verb.function}", groups[verb.group]

@@ -61,7 +61,7 @@ def run(options: ExportsOptions = ExportsOptions(), *, progress: ProgressArgumen
     rows: list[list[Cell]] = []
     with tempfile.TemporaryDirectory() as folder:
         for device in options.devices:
-            view = views_from_centres(ExportOptions("stmap", device))["right"]
+            view = views_from_centres(ExportOptions(device, format="stmap"))["right"]
             progress.say(f"exports of {device}")
             rows += [[device, *row] for row in _rows(view, Path(folder))]
             fitted = bench_model(device=device)

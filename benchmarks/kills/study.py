@@ -100,8 +100,8 @@ def _command(name: JobName, options: KillsOptions, folder: Path) -> list[str]:
         frames = ["--fps", str(options.frames), "--frames", str(options.frames)]
         return [*program, "render", options.device, "dots", "--head", str(head), *frames, "--maps", "tiff", "--out"]
     if name == "export":
-        return [*program, "export", "pfm", options.device, "--pupils", "3", "--out"]
-    simulate = [*program, "simulate", "--device", options.device, *_SESSION, "--workers", "2", "--session"]
+        return [*program, "export", options.device, "--format", "pfm", "--pupils", "3", "--out"]
+    simulate = [*program, "simulate", options.device, *_SESSION, "--workers", "2", "--out"]
     if name == "simulate":
         return simulate
     session = folder / "session"

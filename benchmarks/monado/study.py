@@ -52,7 +52,7 @@ def run(options: MonadoOptions, *, progress: ProgressArgument = SILENT) -> Repor
     if os.geteuid() or shutil.which("debootstrap") is None:
         raise BadInputError("monado: runs as root, on a Debian that has debootstrap: apt-get install debootstrap")
     folder = output_folder(options.out)
-    views = views_from_centres(ExportOptions("monado", options.model, eye="both", depth_m=options.depth_m))
+    views = views_from_centres(ExportOptions(options.model, format="monado", eye="both", depth_m=options.depth_m))
     if not any(options.debian.glob("opt/monado/*/build/src/xrt/targets/service/monado-service")):
         progress.say(f"making a Debian 13 with Monado in {options.debian}")
         _completed([str(_HERE / "prepare.sh"), str(options.debian)])

@@ -13,7 +13,7 @@ from wlr_render.jobs.export_options import ExportOptions
 @pytest.fixture(scope="session")
 def northstar_view(small_northstar):
     """The right eye of a small headset, 180 x 200 pixels, exact optics, source camera at the pupil."""
-    return views_from_centres(ExportOptions("stmap", small_northstar))["right"]
+    return views_from_centres(ExportOptions(small_northstar, format="stmap"))["right"]
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def view(northstar_view):
 @pytest.fixture(scope="session")
 def nearest_view(small_northstar):
     """The same with the source camera nearest to the rays."""
-    return views_from_centres(ExportOptions("stmap", small_northstar, source_camera="nearest"))["right"]
+    return views_from_centres(ExportOptions(small_northstar, format="stmap", source_camera="nearest"))["right"]
 
 
 @pytest.fixture
@@ -49,11 +49,11 @@ def coloured_view(tmp_path_factory):
     """A prism whose glass has colours, traced in red, green and blue."""
     glass = ("index = 1.492", 'formula = "pmma_sultanova_2009"')
     device = changed_device(tmp_path_factory.mktemp("device"), "prism5701202", glass, ("[1280, 960]", "[160, 120]"))
-    return views_from_centres(ExportOptions("stmap", device, per_colour=True))["right"]
+    return views_from_centres(ExportOptions(device, format="stmap", per_colour=True))["right"]
 
 
 @pytest.fixture
 def view_of_half_a_panel(straight_device):
-    whole = views_from_centres(ExportOptions("mesh", straight_device))["right"]
+    whole = views_from_centres(ExportOptions(straight_device, format="mesh"))["right"]
     (eye,) = whole.channels
     return replace(whole, channels=(replace(eye, display=LeftHalf(eye.display)),))

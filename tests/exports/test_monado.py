@@ -16,7 +16,7 @@ N = 65
 @pytest.fixture(scope="module")
 def northstar_views():
     """Both eyes with all pixels of the panel, as the driver demands."""
-    return list(views_from_centres(ExportOptions("monado", "northstar", eye="both", depth_m=2.0)).values())
+    return list(views_from_centres(ExportOptions("northstar", format="monado", eye="both", depth_m=2.0)).values())
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_pupils_that_monado_cannot_place_are_stated(northstar_views, tmp_path):
 @pytest.mark.parametrize("flag", [{"per_colour": True}, {"pupils": 3}])
 def test_colours_and_a_moving_pupil_are_refused(flag):
     with pytest.raises(BadInputError, match=r"monado has one .*; leave out"):
-        ExportOptions("monado", "northstar", eye="both", **flag)
+        ExportOptions("northstar", format="monado", eye="both", **flag)
 
 
 def test_another_panel_is_refused(northstar_view, tmp_path):
@@ -97,8 +97,8 @@ def test_eyes_of_different_fields_get_one_camera(straight_device, monkeypatch):
     right = Pinhole(200, 100, np.array([-0.1, -0.6]), np.array([0.3, 0.1]))
     for size, expected in ((None, (500, 172)), ((64, 48), (64, 48))):
         cameras = iter([left, right])
-        monkeypatch.setattr("wlr_render.jobs.export.intermediate_camera", lambda *_, of=cameras: next(of))
-        views = views_from_centres(ExportOptions("monado", straight_device, eye="both", source_size=size))
+        monkeypatch.setattr("wlr_render.exports.export_view.intermediate_camera", lambda *_, of=cameras: next(of))
+        views = views_from_centres(ExportOptions(straight_device, format="monado", eye="both", source_size=size))
         for view in views.values():
             camera = view.source.camera
             assert (camera.tangent_min.tolist(), camera.tangent_max.tolist()) == ([-0.5, -0.6], [0.5, 0.6])

@@ -35,7 +35,7 @@ def rms(difference):
 def test_mrcal_projects_points_to_the_pixels_that_show_them(device, axes, camera, depth_m, tmp_path):
     if not has_mrcal():
         pytest.skip("mrcal is not installed: apt-get install python3-mrcal")
-    options = ExportOptions("mrcal", device, source_axes=axes, source_camera=camera, depth_m=depth_m)
+    options = ExportOptions(device, format="mrcal", source_axes=axes, source_camera=camera, depth_m=depth_m)
     view = views_from_centres(options)["right"]
     pixel, points = points_of_pixels(view, depth_m or 1e6)
     found, size = projected_by_mrcal(written(view, tmp_path), points, tmp_path)

@@ -39,7 +39,7 @@ from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 
 
 def exported(form, model, folder, **options):
-    return export(ExportOptions(form, model, out=folder, **options))
+    return export(ExportOptions(model, format=form, out=folder, **options))
 
 
 def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
@@ -280,20 +280,20 @@ def test_what_does_not_go_together_is_refused(options, words):
 
 def test_a_pupil_outside_the_eye_box_is_refused(small_northstar, tmp_path, capsys):
     place = ["--viewpoint-mm", "-60", "0", "-30", "--out", str(tmp_path / "out")]
-    assert "outside the eye box" in refused(["export", "stmap", small_northstar, *place], capsys)
+    assert "outside the eye box" in refused(["export", small_northstar, "--format", "stmap", *place], capsys)
     assert not (tmp_path / "out").exists()
 
 
 def test_the_command_line_takes_a_pupil_position(small_northstar, tmp_path, capsys):
     place = ["--viewpoint-mm", "33.5", "-0.5", "-30", "--out", str(tmp_path)]
-    assert main(["export", "stmap", small_northstar, *place]) == 0
+    assert main(["export", small_northstar, "--format", "stmap", *place]) == 0
     assert "33.500, -0.500, -30.000" in (tmp_path / "report.md").read_text(encoding="utf-8")
     assert "Misalignment of what a map shows" in capsys.readouterr().out
 
 
 def test_without_openexr_one_sentence_says_how_to_install_it(small_northstar, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
-    sentence = refused(["export", "stmap", small_northstar, "--out", str(tmp_path / "out")], capsys)
+    sentence = refused(["export", small_northstar, "--format", "stmap", "--out", str(tmp_path / "out")], capsys)
     assert install_command("exr") in sentence
     assert not list(tmp_path.rglob("*.exr"))
 
@@ -305,7 +305,7 @@ def test_models_of_one_name_keep_their_own_hashes(straight_device, tmp_path):
         file.parent.mkdir(parents=True)
         fitted = calibrate(captures(straight_device), "planar", 2 + number, 2).mappings
         save_eye_models(file, [EyeModel(fitted, "no_optics")])
-    options = ExportOptions("npz", str(files[0]), red_model=files[1], blue_model=files[2])
+    options = ExportOptions(str(files[0]), format="npz", red_model=files[1], blue_model=files[2])
     sha256 = views_from_centres(options)["right"].origin.sha256
     contents = dict(zip(("green", "red", "blue"), (file.read_bytes() for file in files), strict=True))
     assert sha256 == {f"{name}: model.json": hashlib.sha256(text).hexdigest() for name, text in contents.items()}
@@ -330,7 +330,7 @@ def test_pixels_that_one_colour_lacks_are_counted(prism_of_plastic, tmp_path, mo
     ],
 )
 def test_what_a_format_loses_is_in_the_file_on_the_page_and_on_the_terminal(form, options, words, tmp_path, capsys):
-    assert main(["export", form, "northstar", *options, "--out", str(tmp_path)]) == 0
+    assert main(["export", "northstar", "--format", form, *options, "--out", str(tmp_path)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     page = (tmp_path / "report.md").read_text(encoding="utf-8")
     held = next(path for path in sorted(tmp_path.glob("[!r]*.json")) + sorted(tmp_path.glob("right*.[ej]*")))

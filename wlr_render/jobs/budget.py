@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from cyclopts import Group
 
 from wlr_render.atomic_files import output_folder
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
@@ -39,6 +40,9 @@ _PUPIL_MM_PER_DEG = 1e3 * PUPIL_DISTANCE_M * np.pi / 180
 _HEAD_DEG_S = 15.0
 
 PerAxisMm = tuple[float, ...]
+_EYE = Group("Eye tracking", sort_key=1)
+_HEAD = Group("Head tracking", sort_key=2)
+_DRAWING = Group("Drawing", sort_key=3)
 
 
 @dataclass(frozen=True)
@@ -51,40 +55,50 @@ class BudgetOptions(Options):
     depth_m: Annotated[float, described("Depth of the real points in metres."), limits.DEPTH_M] = 1.0
     eye_noise_mm: Annotated[
         PerAxisMm,
-        described("Noise of the tracked eye position in mm, one sigma per axis, or x y z.", many=True),
+        described("Noise of the tracked eye position in mm, one sigma per axis, or x y z.", many=True, group=_EYE),
         limits.TRACKING_MM,
     ] = (round(_GAZE_SCATTER_DEG * _PUPIL_MM_PER_DEG, 2),)
     eye_bias_mm: Annotated[
         PerAxisMm,
-        described("Constant error of the tracked eye position in mm, one sigma over wearers, or x y z.", many=True),
+        described(
+            "Constant error of the tracked eye position in mm, one sigma over wearers, or x y z.", many=True, group=_EYE
+        ),
         limits.TRACKING_MM,
     ] = (round(_GAZE_MEDIAN_DEG / _MEDIAN_OF_RAYLEIGH * _PUPIL_MM_PER_DEG, 2),)
     eye_latency_ms: Annotated[
-        float, described("Latency of eye tracking in ms, less what prediction makes up for."), limits.LATENCY_MS
+        float,
+        described("Latency of eye tracking in ms, less what prediction makes up for.", group=_EYE),
+        limits.LATENCY_MS,
     ] = 45.0
     eye_speed_mm_s: Annotated[
-        float, described("Speed of the pupil in mm/s, rms per axis, x and y."), limits.PUPIL_MM_S
+        float, described("Speed of the pupil in mm/s, rms per axis, x and y.", group=_EYE), limits.PUPIL_MM_S
     ] = round(_HEAD_DEG_S * _PUPIL_MM_PER_DEG, 1)
     head_noise_deg: Annotated[
-        float, described("Noise of the head's rotation in degrees, one sigma per axis."), limits.TRACKING_DEG
+        float,
+        described("Noise of the head's rotation in degrees, one sigma per axis.", group=_HEAD),
+        limits.TRACKING_DEG,
     ] = 0.02
     head_noise_mm: Annotated[
-        float, described("Noise of the head's position in mm, one sigma per axis."), limits.TRACKING_MM
+        float, described("Noise of the head's position in mm, one sigma per axis.", group=_HEAD), limits.TRACKING_MM
     ] = 0.5
     head_latency_ms: Annotated[
         float,
-        described("Latency of head tracking in ms, less what prediction and late warp make up for."),
+        described("Latency of head tracking in ms, less what prediction and late warp make up for.", group=_HEAD),
         limits.LATENCY_MS,
     ] = 2.0
     head_speed_deg_s: Annotated[
-        float, described("Angular speed of the head in degrees/s, rms per axis."), limits.HEAD_DEG_S
+        float, described("Angular speed of the head in degrees/s, rms per axis.", group=_HEAD), limits.HEAD_DEG_S
     ] = _HEAD_DEG_S
-    head_speed_m_s: Annotated[float, described("Speed of the head in m/s, rms per axis."), limits.HEAD_M_S] = 0.1
+    head_speed_m_s: Annotated[
+        float, described("Speed of the head in m/s, rms per axis.", group=_HEAD), limits.HEAD_M_S
+    ] = 0.1
     raster_arcmin: Annotated[
-        float, described("Error of a raster frame against a ray-traced one, in arcmin."), limits.ANGLE_ARCMIN
+        float,
+        described("Error of a raster frame against a ray-traced one, in arcmin.", group=_DRAWING),
+        limits.ANGLE_ARCMIN,
     ] = 0.004
     whole_pixels: Annotated[
-        bool, described("Count edges that lie on whole pixels, as drawn without filter.", flag=True)
+        bool, described("Count edges that lie on whole pixels, as drawn without filter.", flag=True, group=_DRAWING)
     ] = False
     camera_frame: Annotated[
         bool,
@@ -92,6 +106,7 @@ class BudgetOptions(Options):
             "Head poses and pupils come in the frame of the tracking camera of the calibration, with its stated pose: "
             "an error of that pose then cancels.",
             flag=True,
+            group=_HEAD,
         ),
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/budget")

@@ -89,8 +89,8 @@ _GRID = (48, 54)
 class DemoOptions(Options):
     """Options of `demo`."""
 
-    _: KW_ONLY
     device: Annotated[str, described("A shipped device or a device file (.toml).")] = "northstar"
+    _: KW_ONLY
     scene: Annotated[str, described("A shipped scene, a scene file or a mesh.")] = "sculpture"
     eye: Annotated[Eyes, described("Eyes to judge.")] = "right"
     viewpoints: Annotated[

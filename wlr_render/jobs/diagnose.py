@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from cyclopts import Group
 
 from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench
@@ -27,6 +28,9 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report, Section
 from wlr_render.report.save import save_report
 
+_BENCH = Group("Bench to compare with", sort_key=1)
+_CAUSES = Group("Causes", sort_key=2)
+
 
 @dataclass(frozen=True)
 class DiagnoseOptions(Options):
@@ -34,23 +38,36 @@ class DiagnoseOptions(Options):
 
     session: Annotated[Path, described("Bench session, output folder of `calibrate` on photographs, or capture file.")]
     _: KW_ONLY
-    bench: Annotated[Path | None, described("Bench file to compare with (default: the session's own).")] = None
+    bench: Annotated[
+        Path | None, described("Bench file to compare with (default: the session's own).", group=_BENCH)
+    ] = None
     device: Annotated[
         str | None,
-        described("Headset that captures are compared with: name or file (default: the shipped one that they name)."),
+        described(
+            "Headset that captures are compared with: name or file (default: the shipped one that they name).",
+            group=_BENCH,
+        ),
     ] = None
     causes: Annotated[
-        tuple[str, ...], described("Names of the causes to consider (default: all).", flag=True, many=True)
+        tuple[str, ...],
+        described("Names of the causes to consider (default: all).", flag=True, many=True, group=_CAUSES),
     ] = ()
     exclude: Annotated[
-        tuple[str, ...], described("Names of causes to leave out (default: none).", flag=True, many=True)
+        tuple[str, ...], described("Names of causes to leave out (default: none).", flag=True, many=True, group=_CAUSES)
     ] = ()
     add_causes: Annotated[
         tuple[str, ...],
-        described("Python files or modules that define CAUSES, further causes to consider.", flag=True, many=True),
+        described(
+            "Python files or modules that define CAUSES, further causes to consider.",
+            flag=True,
+            many=True,
+            group=_CAUSES,
+        ),
     ] = ()
     max_causes: Annotated[
-        int, described("Most causes that are named; 0 measures the noise only."), Range(at_least=0, at_most=100)
+        int,
+        described("Most causes that are named; 0 measures the noise only.", group=_CAUSES),
+        Range(at_least=0, at_most=100),
     ] = DEFAULT.max_causes
     hold_out: Annotated[
         bool,

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from cyclopts import Group
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.formats import FormatName, format_of
@@ -12,6 +13,9 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.options import Eyes, Options, Range, described, described_size
 from wlr_render.numerics.arrays import FloatArray
 
+_PUPIL = Group("Pupil positions", sort_key=1)
+_COLOURS = Group("Colours", sort_key=2)
+_SOURCE = Group("Source picture", sort_key=3)
 _FRAMES_PER_SECOND = 30.0
 _POSITION, _POSITIONS = 3, 6
 """Numbers of a pupil position, and of those of both eyes."""
@@ -21,13 +25,15 @@ _POSITION, _POSITIONS = 3, 6
 class ExportOptions(Options):
     """Options of `export`."""
 
-    format: Annotated[FormatName, described("File format.")]
     headset: Annotated[str, described("A device or a model file (with --red-model: the model fitted in green light).")]
     _: KW_ONLY
+    format: Annotated[FormatName, described("File format.")]
     eye: Annotated[Eyes, described("Eyes to export.")] = "right"
     depth_m: Annotated[
         float | None,
-        described("Depth from the source camera, in metres, for which the maps are right (default: infinity)."),
+        described(
+            "Depth from the source camera, in metres, for which the maps are right (default: infinity).", group=_SOURCE
+        ),
         limits.DEPTH_M,
     ] = None
     viewpoint_mm: Annotated[
@@ -37,51 +43,62 @@ class ExportOptions(Options):
             "(default: centre of the eye box).",
             flag=True,
             many=True,
+            group=_PUPIL,
         ),
         Range(at_least=-1000, at_most=1000),
     ] = None
     pupils: Annotated[
         int | None,
-        described("A grid of N x N pupil positions, over the width and height of the eye box."),
+        described("A grid of N x N pupil positions, over the width and height of the eye box.", group=_PUPIL),
         Range(at_least=2, at_most=31),
     ] = None
     eye_track: Annotated[
         Path | None,
-        described("Eye trajectory (docs/files.md) or OpenXR recording (docs/openxr.md): a map for each frame."),
+        described(
+            "Eye trajectory (docs/files.md) or OpenXR recording (docs/openxr.md): a map for each frame.", group=_PUPIL
+        ),
     ] = None
     fps: Annotated[
         float | None,
-        described(f"Frames per second of --eye-track (default: {_FRAMES_PER_SECOND:g})."),
+        described(f"Frames per second of --eye-track (default: {_FRAMES_PER_SECOND:g}).", group=_PUPIL),
         Range(above=0, at_most=1000),
     ] = None
     frame_limit: Annotated[
         int | None,
-        described("Maximum number of frames along --eye-track (default: all).", name="--frames"),
+        described("Maximum number of frames along --eye-track (default: all).", name="--frames", group=_PUPIL),
         Range(at_least=1, at_most=limits.FRAMES),
     ] = None
     per_colour: Annotated[
-        bool, described("Separate maps for red, green and blue; a device is traced in all three.", flag=True)
+        bool,
+        described("Separate maps for red, green and blue; a device is traced in all three.", flag=True, group=_COLOURS),
     ] = False
-    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
-    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
+    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.", group=_COLOURS)] = None
+    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.", group=_COLOURS)] = None
     resolution: Annotated[
-        float, described("Resolution of the source picture; 1: about the panel's."), Range(above=0, at_most=4)
+        float,
+        described("Resolution of the source picture; 1: about the panel's.", group=_SOURCE),
+        Range(above=0, at_most=4),
     ] = 1.0
     source_size: Annotated[
         tuple[int, int] | None,
-        described_size("Pixels of the source picture, e.g. 1920x1080, in place of --resolution.", optional=True),
+        described_size(
+            "Pixels of the source picture, e.g. 1920x1080, in place of --resolution.", optional=True, group=_SOURCE
+        ),
         limits.PIXELS,
     ] = None
     source_axes: Annotated[
         Literal["field", "device"] | None,
         described(
             "Axes of the source camera: towards the middle of the field of view, or the device's own (default: field; "
-            "monado: device)."
+            "monado: device).",
+            group=_SOURCE,
         ),
     ] = None
     source_camera: Annotated[
         Literal["viewpoint", "nearest"],
-        described("Position of the source camera: the viewpoint, or the point nearest to the bent rays."),
+        described(
+            "Position of the source camera: the viewpoint, or the point nearest to the bent rays.", group=_SOURCE
+        ),
     ] = "viewpoint"
     out: Annotated[Path, described("Output folder.")] = Path("out/export")
 

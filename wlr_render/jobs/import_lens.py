@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from cyclopts import Group
 
 from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
@@ -31,6 +32,8 @@ _MOST_NAMED = 8  # surfaces in one sentence
 _SIDE_MM = Range(at_least=0.1, at_most=200, unit="millimetres")
 _NUMBER = Range(at_least=0, at_most=1000)
 _PLACE_MM = Range(at_least=-1000, at_most=1000, unit="millimetres")
+_HEADSET = Group("Headset", sort_key=1)
+_FILE = Group("Reading of the file", sort_key=2)
 
 
 @dataclass(frozen=True)
@@ -39,34 +42,45 @@ class ImportLensOptions(Options):
 
     file: Annotated[Path, described("Lens file: Zemax (.zmx, sequential), Optiland (.json) or rayoptics (.roa).")]
     _: KW_ONLY
-    panel: Annotated[tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080."), limits.PIXELS]
+    panel: Annotated[
+        tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080.", group=_HEADSET), limits.PIXELS
+    ]
     panel_mm: Annotated[
-        tuple[float, float], described_size("Lit area of the panel in mm, e.g. 10.1x5.7.", in_mm=True), _SIDE_MM
+        tuple[float, float],
+        described_size("Lit area of the panel in mm, e.g. 10.1x5.7.", in_mm=True, group=_HEADSET),
+        _SIDE_MM,
     ]
     eye_box_mm: Annotated[
         tuple[float, float, float],
-        described("Size of the eye box in mm: to the right, up and back; the pupil is its centre."),
+        described("Size of the eye box in mm: to the right, up and back; the pupil is its centre.", group=_HEADSET),
         _SIDE_MM,
     ] = (8.0, 6.0, 4.0)
     eye_centre_mm: Annotated[
         tuple[float, float, float],
-        described("Place of the pupil in the device in mm (x right, y up, z back)."),
+        described("Place of the pupil in the device in mm (x right, y up, z back).", group=_HEADSET),
         _PLACE_MM,
     ] = (0.0, 0.0, 0.0)
-    eye: Annotated[EyeName, described("Side of the eye.")] = "right"
+    eye: Annotated[EyeName, described("Side of the eye.", group=_HEADSET)] = "right"
     starts_at: Annotated[
-        Literal["eye", "panel"], described("Where the light of the file begins; most designs are traced from the eye.")
+        Literal["eye", "panel"],
+        described("Where the light of the file begins; most designs are traced from the eye.", group=_FILE),
     ] = "eye"
     pupil_surface: Annotated[
-        int | None, described("Number of the surface at the eye's pupil (default: the aperture stop)."), _NUMBER
+        int | None,
+        described("Number of the surface at the eye's pupil (default: the aperture stop).", group=_FILE),
+        _NUMBER,
     ] = None
     eye_relief_mm: Annotated[
         float | None,
-        described("Distance of the pupil from the first surface that bends rays, in place of --pupil-surface."),
+        described(
+            "Distance of the pupil from the first surface that bends rays, in place of --pupil-surface.", group=_FILE
+        ),
         Range(at_least=1, at_most=500, unit="millimetres"),
     ] = None
     panel_surface: Annotated[
-        int | None, described("Number of the panel's surface (default: the image, or the object)."), _NUMBER
+        int | None,
+        described("Number of the panel's surface (default: the image, or the object).", group=_FILE),
+        _NUMBER,
     ] = None
     glasses: Annotated[
         tuple[Path, ...],
@@ -74,10 +88,12 @@ class ImportLensOptions(Options):
             "Glass catalogues of Zemax (.agf), searched in this order before the common glasses of the program.",
             flag=True,
             many=True,
+            group=_FILE,
         ),
     ] = ()
     semi_diameters: Annotated[
-        bool, described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True)
+        bool,
+        described("Take the semi-diameters up to which surfaces are drawn as clear apertures.", flag=True, group=_FILE),
     ] = False
     out: Annotated[Path, described("Output folder.")] = Path("out/import-lens")
 

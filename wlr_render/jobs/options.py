@@ -244,23 +244,29 @@ ProgressArgument = Annotated[Progress, Parameter(parse=False)]
 Code = Literal["gray", "fringes", "gray-fringes"]
 EyeName = Literal["left", "right"]
 Eyes = Literal["left", "right", "both"]
+WORK = Group("Work", sort_key=99)
+"""Group of the options that say who does the work."""
 Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],
-    described("OpenGL through EGL or OSMesa (auto: the first that opens); cpu, or no OpenGL: frames are ray traced."),
+    described(
+        "OpenGL through EGL or OSMesa (auto: the first that opens); cpu, or no OpenGL: frames are ray traced.",
+        group=WORK,
+    ),
 ]
 SEEDS = Range(at_least=0, at_most=2**32 - 1)
 Seed = Annotated[int, described("Seed of all random numbers."), SEEDS]
 WORKERS = Range(at_least=1, at_most=256)
 Workers = Annotated[
     int | None,
-    described("Number of processes (default: one per core, fewer where memory limits)."),
+    described("Number of processes (default: one per core, fewer where memory limits).", group=WORK),
     WORKERS,
 ]
 Scheduler = Annotated[
     str | None,
     described(
         "Address of a Dask scheduler, e.g. tcp://host:8786: its workers do the work, instead of processes of this "
-        "machine (docs/clusters.md)."
+        "machine (docs/clusters.md).",
+        group=WORK,
     ),
 ]
 
@@ -305,9 +311,9 @@ def _lengths(token: Token, kind: Callable[[str], Length], count: int, wanted: st
     return lengths
 
 
-def described_size(text: str, *, optional: bool = False, in_mm: bool = False) -> Parameter:
+def described_size(text: str, *, optional: bool = False, in_mm: bool = False, group: Group | None = None) -> Parameter:
     """Help text of an option that is a size in pixels, e.g. 1920x1080, or in millimetres, e.g. 10.1x5.7."""
-    return Parameter(
+    stated = Parameter(
         converter=_size_in_mm if in_mm else _pixel_size,
         n_tokens=1,
         accepts_keys=False,
@@ -315,6 +321,7 @@ def described_size(text: str, *, optional: bool = False, in_mm: bool = False) ->
         help=text,
         show_default=None if optional else lambda size: f"{size[0]}x{size[1]}",
     )
+    return stated if group is None else Parameter.combine(stated, Parameter(group=group))
 
 
 def eyes_of(eye: Eyes) -> tuple[EyeName, ...]:

@@ -4,9 +4,12 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from cyclopts import Group
+
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import (
+    WORK,
     WORKERS,
     Backend,
     Eyes,
@@ -19,6 +22,11 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.jobs.pack import Layout
 from wlr_render.rendering.frame_layers import Layer
+
+_MOTION = Group("Motion", sort_key=1)
+_DRAWING = Group("Drawing", sort_key=2)
+_COLOURS = Group("Colours", sort_key=3)
+_ALSO = Group("Further files", sort_key=4)
 
 
 @dataclass(frozen=True)
@@ -33,63 +41,81 @@ class RenderOptions(SpreadOptions):
         Path | None,
         described(
             "Head trajectory: TUM, EuRoC, a table with named columns, or an OpenXR recording (default: a head at rest "
-            "at the world's origin)."
+            "at the world's origin).",
+            group=_MOTION,
         ),
     ] = None
     eye_track: Annotated[
         Path | None,
         described(
             "Eye trajectory, a table of pupils with named columns, or an OpenXR recording (default: pupils at rest at "
-            "the centres of the eye boxes)."
+            "the centres of the eye boxes).",
+            group=_MOTION,
         ),
     ] = None
     frames_per_second: Annotated[
         float,
-        described("Frames per second, over the time that both trajectories cover.", name="--fps"),
+        described("Frames per second, over the time that both trajectories cover.", name="--fps", group=_MOTION),
         Range(above=0, at_most=1000),
     ] = 30.0
     frame_limit: Annotated[
         int | None,
-        described("Maximum number of frames along --head or --eye-track (default: all).", name="--frames"),
+        described(
+            "Maximum number of frames along --head or --eye-track (default: all).", name="--frames", group=_MOTION
+        ),
         Range(at_least=1, at_most=limits.FRAMES),
     ] = None
     method: Annotated[
         Literal["raster", "raytrace", "pathtrace"],
         described(
             "Rendering method: an intermediate image that is warped, a ray for each pixel, or paths of light, by "
-            "Mitsuba (docs/renderers.md)."
+            "Mitsuba (docs/renderers.md).",
+            group=_DRAWING,
         ),
     ] = "raster"
     supersample: Annotated[
-        int, described("Rays per pixel and axis (raytrace only)."), Range(1, 12), OnlyWith("method", ("raytrace",))
+        int,
+        described("Rays per pixel and axis (raytrace only).", group=_DRAWING),
+        Range(1, 12),
+        OnlyWith("method", ("raytrace",)),
     ] = 1
     shadows: Annotated[
-        bool, described("Surfaces cast shadows (raytrace only).", flag=True), OnlyWith("method", ("raytrace",))
+        bool,
+        described("Surfaces cast shadows (raytrace only).", flag=True, group=_DRAWING),
+        OnlyWith("method", ("raytrace",)),
     ] = False
     samples: Annotated[
-        int, described("Paths per pixel (pathtrace only)."), Range(1, 1 << 16), OnlyWith("method", ("pathtrace",))
+        int,
+        described("Paths per pixel (pathtrace only).", group=_DRAWING),
+        Range(1, 1 << 16),
+        OnlyWith("method", ("pathtrace",)),
     ] = 64
     bounces: Annotated[
         int,
-        described("Reflections of light between surfaces; 0: direct light only (pathtrace only)."),
+        described("Reflections of light between surfaces; 0: direct light only (pathtrace only).", group=_DRAWING),
         Range(0, 64),
         OnlyWith("method", ("pathtrace",)),
     ] = 4
     seed: Annotated[Seed, OnlyWith("method", ("pathtrace",))] = 0
     materials: Annotated[
         Literal["own", "gltf"],
-        described("Shading of the raster: the ray tracer's, or pyrender's of matt glTF materials (needs OpenGL)."),
+        described(
+            "Shading of the raster: the ray tracer's, or pyrender's of matt glTF materials (needs OpenGL).",
+            group=_DRAWING,
+        ),
         OnlyWith("method", ("raster",)),
     ] = "own"
     resolution: Annotated[
         float,
-        described("Resolution of the intermediate image; 1: about the panel's (raster only)."),
+        described("Resolution of the intermediate image; 1: about the panel's (raster only).", group=_DRAWING),
         Range(above=0, at_most=4),
         OnlyWith("method", ("raster",)),
     ] = 1.0
     maps: Annotated[
         Literal["tiff", "pfm"] | None,
-        described("Also write the warp map of each frame, and the view of the intermediate image (raster only)."),
+        described(
+            "Also write the warp map of each frame, and the view of the intermediate image (raster only).", group=_ALSO
+        ),
         OnlyWith("method", ("raster",)),
     ] = None
     layers: Annotated[
@@ -99,13 +125,15 @@ class RenderOptions(SpreadOptions):
             "instance: also instances.json, as COCO has it.",
             many=True,
             flag=True,
+            group=_ALSO,
         ),
     ] = ()
     misalignment: Annotated[
         str | None,
         described(
             "Also compute how far each frame is misaligned to an eye that looks through the exact optics of this "
-            "device: misalignment.json."
+            "device: misalignment.json.",
+            group=_ALSO,
         ),
     ] = None
     predicted_error: Annotated[
@@ -113,35 +141,44 @@ class RenderOptions(SpreadOptions):
         described(
             "Also predict the registration error of points at this depth in metres: a small map for each frame, with "
             "the trackers' errors that `budget` assumes (docs/budget.md).",
+            group=_ALSO,
         ),
         limits.DEPTH_M,
     ] = None
     per_colour: Annotated[
         bool,
-        described("Separate rays and warp maps for red, green and blue; a device is traced in all three.", flag=True),
+        described(
+            "Separate rays and warp maps for red, green and blue; a device is traced in all three.",
+            flag=True,
+            group=_COLOURS,
+        ),
     ] = False
-    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.")] = None
-    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.")] = None
+    red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.", group=_COLOURS)] = None
+    blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.", group=_COLOURS)] = None
     video: Annotated[
-        bool, described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True)
+        bool, described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True, group=_ALSO)
     ] = False
     pack: Annotated[
         Layout | None,
         described(
             "Also pack the frames as a data set, into the folder OUT/webdataset or OUT/huggingface: tar files of "
-            "WebDataset, or an image folder of Hugging Face's datasets."
+            "WebDataset, or an image folder of Hugging Face's datasets.",
+            group=_ALSO,
         ),
     ] = None
     frames_per_shard: Annotated[
         int,
-        described("Frames in each tar file (--pack webdataset only)."),
+        described("Frames in each tar file (--pack webdataset only).", group=_ALSO),
         Range(1, 1_000_000),
         OnlyWith("pack", ("webdataset",)),
     ] = 1000
     backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
     workers: Annotated[
         int | None,
-        described("Number of processes that draw, each with one thread (default: this one, with a thread per core)."),
+        described(
+            "Number of processes that draw, each with one thread (default: this one, with a thread per core).",
+            group=WORK,
+        ),
         WORKERS,
     ] = None
     scheduler: Scheduler = None

@@ -5,6 +5,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from cyclopts import Group
+
 from wlr_render.input_files import LIMITS
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
@@ -28,38 +30,57 @@ from wlr_render.simulation.photographs.photo_plan import unreadable_targets
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
 
+_PLACES = Group("Photographs", sort_key=1)
+_CAMERAS = Group("Cameras", sort_key=2)
+_ERRORS = Group("Errors of the bench", sort_key=3)
+
 
 @dataclass(frozen=True)
 class SimulateOptions(SpreadOptions):
     """Options of `simulate`."""
 
-    session: Annotated[Path, described("Folder of the session; an interrupted simulation continues there.")]
+    device: Annotated[str, described("A shipped device or a device file (.toml).")]
     _: KW_ONLY
-    device: Annotated[str, described("A shipped device or a device file (.toml).")] = "freeform40"
+    out: Annotated[Path, described("Folder of the session; an interrupted simulation continues there.")] = Path(
+        "out/session"
+    )
     eye: Annotated[EyeName, described("Eye to photograph: a session is of one eye.")] = "right"
-    viewpoints: Annotated[int, described("Number of camera positions."), limits.PLACES] = 25
-    pattern: Annotated[Code, described("Code that the panel shows.")] = "gray-fringes"
-    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), limits.CAMERA_PIXELS] = (
+    viewpoints: Annotated[int, described("Number of camera positions.", group=_PLACES), limits.PLACES] = 25
+    pattern: Annotated[Code, described("Code that the panel shows.", group=_PLACES)] = "gray-fringes"
+    camera: Annotated[
+        tuple[int, int], described_size("Pixels of the eyeball camera.", group=_CAMERAS), limits.CAMERA_PIXELS
+    ] = (
         1280,
         1024,
     )
     tracking_camera: Annotated[
-        tuple[int, int], described_size("Pixels of the tracking camera."), limits.CAMERA_PIXELS
+        tuple[int, int], described_size("Pixels of the tracking camera.", group=_CAMERAS), limits.CAMERA_PIXELS
     ] = (
         1600,
         1200,
     )
-    bits: Annotated[Literal[8, 10, 12], described("Bits of the eyeball camera.")] = 8
-    pupil_mm: Annotated[float, described("Diameter of its entrance pupil in mm."), Range(0.01, 50)] = 0.5
-    focus_m: Annotated[float, described("Distance at which it is focused, in m."), Range(0.01, 1000)] = 1.0
-    snr: Annotated[float, described("Signal-to-noise ratio of a white panel."), Range(1, 100_000)] = 50.0
+    bits: Annotated[Literal[8, 10, 12], described("Bits of the eyeball camera.", group=_CAMERAS)] = 8
+    pupil_mm: Annotated[float, described("Diameter of its entrance pupil in mm.", group=_CAMERAS), Range(0.01, 50)] = (
+        0.5
+    )
+    focus_m: Annotated[
+        float, described("Distance at which it is focused, in m.", group=_CAMERAS), Range(0.01, 1000)
+    ] = 1.0
+    snr: Annotated[float, described("Signal-to-noise ratio of a white panel.", group=_CAMERAS), Range(1, 100_000)] = (
+        50.0
+    )
     depths_m: Annotated[
-        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), limits.DISTANCE_M
+        tuple[float, ...],
+        described("Distances of the target in m, two or more.", many=True, group=_PLACES),
+        limits.DISTANCE_M,
     ] = (0.4, 1.0)
-    stage: Annotated[Literal["xyz", "xy", "x"], described("Axes of the stage that move.")] = "xyz"
+    stage: Annotated[Literal["xyz", "xy", "x"], described("Axes of the stage that move.", group=_PLACES)] = "xyz"
     sampling: Annotated[
         Sampling,
-        described("Camera positions: in one plane, or three-dimensional in the eye box, as volumetric models need."),
+        described(
+            "Camera positions: in one plane, or three-dimensional in the eye box, as volumetric models need.",
+            group=_PLACES,
+        ),
     ] = "planar"
     stated_axes_deg: Annotated[
         float,
@@ -67,31 +88,43 @@ class SimulateOptions(SpreadOptions):
             "State the stage's axes in session.toml, rotated by a random error of this standard deviation in degrees "
             "per axis, and photograph the bare target once (default: not stated).",
             flag=True,
+            group=_PLACES,
         ),
         Range(at_least=0, at_most=5),
     ] = 0.0
     perfect: Annotated[
-        bool, described("A bench without imperfections, but for those that the options below give.", flag=True)
+        bool,
+        described(
+            "A bench without imperfections, but for those that the options below give.", flag=True, group=_ERRORS
+        ),
     ] = False
-    stage_error_um: Annotated[
+    repeatability_um: Annotated[
         float | None,
-        described("Repeatability of the stage in um, standard deviation per axis."),
+        described("Repeatability of the stage in um, standard deviation per axis.", group=_ERRORS),
         limits.REPEATABILITY_UM,
     ] = None
     turn_urad: Annotated[
-        float | None, described("Pitch, yaw and roll of the stage in urad, rms along each axis."), limits.ROTATION_URAD
+        float | None,
+        described("Pitch, yaw and roll of the stage in urad, rms along each axis.", group=_ERRORS),
+        limits.ROTATION_URAD,
     ] = None
-    bow_mm: Annotated[float | None, described("Bow of the board in mm, middle to corners."), Range(0, 100)] = None
+    bow_mm: Annotated[
+        float | None, described("Bow of the board in mm, middle to corners.", group=_ERRORS), Range(0, 100)
+    ] = None
     anisotropy: Annotated[
-        float | None, described("Part by which the board is printed longer in y than in x."), Range(0, 0.5)
+        float | None,
+        described("Part by which the board is printed longer in y than in x.", group=_ERRORS),
+        Range(0, 0.5),
     ] = None
-    lens: Annotated[LensKind | None, described("Distortion model of the true lenses.")] = None
+    lens: Annotated[LensKind | None, described("Distortion model of the true lenses.", group=_ERRORS)] = None
     extrinsics_mm: Annotated[
-        float | None, described("Error of the tracking camera's stated position in mm, per axis."), limits.POSITION_MM
+        float | None,
+        described("Error of the tracking camera's stated position in mm, per axis.", group=_ERRORS),
+        limits.POSITION_MM,
     ] = None
     extrinsics_deg: Annotated[
         float | None,
-        described("Error of the tracking camera's stated rotation in degrees, per axis."),
+        described("Error of the tracking camera's stated rotation in degrees, per axis.", group=_ERRORS),
         Range(0, 45),
     ] = None
     seed: Seed = 1
@@ -102,11 +135,6 @@ class SimulateOptions(SpreadOptions):
         super().__post_init__()
         self._check_product(limits.DEPTHS, "distances", "depths_m")
         self._check_product(LIMITS.photographs, "photographs", "viewpoints", "depths_m")
-
-    @property
-    def out(self) -> Path:
-        """The folder that the session is written into."""
-        return self.session
 
     @property
     def recipe(self) -> SimulationRecipe:
@@ -131,7 +159,7 @@ class SimulateOptions(SpreadOptions):
     def _imperfections(self) -> BenchImperfections:
         """Those of ordinary equipment or none, with the sizes that were given."""
         given: dict[str, Any] = {
-            "repeatability_um": self.stage_error_um,
+            "repeatability_um": self.repeatability_um,
             "turn_urad": self.turn_urad,
             "bow_mm": self.bow_mm,
             "anisotropy": self.anisotropy,
@@ -145,17 +173,17 @@ class SimulateOptions(SpreadOptions):
 
 @job
 def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Take the photographs; writes them, session.toml, the board and simulation.toml into `options.session`.
+    """Take the photographs; writes them, session.toml, the board and simulation.toml into `options.out`.
 
     Raises:
         BadInputError: an unknown device or eye, or the folder holds a session made in another way.
     """
-    made = simulate_photo_session(options.session, options.recipe, options.spread, progress)
+    made = simulate_photo_session(options.out, options.recipe, options.spread, progress)
     too_small = [f"{each} Calibration cannot use them." for each in unreadable_targets(options.recipe.build())]
     return Report(
-        f"Simulated session {options.session.name}",
-        verdict=f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {options.session}",
-        advice=[f"Calibrate with: wlr-render calibrate {options.session}"],
+        f"Simulated session {options.out.name}",
+        verdict=f"{made.taken} photographs taken, {made.kept} kept from an earlier run: {options.out}",
+        advice=[f"Calibrate with: wlr-render calibrate {options.out}"],
         warnings=[*too_small, *retaken_warnings(made.changed)],
     )
 

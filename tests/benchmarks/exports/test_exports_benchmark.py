@@ -8,7 +8,7 @@ from wlr_render.jobs.export_options import ExportOptions
 
 @pytest.fixture(scope="module")
 def view(small_northstar):
-    return views_from_centres(ExportOptions("stmap", small_northstar))["right"]
+    return views_from_centres(ExportOptions(small_northstar, format="stmap"))["right"]
 
 
 def test_each_reader_that_is_installed_has_a_row_within_the_figures_wanted(view, tmp_path):

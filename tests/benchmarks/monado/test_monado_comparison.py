@@ -14,7 +14,7 @@ FOV = np.array([-0.9, 0.8, 1.1, -1.0])  # left, right, up, down
 
 @pytest.fixture(scope="module")
 def view(small_northstar):
-    return views_from_centres(ExportOptions("stmap", small_northstar, source_axes="device"))["right"]
+    return views_from_centres(ExportOptions(small_northstar, format="stmap", source_axes="device"))["right"]
 
 
 def window_of(view):

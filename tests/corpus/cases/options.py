@@ -6,17 +6,17 @@ from corpus.case import Case, nothing
 
 SMALL = ("lens.zmx", "glasses.agf", "device.toml", "scene.toml", "box.obj")
 RENDER = ("render", "device.toml", "scene.toml", "--backend", "cpu", "--out", "out")
-DEMO = ("demo", "--device", "device.toml", "--scene", "scene.toml", "--backend", "cpu", "--out", "out")
+DEMO = ("demo", "device.toml", "--scene", "scene.toml", "--backend", "cpu", "--out", "out")
 PLAN = ("plan", "device.toml", "--out", "out")
 FIT = ("calibrate", "captures.npz", "--out", "out")
 SIMULATED = ("calibrate", "device.toml", "--out", "out")
-SIMULATE = ("simulate", "out", "--device", "device.toml", "--workers", "1")
+SIMULATE = ("simulate", "device.toml", "--workers", "1", "--out", "out")
 PHOTOGRAPHED = ("pattern", "--panel", "64x48", "--photograph", "true {path}", "--page-timeout-s", "1", "--out", "out")
 DECODE = ("decode", "codes", "--panel", "64x48", "--pattern", "gray", "--out", "out")
 BOARD = ("board", "--out", "out")
 PATTERN = ("pattern", "--panel", "64x48", "--out", "out")
 DIAGNOSE = ("diagnose", "bench", "--out", "out")
-EXPORT = ("export", "stmap", "device.toml", "--out", "out")
+EXPORT = ("export", "device.toml", "--format", "stmap", "--out", "out")
 BUDGET = ("budget", "device.toml", "--out", "out")
 IMPORT_LENS = ("import-lens", "lens.zmx", "--panel", "64x48", "--panel-mm", "10x8", "--glasses", "glasses.agf", "--out", "out")  # fmt: skip
 
@@ -114,7 +114,7 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--snr": ("0", "-1", "nan", "1e308"),
         "--depths-m": ("1e9", "0", "-1", "nan"),
         "--stated-axes-deg": ("-1", "nan", "1e308", "400"),
-        "--stage-error-um": ("-1", "nan", "1e308"),
+        "--repeatability-um": ("-1", "nan", "1e308"),
         "--turn-urad": ("-1", "nan", "1e308"),
         "--bow-mm": ("nan", "1e308"),
         "--anisotropy": ("nan", "1e308", "-5"),
@@ -169,15 +169,15 @@ NOWHERE = {
     "render head": ("render", "device.toml", "scene.toml", "--head", "nowhere.txt"),
     "render eyes": ("render", "device.toml", "scene.toml", "--eye-track", "nowhere.txt"),
     "render red model": ("render", "model.json", "scene.toml", "--per-colour", "--red-model", "nowhere.json", "--blue-model", "model.json"),
-    "export": ("export", "stmap", "nowhere.toml"),
-    "export by name": ("export", "stmap", "nowhere"),
-    "export track": ("export", "npz", "device.toml", "--eye-track", "nowhere.txt"),
-    "export red model": ("export", "stmap", "model.json", "--red-model", "nowhere.json", "--blue-model", "model.json"),
+    "export": ("export", "nowhere.toml", "--format", "stmap"),
+    "export by name": ("export", "nowhere", "--format", "stmap"),
+    "export track": ("export", "device.toml", "--format", "npz", "--eye-track", "nowhere.txt"),
+    "export red model": ("export", "model.json", "--format", "stmap", "--red-model", "nowhere.json", "--blue-model", "model.json"),
     "budget": ("budget", "nowhere.json"),
     "import-lens": ("import-lens", "nowhere.zmx", "--panel", "64x48", "--panel-mm", "10x8"),
     "render misalignment": ("render", "device.toml", "scene.toml", "--misalignment", "nowhere.toml"),
-    "demo": ("demo", "--device", "nowhere.toml"),
-    "demo scene": ("demo", "--device", "device.toml", "--scene", "nowhere.toml"),
+    "demo": ("demo", "nowhere.toml"),
+    "demo scene": ("demo", "device.toml", "--scene", "nowhere.toml"),
     "plan": ("plan", "nowhere.toml"),
     "calibrate": ("calibrate", "nowhere"),
     "calibrate captures": ("calibrate", "nowhere.npz"),
@@ -189,7 +189,7 @@ NOWHERE = {
     "predict": ("predict", "nowhere.toml", "bench"),
     "predict session": ("predict", "bench", "nowhere"),
     "decode": ("decode", "nowhere", "--panel", "64x48"),
-    "simulate": ("simulate", "out", "--device", "nowhere.toml"),
+    "simulate": ("simulate", "nowhere.toml"),
 }  # fmt: skip
 
 OUTPUTS = {
@@ -233,8 +233,7 @@ def cases() -> Iterator[Case]:
                 names = (f"{option}|{wrong}" if wrong else "|".join((*name, option[2:])),)
                 yield Case(f"option {words} {option}={value}", arguments, files, nothing, names)
     for title, arguments in NOWHERE.items():
-        out = () if arguments[0] == "simulate" else ("--out", "out")
-        yield Case(f"option nowhere: {title}", (*arguments, *out), ALL, nothing, ("nowhere",))
+        yield Case(f"option nowhere: {title}", (*arguments, "--out", "out"), ALL, nothing, ("nowhere",))
     for title, arguments in OUTPUTS.items():
         files = tuple(name for name in ALL if name in arguments or name in ("scene.toml", "box.obj"))
         for where, place in (

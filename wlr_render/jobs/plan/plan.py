@@ -4,6 +4,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+from cyclopts import Group
+
 from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
@@ -12,6 +14,7 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Code,
     EyeName,
+    OnlyWith,
     Options,
     ProgressArgument,
     Range,
@@ -33,6 +36,8 @@ from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
+_BENCH = Group("Bench", sort_key=1)
+_ADD = Group("Places to add to a calibration", sort_key=2)
 _USUAL, _READINGS = BenchImperfections(), ReadingOptions()
 PLACES_FILE = "places.csv"
 
@@ -41,17 +46,21 @@ PLACES_FILE = "places.csv"
 class PlanOptions(Options):
     """Options of `plan`."""
 
-    headset: Annotated[str, described("A shipped device or a device file (.toml).")]
+    device: Annotated[str, described("A shipped device or a device file (.toml).")]
     _: KW_ONLY
     eye: Annotated[EyeName, described("Eye to calibrate.")] = "right"
     accuracy_arcmin: Annotated[
         float, described("Wanted registration error in arcmin, of 95 % of the eye box."), Range(0.001, 600)
     ] = 0.3
     repeatability_um: Annotated[
-        float, described("Repeatability of the stage in um, standard deviation per axis."), limits.REPEATABILITY_UM
+        float,
+        described("Repeatability of the stage in um, standard deviation per axis.", group=_BENCH),
+        limits.REPEATABILITY_UM,
     ] = _USUAL.repeatability_um
     turn_jitter_urad: Annotated[
-        float, described("Random rotation of each visit in urad, standard deviation per axis."), limits.ROTATION_URAD
+        float,
+        described("Random rotation of each visit in urad, standard deviation per axis.", group=_BENCH),
+        limits.ROTATION_URAD,
     ] = _USUAL.turn_jitter_urad
     in_depth: Annotated[
         bool,
@@ -59,35 +68,47 @@ class PlanOptions(Options):
             "Choose camera places before and behind the middle plane of the eye box, too: for a stage of three axes, "
             "calibrated at five levels of each.",
             flag=True,
+            group=_BENCH,
         ),
     ] = False
     dot_noise_px: Annotated[
-        float, described("Noise of a dot of the board, per axis, in camera pixels."), limits.NOISE_PX
+        float, described("Noise of a dot of the board, per axis, in camera pixels.", group=_BENCH), limits.NOISE_PX
     ] = _READINGS.dot_px
     panel_noise_px: Annotated[
-        float, described("Noise of a decoded panel position, per axis, in panel pixels."), limits.NOISE_PX
+        float, described("Noise of a decoded panel position, per axis, in panel pixels.", group=_BENCH), limits.NOISE_PX
     ] = _READINGS.panel_px
-    camera: Annotated[tuple[int, int], described_size("Pixels of the eyeball camera."), limits.CAMERA_PIXELS] = (
-        PhotoBenchOptions.camera_px
-    )
+    camera: Annotated[
+        tuple[int, int], described_size("Pixels of the eyeball camera.", group=_BENCH), limits.CAMERA_PIXELS
+    ] = PhotoBenchOptions.camera_px
     depths_m: Annotated[
-        tuple[float, ...], described("Distances of the target in m, two or more.", many=True), limits.DISTANCE_M
+        tuple[float, ...],
+        described("Distances of the target in m, two or more.", many=True, group=_BENCH),
+        limits.DISTANCE_M,
     ] = PhotoBenchOptions.target_depths_m
-    pattern: Annotated[Code, described("Code that the panel shows.")] = "gray-fringes"
-    seconds: Annotated[float, described("Seconds a photograph takes."), Range(above=0, at_most=3600)] = 2.0
-    most_places: Annotated[int, described("Camera places at most."), Range(at_least=LEAST_PLACES, at_most=200)] = 81
+    pattern: Annotated[Code, described("Code that the panel shows.", group=_BENCH)] = "gray-fringes"
+    seconds: Annotated[float, described("Seconds a photograph takes.", group=_BENCH), Range(above=0, at_most=3600)] = (
+        2.0
+    )
+    most_places: Annotated[
+        int, described("Maximum number of camera positions."), Range(at_least=LEAST_PLACES, at_most=200)
+    ] = 81
     calibration: Annotated[
         Path | None,
-        described("Folder of a calibration of this headset (captures-EYE.npz): plan the places to add to it."),
+        described(
+            "Folder of a calibration of this headset (captures-EYE.npz): plan the places to add to it.", group=_ADD
+        ),
     ] = None
-    add: Annotated[int, described("With --calibration: places to add at most."), Range(at_least=1, at_most=20)] = 4
+    add: Annotated[
+        int,
+        described("Maximum number of places to add to --calibration.", group=_ADD),
+        Range(at_least=1, at_most=20),
+        OnlyWith("calibration"),
+    ] = 4
     seed: Seed = 1
     out: Annotated[Path, described("Output folder.")] = Path("out/plan")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.calibration is None and self.add != type(self).add:
-            raise BadInputError(f"{flag_of(type(self), 'add')} is used with --calibration only; leave it out.")
         self._check_product(limits.DEPTHS, "distances", "depths_m")
         if len(set(self.depths_m)) < 2:
             raise BadInputError(
@@ -106,7 +127,7 @@ class PlanOptions(Options):
         bench = PhotoBenchOptions(
             self.camera, target_depths_m=tuple(sorted(self.depths_m)), seed=self.seed, imperfections=sizes
         )
-        return SimulationRecipe(self.headset, self.eye, self.most_places, self.pattern, bench)
+        return SimulationRecipe(self.device, self.eye, self.most_places, self.pattern, bench)
 
 
 @job
@@ -116,14 +137,14 @@ def plan(options: PlanOptions, *, progress: ProgressArgument = SILENT) -> Report
     Raises:
         BadInputError: an unknown device or eye, an impossible bench, or a calibration that cannot be read.
     """
-    if is_model(options.headset):
+    if is_model(options.device):
         raise BadInputError(
-            f"{options.headset}: is a fitted model; a plan needs the headset's prescription: name a shipped device or "
+            f"{options.device}: is a fitted model; a plan needs the headset's prescription: name a shipped device or "
             "a device file."
         )
-    device = load_device(options.headset)
+    device = load_device(options.device)
     truth = replace(traced_eye(device, options.eye), name=device.name)
-    inputs = [device_path(options.headset)]
+    inputs = [device_path(options.device)]
     noise = ReadingOptions(options.dot_noise_px, options.panel_noise_px)
     bench = PlannedBench(truth, options.recipe, noise, options.recipe.build(), options.in_depth)
     if options.calibration is not None:
