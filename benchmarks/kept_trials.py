@@ -10,8 +10,8 @@ from typing import Any, Protocol, TypeVar
 
 from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import parsing, read_text
-from wlr_render.processes import Spread, as_finished
+from wlr_render.input_files import as_bad_input, read_text
+from wlr_render.processes import WorkerPool, as_finished
 from wlr_render.toml_files import parse_json
 
 
@@ -42,7 +42,7 @@ def finished_trials(
     seed: int,
     folder: Path,
     resume: bool,
-    spread: Spread,
+    workers: WorkerPool,
 ) -> Iterator[Outcome]:
     """Outcomes in the order in which they are finished, see `as_finished`; those of another seed are kept apart.
 
@@ -52,10 +52,10 @@ def finished_trials(
         seed: of all trials.
         folder: where outcomes are kept.
         resume: whether the outcomes that are there already are used instead of being deleted.
-        spread: where the trials run.
+        workers: where the trials run.
     """
     own = outcome_folder(folder, seed, resume)
-    return as_finished(partial(kept_outcome, run, load, own, seed), tasks, spread, own)
+    return as_finished(partial(kept_outcome, run, load, own, seed), tasks, workers, own)
 
 
 def outcome_folder(folder: Path, seed: int, resume: bool) -> Path:
@@ -74,7 +74,7 @@ def kept_outcome(
     path = folder / trial.file
     kept = _read(path)
     if kept is not None:
-        with parsing(path, _KIND, _REMEDY):
+        with as_bad_input(path, _KIND, _REMEDY):
             return load(trial, kept)
     outcome = run(trial, seed)
     content: Mapping[str, Any] = asdict(outcome)  # type: ignore[call-overload]  # a type variable cannot be a dataclass
@@ -91,7 +91,7 @@ def _read(path: Path) -> dict[str, Any] | None:
     """An outcome, None if the file is missing, or is not as it was written."""
     try:
         content = parse_json(path, read_text(path, _KIND), _KIND, _REMEDY)
-        with parsing(path, _KIND, _REMEDY):
+        with as_bad_input(path, _KIND, _REMEDY):
             outcome = content["outcome"]
             return dict(outcome) if content["sha256"] == _sha256(outcome) else None
     except BadInputError:

@@ -130,7 +130,7 @@ def run_study(
     for experiment in experiments.values():
         experiment(Study(eyes, record, repeats))
     damaged = damaged_outcomes(folder / "trials", options.seed) if options.resume else []
-    outcomes = run_trials(needed, options.seed, options.spread, progress, folder / "trials", options.resume)
+    outcomes = run_trials(needed, options.seed, options.worker_pool, progress, folder / "trials", options.resume)
     study = Study(eyes, outcomes.__getitem__, repeats)
     found = {name: experiment(study) for name, experiment in experiments.items()}
     blocks: list[Block] = [_conditions(eyes)]

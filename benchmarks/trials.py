@@ -30,7 +30,7 @@ from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.processes import Spread, as_finished
+from wlr_render.processes import WorkerPool, as_finished
 from wlr_render.progress import Progress
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
@@ -332,7 +332,7 @@ AnyTrial = Trial | NoModelTrial
 
 
 def run_trials(
-    trials: Iterable[AnyTrial], seed: int, spread: Spread, progress: Progress, folder: Path, resume: bool
+    trials: Iterable[AnyTrial], seed: int, workers: WorkerPool, progress: Progress, folder: Path, resume: bool
 ) -> dict[AnyTrial, Outcome]:
     """Run each different trial once, on several processes.
 
@@ -340,7 +340,7 @@ def run_trials(
     are trained for a fixed time. They are kept in the folder, and with `resume` those that are there are not repeated.
     """
     tasks, kept = tasks_of(trials), outcome_folder(folder, seed, resume)
-    finished = (pair for found in as_finished(partial(_run, kept, seed), tasks, spread, kept) for pair in found)
+    finished = (pair for found in as_finished(partial(_run, kept, seed), tasks, workers, kept) for pair in found)
     return dict(progress(finished, sum(map(len, tasks)), "trials"))
 
 

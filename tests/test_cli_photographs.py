@@ -10,7 +10,7 @@ from command_line import refused
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.cli import main
 from wlr_render.jobs import simulate
-from wlr_render.processes import Spread
+from wlr_render.processes import WorkerPool
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -33,7 +33,7 @@ def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):
     made_of = PhotoBenchOptions(
         (640, 480), 12, 2.0, 0.7, 20.0, (0.5, 0.8, 2.0), 4, imperfections, "xyz", "volumetric", 0.1, (800, 600)
     )
-    assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), Spread(1))]
+    assert given == [(Path("there"), SimulationRecipe("northstar", "left", 6, "gray", made_of), WorkerPool(1))]
     printed = capsys.readouterr().out
     assert "7 photographs taken, 3 kept from an earlier run: there" in printed
     assert "wlr-render calibrate there" in printed

@@ -31,7 +31,7 @@ from wlr_render.extras import MissingExtraError
 from wlr_render.finished_files import LIST
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.jobs.simulate import SimulateOptions, simulate
-from wlr_render.processes import Spread, as_finished
+from wlr_render.processes import WorkerPool, as_finished
 from wlr_render.simulation.photographs import simulate_photo_session
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed; install it: pip install '.[dask]'")
@@ -51,7 +51,7 @@ def address(dask_cluster):
 
 
 def done(address, run, tasks, folder=None):
-    return list(as_finished(run, tasks, Spread(scheduler=address), folder))
+    return list(as_finished(run, tasks, WorkerPool(scheduler=address), folder))
 
 
 def square_in_a_worker_that_is_killed_once(folder, number):
@@ -349,7 +349,7 @@ def test_between_results_the_log_and_the_settings_of_dask_are_those_of_the_calle
 
     dask_log, setting = logging.getLogger("distributed"), "distributed.admin.large-graph-warning-threshold"
     before = dask.config.get(setting)
-    results = as_finished(abs, [1, 2], Spread(scheduler=address))
+    results = as_finished(abs, [1, 2], WorkerPool(scheduler=address))
     for _ in results:
         assert (dask_log.disabled, dask.config.get(setting)) == (False, before)
 

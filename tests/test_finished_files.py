@@ -21,20 +21,20 @@ def paths(tmp_path):
 
 def test_a_file_is_finished_that_is_as_it_is_listed(tmp_path, paths):
     FinishedFiles(tmp_path).add(paths[:2])
-    assert FinishedFiles(tmp_path).not_whole(paths) == [paths[2]]
+    assert FinishedFiles(tmp_path).missing_or_changed(paths) == [paths[2]]
     assert FinishedFiles(tmp_path).changed(paths) == []
     paths[0].write_bytes(b"other")
     paths[1].unlink()
     finished = FinishedFiles(tmp_path)
-    assert (finished.not_whole(paths), finished.changed(paths)) == (paths, [paths[0]])
+    assert (finished.missing_or_changed(paths), finished.changed(paths)) == (paths, [paths[0]])
     finished.add([paths[0]])
-    assert FinishedFiles(tmp_path).not_whole(paths) == paths[1:]
+    assert FinishedFiles(tmp_path).missing_or_changed(paths) == paths[1:]
 
 
 def test_files_of_another_job_are_refused(tmp_path, paths):
     one, other = digest_of("gray", (8, 4)), digest_of("gray", (8, 5))
     FinishedFiles(tmp_path, one).add(paths)
-    assert FinishedFiles(tmp_path, one).not_whole(paths) == []
+    assert FinishedFiles(tmp_path, one).missing_or_changed(paths) == []
     for job in (other, ""):
         with pytest.raises(BadInputError, match=rf"{LIST}: lists files of other options or inputs; choose another"):
             FinishedFiles(tmp_path, job)
@@ -61,9 +61,9 @@ def test_a_file_whose_line_is_damaged_is_unfinished(tmp_path, paths, line):
     with (tmp_path / LIST).open("ab") as file:
         file.write(b'{"file": "a.png", "bytes": 7, "sha256": ""}\n' + line)
     finished = FinishedFiles(tmp_path)
-    assert finished.not_whole(paths) == [paths[0]]
+    assert finished.missing_or_changed(paths) == [paths[0]]
     finished.add([paths[0]])  # begins a new line
-    assert FinishedFiles(tmp_path).not_whole(paths) == []
+    assert FinishedFiles(tmp_path).missing_or_changed(paths) == []
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="makes pipes")
@@ -99,10 +99,10 @@ def test_on_a_full_disk_the_list_is_refused_and_the_next_run_goes_on(tmp_path, p
             with pytest.raises(BadInputError, match=rf"{LIST}: cannot be written .*; free space"):
                 finished.add(paths[1:] * 2)
     after = FinishedFiles(tmp_path)
-    left = after.not_whole(paths)
+    left = after.missing_or_changed(paths)
     assert paths[0] not in left
     assert paths[2] in left
     after.add(left)
-    assert FinishedFiles(tmp_path).not_whole(paths) == []
+    assert FinishedFiles(tmp_path).missing_or_changed(paths) == []
     lines = (tmp_path / LIST).read_text().splitlines()
     assert json.loads(lines[0])["file"] == "a.png"

@@ -9,7 +9,7 @@ import pytest
 
 from wlr_render import cli, input_files
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import naming
+from wlr_render.input_files import prefix_errors
 
 WHOLE = 1_000_000
 
@@ -92,19 +92,22 @@ def test_a_picture_of_unknown_size_is_refused_undecoded(content, tmp_path):
 def test_whatever_a_parser_raises_names_the_file(error):
     with (
         pytest.raises(BadInputError, match=r"^thing\.x: .*; write it again\.$"),
-        input_files.parsing("thing.x", "a thing"),
+        input_files.as_bad_input("thing.x", "a thing"),
     ):
         raise error
 
 
 def test_work_on_a_file_names_it():
-    with pytest.raises(BadInputError, match=r"^eye\.npz: too few\."), naming("eye.npz"):
+    with pytest.raises(BadInputError, match=r"^eye\.npz: too few\."), prefix_errors("eye.npz"):
         raise BadInputError("too few.")
-    with pytest.raises(BadInputError, match=r"^in eye\.npz\."), naming("eye.npz"):
+    with pytest.raises(BadInputError, match=r"^in eye\.npz\."), prefix_errors("eye.npz"):
         raise BadInputError("in eye.npz.")
-    with pytest.raises(BadInputError, match=r"^eye\.npz: the readings do not determine the fit"), naming("eye.npz"):
+    with (
+        pytest.raises(BadInputError, match=r"^eye\.npz: the readings do not determine the fit"),
+        prefix_errors("eye.npz"),
+    ):
         np.linalg.cholesky(-np.eye(2))
-    with pytest.raises(ZeroDivisionError), naming("eye.npz"):
+    with pytest.raises(ZeroDivisionError), prefix_errors("eye.npz"):
         _ = 1 / 0
 
 

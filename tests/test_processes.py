@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.processes import Spread, as_finished, usable_cores
+from wlr_render.processes import WorkerPool, as_finished, usable_cores
 
 
 def test_every_task_is_done_once_with_one_thread_each(monkeypatch):
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    assert sorted(as_finished(math.sqrt, [4.0, 9.0, 1.0], Spread(2))) == [1.0, 2.0, 3.0]
-    assert list(as_finished(os.getenv, ["MKL_NUM_THREADS"], Spread(1))) == ["1"]
+    assert sorted(as_finished(math.sqrt, [4.0, 9.0, 1.0], WorkerPool(2))) == [1.0, 2.0, 3.0]
+    assert list(as_finished(os.getenv, ["MKL_NUM_THREADS"], WorkerPool(1))) == ["1"]
     assert "MKL_NUM_THREADS" not in os.environ
 
 
@@ -28,19 +28,19 @@ def cores(_):
 
 
 def test_a_worker_has_one_core():
-    assert list(as_finished(cores, [0], Spread(1))) == [1]
+    assert list(as_finished(cores, [0], WorkerPool(1))) == [1]
     if hasattr(os, "sched_getaffinity"):
         assert usable_cores() == len(os.sched_getaffinity(0))
 
 
 def test_a_fault_of_a_task_comes_back():
     with pytest.raises(ValueError, match="math domain error"):
-        list(as_finished(math.sqrt, [-1.0], Spread(1)))
+        list(as_finished(math.sqrt, [-1.0], WorkerPool(1)))
 
 
 WORK = """
 import os, signal, sys, time
-from wlr_render.processes import Spread, as_finished
+from wlr_render.processes import WorkerPool, as_finished
 
 def work(number):
     open(f"begun {os.getpid()}", "w").close()
@@ -56,7 +56,7 @@ def stop(number, frame):
 if __name__ == "__main__":
     signal.signal(signal.SIGTERM, stop)
     try:
-        list(as_finished(work, range(50), Spread(2)))
+        list(as_finished(work, range(50), WorkerPool(2)))
     except KeyboardInterrupt:
         sys.exit(130)
 """
@@ -164,7 +164,7 @@ def test_an_interrupt_ends_the_tasks_at_work_and_is_silent(working, tmp_path, nu
 
 def test_a_worker_that_is_killed_is_told_in_one_sentence():
     with pytest.raises(BadInputError, match=r"A worker process was ended from outside.*give fewer --workers"):
-        list(as_finished(kill_itself, [0], Spread(1)))
+        list(as_finished(kill_itself, [0], WorkerPool(1)))
 
 
 def kill_itself(_):
@@ -172,6 +172,6 @@ def kill_itself(_):
 
 
 def test_a_caller_that_stops_listening_does_not_wait_for_the_tasks_at_work():
-    finished = as_finished(time.sleep, [0.0, 1000.0], Spread(2))
+    finished = as_finished(time.sleep, [0.0, 1000.0], WorkerPool(2))
     next(finished)
     finished.close()  # the time limit of the test run is shorter

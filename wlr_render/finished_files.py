@@ -45,13 +45,17 @@ class FinishedFiles:
         self._replaced = {name: signature for name, signature, of, _ in entries if of != job}
         self._is_torn = bool(content) and not content.endswith(b"\n")
 
-    def not_whole(self, paths: Iterable[Path]) -> list[Path]:
+    def missing_or_changed(self, paths: Iterable[Path]) -> list[Path]:
         """Return the files that are not in the manifest, or do not match it."""
         return [path for path in paths if not self._is_as_listed(path)]
 
     def changed(self, paths: Iterable[Path]) -> list[Path]:
         """Return the files that are in the manifest and exist, but do not match it."""
-        return [path for path in self.not_whole(paths) if self._name(path) in self._listed and os.path.lexists(path)]
+        return [
+            path
+            for path in self.missing_or_changed(paths)
+            if self._name(path) in self._listed and os.path.lexists(path)
+        ]
 
     def remark(self, path: Path) -> str:
         """Return the remark on a file, by this run or an earlier one; "" if there is none."""

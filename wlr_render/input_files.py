@@ -107,7 +107,7 @@ def outside_references() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def parsing(path: str | Path, kind: str, remedy: str = "write it again") -> Iterator[None]:
+def as_bad_input(path: str | Path, kind: str, remedy: str = "write it again") -> Iterator[None]:
     """Convert any exception of the parser in a `with` block to a `BadInputError`.
 
     Args:
@@ -128,7 +128,7 @@ def parsing(path: str | Path, kind: str, remedy: str = "write it again") -> Iter
 
 
 @contextlib.contextmanager
-def naming(path: str | Path) -> Iterator[None]:
+def prefix_errors(path: str | Path) -> Iterator[None]:
     """Prefix errors in a `with` block with the file or folder that was read.
 
     Raises:
@@ -236,7 +236,7 @@ def gunzip(path: str | Path, content: bytes, at_most: int) -> bytes:
         BadInputError: the content is not gzip, is cut short, or has more than `at_most` bytes decompressed.
     """
     parts, length = [], 0
-    with parsing(path, "a gzip file", _REWRITE):
+    with as_bad_input(path, "a gzip file", _REWRITE):
         while content:
             stream = zlib.decompressobj(wbits=31)
             part = stream.decompress(content, at_most - length + 1)
@@ -257,7 +257,7 @@ def read_arrays(path: str | Path, kind: str) -> dict[str, NDArray[Any]]:
         BadInputError: as `read_bytes`, or the file is not `kind`.
     """
     content = io.BytesIO(read_bytes(path, LIMITS.array_bytes, _REWRITE))
-    with parsing(path, kind, _REWRITE), zipfile.ZipFile(content) as archive:
+    with as_bad_input(path, kind, _REWRITE), zipfile.ZipFile(content) as archive:
         promised = sum(entry.file_size for entry in archive.infolist())
         if promised > LIMITS.array_bytes:
             raise BadInputError(f"{path}: decompresses to more than {_size(LIMITS.array_bytes)}; {_REWRITE}.")
@@ -290,7 +290,7 @@ def decode_image(path: str | Path, content: bytes, flags: int, remedy: str = "na
     import cv2
 
     require_picture(path, content, remedy)
-    with parsing(path, "a picture", remedy):
+    with as_bad_input(path, "a picture", remedy):
         image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), flags)
         if image is None:
             raise ValueError("it is damaged")
@@ -299,7 +299,7 @@ def decode_image(path: str | Path, content: bytes, flags: int, remedy: str = "na
 
 def require_picture(where: str | Path, content: bytes, remedy: str = "store the picture again") -> None:
     """Refuse a file that is not a picture, or has more pixels than `LIMITS` allows; decodes nothing."""
-    with parsing(where, "a picture", remedy):
+    with as_bad_input(where, "a picture", remedy):
         require_pixels(where, _stated_size(content), remedy)
 
 

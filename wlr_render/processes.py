@@ -29,28 +29,28 @@ _GRACE_S = 1.0
 
 
 @dataclass(frozen=True)
-class Spread:
+class WorkerPool:
     """The processes or machines that run tasks.
 
     Attributes:
-        workers: processes of this machine, or None for one per usable core.
+        processes: number of processes of this machine, or None for one per usable core.
         scheduler: address of a Dask scheduler, e.g. "tcp://host:8786", whose workers run the tasks instead.
     """
 
-    workers: int | None = None
+    processes: int | None = None
     scheduler: str | None = None
 
-    def at_most(self, workers: int) -> "Spread":
-        """Limit the default number of workers, for tasks that need much memory each."""
-        return self if self.workers else replace(self, workers=min(usable_cores(), workers))
+    def at_most(self, processes: int) -> "WorkerPool":
+        """Limit the default number of processes, for tasks that need much memory each."""
+        return self if self.processes else replace(self, processes=min(usable_cores(), processes))
 
 
-THIS_MACHINE = Spread()
+LOCAL = WorkerPool()
 """All usable cores."""
 
 
 def as_finished(
-    run: Callable[[Task], Result], tasks: Sequence[Task], spread: Spread, folder: Path | None = None
+    run: Callable[[Task], Result], tasks: Sequence[Task], workers: WorkerPool, folder: Path | None = None
 ) -> Iterator[Result]:
     """Yield the results of all tasks, in the order of completion.
 
@@ -62,7 +62,7 @@ def as_finished(
     Args:
         run: function of a task; it and its results must be picklable.
         tasks: arguments, in the order in which they are started.
-        spread: processes or machines that run them.
+        workers: processes or machines that run them.
         folder: folder that they write into; the machines of a cluster have to share it.
 
     Raises:
@@ -71,9 +71,9 @@ def as_finished(
     """
     if not tasks:
         return iter(())
-    if spread.scheduler is not None:
-        return cluster.as_finished_by_cluster(run, tasks, spread.scheduler, folder)
-    return _as_finished_here(run, tasks, spread.workers)
+    if workers.scheduler is not None:
+        return cluster.as_finished_by_cluster(run, tasks, workers.scheduler, folder)
+    return _as_finished_here(run, tasks, workers.processes)
 
 
 def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None) -> Iterator[Result]:
@@ -108,14 +108,14 @@ def _prepare_worker(parent: Connection) -> None:
     """Ignore Ctrl-C, which reaches every process of a terminal, and exit with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _give_up)
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()
 
 
 def _give_up(number: int, frame: object) -> None:
     raise SystemExit(128 + number)
 
 
-def _end_with(parent: Connection) -> None:
+def _exit_with_parent(parent: Connection) -> None:
     """Exit when the parent has ended or wants no more results."""
     parent.poll(None)
     os.kill(os.getpid(), signal.SIGTERM)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, inside_folder, parsing, read_text, shown
+from wlr_render.input_files import LIMITS, as_bad_input, inside_folder, read_text, shown
 
 _LARGEST = 1e18
 """Largest number in a file: far above every quantity in these units, and its powers do not overflow."""
@@ -206,11 +206,11 @@ class Table:
             raise self.fail(f"'{key}' has {len(value)} entries; {most} is the most that is read: leave some out.")
         return [Table(item, f"{self.where} [[{key}]] number {i + 1}") for i, item in enumerate(value)]
 
-    def unchecked(self, key: str) -> Any:
+    def raw(self, key: str) -> Any:
         """Return a raw value of any type; None if it is absent."""
         return self._get(key) if self.has(key) else None
 
-    def free(self, key: str) -> dict[str, Any]:
+    def raw_table(self, key: str) -> dict[str, Any]:
         """Return a raw sub-table whose content is not checked; empty if it is absent."""
         value = self._get(key) if self.has(key) else {}
         if not isinstance(value, dict):
@@ -252,7 +252,7 @@ def read_json(path: str | Path, kind: str, remedy: str = "write it again", at_mo
 
 def parse_json(path: str | Path, text: str, kind: str, remedy: str) -> dict[str, Any]:
     """Parse the text of a JSON object; errors as `read_json`."""
-    with parsing(path, kind, remedy):
+    with as_bad_input(path, kind, remedy):
         content = json.loads(text, object_pairs_hook=_without_repetition)
     if not isinstance(content, dict):
         raise BadInputError(f"{path}: is not {kind} (its JSON is not an object); {remedy}.")
@@ -274,7 +274,7 @@ def read_toml(path: str | Path) -> Table:
         BadInputError: the file cannot be read or is not TOML; the sentence has the line.
     """
     text = read_text(path, "a TOML file")
-    with parsing(path, "a TOML file", "correct it"):
+    with as_bad_input(path, "a TOML file", "correct it"):
         if deep := _DEEP_KEY.search(text):
             raise ValueError(f"a key of 50 parts or more at line {text.count(chr(10), 0, deep.start()) + 1}")
         return Table(tomllib.loads(text), str(path))

@@ -63,7 +63,7 @@ def run(options: BudgetStudyOptions = _DEFAULTS, *, progress: ProgressArgument =
         seed=options.seed,
         folder=folder / "trials",
         resume=options.resume,
-        spread=options.spread,
+        workers=options.worker_pool,
     )
     outcomes: list[BudgetOutcome] = []
     try:

@@ -59,7 +59,7 @@ def run(options: DesignOptions = DesignOptions(), *, progress: ProgressArgument 
         seed=options.seed,
         folder=folder / "trials",
         resume=options.resume,
-        spread=options.spread,
+        workers=options.worker_pool,
     )
     outcomes = sorted(progress(finished, len(tasks), "sessions"), key=lambda each: each.trial.number)
     where = "in depth" if options.in_depth else "in the middle plane"

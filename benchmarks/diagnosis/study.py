@@ -83,7 +83,7 @@ def run(options: DiagnosisOptions = _DEFAULTS, *, progress: ProgressArgument = S
             seed=options.seed,
             folder=folder / _TRIALS,
             resume=options.resume,
-            spread=options.spread,
+            workers=options.worker_pool,
         )
         for outcome in progress(finished, len(tasks), "trials"):
             outcomes.append(outcome)

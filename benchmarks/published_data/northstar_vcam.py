@@ -145,7 +145,7 @@ def _cameras(path: Path) -> dict[str, _Camera]:
 
 def _stated_baseline_m(path: Path) -> float | None:
     rig = _rig(path)
-    return rig.number("baseline", most=1.0, above=0.0) if rig.unchecked("baseline") is not None else None
+    return rig.number("baseline", most=1.0, above=0.0) if rig.raw("baseline") is not None else None
 
 
 def _rig(path: Path) -> Table:

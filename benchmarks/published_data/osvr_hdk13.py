@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
-from wlr_render.input_files import parsing, read_text, require_length
+from wlr_render.input_files import as_bad_input, read_text, require_length
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -38,7 +38,7 @@ def read_osvr_hdk13(path: str | Path) -> LensTable:
     """
     lines = read_text(path, "a table of a lens").split("\n")
     kept = [line for line in lines if line.strip() and "error" not in line.lower()]
-    with parsing(path, "lines of four numbers"):
+    with as_bad_input(path, "lines of four numbers"):
         rows = np.array([[float(word) for word in line.split()] for line in kept])
     if rows.ndim != 2 or rows.shape[1:] != (4,) or not np.isfinite(rows).all():
         raise BadInputError(f"{path}: must hold lines of four finite numbers, two angles and two millimetres.")
@@ -93,7 +93,7 @@ def _rounding(values: FloatArray) -> FloatArray:
 
 def _unfolded(path: Path, table: LensTable) -> LensTable:
     """The table without points next to which the picture is turned over."""
-    with parsing(path, "field angles that cover an area"):
+    with as_bad_input(path, "field angles that cover an area"):
         corners = Delaunay(table.field_deg).simplices
     folded = _areas(table.screen_mm[corners]) * _areas(table.field_deg[corners]) <= 0.0
     kept = np.ones(len(table.field_deg), dtype=bool)

@@ -17,7 +17,7 @@ from wlr_render.captures.camera_lens_file import check_nesting, require_plausibl
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import DISTORTION_TERMS, OPENCV_PIXEL_SHIFT, LensCamera
-from wlr_render.input_files import parsing, read_text
+from wlr_render.input_files import as_bad_input, read_text
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray
 
@@ -90,7 +90,7 @@ def _read_calibration(file: Path) -> tuple[LensCamera, LensCamera]:
     """Camera and projector."""
     text = read_text(file, "a calibration", remedy="copy it from the set, beside its captures")
     check_nesting(file, text)
-    with parsing(file, "a calibration", "copy it from the set again"):
+    with as_bad_input(file, "a calibration", "copy it from the set again"):
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         found = {key: np.asarray(storage.getNode(key).mat(), dtype=np.float64).ravel() for key in _SIZES}
     for key, values in found.items():

@@ -160,7 +160,7 @@ def register(options: SimulatedLabOptions, folder: Path, progress: Progress) -> 
     )
     for number, images in enumerate(progress(drawn, len(calibrations) * len(frames), "frames")):
         frames[number % len(frames)] |= images
-    photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.spread)
+    photograph(bench, visits, targets, frames, photographs, options.seed, progress, options.worker_pool)
     methods = [method for method in METHODS if calibrations[0].prefix + method in frames[0]]
     found = Registration([], {}, [], list(dict.fromkeys(warnings)))
     for k, target in enumerate(targets):

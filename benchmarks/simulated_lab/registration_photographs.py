@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.processes import Spread, as_finished
+from wlr_render.processes import WorkerPool, as_finished
 from wlr_render.progress import Progress
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import Visit
@@ -81,7 +81,7 @@ def photograph(
     folder: Path,
     seed: int,
     progress: Progress,
-    spread: Spread,
+    workers: WorkerPool,
 ) -> None:
     """Take the photographs of each visit with the display off, and with each of its frames, by target and visit."""
     pose, places = poses_on(bench, seed), []
@@ -93,7 +93,7 @@ def photograph(
             panels.append(PanelShots(on_folder(folder, target, number), Frames(tuple(drawn), tuple(drawn.values()))))
         camera = visit.device_from_camera
         places.append(pose(bench.eyeball, bench.eyeball_sensor, camera, bench.optics, boards=boards, panels=panels))
-    for _ in progress(as_finished(take, places, spread, folder), len(places), "viewpoints"):
+    for _ in progress(as_finished(take, places, workers, folder), len(places), "viewpoints"):
         pass
 
 

@@ -111,6 +111,6 @@ def _outcomes(
         seed=options.seed,
         folder=folder / _TRIALS,
         resume=options.resume,
-        spread=options.spread,
+        workers=options.worker_pool,
     )
     return progress(finished, len(tasks), "benches")

@@ -72,7 +72,7 @@ def run(options: WearOptions = WearOptions(), *, progress: ProgressArgument = SI
     """
     folder = output_folder(options.out)
     tasks = [_Task(device, model) for model in range(options.models) for device in dict.fromkeys(options.device)]
-    finished = as_finished(partial(_worn, options), tasks, options.spread)
+    finished = as_finished(partial(_worn, options), tasks, options.worker_pool)
     found = dict(progress(finished, len(tasks), "calibrations"))
     results: dict[str, list[WearResult]] = {device: [] for device in options.device}
     for task in tasks:

@@ -10,7 +10,7 @@ import pytest
 from benchmarks import kept_trials
 from benchmarks.kept_trials import damaged_outcomes, finished_trials
 from wlr_render.errors import BadInputError
-from wlr_render.processes import THIS_MACHINE
+from wlr_render.processes import LOCAL
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ TASKS = [NamedTrial("a.json"), NamedTrial("b.json")]
 @pytest.fixture
 def runs(monkeypatch):
     """Names of the trials that were run, each with its seed; all are run in this process."""
-    monkeypatch.setattr(kept_trials, "as_finished", lambda run, tasks, spread, folder: map(run, tasks))
+    monkeypatch.setattr(kept_trials, "as_finished", lambda run, tasks, workers, folder: map(run, tasks))
     return []
 
 
@@ -42,7 +42,7 @@ def finished(runs, folder, seed, resume, tasks=TASKS):
     def load(trial, content):
         return NamedOutcome(trial, content["seed"])
 
-    return list(finished_trials(run, load, tasks, seed=seed, folder=folder, resume=resume, spread=THIS_MACHINE))
+    return list(finished_trials(run, load, tasks, seed=seed, folder=folder, resume=resume, workers=LOCAL))
 
 
 def test_only_what_is_missing_is_run_again(runs, tmp_path):

@@ -156,7 +156,7 @@ def _priors(file: Table) -> dict[str, dict[str, tuple[float, float]]]:
 def _priors_of_cause(table: Table) -> dict[str, tuple[float, float]]:
     priors = {}
     for name in table.keys():  # noqa: SIM118 (a Table)
-        if isinstance(table.unchecked(name), dict):
+        if isinstance(table.raw(name), dict):
             pair = table.table(name)
             mean, sigma = pair.number("mean", 0.0), pair.number("sigma")
             pair.finish()

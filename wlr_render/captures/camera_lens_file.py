@@ -17,7 +17,7 @@ from wlr_render.captures.plain_data import read_mapping
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.splined_lens import SplinedLens
-from wlr_render.input_files import parsing, read_text, require_pixels, shown
+from wlr_render.input_files import as_bad_input, read_text, require_pixels, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _MRCAL_MODELS = {  # number of distortion terms, and the kind of lens
@@ -155,7 +155,7 @@ def require_plausible_view(where: str, size_px: FloatArray, focal_px: FloatArray
 
 
 def _mrcal_lens(file: Path, text: str) -> LensCamera | SplinedLens:
-    with parsing(file, "a camera model of mrcal with 'lensmodel', 'intrinsics' and 'imagersize'", _REMEDY):
+    with as_bad_input(file, "a camera model of mrcal with 'lensmodel', 'intrinsics' and 'imagersize'", _REMEDY):
         content = ast.literal_eval(text.strip())
         model = str(content["lensmodel"])
         intrinsics = np.array(content["intrinsics"], dtype=np.float64)
@@ -203,7 +203,7 @@ def _lens_of_keys(file: Path, text: str) -> LensCamera:
         content = _opencv_content(file, text)
     else:
         content = _camera_of(file, read_mapping(file, text, "a file of a lens", "save it again, or correct it"))
-    with parsing(file, "a file of a lens", _REMEDY):
+    with as_bad_input(file, "a file of a lens", _REMEDY):
         matrix, terms = (_values(file, content, keys) for keys in (_MATRIX_KEYS, _TERM_KEYS))
         width, height = _values(file, content, _WIDTH_KEYS), _values(file, content, _HEIGHT_KEYS)
         size = _values(file, content, _SIZE_KEYS) if width.size + height.size == 0 else np.concatenate([width, height])
@@ -243,7 +243,7 @@ def _refuse_other_programs(file: Path, text: str) -> None:
 
 def _opencv_content(file: Path, text: str) -> dict[str, Any]:
     """Return the keys and values of an OpenCV file that describe the lens."""
-    with parsing(file, "a YAML, XML or JSON file of OpenCV", "save it with cv2.FileStorage"):
+    with as_bad_input(file, "a YAML, XML or JSON file of OpenCV", "save it with cv2.FileStorage"):
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         root = storage.root()  # valid while the storage is
         if not root.isMap():

@@ -36,7 +36,7 @@ from wlr_render.captures.observation_table import (
     observation_table,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, naming, read_arrays, require_eye_box, require_length, require_pixels
+from wlr_render.input_files import LIMITS, prefix_errors, read_arrays, require_eye_box, require_length, require_pixels
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
@@ -126,7 +126,7 @@ def load_observations(path: str | Path) -> ObservationTable:
     arrays = read_arrays(path, "a capture file (.npz)")
     header = _header(arrays, path)
     _check_sizes(path, arrays)
-    with naming(path):
+    with prefix_errors(path):
         table = _table(header, arrays, path)
     _check_plausible(path, table)
     return table

@@ -14,7 +14,7 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
 from wlr_render.delimited_text import STATED_SEPARATOR, separator_of
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import inside_folder, parsing, read_text, shown
+from wlr_render.input_files import as_bad_input, inside_folder, read_text, shown
 from wlr_render.toml_files import read_toml
 
 MANIFESTS = ("manifest.toml", "manifest.csv")
@@ -141,7 +141,7 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
     if path.suffix == ".toml":
         table = read_toml(path)
         order = table.text("order", order, choices=CODE_ORDERS)
-        roles, times = table.free("files"), table.free("exposures_s")
+        roles, times = table.raw_table("files"), table.raw_table("exposures_s")
         table.finish()
         if not all(isinstance(role, str) for role in roles.values()):
             raise table.fail('[files] must give each file name a role, such as "0.png" = "u bit 10".')
@@ -153,7 +153,7 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
         return order, roles, {name: float(time) for name, time in times.items()}
     roles, times = {}, {}
     text = read_text(path, "CSV")
-    with parsing(path, "CSV"):
+    with as_bad_input(path, "CSV"):
         lines = text.split("\n")
         first = int(STATED_SEPARATOR.fullmatch(lines[0].strip()) is not None)
         lines = lines[first:] or [""]
@@ -167,7 +167,7 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
             raise BadInputError(f"{path}: line {number} names {shown(row['file'])} again; give each file one line.")
         roles[row["file"]] = f"{row.get('axis') or ''} {row['role']}".strip()
         if row.get("exposure_s"):
-            with parsing(f"{path}: line {number}: exposure_s", "a number of seconds", "correct it"):
+            with as_bad_input(f"{path}: line {number}: exposure_s", "a number of seconds", "correct it"):
                 times[row["file"]] = float(row["exposure_s"].replace(",", "."))
             if not 0 < times[row["file"]] <= _LONGEST_S:
                 raise BadInputError(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from wlr_render.delimited_text import with_commas
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import parsing, read_text
+from wlr_render.input_files import as_bad_input, read_text
 from wlr_render.toml_files import Table
 
 StoredValues = NDArray[np.unsignedinteger[Any]]
@@ -258,7 +258,7 @@ def _read_linearisation(path: Path) -> tuple[tuple[float, float], ...]:
     """
     kind = "a camera's linearisation"
     rows = [row for line in read_text(path, kind).split("\n") if (row := line.partition("#")[0].strip())]
-    with parsing(path, kind, "write numbers only"):
+    with as_bad_input(path, kind, "write numbers only"):
         numbers = np.loadtxt(with_commas(rows), delimiter=",", ndmin=2)
     if numbers.shape[1] == 1:
         numbers = np.column_stack([np.arange(len(numbers)), numbers])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.atomic_files import write_image
 from wlr_render.captures.photograph_format import PhotographFormat, is_left_justified
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, decode_image, parsing, read_bytes, require_pixels
+from wlr_render.input_files import LIMITS, as_bad_input, decode_image, read_bytes, require_pixels
 
 Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) linear values of one channel, uint8 or uint16; a saturated pixel has its format's `full_scale`."""
@@ -87,7 +87,7 @@ def _stored_values(path: Path) -> Photograph:
 def _decoding(path: Path) -> Iterator[None]:
     """Convert any exception of a decoder in a `with` block to a `BadPhotographError`."""
     try:
-        with parsing(path, "a photograph", _AGAIN):
+        with as_bad_input(path, "a photograph", _AGAIN):
             yield
     except BadInputError as error:
         raise BadPhotographError(str(error)) from error
@@ -122,7 +122,7 @@ def exposure_of(path: Path) -> float | None:
 
     try:
         content = io.BytesIO(read_bytes(path, LIMITS.picture_bytes))
-        with parsing(path, "a picture"), Image.open(content) as image:
+        with as_bad_input(path, "a picture"), Image.open(content) as image:
             tags = image.getexif()
             time = tags.get_ifd(_EXIF).get(_EXPOSURE_TIME, tags.get(_EXPOSURE_TIME))
             return None if time is None or not 0 < float(time) < np.inf else float(time)
@@ -182,7 +182,7 @@ def photographs_in(folder: str | Path) -> list[Path]:
     """
     if not Path(folder).is_dir():
         raise BadInputError(f"{folder}: there is no such folder of photographs; name another one.")
-    with parsing(folder, "a folder of photographs", "name another folder"):
+    with as_bad_input(folder, "a folder of photographs", "name another folder"):
         paths = [path for path in Path(folder).iterdir() if path.suffix.lower() in SUFFIXES and path.name[0] != "."]
     if len(paths) > LIMITS.photographs:
         raise BadInputError(f"{folder}: holds {len(paths)} photographs, more than {LIMITS.photographs}; split it.")

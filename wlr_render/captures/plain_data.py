@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import parsing
+from wlr_render.input_files import as_bad_input
 
 _OPENCV_DIRECTIVE = "%YAML:"  # OpenCV's first line up to version 4, which YAML does not allow
 
@@ -28,10 +28,10 @@ def read_mapping(file: Path, text: str, kind: str, remedy: str) -> dict[str, Any
     if text.startswith(_OPENCV_DIRECTIVE):
         text = text.partition("\n")[2]
     if text.startswith("{"):
-        with parsing(file, f"JSON, as {kind}", remedy):
+        with as_bad_input(file, f"JSON, as {kind}", remedy):
             content = json.loads(text)
     else:
-        with parsing(file, f"YAML, as {kind}", remedy):
+        with as_bad_input(file, f"YAML, as {kind}", remedy):
             content = _first_document(text)
     if not isinstance(content, dict):
         raise BadInputError(f"{file}: has no keys with values, so this is not {kind}; {remedy}.")

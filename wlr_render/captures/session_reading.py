@@ -31,7 +31,7 @@ from wlr_render.captures.photographs import (
 )
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, read_arrays, read_bytes
-from wlr_render.processes import THIS_MACHINE, Spread, as_finished
+from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress
 
 _VERSION = 6  # version of the reader: results of another version are read again
@@ -116,20 +116,20 @@ class Reading:
 
 
 def read_session(
-    session: PhotoSession, folder: Path, spread: Spread = THIS_MACHINE, progress: Progress = SILENT
+    session: PhotoSession, folder: Path, workers: WorkerPool = LOCAL, progress: Progress = SILENT
 ) -> Reading:
     """Find the board and decode the panel in all photographs of a session.
 
     Args:
         session: session with the paths of the photographs.
         folder: folder in which the results are kept for the next run.
-        spread: processes or machines; by default all cores that memory allows.
+        workers: processes or machines; by default all cores that memory allows.
         progress: progress display.
     """
     panels, boards = list(_panel_tasks(session)), list(_board_tasks(session))
     tasks: list[_Task] = [*panels, *boards]  # the long ones first
     waiting = [(task, folder) for task in tasks if _kept(task, folder) is None]
-    finished = as_finished(_do_task, waiting, spread.at_most(_MOST_WORKERS), folder)
+    finished = as_finished(_do_task, waiting, workers.at_most(_MOST_WORKERS), folder)
     outcomes = list(progress(finished, len(waiting), "photographs"))
     order = {task.name: number for number, task in enumerate(tasks)}
     return Reading(

@@ -14,7 +14,7 @@ from wlr_render.atomic_files import write_bytes
 from wlr_render.captures.session_schema import Column, Columns, Kind, Schema
 from wlr_render.delimited_text import STATED_SEPARATOR, is_number, with_commas
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, decode_text, gunzip, parsing, read_bytes, shown
+from wlr_render.input_files import LIMITS, as_bad_input, decode_text, gunzip, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _UNIT_TOLERANCE = 1e-3
@@ -107,7 +107,7 @@ def _unknown(name: str, absent: Sequence[Column]) -> str:
 def _values(path: Path, header: Sequence[str], rows: Sequence[str], numbers: Sequence[int]) -> FloatArray:
     """Return all cells, (n, columns)."""
     try:
-        with parsing(path, "a table"):
+        with as_bad_input(path, "a table"):
             values = np.loadtxt(rows, delimiter=",", comments=None, ndmin=2)
     except BadInputError as error:
         raise _cell_fault(path, header, rows, numbers) from error

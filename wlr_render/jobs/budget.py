@@ -13,7 +13,7 @@ from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadT
 from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import naming
+from wlr_render.input_files import prefix_errors
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import headset_path, is_model, open_eye
 from wlr_render.jobs.job import job
@@ -183,7 +183,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     eyes, sizes, found = [], [], []
     for name in progress(names, len(names), "eyes"):
         mappings, of_eye = opened_with_sizes(options, name)
-        with naming(Path(options.headset)):
+        with prefix_errors(Path(options.headset)):
             found.append(eye_budget(mappings, options.depth_m, of_eye, options.camera_frame))
         eyes.append(mappings)
         sizes.append(of_eye)
@@ -219,7 +219,7 @@ def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[Eye, ErrorSizes
         mappings, truncation = model.mappings, Truncation.from_report(model.report)
     else:
         mappings, truncation = open_eye(options.headset, eye), Truncation()
-    with naming(Path(options.headset)):
+    with prefix_errors(Path(options.headset)):
         grid = choose_warp_grid(mappings, np.eye(3))
     return mappings, options.sizes(grid.bound_arcmin, truncation)
 

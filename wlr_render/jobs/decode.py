@@ -18,7 +18,7 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import file_note
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.code_quality import NO_LENSES, TOLERANCE_PX, Lenses, PlaneSurvey, find_planes, fit_planes
-from wlr_render.input_files import naming
+from wlr_render.input_files import prefix_errors
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Code, Options, ProgressArgument, Range, described, described_size
@@ -102,7 +102,7 @@ def decode_and_assess(
         BadInputError: the photographs do not decode, or the folder cannot be written.
     """
     progress.say("decoding")
-    with naming(codes.folder):
+    with prefix_errors(codes.folder):
         decoded = codes.pattern.decode(codes.files.read(codes.kind), codes.options)
     folder = output_folder(out)
     names = ("pixel", "sigma_px", "confidence", "rejection", "noise_px", "cell_px")

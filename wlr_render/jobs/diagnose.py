@@ -21,7 +21,7 @@ from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, STEM, diagnosis_report, improvement_found, write_corrected
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import naming
+from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.progress import SILENT
@@ -85,7 +85,7 @@ class DiagnoseOptions(Options):
         Raises:
             BadInputError: see `load_measurements`.
         """
-        with naming(self.session):
+        with prefix_errors(self.session):
             return load_measurements(self.session, self.bench, self.device)
 
     def candidates(self, nominal: Bench) -> Mapping[str, Cause]:
@@ -119,7 +119,7 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
         raise BadInputError(f"{options.session}: the results would replace this session; choose another --out.")
     causes = options.candidates(nominal)
     settings = replace(DEFAULT, max_causes=options.max_causes)
-    with naming(options.session):
+    with prefix_errors(options.session):
         found = diagnose_session(nominal, session, progress.say, causes=causes, settings=settings)
         progress.say("comparing models fitted with both benches")
         in_use = improvement_found(found)
@@ -130,7 +130,7 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     report = replace(report, warnings=limits, files=files)
     if options.hold_out:
         progress.say("predicting left-out captures and distances")
-        with naming(options.session):
+        with prefix_errors(options.session):
             report = _with_held_out(report, found)
     return save_report(report, folder, STEM)
 

@@ -71,7 +71,7 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
     finished = FinishedFiles(
         folder, _KIND + digest_of(_stated(options), list(inputs.values()), __version__), kind=_KIND
     )
-    missing = [view for view in views if finished.not_whole([folder / name for name in form.files(view)])]
+    missing = [view for view in views if finished.missing_or_changed([folder / name for name in form.files(view)])]
     first_of_eye = {view.eye: view for view in reversed(views)}
     lost: list[str] = []
     solved = _solved(progress(missing, len(missing), "views"), first_of_eye, lost)

@@ -17,7 +17,7 @@ from wlr_render.budget.error_map import ErrorMap
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError
 from wlr_render.finished_files import Signature, signature_of
-from wlr_render.input_files import hashes_of_inputs, may_refer_outside, naming, outside_references
+from wlr_render.input_files import hashes_of_inputs, may_refer_outside, outside_references, prefix_errors
 from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
 from wlr_render.jobs.frame_labels import (
     frame_misalignment,
@@ -34,7 +34,7 @@ from wlr_render.jobs.options import eyes_of, seed_of
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.optics.traced_mappings import TRACED
-from wlr_render.processes import THIS_MACHINE, as_finished
+from wlr_render.processes import LOCAL, as_finished
 from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.frame_layers import INSTANCE, frame_layers
 from wlr_render.rendering.image_files import write_map, write_png
@@ -215,13 +215,13 @@ class FrameDrawing:
         """
         if self.options.layers:
             require_exr("--layers")
-        if self.options.spread == THIS_MACHINE:
+        if self.options.worker_pool == LOCAL:
             if plan:
                 _ = self._painters, self._error_maps
             return (self.draw(planned, self.options.out) for planned in plan)
         size = min(max(len(plan) // _BLOCKS, 1), _FRAMES_OF_A_BLOCK)
         blocks = [self.block(plan[start : start + size]) for start in range(0, len(plan), size)]
-        drawn = as_finished(draw_block, blocks, self.options.spread, self.options.out)
+        drawn = as_finished(draw_block, blocks, self.options.worker_pool, self.options.out)
         return itertools.chain.from_iterable(drawn)
 
     def block(self, plan: Sequence[PlannedFrame]) -> "FrameBlock":
@@ -255,7 +255,7 @@ class FrameDrawing:
         maps = {}
         for eye in self.opened.channels if self.options.predicted_error else ():
             mappings, sizes = opened_with_sizes(BudgetOptions(self.options.headset), eye)
-            with naming(Path(self.options.headset)):
+            with prefix_errors(Path(self.options.headset)):
                 maps[eye] = ErrorMap(mappings, sizes)
         return maps
 

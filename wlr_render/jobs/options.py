@@ -19,7 +19,7 @@ from cyclopts import Group, Parameter, Token
 
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import shown
-from wlr_render.processes import Spread
+from wlr_render.processes import WorkerPool
 from wlr_render.progress import Progress
 
 Length = TypeVar("Length", int, float)
@@ -284,9 +284,9 @@ class SpreadOptions(Options):
             raise BadInputError("--workers has no use with --scheduler, which has its own workers; leave out one.")
 
     @property
-    def spread(self) -> Spread:
-        """Where the work is done."""
-        return Spread(self.workers, self.scheduler)
+    def worker_pool(self) -> WorkerPool:
+        """The processes or machines that do the work."""
+        return WorkerPool(self.workers, self.scheduler)
 
 
 Degree = Range(at_least=1, at_most=12)

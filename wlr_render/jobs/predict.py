@@ -18,7 +18,7 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.report import CORRECTED
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import naming
+from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
@@ -62,7 +62,7 @@ def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> 
         )
     folder = output_folder(options.out)
     progress.say("predicting the readings")
-    with naming(options.session):
+    with prefix_errors(options.session):
         found = predict_session(bench, session, own)
     report = Report(
         f"Prediction of {session.name} by {options.bench}",

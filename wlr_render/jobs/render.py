@@ -92,7 +92,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     folder = output_folder(options.out)
     require_same_job(folder, record, RenderOptions)
     finished = FinishedFiles(folder)
-    missing = [planned for planned in plan if finished.not_whole(files_of(folder, planned, options))]
+    missing = [planned for planned in plan if finished.missing_or_changed(files_of(folder, planned, options))]
     changed = [planned for planned in missing if finished.changed(files_of(folder, planned, options))]
     drawn = FrameDrawing(options, opened, raster).frames(missing)
     sequence = write_text(folder / RECORD, text)

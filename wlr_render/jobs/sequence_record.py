@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, parsing, read_text, shown
+from wlr_render.input_files import LIMITS, as_bad_input, read_text, shown
 from wlr_render.jobs.options import Options, flag_of
 from wlr_render.toml_files import parse_json
 
@@ -79,7 +79,7 @@ def require_same_job(folder: Path, record: Mapping[str, Any], options: type[Opti
         return
     remedy = "choose another folder or empty it"
     earlier = parse_json(path, read_text(path, _KIND, LIMITS.record_bytes, remedy), _KIND, remedy)
-    with parsing(path, _KIND, remedy):
+    with as_bad_input(path, _KIND, remedy):
         if earlier["version"] != _VERSION:
             raise BadInputError(
                 f"{path}: is of version {shown(earlier['version'])}, and only version {_VERSION} can be continued; "

@@ -120,7 +120,7 @@ def _photographed(options: PatternOptions, command: str, progress: Progress) -> 
         _refuse_others(folder, paths)
         finished = FinishedFiles(folder, digest_of(options.pattern, options.panel, options.channel))
         _refuse_unlisted(finished, paths)
-        missing = [number for number, path in enumerate(paths) if finished.not_whole([path])]
+        missing = [number for number, path in enumerate(paths) if finished.missing_or_changed([path])]
         changed = finished.changed(paths)
         if missing:
             with ShowServer(Path(page_folder), code.panel, options.port) as page:

@@ -178,7 +178,7 @@ def simulate(options: SimulateOptions, *, progress: ProgressArgument = SILENT) -
     Raises:
         BadInputError: an unknown device or eye, or the folder holds a session made in another way.
     """
-    made = simulate_photo_session(options.out, options.recipe, options.spread, progress)
+    made = simulate_photo_session(options.out, options.recipe, options.worker_pool, progress)
     too_small = [f"{each} Calibration cannot use them." for each in unreadable_targets(options.recipe.build())]
     return Report(
         f"Simulated session {options.out.name}",

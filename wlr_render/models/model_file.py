@@ -64,7 +64,7 @@ from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.html_summary import SummaryTable, html_summary
-from wlr_render.input_files import parsing, require_pixels
+from wlr_render.input_files import as_bad_input, require_pixels
 from wlr_render.mappings import DisplayMapping, Eye, EyeBox, Panel, SeeThroughMapping
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
@@ -245,8 +245,8 @@ def _eye_model(table: Table, device: str, version: int) -> EyeModel:
     if table.has("see_through"):
         see_through = _mapping(table.table("see_through"), SEE_THROUGHS, eye_box, version)
     mappings = Eye(table.text("name"), table.text("eye", choices=["left", "right"]), display, see_through, eye_box)
-    report = table.free("report")
-    with parsing(f"{table.where}: 'report'", "plain JSON", "calibrate again"):
+    report = table.raw_table("report")
+    with as_bad_input(f"{table.where}: 'report'", "plain JSON", "calibrate again"):
         json.dumps(report, allow_nan=False)  # refuses a report that could not be written again
     return EyeModel(mappings, device, report)
 
@@ -339,7 +339,7 @@ def _mapping(table: Table, kinds: dict[str, type[Any]], eye_box: EyeBox, version
     old = {"backward_start": _BACKWARD} if version < VERSION else {}
     parts = {name: _part(table.table(old.get(name, name)), name, forms) for name in _part_names(model)}
     if version < VERSION:
-        table.unchecked(_BACKWARD)
+        table.raw(_BACKWARD)
     require_plausible_values(table, parts, _modelled(model) if kinds is DISPLAYS else "")
     modelled, spread = parts[_modelled(model)], None
     if table.has("spread") and isinstance(modelled, Polynomial):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wlr_render.atomic_files import disk_errors, written_whole
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
-from wlr_render.input_files import parsing, reason_of, require_pixels
+from wlr_render.input_files import as_bad_input, reason_of, require_pixels
 
 _TYPES = (np.float16, np.float32, np.uint32)
 """Types of values that the format has."""
@@ -76,7 +76,7 @@ def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]
 
     if not Path(path).is_file():
         raise BadInputError(f"{path}: there is no such file; name an OpenEXR file.")
-    with parsing(path, "an OpenEXR file"):
+    with as_bad_input(path, "an OpenEXR file"):
         low, high = OpenEXR.File(str(path), header_only=True).header()["dataWindow"]
         require_pixels(Path(path), (int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1), "write it again")
         opened = OpenEXR.File(str(path), separate_channels=True)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
-from wlr_render.input_files import LIMITS, inside_folder, parsing, read_bytes, require_picture, shown
+from wlr_render.input_files import LIMITS, as_bad_input, inside_folder, read_bytes, require_picture, shown
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.gltf_arrays import GltfArrays
 from wlr_render.rendering.gltf_document import GLOSSY, LIGHTS, MOVED, QUANTISED, GltfDocument
@@ -108,7 +108,7 @@ def load_meshes(path: str | Path) -> MeshFile:
             f"{path}: cannot read {shown(path.suffix)} files, only {', '.join(SUFFIXES)}; convert it to one of these."
         )
     # What overflows is refused by the checks.
-    with parsing(path, "a mesh", "export it again"), np.errstate(all="ignore"):
+    with as_bad_input(path, "a mesh", "export it again"), np.errstate(all="ignore"):
         return (_gltf_file if path.suffix.lower() in _GLTF else _polygon_file)(path)
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import parsing, shown
+from wlr_render.input_files import as_bad_input, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.mtl_file import Materials, ObjMaterial, obj_text, statements, without_comment
 from wlr_render.rendering.polygons import Triangles, smooth_normals, triangulated
@@ -231,5 +231,5 @@ def _triangles(path: Path, position: FloatArray, polygons: Sequence[Sequence[int
     by_corners: dict[int, list[Sequence[int]]] = {}
     for polygon in polygons:
         by_corners.setdefault(len(polygon), []).append(polygon)
-    with parsing(path, "a mesh", "triangulate it where it was made"):
+    with as_bad_input(path, "a mesh", "triangulate it where it was made"):
         return np.concatenate([triangulated(position, np.array(each)) for each in by_corners.values()])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import parsing, require_picture, shown
+from wlr_render.input_files import as_bad_input, require_picture, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.mtl_file import Neighbours, spellings
 from wlr_render.rendering.polygons import Triangles, smooth_normals, strip_corners, triangulated
@@ -164,7 +164,7 @@ class PlyFile:
             )
         lengths = np.array([len(each) for each in polygons])
         first = np.cumsum(lengths) - lengths
-        with parsing(self._path, "a mesh", "triangulate it where it was made"):
+        with as_bad_input(self._path, "a mesh", "triangulate it where it was made"):
             parts = [
                 triangulated(position[place], first[lengths == length][:, None] + np.arange(length))
                 for length in np.unique(lengths)

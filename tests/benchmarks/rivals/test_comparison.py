@@ -39,7 +39,7 @@ def small(monkeypatch):
 @pytest.fixture
 def in_process(monkeypatch):
     """Trials run in this process, where a test has changed the methods."""
-    monkeypatch.setattr(trials, "as_finished", lambda function, tasks, spread, folder: map(function, tasks))
+    monkeypatch.setattr(trials, "as_finished", lambda function, tasks, workers, folder: map(function, tasks))
 
 
 def compared(out, names):

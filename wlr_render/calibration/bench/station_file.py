@@ -119,7 +119,7 @@ def load_station(path: str | Path) -> SavedStation:
     if (version := table.number("version")) not in (1, VERSION):
         raise table.fail(f"has version {version:g}, and versions 1 and {VERSION} can be read; write it again.")
     table.text("frame", choices=["openxr"])
-    if table.has("units") and table.unchecked("units") != _UNITS:
+    if table.has("units") and table.raw("units") != _UNITS:
         raise table.fail(f"'units' must be {_UNITS}; convert the file, or write it again.")
     tracking, base, stage = None, None, None
     if table.has("tracking_camera"):
@@ -134,7 +134,7 @@ def load_station(path: str | Path) -> SavedStation:
         _rigid(table, "device_from_tracking") if tracking is not None else None,
         base,
         stage,
-        _shape(table.table("board")) if version > 1 and table.unchecked("board") else None,
+        _shape(table.table("board")) if version > 1 and table.raw("board") else None,
     )
 
 
@@ -160,7 +160,7 @@ def _stage(table: Table) -> StageModel:
 
 def _stage_of_version_1(table: Table, base: FloatArray) -> StageModel:
     """Axes in the device frame; null for those that were never moved."""
-    columns = table.unchecked("axes_in_device")
+    columns = table.raw("axes_in_device")
     try:
         axes = np.array([[0.0] * 3 if column is None else column for column in columns], dtype=np.float64)
     except (TypeError, ValueError):

@@ -6,7 +6,7 @@ from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session
 from wlr_render.captures.capture_file import load_captures, place_warnings
-from wlr_render.input_files import naming
+from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.calibrate.calibrate_options import (
     CalibrateOptions,
     remove_results,
@@ -33,7 +33,7 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
     require_readable_models(options.out)
     progress.say("fitting the models")
     captures = captures_of(*load_session(path, options.bench)) if path.is_dir() else load_captures(path)
-    with naming(path):
+    with prefix_errors(path):
         comparison = options.fit.fit(captures)
     fit, folder = comparison.chosen, output_folder(options.out)
     is_own = path.resolve() == (folder / f"captures-{fit.mappings.eye}.npz").resolve()

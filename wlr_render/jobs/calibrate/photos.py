@@ -15,7 +15,7 @@ from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import naming
+from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.calibrate.calibrate_options import (
     MODEL_FILE,
     MODELS_OF_PRIMARIES,
@@ -50,9 +50,9 @@ def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT
         options.fit.prescription_of(eye)
     folder = output_folder(options.out)
     _remove_results(folder, session.eyes)
-    reading = read_session(session, folder / READ, options.spread, progress)
+    reading = read_session(session, folder / READ, options.worker_pool, progress)
     progress.say("calibrating the bench, fitting the models")
-    with naming(Path(options.path)):
+    with prefix_errors(Path(options.path)):
         try:
             return calibrate_session(session, reading, folder, options.fit.fit)
         except RefusedCalibrationError as refused:

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import parsing
+from wlr_render.input_files import as_bad_input
 
 
 def decode_lens_text(path: Path, content: bytes, kind: str) -> str:
@@ -14,7 +14,7 @@ def decode_lens_text(path: Path, content: bytes, kind: str) -> str:
     Raises:
         BadInputError: the content is not text; the sentence says that it is not `kind`.
     """
-    with parsing(path, kind, "name another file, or save it as text"):
+    with as_bad_input(path, kind, "name another file, or save it as text"):
         if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             return content.decode("utf-16")
         if content[1:200:2].count(0) > content[0:200:2].count(0):

@@ -54,7 +54,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
     for number, entry in enumerate(entries):
         geometry = entry.table("geometry")
         # Files of older versions have no model: the surface itself states whether it is a mirror.
-        has_model = entry.unchecked("interaction_model") is not None
+        has_model = entry.raw("interaction_model") is not None
         model = entry.table("interaction_model") if has_model else entry
         reflects = model.flag("is_reflective", default=False)
         if has_model and model.text("type") != "RefractiveReflectiveModel":
@@ -63,7 +63,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
         surfaces.append(
             LensSurface(
                 number,
-                str(entry.unchecked("comment") or "")[:100],
+                str(entry.raw("comment") or "")[:100],
                 _shape(geometry, number, notes),
                 _pose(geometry.table("cs"), infinite=number == 0),
                 medium,
@@ -72,7 +72,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
                 _aperture(entry, number, notes),
             )
         )
-    return LensFile(str(file.unchecked("name") or "")[:200], tuple(surfaces), tuple(notes))
+    return LensFile(str(file.raw("name") or "")[:200], tuple(surfaces), tuple(notes))
 
 
 def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
@@ -84,7 +84,7 @@ def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
     if not np.isfinite(z):
         return np.full((4, 4), np.nan)
     pose = rigid(about["z"] @ about["y"] @ about["x"], _MM * np.array([x, y, z]))
-    if frame.unchecked("reference_cs") is None:
+    if frame.raw("reference_cs") is None:
         return pose
     return _pose(frame.table("reference_cs"), infinite, depth + 1) @ pose
 
@@ -108,7 +108,7 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
         return model_glass(index, abbe, material.where)
     if kind == "Material":
         name = material.text("name")
-        reference = material.unchecked("reference")
+        reference = material.raw("reference")
         glass = catalogue.require(name, material.where, (reference,) if isinstance(reference, str) else ())
         glass.tell(notes, number, "material_post", name)
         return glass.medium
@@ -116,7 +116,7 @@ def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) 
 
 
 def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
-    if entry.unchecked("aperture") is None:
+    if entry.raw("aperture") is None:
         return box_aperture(*_OPEN)
     aperture = entry.table("aperture")
     kind = aperture.text("type")
@@ -141,7 +141,7 @@ def _curvature(geometry: Table, key: str = "radius") -> float:
 
 
 def _coefficients(geometry: Table, key: str = "coefficients") -> FloatArray:
-    value = geometry.unchecked(key)
+    value = geometry.raw(key)
     try:
         array = np.array([] if value is None else value, dtype=float)
     except (ValueError, TypeError, OverflowError) as error:
@@ -227,5 +227,5 @@ _SHAPES: dict[str, Callable[[Table, int, Notes], Shape]] = {
 
 def is_optiland(content: Table) -> bool:
     """Return whether a JSON file was written by Optiland."""
-    group = content.unchecked("surface_group")
+    group = content.raw("surface_group")
     return isinstance(group, dict) and "surfaces" in group

@@ -46,7 +46,7 @@ _POWERS_OF_MAKERS = {
 
 def is_rayoptics(content: Table) -> bool:
     """Return whether a JSON file was written by rayoptics."""
-    return isinstance(content.unchecked("optical_model"), dict)
+    return isinstance(content.raw("optical_model"), dict)
 
 
 def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFile:
@@ -62,7 +62,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
     """
     model = file.table("optical_model").table("attributes")
     system = model.table("system_spec").table("attributes")
-    unit_name = str(system.unchecked("_dimensions") or system.unchecked("dimensions") or "mm").lower()
+    unit_name = str(system.raw("_dimensions") or system.raw("dimensions") or "mm").lower()
     if unit_name not in UNITS_M:
         raise system.fail(f"the unit of length is {shown(unit_name)}; it must be one of {', '.join(UNITS_M)}.")
     unit = UNITS_M[unit_name]
@@ -72,19 +72,19 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
     if len(gaps) != len(entries) - 1:
         raise sequence.fail(f"there are {len(gaps)} gaps for {len(entries)} surfaces; write the file again.")
     profiles = model.table("profile_dict") if model.has("profile_dict") else None
-    has_stop = sequence.unchecked("stop_surface") is not None
+    has_stop = sequence.raw("stop_surface") is not None
     stop = sequence.whole("stop_surface", most=len(entries) - 1) if has_stop else None
     notes: Notes = []
     surfaces: list[LensSurface] = []
     pose, medium, thickness, before = np.eye(4), AIR, 0.0, None
     for number, entry in enumerate(entries):
         surface = entry.table("attributes")
-        decentre = surface.table("decenter").table("attributes") if surface.unchecked("decenter") else None
+        decentre = surface.table("decenter").table("attributes") if surface.raw("decenter") else None
         pose = pose @ _step(before, thickness, decentre, unit)
         mode = surface.text("interact_mode")
         if mode not in ("transmit", "reflect", "dummy", "phantom"):
             ignore(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
-        kind = _class_of(surface.table("phase_element") if surface.unchecked("phase_element") else entry)
+        kind = _class_of(surface.table("phase_element") if surface.raw("phase_element") else entry)
         if kind != "Surface":
             ignore(notes, number, "surface", kind, "bends rays by more than its shape: not read", True, "shape")
         if mode != "reflect":
@@ -94,7 +94,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         surfaces.append(
             LensSurface(
                 number,
-                str(surface.unchecked("label") or "")[:100],
+                str(surface.raw("label") or "")[:100],
                 _shape(surface, profiles, number, unit, notes),
                 np.full((4, 4), np.nan) if infinite else pose @ shift(z=-unit * thickness) if number == 0 else pose,
                 medium,
@@ -107,7 +107,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         if number == 0:
             thickness, decentre = 0.0, None
         before = decentre
-    return LensFile(str(system.unchecked("title") or "")[:200], tuple(surfaces), tuple(notes))
+    return LensFile(str(system.raw("title") or "")[:200], tuple(surfaces), tuple(notes))
 
 
 def _class_of(entry: Table) -> str:
@@ -117,7 +117,7 @@ def _class_of(entry: Table) -> str:
 
 def _array(table: Table, key: str, size: int | None = None) -> list[float]:
     """Return the numbers, as a list or as rayoptics writes an array; zeros where they are missing."""
-    value: Any = table.unchecked(key)
+    value: Any = table.raw(key)
     value = value.get("__ndarray__") if isinstance(value, dict) else value
     value = [0.0] * (size or 0) if value is None else value
     if not isinstance(value, list) or (size is not None and len(value) != size) or len(value) > 100:
@@ -136,7 +136,7 @@ def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, 
     """Return the rotation and shift of a decentre before or after its surface."""
     if table is None:
         return np.eye(4), np.eye(4)
-    kind = table.unchecked("_dtype") or table.unchecked("dtype")
+    kind = table.raw("_dtype") or table.raw("dtype")
     alpha, beta, gamma = np.deg2rad(_array(table, "euler", 3))
     # About x and y the angles are left-handed, as in CODE V.
     rotation = rigid(rotation_about("x", -alpha) @ rotation_about("y", -beta) @ rotation_about("z", gamma), np.zeros(3))
@@ -207,7 +207,7 @@ def _aperture(surface: Table, number: int, unit: float, notes: Notes) -> ClearAp
     else:
         ignore(notes, number, "clear_apertures", kind, "this form is not read: the surface is open")
         half_x = half_y = np.inf
-    if len(apertures) > 1 or first.unchecked("rotation"):
+    if len(apertures) > 1 or first.raw("rotation"):
         ignore(notes, number, "clear_apertures", len(apertures), "only the first, unturned, is read")
     return box_aperture((x - half_x, y - half_y), (x + half_x, y + half_y))
 
@@ -216,13 +216,13 @@ def _shape(surface: Table, profiles: Table | None, number: int, unit: float, not
     if surface.has("profile"):
         profile = surface.table("profile")
     elif profiles is not None and surface.has("profile_id"):
-        profile = profiles.table(str(surface.unchecked("profile_id")))
+        profile = profiles.table(str(surface.raw("profile_id")))
     else:
         return Conic(0.0)
     kind, attributes = _class_of(profile), profile.table("attributes")
     curvature = number_of(attributes, "cv", 0.0)
     conic = number_of(attributes, "cc", 0.0)
-    if attributes.unchecked("cc") is None and attributes.unchecked("ec") is not None:
+    if attributes.raw("cc") is None and attributes.raw("ec") is not None:
         conic = number_of(attributes, "ec") - 1.0
     terms = _array(attributes, "coefs") if attributes.has("coefs") else []
     if kind in ("EvenPolynomial", "RadialPolynomial"):

@@ -147,7 +147,7 @@ def number_of(table: Table, key: str, default: float | None = None, infinite: bo
     Raises:
         BadInputError: the value is not a number, or too large for a lens.
     """
-    value = table.unchecked(key)
+    value = table.raw(key)
     if value is None and default is not None:
         return default
     return finite(value, f"{table.where}: '{key}'", infinite)

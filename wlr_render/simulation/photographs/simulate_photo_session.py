@@ -21,7 +21,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.finished_files import FinishedFiles, Signature, digest_of, signature_of
 from wlr_render.input_files import hashes_of_inputs
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.processes import THIS_MACHINE, Spread, as_finished
+from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress
 from wlr_render.simulation.photographs import recipe as recipe_file
 from wlr_render.simulation.photographs.camera import SimulatedLens
@@ -56,7 +56,7 @@ class TakenPhotographs:
 
 
 def simulate_photo_session(
-    folder: Path, recipe: SimulationRecipe, spread: Spread = THIS_MACHINE, progress: Progress = SILENT
+    folder: Path, recipe: SimulationRecipe, workers: WorkerPool = LOCAL, progress: Progress = SILENT
 ) -> TakenPhotographs:
     """Take all photographs of a session that an earlier run has not taken.
 
@@ -86,10 +86,10 @@ def simulate_photo_session(
     session = planned_session(root, bench, plan, visits, pattern)
     tasks = [(pose, pose.paths()) for pose in camera_poses(session, bench, plan, visits)]
     total = sum(len(paths) for _, paths in tasks)
-    tasks = [(pose, missing) for pose, paths in tasks if (missing := finished.not_whole(paths))]
+    tasks = [(pose, missing) for pose, paths in tasks if (missing := finished.missing_or_changed(paths))]
     changed = finished.changed(path for _, missing in tasks for path in missing)
     taken = 0
-    finishing = as_finished(_take, tasks, spread.at_most(_MOST_WORKERS), root)
+    finishing = as_finished(_take, tasks, workers.at_most(_MOST_WORKERS), root)
     for signatures in progress(finishing, len(tasks), "camera poses"):
         finished.add_signed(signatures)
         taken += len(signatures)
