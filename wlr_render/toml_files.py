@@ -239,14 +239,14 @@ class Table:
                 raise self.fail(f"unknown key {shown(key)}; {remedy}")
 
 
-def read_json(path: str | Path, kind: str, remedy: str = "write it again", at_most: int = LIMITS.data_bytes) -> Table:
-    """Read a JSON file of at most `at_most` bytes as a `Table`.
+def read_json(path: str | Path, kind: str, remedy: str = "write it again") -> Table:
+    """Read a JSON file as a `Table`.
 
     Raises:
         BadInputError: the file cannot be read, is not a JSON object, or has a key twice; the sentence says that it is
             not `kind`, and the remedy.
     """
-    content = parse_json(path, read_text(path, kind, at_most, remedy), kind, remedy)
+    content = parse_json(path, read_text(path, kind, LIMITS.data_bytes, remedy), kind, remedy)
     return Table(content, str(path))
 
 

@@ -13,11 +13,11 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 from benchmarks.rivals.samples import Samples
 from wlr_render.extras import installed_by
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
-from wlr_render.numerics.regressor import NumericRegressor
 
 _WIDTHS = (0.5, 0.67, 1.0, 1.5, 2.0, 5.0, 10.0)  # of a Gaussian, in median distances between readings and centres
 _RIDGES = np.logspace(-9, -1, 6)  # as in the published code

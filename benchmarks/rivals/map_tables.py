@@ -15,11 +15,11 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import Delaunay
 
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 from benchmarks.rivals.samples import FOLDS, Samples, least_squares
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count, total_degree
-from wlr_render.numerics.regressor import NumericRegressor
 
 _MAP_DEGREES = (4, 6, 8)  # of the polynomial of one position's map; held-out readings choose
 _CONSTANT = 1e-6  # of the extent of the places: what a place of one position may vary by

@@ -17,10 +17,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 from benchmarks.rivals.samples import Samples
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
-from wlr_render.numerics.regressor import NumericRegressor
 
 _ROUNDING = 1e-10  # the units of the last layer cancel: its weights reach 100 times the values
 _RIDGE = 1e-9  # on the last layer, of the mean square of its multipliers

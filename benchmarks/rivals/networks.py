@@ -13,10 +13,10 @@ from scipy.optimize import minimize
 
 from benchmarks.rivals.map_tables import components_with_scores
 from benchmarks.rivals.network_training import ProjectedLoss, TanhLayers, trained
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 from benchmarks.rivals.samples import Samples
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial, basis, limited_orders
-from wlr_render.numerics.regressor import NumericRegressor
 
 _UNITS = (32, 32)
 _STATIC_DEGREE = 6

@@ -10,6 +10,7 @@ from scipy.interpolate import RBFInterpolator, RegularGridInterpolator
 from scipy.spatial import Delaunay, QhullError
 
 from benchmarks.rivals.map_tables import PositionMaps
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 from benchmarks.rivals.samples import Samples
 from wlr_render.calibration.fit_display import DISPLAY
 from wlr_render.calibration.readings import TREND_ALONE, angular_metric
@@ -19,7 +20,6 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import basis
-from wlr_render.numerics.regressor import NumericRegressor
 
 _COLUMNS, _ROWS = 25, 21
 _SLACK = 0.05  # of the size of the decoded region at a position: about the distance between its pixels

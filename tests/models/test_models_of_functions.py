@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from toy_models import DISPLAYS, EYE_BOX, SEE_THROUGHS
 
-from wlr_render.numerics.regressor import NumericRegressor
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 
 RNG = np.random.default_rng(4)
 PIXEL = RNG.uniform([100, 100], [900, 700], (30, 2))

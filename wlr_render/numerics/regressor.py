@@ -1,16 +1,10 @@
 """Interface of the functions that models are made of: polynomials and other regressors."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Protocol
-
-import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
-
-_STEP = 1e-5  # step of the differences, relative to the box
-_CHUNK = 4_096  # inputs at once: kernels hold a number for each pair of input and centre
 
 
 class HeldRegressor(Protocol):
@@ -24,7 +18,7 @@ class HeldRegressor(Protocol):
 
 
 class Regressor(Protocol):
-    """A fitted function of several variables with several outputs: `Polynomial`, or `NumericRegressor`."""
+    """A fitted function of several variables with several outputs: e.g. a `Polynomial`."""
 
     @property
     def box(self) -> Box:
@@ -50,68 +44,3 @@ class Regressor(Protocol):
 
     def held(self, axes: Sequence[int], inputs: FloatArray) -> HeldRegressor:
         """Hold the variables `axes` at (n, axes)."""
-
-
-@dataclass(frozen=True, eq=False)
-class NumericRegressor:
-    """Any function, with derivatives by central differences.
-
-    Attributes:
-        function: (m, variables) -> (m, outputs).
-        box: box of the inputs.
-        outputs: number of outputs.
-        numbers: number of numbers that a file stores.
-        rounding: see `Regressor`, for values of about 1.
-    """
-
-    function: Callable[[FloatArray], FloatArray]
-    box: Box
-    outputs: int
-    numbers: int
-    rounding: float = 1e-12
-
-    def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Return the values (..., outputs) at inputs (..., variables)."""
-        flat = inputs.reshape(-1, inputs.shape[-1])
-        starts = range(0, max(len(flat), 1), _CHUNK)
-        values = np.concatenate([self.function(flat[start : start + _CHUNK]) for start in starts])
-        return values.reshape(*inputs.shape[:-1], self.outputs)
-
-    def with_jacobian(self, inputs: FloatArray, axes: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return the values (..., outputs) and Jacobian (..., outputs, axes) in the inputs' units."""
-        by = range(inputs.shape[-1]) if axes is None else axes
-        steps = _STEP * (self.box.high - self.box.low)
-        slopes = []
-        for axis in by:
-            step = np.zeros(inputs.shape[-1])
-            step[axis] = steps[axis]
-            slopes.append((self(inputs + step) - self(inputs - step)) / (2.0 * steps[axis]))
-        return self(inputs), np.stack(slopes, axis=-1)
-
-    def held(self, axes: Sequence[int], inputs: FloatArray) -> "_HeldNumeric":
-        """Hold the variables `axes` at (n, axes)."""
-        return _HeldNumeric(self, tuple(axes), inputs)
-
-
-@dataclass(frozen=True, eq=False)
-class _HeldNumeric:
-    whole: NumericRegressor
-    axes: tuple[int, ...]
-    rows: FloatArray
-
-    def _joined(self, inputs: FloatArray, index: IntArray | None) -> tuple[FloatArray, list[int]]:
-        variables = len(self.whole.box.low)
-        free = [axis for axis in range(variables) if axis not in self.axes]
-        joined = np.empty((len(inputs), variables))
-        joined[:, list(self.axes)] = self.rows if index is None else self.rows[index]
-        joined[:, free] = inputs
-        return joined, free
-
-    def __call__(self, inputs: FloatArray, index: IntArray | None = None) -> FloatArray:
-        """Return the values; see `HeldRegressor`."""
-        return self.whole(self._joined(inputs, index)[0])
-
-    def with_jacobian(self, inputs: FloatArray, index: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Return values and Jacobian; see `HeldRegressor`."""
-        joined, free = self._joined(inputs, index)
-        return self.whole.with_jacobian(joined, free)

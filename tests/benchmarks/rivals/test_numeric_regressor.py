@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from wlr_render.numerics import regressor
+from benchmarks.rivals import numeric_regressor
+from benchmarks.rivals.numeric_regressor import NumericRegressor
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
-from wlr_render.numerics.regressor import NumericRegressor
 
 RNG = np.random.default_rng(4)
 BOX = Box(np.array([0.0, 0.0, -0.01, -0.2]), np.array([1000.0, 800.0, 0.01, 0.4]))
@@ -42,7 +42,7 @@ def test_values_are_computed_in_chunks(monkeypatch):
         sizes.append(len(inputs))
         return POLYNOMIAL(inputs)
 
-    monkeypatch.setattr(regressor, "_CHUNK", 8)
+    monkeypatch.setattr(numeric_regressor, "_CHUNK", 8)
     value = NumericRegressor(function, BOX, 3, 0)(INPUTS.reshape(6, 5, 4))
     assert sizes == [8, 8, 8, 6]
     np.testing.assert_allclose(value.reshape(-1, 3), POLYNOMIAL(INPUTS), atol=1e-13)
