@@ -217,7 +217,7 @@ ALL = ("device.toml", "scene.toml", "box.obj", "model.json", "captures.npz", "be
 
 def cases() -> Iterator[Case]:
     for verb, files, options in RANGES:
-        words = verb[0]
+        words = " ".join(verb[:2]) if verb[0] == "calibrate" else verb[0]
         for option, values in options.items():
             for value in values:
                 extra = {
