@@ -25,6 +25,15 @@ WORST_ARCMIN = 60.0
 """Composite error. The offset network has about 45' on so coarse a grid, the prescription as drawn 36'."""
 
 
+ONE_OF_EACH_KIND = [
+    name
+    for name in METHODS
+    if "misshapen" not in name
+    and (name.rpartition("-")[2] not in ("static", "volumetric") or name in STRUCTURES or "linear-table" in name)
+]
+"""Regressors in the structure planar, one of them in all three, and every other method."""
+
+
 @pytest.fixture(autouse=True)
 def _small_budgets(monkeypatch):
     ticks = itertools.count()
@@ -55,7 +64,7 @@ def captured():
     return MethodData(*eyes, partial(_drawn, AT, (2, 0)), _coarse_bench), setup.truth, seen
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", ONE_OF_EACH_KIND)
 def test_a_method_gives_finite_answers(name):
     data, truth, seen = captured()
     rival = METHODS[name].fit(data)

@@ -8,7 +8,6 @@ from benchmarks.rivals.pinhole import direct_plane
 from benchmarks.rivals.plane_and_polynomial import wientapper_display, wientapper_see_through
 from wlr_render.captures.correspondences import select
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.mapping_error import display_error, see_through_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, normalised, tangents_of_dir
 
 RNG = np.random.default_rng(5)
@@ -102,20 +101,3 @@ def test_captures_that_do_not_serve_are_refused():
     display = display_captures(IN_VOLUME, distorted(0.0))
     with pytest.raises(BadInputError, match="two or more camera positions"):
         wientapper_display(select(display, display.capture == 0))
-
-
-def test_a_traced_headset():
-    """The polynomial makes up for the plane: bundled, of degree 5, it is as good as the planar model of that degree.
-
-    Held-out positions of 25 cannot see that degree 5 (21 terms in the place) pays, and choose 4.
-    """
-    _, display, see_through, observed, real = traced()
-    chosen, regressor = wientapper_display(display, bundled=True)
-    assert regressor.numbers == 11 + 2 * 70
-    assert rms(display_error(chosen, observed).forward_arcmin) == pytest.approx(0.98, abs=0.1)
-    fifth = display_error(wientapper_display(display, bundled=True, degree=5)[0], observed)
-    assert rms(fifth.forward_arcmin) == pytest.approx(0.25, abs=0.03)
-    assert np.isfinite(fifth.backward_px).all()
-    assert rms(display_error(wientapper_display(display)[0], observed).forward_arcmin) > 10.0  # positions in one plane
-    seen = see_through_error(wientapper_see_through(see_through, bundled=True)[0], real)
-    assert rms(seen.backward_arcmin) < 0.12
