@@ -47,6 +47,9 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
         folder: folder with bench.toml and the tables.
         bench_file: bench of the same headset, to replace the folder's bench; see `bench_for_session`.
 
+    Returns:
+        The bench as its makers describe it, and what was measured on it: device frame, metres and radians.
+
     Raises:
         BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the sentence says
             where and what to do.

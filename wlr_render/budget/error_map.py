@@ -71,7 +71,7 @@ class PredictedError:
 
 
 class ErrorMap:
-    """Predicts the registration error of an eye's frames; `at` takes 0.1 ms, the constructor some seconds.
+    """Predicted registration error of an eye's frames; `at` takes 0.1 ms, the constructor some seconds.
 
     The errors of interpolation, against `registration_covariance`, are those of the model's covariance, which rises
     at the borders of panel and eye box; docs/budget.md states them.

@@ -106,7 +106,14 @@ class Truncation(_Sizes):
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """All errors beside those that the models state of themselves."""
+    """Sizes of all errors beside those that fitted models state of themselves; none by default.
+
+    Attributes:
+        eye: errors of the eye tracker, metres and seconds.
+        head: errors of the head tracker, radians, metres and seconds.
+        drawing: errors of drawing, arcminutes.
+        truncation: what the models cannot follow, arcminutes.
+    """
 
     eye: EyeTracker = field(default_factory=EyeTracker)
     head: HeadTracker = field(default_factory=HeadTracker)

@@ -35,10 +35,23 @@ def headset_path(spec: str | Path) -> Path:
 
 
 def open_eye(spec: str | Path, eye: str = "right") -> Eye:
-    """Mappings of one eye: traced for a device name or .toml, fitted for a model .json.
+    """Return one eye of a headset, by exact optics or by fitted models.
+
+    Args:
+        spec: name of a shipped device or path of a device file (.toml), whose optics are traced in green light; or path
+            of a model file (.json), such as `Calibration.save` writes.
+        eye: "left" or "right".
+
+    Returns:
+        The mappings of display and world, and the eye box; device frame, metres.
 
     Raises:
         BadInputError: nothing of that name, a faulty file, or an eye that it does not hold.
+
+    Example:
+        >>> import wlr_render as wlr
+        >>> wlr.open_eye("northstar", "left").eye_box.size
+        array([0.01 , 0.008, 0.006])
     """
     if not is_model(spec):
         return traced_eye(load_device(spec), eye)

@@ -26,7 +26,7 @@ _SATURATED = 0.01  # of a frame's pixels: fewer are highlights
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One eye's panel image.
+    """The image of one eye's panel, from `render`; `save` writes it as a PNG.
 
     "Of each channel" means one for all colours, or one each for red, green and blue.
 

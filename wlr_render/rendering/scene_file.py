@@ -54,7 +54,7 @@ def scene_path(spec: str | Path) -> Path:
 
 
 def load_scene(spec: str | Path) -> Scene:
-    """A shipped scene by name, a scene file by path, or a mesh file by path.
+    """Load a shipped scene by name, a scene file (.toml) by path, or a mesh file by path; metres, y up.
 
     A mesh file becomes a scene with its content centred 1 m straight ahead of the world's origin, and with the file's
     lights or, where it has none, two directional ones.
