@@ -153,8 +153,8 @@ def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug, outside = "--debug" in tokens, OUTSIDE in tokens
     tokens = [token for token in tokens if token not in ("--debug", OUTSIDE)] or ["--help"]
-    # Before numpy is imported: on thin matrix products BLAS threads are slower than none, many times so on a machine
-    # that is busy otherwise. Work is shared out over threads and processes elsewhere.
+    # Set before numpy is imported: for thin matrix products BLAS threads are slower than none, many times so on a
+    # busy machine. Other code distributes work over threads and processes.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app = make()
     try:
@@ -263,7 +263,7 @@ def _sentence(error: Exception) -> str:
     if isinstance(error, UnusedCliTokensError):
         return f"Unexpected argument '{' '.join(error.unused_tokens or ())}'; add --help to see what this verb takes."
     if isinstance(error, MissingArgumentError) and error.argument is not None and error.keyword is None:
-        name = error.argument.name  # of an argument without a dash --help shows the capitals
+        name = error.argument.name  # --help shows an argument without a dash in capitals
         name = name if error.argument.field_info.is_keyword_only else name.lstrip("-").upper()
         hint = f" Did you{str(error).partition('Did you')[2]}" if "Did you" in str(error) else ""
         return f"{' '.join(error.command_chain or ())} needs {name}; add --help to see what this verb takes.{hint}"
