@@ -1,4 +1,4 @@
-"""Names for render engines, in addition to `Compositor` and `WarpMesh`: pictures, panels, trackers, wear, predicted errors.
+"""Names for render engines besides `Compositor` and `WarpMesh`: pictures, panels, trackers, wear, predicted errors.
 
 docs/realtime.md is the guide.
 """
