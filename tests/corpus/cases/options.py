@@ -101,7 +101,6 @@ RANGES: tuple[tuple[tuple[str, ...], tuple[str, ...], dict[str, tuple[str, ...]]
         "--noise-arcmin": ("-1", "nan", "inf", "1e308"),
         "--repeatability-um": ("-1", "1e9", "nan"),
         "--turn-jitter-urad": ("-1", "1e308", "nan"),
-        "--degree": ("0", "99"),
         "--seed": ("-1",),
     }),
     (SIMULATE, SMALL, {
@@ -273,7 +272,6 @@ def _words() -> Iterator[Case]:
         ("a device for a scene", ("render", "device.toml", "device.toml", "--out", "out"), ("device.toml",)),
         ("a scene for a device", ("render", "scene.toml", "scene.toml", "--out", "out"), ("scene.toml",)),
         ("captures for a model", ("render", "captures.npz", "scene.toml", "--out", "out"), ("captures.npz",)),
-        ("a bench session for photographs", ("calibrate", "bench", "--out", "out"), ("bench",)),
         ("photographs for a bench session", ("diagnose", "photos", "--out", "out"), ("photos",)),
         ("a model for captures", ("calibrate", "model.json", "--out", "out"), ("model.json",)),
         (
