@@ -114,7 +114,7 @@ def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes
     assert "No effect found" in printed.out
     status, printed = run(capsys, session, "--device", "northstar", "--out", out)
     assert status == 2
-    assert "no device can be chosen for it" in printed.err
+    assert "--device does not apply" in printed.err
 
 
 def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):
