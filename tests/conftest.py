@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gl_caller import Caller
+from memo import memoised, shared_folder
 
 from wlr_render.errors import MissingGlError
 from wlr_render.extras import MissingExtraError
@@ -153,10 +154,11 @@ def measured_data() -> Callable[[str], Path]:
 
 @pytest.fixture(scope="session")
 def calibrated_session(tmp_path_factory):
-    """A small session of photographs, simulated, and its calibration; nobody writes there."""
+    """A small session of photographs, simulated, its calibration and the report of it; nobody writes there."""
     from small_photo_session import made_session
 
-    return made_session(tmp_path_factory.mktemp("photographs"))
+    shared = shared_folder(tmp_path_factory)
+    return memoised(made_session, shared)(shared / "photographs")
 
 
 @pytest.fixture

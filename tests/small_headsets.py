@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from memo import memoised, shared_folder
 
 from benchmarks.speed.workload import bench_model
 from wlr_render.atomic_files import resource
@@ -79,9 +80,9 @@ def straight_device(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def small_panel_model():
+def small_panel_model(tmp_path_factory):
     """Mappings of northstar's right eye, fitted, with a panel of 90 x 100 pixels."""
-    return bench_model(Panel(90, 100))
+    return memoised(bench_model, shared_folder(tmp_path_factory))(Panel(90, 100))
 
 
 @pytest.fixture(scope="session")

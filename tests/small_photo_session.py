@@ -20,7 +20,8 @@ from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import READ, calibrated, report_of
-from wlr_render.simulation.photographs import recipe, simulate_photo_session
+from wlr_render.simulation.photographs import recipe, simulate_photo_session, take_photographs
+from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import (
     PhotoBench,
@@ -34,6 +35,7 @@ from wlr_render.toml_files import write_toml
 VIEWPOINTS = 4
 CAMERA_PX = (400, 320)
 TRACKING_PX = (400, 300)
+SAMPLES = 4  # of each pixel
 IMPERFECTIONS = replace(BenchImperfections(), extrinsics_mm=0.02, extrinsics_deg=0.005, lens="brown")
 """Those of ordinary equipment, but for the extrinsics, whose usual error would hide all others in the device frame, and
 for the lens: near dots are a twelfth of these small pictures, and rational terms bend the dots themselves."""
@@ -54,17 +56,31 @@ def small_bench(device, eye, options):
 
 
 def small_plan(bench, viewpoints):
-    """The usual plan with fewer photographs of each lens: six."""
+    """The usual plan with six photographs of each lens, and three levels of each axis without the headset."""
     plan = plan_photographs(bench, viewpoints)
     return replace(
         plan,
+        bare=plan.bare[:11],
         eyeball_boards=plan.eyeball_boards[2:8],
         tracking_boards=plan.tracking_boards[2:8],
     )
 
 
+class CoarseView(CameraView):
+    """The usual view, of fewer samples in each pixel."""
+
+    @classmethod
+    def without_headset(cls, lens, frame_from_camera):
+        return CameraView.without_headset(lens, frame_from_camera, SAMPLES)
+
+    @classmethod
+    def through_optics(cls, optics, lens, frame_from_camera):
+        return CameraView.through_optics(optics, lens, frame_from_camera, SAMPLES)
+
+
 def make_small(patch):
     """Have everything about simulated sessions small, by a `pytest.MonkeyPatch`."""
+    patch.setattr(take_photographs, "CameraView", CoarseView)
     patch.setattr(recipe, "design_photo_bench", small_bench)
     patch.setattr(simulate_photo_session, "plan_photographs", small_plan)
     for module in (simulate_photo_session, session_reading):
@@ -160,7 +176,8 @@ def state_lenses(content):
 
 
 def made_session(folder):
-    """Simulate the session and calibrate it once; returns both."""
+    """Simulate the session, calibrate it and write the report; returns all three."""
+    folder.mkdir()
     bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS)
     made = SimulationRecipe(far_panel_device(folder), viewpoints=VIEWPOINTS, bench=bench)
     session = SmallSession(folder / "session", folder / "out", made)
@@ -169,8 +186,7 @@ def made_session(folder):
         simulate_photo_session.simulate_photo_session(session.folder, made)
         session.edit(state_lenses)
         found = session.calibrate()
-        report_of(found, session.options)
-        return session, found
+        return session, found, report_of(found, session.options)
 
 
 def copied(session, folder):

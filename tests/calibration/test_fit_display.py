@@ -13,6 +13,7 @@ from toy_device import (
     tangents_of,
 )
 
+from wlr_render.calibration import model_kinds
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.captures.correspondences import concatenate
 from wlr_render.errors import BadInputError
@@ -85,6 +86,18 @@ def test_a_model_that_may_have_two_solutions_is_refused_with_the_remedy():
     shallow = EyeBox(EYE_BOX.centre, EYE_BOX.size * [1.0, 1.0, 0.1])
     report = fit_display(dataclasses.replace(captures, eye_box=shallow), "planar", 2).report
     assert 0.3 < report.contraction < 1.0
+
+
+def test_readings_without_an_inverse_are_refused_with_the_remedy(monkeypatch):
+    """Two camera positions whose motions explain all that they see come to this, or not, by rounding."""
+
+    def singular(*_):
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(model_kinds, "fit_within", singular)
+    sentence = "the display captures of toy do not determine a planar model .*; add camera positions."
+    with pytest.raises(BadInputError, match=sentence):
+        fit_display(display_captures(positions_in_plane(2)), "planar")
 
 
 def test_point_per_pixel_recovers_an_image_that_crosses_infinity():

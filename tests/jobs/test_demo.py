@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
-from memo import memoised
+from memo import memoised, shared_folder
 
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.errors import BadInputError
@@ -17,9 +17,9 @@ FIT = "wlr_render.jobs.demo.calibrate"
 
 
 @pytest.fixture(scope="module")
-def fit_with_memo():
+def fit_with_memo(tmp_path_factory):
     """`calibrate`, which fits captures to a kind of model only once: a demo spends most of its time there."""
-    return memoised(calibrate)
+    return memoised(calibrate, shared_folder(tmp_path_factory))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow  # the session takes some twenty seconds to make
 
 def test_poses_and_models_are_off_by_what_they_state(calibrated_session, monkeypatch):
     """Exact numbers have no errors of the stage, which four camera positions hardly average."""
-    session, found = calibrated_session
+    session, found, _ = calibrated_session
     bench = session.bench
     monkeypatch.setattr(session_truth, "plan_photographs", small_plan)
     compared = session_truth.compare_with_truth(bench, found, 1)

@@ -1,0 +1,21 @@
+import pytest
+from memo import memoised
+
+
+def test_a_function_is_called_once_for_each_argument_whoever_asks(tmp_path):
+    calls = []
+
+    def doubled(number):
+        calls.append(number)
+        return 2 * number
+
+    one, other = (memoised(doubled, tmp_path) for _ in range(2))
+    assert [one(1), other(1), other(2)] == [2, 2, 4]
+    assert calls == [1, 2]
+
+
+def test_an_error_is_raised_for_everybody_who_asks(tmp_path):
+    divided = memoised(lambda number: 1 / number, tmp_path)
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            divided(0)
