@@ -182,10 +182,10 @@ def _tables(folder: Path, schema: Schema) -> list[Path]:
 
 
 def _table_path(folder: Path, schema: Schema) -> Path | None:
-    found = _tables(folder, schema)
-    if len(found) > 1:
-        raise BadInputError(f"{folder}: has both {found[0].name} and {found[1].name}; remove one.")
-    return found[0] if found else None
+    tables = _tables(folder, schema)
+    if len(tables) > 1:
+        raise BadInputError(f"{folder}: has both {tables[0].name} and {tables[1].name}; remove one.")
+    return tables[0] if tables else None
 
 
 def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], readings: dict[str, FloatArray]) -> None:

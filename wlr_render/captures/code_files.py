@@ -63,9 +63,9 @@ class CodeFiles:
             BadInputError: as `read_photograph`; or white is missing from a set of several exposures.
         """
         if not self.exposures_s:
-            each = read_each(self.paths, kind)
+            photographs = read_each(self.paths, kind)
             for files in self.pictures:
-                yield next(each) if files else None
+                yield next(photographs) if files else None
             return
         if not self.pictures[0]:
             folder = next(files[0].parent for files in self.pictures if files)
@@ -179,7 +179,7 @@ def _read_manifest(path: Path, order: str) -> tuple[str, dict[str, str], dict[st
 def _by_manifest(
     manifest: Path, folder: Path, roles: dict[str, str], stated: dict[str, float], names: Sequence[str]
 ) -> CodeFiles:
-    found: list[list[Path]] = [[] for _ in names]
+    by_role: list[list[Path]] = [[] for _ in names]
     for file, role in roles.items():
         path = inside_folder(folder, file, str(manifest))
         if role.strip().lower() == "unused":
@@ -192,19 +192,20 @@ def _by_manifest(
             )
         if not path.is_file():
             raise BadInputError(f"{manifest}: there is no {path}; correct its name, or remove it from the manifest.")
-        found[number].append(path)
-    counts = {len(files) for files in found if files}
+        by_role[number].append(path)
+    counts = {len(files) for files in by_role if files}
     if len(counts) != 1:
-        twice = next((n for n, files in enumerate(found) if len(files) > 1), 0)
+        twice = next((n for n, files in enumerate(by_role) if len(files) > 1), 0)
         raise BadInputError(
-            f"{manifest}: {len(found[twice])} files have the role '{names[twice]}', but others have another number; "
+            f"{manifest}: {len(by_role[twice])} files have the role '{names[twice]}', but others have another number; "
             "give each picture one file, or one of each exposure."
         )
     if counts == {1}:
-        _check_one_exposure([path for files in found for path in files])
-        return CodeFiles(tuple(map(tuple, found)))
+        _check_one_exposure([path for files in by_role for path in files])
+        return CodeFiles(tuple(map(tuple, by_role)))
     timed = [
-        sorted((_exposure_time(path, stated, str(path.relative_to(folder))), path) for path in files) for files in found
+        sorted((_exposure_time(path, stated, str(path.relative_to(folder))), path) for path in files)
+        for files in by_role
     ]
     times = {tuple(time for time, _ in files) for files in timed if files}
     if len(times) != 1:

@@ -48,7 +48,7 @@ def read_camera(table: Table, folder: Path) -> SessionCamera:
                 f"{_by(calibrated.size_px)}; give a lens of this size."
             )
     else:
-        file, calibrated = None, _known(table, size, lens)
+        file, calibrated = None, _stated_camera(table, size, lens)
     return SessionCamera(
         size, form, calibrated=calibrated, calibrated_sigma=_sigma(table, len(calibrated.values)), lens_file=file
     )
@@ -58,14 +58,14 @@ def _by(size: tuple[int, int]) -> str:
     return f"{size[0]} x {size[1]}"
 
 
-def _known(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
+def _stated_camera(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
     focal, centre = table.vector("focal_px", 2), table.vector("opencv_centre_px", 2)
     if np.any(focal <= 0):
         raise table.fail(f"'focal_px' is {focal.tolist()}; both must be above 0.")
     distortion = table.numbers("distortion") if table.has("distortion") else np.zeros(0)
-    known = LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, *_distortion(table, distortion, lens))
-    require_plausible_lens(table.where, known)
-    return known
+    camera = LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, *_distortion(table, distortion, lens))
+    require_plausible_lens(table.where, camera)
+    return camera
 
 
 def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray, str]:

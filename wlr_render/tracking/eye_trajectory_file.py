@@ -188,10 +188,10 @@ class _Header:
         """Return the value of a header key, one of `choices`."""
         value = self._values.get(key)
         if value not in choices:
-            found = "is missing" if value is None else f"is {shown(value)}"
+            problem = "is missing" if value is None else f"is {shown(value)}"
             remedy = f"it must be {' or '.join(choices)}"
             remedy += f": {_WANTED}" if key == "format" and value is None else ""
-            raise BadInputError(f"{self._path}: header '# {key}:' {found}; {remedy}.")
+            raise BadInputError(f"{self._path}: header '# {key}:' {problem}; {remedy}.")
         return value
 
     def numbers(self, key: str, count: int) -> list[float]:

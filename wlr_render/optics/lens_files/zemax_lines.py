@@ -49,8 +49,8 @@ class ZemaxReading:
     def numbered(self, surface: SurfaceLines, key: str) -> dict[int, float]:
         """Return the values of `PARM` or `XDAT`, by their number."""
         values = {}
-        for each, words, line in surface.lines:
-            if each == key:
+        for name, words, line in surface.lines:
+            if name == key:
                 place = self.number(words, 0, line, key)
                 if not 0 <= place <= MOST_NUMBERED:
                     raise BadInputError(f"{self.path}: line {line}: {key} has the number {place:g}; correct it.")
