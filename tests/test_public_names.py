@@ -34,7 +34,7 @@ def users_code():
     for path in sorted((ROOT / "examples" / "notebooks").glob("*.ipynb")):
         cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
         yield path.name, "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-    for path in sorted((ROOT / "docs").glob("*.md")):
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
         for number, block in enumerate(BLOCK.findall(path.read_text(encoding="utf-8"))):
             yield f"{path.name}-{number}", block
 
@@ -120,6 +120,7 @@ def code_only(source):
 def test_there_are_five_programs_of_at_most_nine_lines():
     assert len(PROGRAMS) == 5
     assert max(len(program.splitlines()) for program in PROGRAMS) <= 9
+    assert BLOCK.findall((ROOT / "README.md").read_text(encoding="utf-8")) == PROGRAMS
 
 
 @pytest.mark.parametrize("number", ARE_EXAMPLES)
