@@ -105,7 +105,7 @@ def test_trials_with_random_errors_are_repeated_and_pooled():
     assert pooled(study.repeated(noisy), Measure.FORWARD) == pytest.approx(np.sqrt(12.5))
 
 
-def test_a_study_does_not_depend_on_workers_and_is_resumed_and_has_its_own_eye_box(tmp_path):
+def test_a_study_does_not_depend_on_workers_and_is_resumed(tmp_path):
     first, second = (
         run(AccuracyOptions(("birdbath28",), **EXACT | {"workers": workers}, out=tmp_path / str(workers)))
         for workers in (1, 2)
