@@ -21,7 +21,7 @@ from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.jobs.budget import BudgetOptions
+from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.mappings import Eye
 from wlr_render.models.registration import right_and_up

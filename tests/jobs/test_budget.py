@@ -9,7 +9,8 @@ import pytest
 
 from wlr_render.calibration.bench.common_errors import SOURCES
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.budget import BudgetOptions, budget
+from wlr_render.jobs.budget import budget
+from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_models
 
 NO_TRACKER_ERRORS = {

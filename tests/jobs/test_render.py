@@ -13,7 +13,8 @@ from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
 from wlr_render.jobs import frame_drawing, sequence_record
-from wlr_render.jobs.budget import BudgetOptions, opened_with_sizes
+from wlr_render.jobs.budget import opened_with_sizes
+from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.demo import DemoOptions, demo
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
 from wlr_render.jobs.headset import open_eye

@@ -34,7 +34,7 @@ from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.jobs.budget import BudgetOptions
+from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.demo_picture import (
     Panorama,
     busiest_place,

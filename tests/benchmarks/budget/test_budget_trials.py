@@ -19,7 +19,7 @@ from benchmarks.kept_trials import kept_outcome
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
 from wlr_render.budget.statement import REGIONS
 from wlr_render.geometry import transforms
-from wlr_render.jobs.budget import BudgetOptions
+from wlr_render.jobs.budget_options import BudgetOptions
 
 SMALL = Truncation(1e-3)  # a covariance is never singular
 

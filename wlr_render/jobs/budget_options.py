@@ -1,0 +1,120 @@
+"""Options of `budget`."""
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from cyclopts import Group
+
+from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
+from wlr_render.errors import BadInputError
+from wlr_render.jobs import limits
+from wlr_render.jobs.options import Eyes, Options, described, flag_of
+from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M
+
+_GAZE_SCATTER_DEG, _GAZE_MEDIAN_DEG, _MEDIAN_OF_RAYLEIGH = 0.20, 0.84, 1.177
+_PUPIL_MM_PER_DEG = 1e3 * PUPIL_DISTANCE_M * np.pi / 180
+_HEAD_DEG_S = 15.0
+
+PerAxisMm = tuple[float, ...]
+_EYE = Group("Eye tracking", sort_key=1)
+_HEAD = Group("Head tracking", sort_key=2)
+_DRAWING = Group("Drawing", sort_key=3)
+
+
+@dataclass(frozen=True)
+class BudgetOptions(Options):
+    """Options of `budget`. Where the default sizes come from: docs/budget.md."""
+
+    headset: Annotated[str, described("A model file; of a device, the budget of its trackers alone.")]
+    _: KW_ONLY
+    eye: Annotated[Eyes, described("Eyes; both: disparity, too.")] = "right"
+    depth_m: Annotated[float, described("Depth of the real points in metres."), limits.DEPTH_M] = 1.0
+    eye_noise_mm: Annotated[
+        PerAxisMm,
+        described("Noise of the tracked eye position in mm, one sigma per axis, or x y z.", many=True, group=_EYE),
+        limits.TRACKING_MM,
+    ] = (round(_GAZE_SCATTER_DEG * _PUPIL_MM_PER_DEG, 2),)
+    eye_bias_mm: Annotated[
+        PerAxisMm,
+        described(
+            "Constant error of the tracked eye position in mm, one sigma over wearers, or x y z.", many=True, group=_EYE
+        ),
+        limits.TRACKING_MM,
+    ] = (round(_GAZE_MEDIAN_DEG / _MEDIAN_OF_RAYLEIGH * _PUPIL_MM_PER_DEG, 2),)
+    eye_latency_ms: Annotated[
+        float,
+        described("Latency of eye tracking in ms, less what prediction makes up for.", group=_EYE),
+        limits.LATENCY_MS,
+    ] = 45.0
+    eye_speed_mm_s: Annotated[
+        float, described("Speed of the pupil in mm/s, rms per axis, x and y.", group=_EYE), limits.PUPIL_MM_S
+    ] = round(_HEAD_DEG_S * _PUPIL_MM_PER_DEG, 1)
+    head_noise_deg: Annotated[
+        float,
+        described("Noise of the head's rotation in degrees, one sigma per axis.", group=_HEAD),
+        limits.TRACKING_DEG,
+    ] = 0.02
+    head_noise_mm: Annotated[
+        float, described("Noise of the head's position in mm, one sigma per axis.", group=_HEAD), limits.TRACKING_MM
+    ] = 0.5
+    head_latency_ms: Annotated[
+        float,
+        described("Latency of head tracking in ms, less what prediction and late warp make up for.", group=_HEAD),
+        limits.LATENCY_MS,
+    ] = 2.0
+    head_speed_deg_s: Annotated[
+        float, described("Angular speed of the head in degrees/s, rms per axis.", group=_HEAD), limits.HEAD_DEG_S
+    ] = _HEAD_DEG_S
+    head_speed_m_s: Annotated[
+        float, described("Speed of the head in m/s, rms per axis.", group=_HEAD), limits.HEAD_M_S
+    ] = 0.1
+    raster_arcmin: Annotated[
+        float,
+        described("Error of a raster frame against a ray-traced one, in arcmin.", group=_DRAWING),
+        limits.ANGLE_ARCMIN,
+    ] = 0.004
+    whole_pixels: Annotated[
+        bool, described("Count edges that lie on whole pixels, as drawn without filter.", flag=True, group=_DRAWING)
+    ] = False
+    camera_frame: Annotated[
+        bool,
+        described(
+            "Head poses and pupils come in the frame of the tracking camera of the calibration, with its stated pose: "
+            "an error of that pose then cancels.",
+            flag=True,
+            group=_HEAD,
+        ),
+    ] = False
+    out: Annotated[Path, described("Output folder.")] = Path("out/budget")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("eye_noise_mm", "eye_bias_mm"):
+            if len(getattr(self, name)) not in (1, 3):
+                flag, count = flag_of(type(self), name), len(getattr(self, name))
+                raise BadInputError(f"{flag} has {count} values; give one for all axes, or x y z.")
+
+    def sizes(self, warp_grid_arcmin: float, truncation: Truncation) -> ErrorSizes:
+        """All sizes, in the package's units."""
+        speed = 1e-3 * self.eye_speed_mm_s
+        return ErrorSizes(
+            EyeTracker(
+                _per_axis(self.eye_noise_mm), _per_axis(self.eye_bias_mm), 1e-3 * self.eye_latency_ms, (speed, speed, 0)
+            ),
+            HeadTracker(
+                float(np.deg2rad(self.head_noise_deg)),
+                1e-3 * self.head_noise_mm,
+                1e-3 * self.head_latency_ms,
+                float(np.deg2rad(self.head_speed_deg_s)),
+                self.head_speed_m_s,
+            ),
+            Drawing(warp_grid_arcmin, self.raster_arcmin, self.whole_pixels),
+            truncation,
+        )
+
+
+def _per_axis(mm: PerAxisMm) -> PerAxis:
+    x, y, z = (1e-3 * each for each in (mm * 3 if len(mm) == 1 else mm))
+    return x, y, z
