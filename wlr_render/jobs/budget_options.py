@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from cyclopts import Group
 
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
-from wlr_render.jobs.options import Eyes, Options, described, flag_of
+from wlr_render.jobs.options import Eyes, Options, described, flag_of, option_group
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M
 
 _GAZE_SCATTER_DEG, _GAZE_MEDIAN_DEG, _MEDIAN_OF_RAYLEIGH = 0.20, 0.84, 1.177
@@ -18,9 +17,9 @@ _PUPIL_MM_PER_DEG = 1e3 * PUPIL_DISTANCE_M * np.pi / 180
 _HEAD_DEG_S = 15.0
 
 PerAxisMm = tuple[float, ...]
-_EYE = Group("Eye tracking", sort_key=1)
-_HEAD = Group("Head tracking", sort_key=2)
-_DRAWING = Group("Drawing", sort_key=3)
+_EYE = option_group("Eye tracking", 1)
+_HEAD = option_group("Head tracking", 2)
+_DRAWING = option_group("Drawing", 3)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from cyclopts import Group
 
 from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench
@@ -23,13 +22,13 @@ from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import Options, ProgressArgument, Range, described
+from wlr_render.jobs.options import Options, ProgressArgument, Range, described, option_group
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report, Section
 from wlr_render.report.save import save_report
 
-_BENCH = Group("Bench to compare with", sort_key=1)
-_CAUSES = Group("Causes", sort_key=2)
+_BENCH = option_group("Bench to compare with", 1)
+_CAUSES = option_group("Causes", 2)
 
 
 @dataclass(frozen=True)

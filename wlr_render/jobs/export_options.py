@@ -5,17 +5,16 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from cyclopts import Group
 
 from wlr_render.errors import BadInputError
 from wlr_render.exports.formats import FormatName, format_of
 from wlr_render.jobs import limits
-from wlr_render.jobs.options import Eyes, Options, Range, described, described_size
+from wlr_render.jobs.options import Eyes, Options, Range, described, described_size, option_group
 from wlr_render.numerics.arrays import FloatArray
 
-_PUPIL = Group("Pupil positions", sort_key=1)
-_COLOURS = Group("Colours", sort_key=2)
-_SOURCE = Group("Source picture", sort_key=3)
+_PUPIL = option_group("Pupil positions", 1)
+_COLOURS = option_group("Colours", 2)
+_SOURCE = option_group("Source picture", 3)
 _FRAMES_PER_SECOND = 30.0
 _POSITION, _POSITIONS = 3, 6
 """Numbers of a pupil position, and of those of both eyes."""

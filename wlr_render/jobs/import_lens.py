@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from cyclopts import Group
 
 from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import EyeName, Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.options import EyeName, Options, ProgressArgument, Range, described, described_size, option_group
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import device_of
 from wlr_render.optics.device_writer import device_content, save_device
@@ -32,8 +31,8 @@ _MOST_NAMED = 8  # surfaces in one sentence
 _SIDE_MM = Range(at_least=0.1, at_most=200, unit="millimetres")
 _NUMBER = Range(at_least=0, at_most=1000)
 _PLACE_MM = Range(at_least=-1000, at_most=1000, unit="millimetres")
-_HEADSET = Group("Headset", sort_key=1)
-_FILE = Group("Reading of the file", sort_key=2)
+_HEADSET = option_group("Headset", 1)
+_FILE = option_group("Reading of the file", 2)
 
 
 @dataclass(frozen=True)

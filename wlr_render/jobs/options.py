@@ -89,6 +89,11 @@ def described(
     return stated if group is None else Parameter.combine(stated, Parameter(group=group))
 
 
+def option_group(title: str, order: int) -> Group:
+    """Return a heading for options in --help; groups stand there by `order`, below the options without one."""
+    return Group(title, sort_key=order)
+
+
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Options:
@@ -244,7 +249,7 @@ ProgressArgument = Annotated[Progress, Parameter(parse=False)]
 Code = Literal["gray", "fringes", "gray-fringes"]
 EyeName = Literal["left", "right"]
 Eyes = Literal["left", "right", "both"]
-WORK = Group("Work", sort_key=99)
+WORK = option_group("Work", 99)
 """Group of the options that say who does the work."""
 Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],

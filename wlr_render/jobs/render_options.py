@@ -4,8 +4,6 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import Group
-
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import (
@@ -19,14 +17,15 @@ from wlr_render.jobs.options import (
     Seed,
     SpreadOptions,
     described,
+    option_group,
 )
 from wlr_render.jobs.pack import Layout
 from wlr_render.rendering.frame_layers import Layer
 
-_MOTION = Group("Motion", sort_key=1)
-_DRAWING = Group("Drawing", sort_key=2)
-_COLOURS = Group("Colours", sort_key=3)
-_ALSO = Group("Further files", sort_key=4)
+_MOTION = option_group("Motion", 1)
+_DRAWING = option_group("Drawing", 2)
+_COLOURS = option_group("Colours", 3)
+_ALSO = option_group("Further files", 4)
 
 
 @dataclass(frozen=True)

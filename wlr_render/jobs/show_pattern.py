@@ -11,8 +11,6 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import Group
-
 from wlr_render.atomic_files import output_folder
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import PAGE, write_show_page
@@ -23,7 +21,16 @@ from wlr_render.finished_files import FinishedFiles, digest_of
 from wlr_render.input_files import shown
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job, require_unlisted
-from wlr_render.jobs.options import Code, OnlyWith, Options, ProgressArgument, Range, described, described_size
+from wlr_render.jobs.options import (
+    Code,
+    OnlyWith,
+    Options,
+    ProgressArgument,
+    Range,
+    described,
+    described_size,
+    option_group,
+)
 from wlr_render.jobs.simulate import retaken_warnings
 from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT, Progress
@@ -31,7 +38,7 @@ from wlr_render.report.blocks import Report
 
 _LOOK_S = 0.1
 _STABLE_S = 0.4  # camera programs write a file within one transfer; none pauses for so long
-_CAMERA = Group("Photographs", sort_key=1)
+_CAMERA = option_group("Photographs", 1)
 _BLACK_S = 2.0  # longest wait for a black page at the end
 Suffix = Literal[".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".npy", ".dng"]
 

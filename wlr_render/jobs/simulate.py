@@ -5,8 +5,6 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from cyclopts import Group
-
 from wlr_render.input_files import LIMITS
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
@@ -21,6 +19,7 @@ from wlr_render.jobs.options import (
     Workers,
     described,
     described_size,
+    option_group,
 )
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
@@ -30,9 +29,9 @@ from wlr_render.simulation.photographs.photo_plan import unreadable_targets
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
 
-_PLACES = Group("Photographs", sort_key=1)
-_CAMERAS = Group("Cameras", sort_key=2)
-_ERRORS = Group("Errors of the bench", sort_key=3)
+_PLACES = option_group("Photographs", 1)
+_CAMERAS = option_group("Cameras", 2)
+_ERRORS = option_group("Errors of the bench", 3)
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,6 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import Group
-
 from wlr_render.calibration.fit_eye import KINDS_BY_PRESCRIPTION, Calibration, KindComparison, calibrate, fit_kinds
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.photo_session import CHANNELS
@@ -17,7 +15,17 @@ from wlr_render.captures.photo_session_file import FILE as PHOTO_SESSION
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import is_model
-from wlr_render.jobs.options import SEEDS, WORKERS, Degree, Eyes, Options, SpreadOptions, described, flag_of
+from wlr_render.jobs.options import (
+    SEEDS,
+    WORKERS,
+    Degree,
+    Eyes,
+    Options,
+    SpreadOptions,
+    described,
+    flag_of,
+    option_group,
+)
 from wlr_render.models.model_file import add_eye_models, load_eye_models, remove_eye_models
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
@@ -29,10 +37,10 @@ RESULTS = (("captures", ".npz"), ("station", ".json"))
 """Kinds and suffixes of the files KIND-EYE of a calibration from photographs."""
 
 
-_FIT = Group("Fit", sort_key=1)
-_PHOTOGRAPHS = Group("Session of photographs", sort_key=2)
-_BENCH = Group("Bench session", sort_key=3)
-_DEVICE = Group("Device, whose captures are simulated", sort_key=4)
+_FIT = option_group("Fit", 1)
+_PHOTOGRAPHS = option_group("Session of photographs", 2)
+_BENCH = option_group("Bench session", 3)
+_DEVICE = option_group("Device, whose captures are simulated", 4)
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,6 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Group
-
 from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
@@ -22,6 +20,7 @@ from wlr_render.jobs.options import (
     described,
     described_size,
     flag_of,
+    option_group,
 )
 from wlr_render.jobs.plan.next_places import plan_next_places
 from wlr_render.jobs.plan.plan_report import places_csv, plan_report
@@ -36,8 +35,8 @@ from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
-_BENCH = Group("Bench", sort_key=1)
-_ADD = Group("Places to add to a calibration", sort_key=2)
+_BENCH = option_group("Bench", 1)
+_ADD = option_group("Places to add to a calibration", 2)
 _USUAL, _READINGS = BenchImperfections(), ReadingOptions()
 PLACES_FILE = "places.csv"
 
