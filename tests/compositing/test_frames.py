@@ -183,6 +183,7 @@ def grown_bytes(run, first, middle, last):
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_frames_leave_nothing_behind(compositor, gl_context):
     if gl_context.backend != "egl":
         pytest.skip("EGL does not open here, so that there is no other context to adopt.")
