@@ -42,6 +42,7 @@ def composed(compositor, model):
 
 @pytest.mark.parametrize("context", CONTEXTS)
 @pytest.mark.parametrize("kind", ["planar", "flat image"])
+@pytest.mark.slow
 def test_three_models_alike_are_one(compositor, flat_image_headset, context, kind):
     model = planar() if kind == "planar" else flat_image_headset
     one, three = (compositor({"right": given}, context=context) for given in (model, [model] * 3))

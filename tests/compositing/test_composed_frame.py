@@ -45,6 +45,7 @@ def compared(compositor, renderer, mappings, seen, corrected=True):
 
 
 @pytest.mark.parametrize("context", CONTEXTS)
+@pytest.mark.slow
 def test_it_shows_what_the_exact_rays_meet(compositor, renderer, headset, context):
     composed = compositor(headset, context=context)
     misplaced, colour = compared(composed, renderer, headset, (HEAD, viewpoint(headset)))
@@ -54,6 +55,7 @@ def test_it_shows_what_the_exact_rays_meet(compositor, renderer, headset, contex
 
 
 @pytest.mark.gl
+@pytest.mark.slow
 def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor, renderer):
     composed = compositor(planar(), (300, 330), context="egl")
     chosen = composed.plan("right").warp_grid

@@ -55,6 +55,7 @@ def test_a_stronger_curvature_needs_a_denser_grid(toy_headset):
 
 
 @pytest.mark.parametrize("device", ["northstar", "freeform40"])
+@pytest.mark.slow
 def test_the_bound_holds_at_other_pixels_and_viewpoints(device):
     eye = fitted_eye(device, 5)
     axes, rng = middle_axes(eye), np.random.default_rng(8)

@@ -201,6 +201,7 @@ def test_a_version_below_is_refused_and_stays_usable(caller):
     assert told.count("The OpenGL context has version 3.3, the renderer needs 4.1: ask for a 4.1 core profile") == 2
 
 
+@pytest.mark.slow
 def test_a_context_of_version_4_1_is_adopted(caller):
     script = """
         import moderngl, gl_scenes, numpy as np
@@ -227,6 +228,7 @@ def test_a_context_of_version_4_1_is_adopted(caller):
     assert run(script, **environment) == "composed\n"
 
 
+@pytest.mark.slow
 def test_inside_a_plain_pyrender_program(gl_context):
     script = """
         import pyglet

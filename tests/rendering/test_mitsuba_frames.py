@@ -38,6 +38,7 @@ def with_one_light(scene, light):
 
 
 @pytest.mark.parametrize("name", ["sculpture", "desk"])
+@pytest.mark.slow
 def test_hits_are_those_of_embree(mitsuba, name):
     scene = load_scene(name)
     origin, direction = fan_of_rays()
@@ -54,6 +55,7 @@ def test_hits_are_those_of_embree(mitsuba, name):
 
 
 @pytest.mark.parametrize("name", ["sculpture", "desk"])
+@pytest.mark.slow
 def test_under_one_light_the_picture_is_ours_with_shadows_but_for_their_edges(mitsuba, name):
     """Textures, vertex colours, their product, smooth normals, turned placements, both kinds of light."""
     origin, direction = fan_of_rays()
