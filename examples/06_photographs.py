@@ -11,11 +11,11 @@ from wlr_render.geometry import Pinhole, dir_of_tangents
 eye, rng = wlr.open_eye("birdbath28", "right"), np.random.default_rng(1)
 camera = Pinhole(320, 256, np.array([-0.4, -0.32]), np.array([0.4, 0.32]))
 view_dir = dir_of_tangents(camera.pixel_centre_tangents())
-seen = eye.display.pixel_of_view_dir(view_dir, eye.eye_box.centre).value.astype(np.float32)  # NaN beside the panel
+seen = eye.display.pixel_of_view_dir(view_dir, eye.eye_box.centre).value.astype(np.float32)  # NaN outside the panel
 
 
 def photograph(picture):
-    """What the camera sees while the panel shows a picture: darker, with noise, and in 8 bits."""
+    """Photograph the panel while it shows a picture: darker, with noise, and in 8 bits."""
     light = 0.8 * cv2.remap(picture.astype(np.float32), *np.moveaxis(seen - 0.5, -1, 0), cv2.INTER_LINEAR)
     return np.clip(np.nan_to_num(light) + 8 + rng.normal(0.0, 1.0, light.shape), 0, 255).astype(np.uint8)
 

@@ -60,5 +60,5 @@ for eye, picture in panels.items():
 # Without a copy to the CPU, pyrender draws in the compositor's context instead of in an OffscreenRenderer:
 #     drawing = PyrenderDrawing(compositor.context, scene, camera_node)
 #     compositor.submit(drawing.draw_on_gpu(wanted.view, eye), eye=eye)
-# Its depth is that of the pixel centres. On EGL, OffscreenRenderer has the depth of the first of four samples, 0.4 px
-# from the centre, which is visible at silhouettes; its depth with RenderFlags.SEG is correct there.
+# It reads depth at the pixel centres. On EGL, OffscreenRenderer reads depth at the first of four samples, 0.4 px off
+# the centre, which is visible at silhouettes; with RenderFlags.SEG its depth is correct there.

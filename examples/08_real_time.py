@@ -10,7 +10,7 @@ from wlr_render.engine import DepthKind, eye_motion, head_motion
 from wlr_render.files import write_png
 
 SIZE, FRAMES, RATE_HZ, NEAR_M = (360, 400), 30, 90.0, 0.05
-TO_FIRST_ROW_S, SCAN_OUT_S = 0.010, 0.008  # from drawing to the panel's first row, and from its first row to its last
+TO_FIRST_ROW_S, SCAN_OUT_S = 0.010, 0.008  # latency of the panel's first row; time from its first row to its last
 
 # The engine: cubes on a grid, drawn with its own shader.
 VERTEX = """
@@ -31,7 +31,7 @@ CUBE = [0, 2, 1, 1, 2, 3, 4, 5, 6, 5, 7, 6, 0, 1, 4, 1, 5, 4, 2, 6, 3, 3, 6, 7, 
 ctx = moderngl.create_context(standalone=True, backend="egl", require=410)
 program = ctx.program(VERTEX, FRAGMENT)
 cubes = ctx.vertex_array(program, [], index_buffer=ctx.buffer(np.array(CUBE, np.uint32)))
-panel = ctx.framebuffer([ctx.texture(SIZE, 4)])  # in place of a headset's swap chain
+panel = ctx.framebuffer([ctx.texture(SIZE, 4)])  # replaces a headset's swap chain
 
 eye = wlr.open_eye("northstar")  # or your model.json
 centre, duration_s = eye.eye_box.centre, FRAMES / RATE_HZ + 0.1
@@ -76,5 +76,5 @@ print(f"{compositor.renderer}: {FRAMES} frames; {tracker.counts.sentence}; {unso
 print("milliseconds per frame, 50, 95, 99 %:", *np.percentile(milliseconds, [50, 95, 99]).round(1))
 draw(wanted)
 left_alone = picture.read() == before and ctx.error == "GL_NO_ERROR"
-print("OpenGL state of its own was", "left alone" if left_alone else "CHANGED")
+print("OpenGL state of the engine was", "left alone" if left_alone else "CHANGED")
 compositor.release()

@@ -3,8 +3,8 @@
     python 10_openxr.py              poses of a headless session (XR_MND_headless); this program drives the panels
     python 10_openxr.py swap-chain   composes into the runtime's swap chain (XR_MNDX_egl_enable); needs no window
 
-Writes what the runtime locates to recording.jsonl, which `wlr-render render --head recording.jsonl --eye-track
-recording.jsonl` draws again.
+Writes the poses that the runtime locates to recording.jsonl; draw them again with `wlr-render render --head
+recording.jsonl --eye-track recording.jsonl`.
 
 Needs the extra `xr` and a running OpenXR runtime: docs/openxr.md has one with a simulated headset.
 """
@@ -89,12 +89,12 @@ def egl_binding():
 
 
 def rigid(pose):
-    """(4, 4) of an XrPosef, whose float32 quaternion is not quite of length 1."""
+    """Matrix (4, 4) of an XrPosef; normalises its float32 quaternion."""
     return transforms.rigid(transforms.rotation_of_quaternion(list(pose.orientation)), np.array(list(pose.position)))
 
 
 class Runtime:
-    """The session, and what it tracks."""
+    """An OpenXR session with its head, eye and gaze tracking."""
 
     def __init__(self):
         wanted = ["XR_MNDX_egl_enable", "XR_KHR_opengl_enable"] if SWAP_CHAIN else ["XR_MND_headless"]
@@ -123,7 +123,7 @@ class Runtime:
         self._begin()
 
     def _gaze_action(self, system):
-        """(action set, action, space), or None where the headset has no eye tracker."""
+        """Return action set, action and space of the gaze, or None if the headset has no eye tracker."""
         property_of_gaze = xr.SystemEyeGazeInteractionPropertiesEXT()
         chained = ctypes.cast(ctypes.pointer(property_of_gaze), ctypes.c_void_p)
         properties = xr.SystemProperties(next=chained)
@@ -199,7 +199,7 @@ class Runtime:
             yield {"time": int(at), "space": space, "base_space": base_space, **located}
 
     def eye_models(self, at):
-        """By eye, an eye that turns: the runtime's view poses are where pupils are that look ahead."""
+        """Return the turning eye model of each eye; the runtime's view poses locate the pupils that look ahead."""
         _, views = xr.locate_views(self.session, xr.ViewLocateInfo(STEREO, at, self.view))
         places = (transforms.apply(device_from_view, rigid(view.pose)[:3, 3]) for view in views)
         return {eye: wlr.RotatingEye.looking_ahead_from(place) for eye, place in zip(models, places, strict=True)}
@@ -222,7 +222,7 @@ class Runtime:
 
     @property
     def tracks_gaze(self):
-        """Whether the headset has an eye tracker."""
+        """True if the headset has an eye tracker."""
         return self._gaze is not None
 
 
@@ -247,7 +247,7 @@ class SwapChains:
         return at
 
     def acquired(self):
-        """By eye, the OpenGL name of the texture to draw to."""
+        """Return the OpenGL name of the texture to draw to, by eye."""
         names = {}
         for eye, chain in self.chains.items():
             index = xr.acquire_swapchain_image(chain, xr.SwapchainImageAcquireInfo())
@@ -256,7 +256,7 @@ class SwapChains:
         return names
 
     def end(self, at):
-        """Hand the images over, as one projection layer with the runtime's own poses and fields of view."""
+        """Submit the images as one projection layer with the runtime's own poses and fields of view."""
         session, space = self._runtime.session, self._runtime.world
         for chain in self.chains.values():
             xr.release_swapchain_image(chain, xr.SwapchainImageReleaseInfo())
@@ -282,9 +282,9 @@ try:
 except (xr.exception.RuntimeUnavailableError, xr.exception.RuntimeFailureError) as error:
     raise SystemExit(f"no OpenXR runtime answers; start one, e.g. monado-service ({error})") from None
 chains = SwapChains(runtime) if SWAP_CHAIN else None
-panels = {eye: ctx.framebuffer([ctx.texture(SIZE, 4)]) for eye in models}  # in place of a display of our own
+panels = {eye: ctx.framebuffer([ctx.texture(SIZE, 4)]) for eye in models}  # framebuffers that replace a display
 boxes = {eye: each.eye_box.centre for eye, each in models.items()}
-synthetic = eye_motion(boxes, seed=3)  # stands in where no eye is tracked
+synthetic = eye_motion(boxes, seed=3)  # used if the headset does not track eyes
 filters = {eye: wlr.ViewpointFilter(centre) for eye, centre in boxes.items()}
 heads, pose_ms, frame_ms, started = [], [], [], None
 recording = [{"format": "wlr-openxr-recording", "version": 1, "device_from_view": device_from_view.tolist()}]
@@ -309,7 +309,7 @@ for number in range(FRAMES):
     else:
         newest = {"pose": runtime.head_pose(at), "pose_at_last_row": runtime.head_pose(at + SCAN_OUT_NS)}
         compositor.compose(into=panels, **newest)
-    compositor.finish()  # for the times below; OpenXR does not demand it
+    compositor.finish()  # only the times below need it, OpenXR does not
     if chains and number == FRAMES - 1:
         newest = runtime.head_pose(at)
         compositor.compose(into={eye: TextureLayer(name) for eye, name in names.items()}, pose=newest)

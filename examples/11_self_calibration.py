@@ -1,4 +1,4 @@
-"""A headset slips on the head; five clicks on known points restore the alignment of what is drawn."""
+"""A headset slips on the head; five clicks on known points restore the alignment of the pictures."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ truth, rng = wlr.open_eye("birdbath28"), np.random.default_rng(1)
 models = wlr.calibrate(wlr.simulate(truth, grid=(17, 15))).mappings
 
 pupil = truth.eye_box.centre + [1.0e-3, 0.5e-3, 0.0]
-tracked = pupil + [1.5e-3, -1.0e-3, 0.8e-3]  # what the eye tracker reports after the slip
+tracked = pupil + [1.5e-3, -1.0e-3, 0.8e-3]  # the eye tracker's report after the slip
 
 
 def points(count: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The panel's rays in NVIDIA Warp, on a GPU or the CPU: a kernel of your own with the ray of each display pixel."""
+"""The panel's rays in NVIDIA Warp, on a GPU or the CPU: your kernel gets the ray of each display pixel."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def nearest(
     ray = warp.tid()
     found = warp.mesh_query_ray(mesh, origin[ray], direction[ray], FARTHEST_M)
     if found.result:
-        # The triangle's plane again, in 64 bits: those of the query are 32, whose rounding grazing rays multiply.
+        # The triangle's plane is intersected again in 64 bits: grazing rays amplify the rounding of the 32-bit query.
         a = warp.vec3d(warp.mesh_get_point(mesh, 3 * found.face))
         b = warp.vec3d(warp.mesh_get_point(mesh, 3 * found.face + 1))
         c = warp.vec3d(warp.mesh_get_point(mesh, 3 * found.face + 2))

@@ -34,9 +34,9 @@ shader panel_camera(string ray_map = "", string between_pixels = "linear",
 
 
 def add_camera(rays, world_from_device, folder, between_pixels="linear"):
-    """Make the scene's camera that of a ray map; with "closest" all samples of a pixel have the ray of its centre.
+    """Give the scene a camera with the rays of a ray map; with "closest", all samples of a pixel use its centre's ray.
 
-    The scene has the axes of our world, y up. The camera reads `folder`/ray_map.exr when it renders.
+    The scene has the axes of the world frame, y up. The camera reads `folder`/ray_map.exr when it renders.
     """
     import _cycles  # part of bpy
 
@@ -57,7 +57,7 @@ def add_camera(rays, world_from_device, folder, between_pixels="linear"):
 
 
 def add_objects(scene):
-    """A scene of ours in Blender's own grey; your .blend file has materials of its own."""
+    """Add the objects of a wlr_render scene in Blender's default grey; your .blend file brings its own materials."""
     for instance in scene.instances:
         mesh, data = scene.mesh_of(instance), bpy.data.meshes.new(instance.name)
         data.from_pydata(mesh.position, [], mesh.triangles)

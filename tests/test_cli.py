@@ -245,7 +245,7 @@ def test_an_old_name_of_a_verb_is_answered_with_the_new_one(old, new, capsys):
 
 def test_an_argument_too_many_is_refused(capsys):
     assert refused(["trace", "northstar", "desk"], capsys) == (
-        "wlr-render: Unexpected argument 'desk'; add --help to see what this verb takes."
+        "wlr-render: Unexpected argument 'desk'; add --help for the arguments of this verb."
     )
 
 
@@ -259,7 +259,7 @@ def test_an_argument_too_many_is_refused(capsys):
     ],
 )
 def test_a_missing_argument_is_called_missing(arguments, needs, capsys):
-    assert refused(arguments, capsys) == f"wlr-render: {needs}; add --help to see what this verb takes."
+    assert refused(arguments, capsys) == f"wlr-render: {needs}; add --help for the arguments of this verb."
 
 
 def test_an_option_without_its_value_is_named(capsys):

@@ -28,7 +28,7 @@ WORDS_AND_FILES = {
     "05_diagnose": ("Explained: printed size of the target", {"out"}),
     "06_photographs": ("median decoding error 0.00", set()),
     "07_plug_into_pyrender": ("right eye: the drawn dot appears 0.", {"left.png", "right.png"}),
-    "08_real_time": ("OpenGL state of its own was left alone", {"panel.png"}),
+    "08_real_time": ("OpenGL state of the engine was left alone", {"panel.png"}),
     "09_own_warp": ("99 % of the pixels within 1, 0.0", {"panel.png"}),
     "11_self_calibration": ("arcmin rms; wrong clicks: (2,)", set()),
     "12_open3d": ("the middle pixel shows: ", {"distance.png"}),

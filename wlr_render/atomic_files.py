@@ -1,9 +1,9 @@
 """Paths of shipped files, and atomic writing of every output.
 
-Every output is encoded in memory, goes to a temporary name in the same folder, is flushed to the disk, and is then
+Every output is encoded in memory, written under a temporary name in the same folder, flushed to the disk, and then
 renamed: readers never find a partial file, and a full disk or a failed run leaves the old file in place. The writer
-locks its temporary file, and a lock ends with its process: unlocked temporary files belong to
-killed runs, and the next run removes them.
+locks its temporary file, and a lock ends with its process: an unlocked temporary file belongs to a killed run, and the
+next run removes it.
 """
 
 import contextlib
@@ -36,9 +36,9 @@ _PACKAGE = Path(__file__).resolve().parent
 _PART = ".wlr-part-"
 """Start of the names of temporary files."""
 NO_DETOUR = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-"""Flags that open neither a link, which may lead to any file, nor wait for the other end of a pipe."""
+"""Flags that refuse to follow a link, which may lead to any file, and do not wait for the other end of a pipe."""
 _LOCK = ".wlr-render.lock"
-"""File that the run that writes into a folder has locked."""
+"""File that a run locks while it writes into a folder."""
 
 
 def _umask() -> int:
@@ -72,7 +72,7 @@ def named_or_path(folder: str, spec: str | Path) -> Path:
     """Return the path of a shipped file by its name, or of any file by its path.
 
     Raises:
-        BadInputError: there is no such file; the sentence lists the shipped names.
+        BadInputError: the file does not exist; the message lists the shipped names.
     """
     path = Path(spec)
     names = shipped_names(folder, ".toml")
@@ -101,12 +101,12 @@ def output_folder(path: str | Path) -> Path:
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInputError(f"{folder}: cannot write to this output folder ({reason}); choose another.") from error
-    if not cluster.is_cluster_worker:  # the locks of other machines' files may not be seen here
+    if not cluster.is_cluster_worker:  # locks of other machines may be invisible here
         remove_abandoned(folder.resolve())
     return folder
 
 
-@functools.cache  # once in a process: a folder may hold many files
+@functools.cache  # once per process: a folder may contain many files
 def remove_abandoned(folder: Path) -> None:
     """Remove the temporary files of killed runs."""
     for path in folder.glob(f"{_PART}*"):
@@ -116,11 +116,11 @@ def remove_abandoned(folder: Path) -> None:
 
 
 def _lock(handle: int) -> None:
-    """Lock an open file until it is closed, or until this process ends in whatever way.
+    """Lock an open file until it is closed or this process ends.
 
     Raises:
         BlockingIOError: it is locked already.
-        OSError: this system, or this file system, has no such locks.
+        OSError: the operating system or the file system does not support locks.
     """
     if sys.platform == "win32":
         raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
@@ -129,19 +129,19 @@ def _lock(handle: int) -> None:
 
 @contextlib.contextmanager
 def locked_folder(path: str | Path, run: str) -> Iterator[None]:
-    """Context manager in which no other run can write into an output folder, which is created if necessary.
+    """Lock an output folder against other runs within a `with` block; create it if necessary.
 
-    At the end a folder that was created here is removed if it is empty.
+    At the end, a folder created here is removed if it is empty.
 
     Args:
         path: the folder.
-        run: name of this run, which another one is refused with.
+        run: name of this run in the error message of another run.
 
     Raises:
         BadInputError: the folder cannot be written, or another run has locked it.
     """
     folder = Path(path)
-    created = [each for each in (folder, *folder.parents) if not each.exists()]
+    created = [parent for parent in (folder, *folder.parents) if not parent.exists()]
     lock = output_folder(folder) / _LOCK
     with disk_errors(lock):
         handle = _locked(lock)
@@ -155,12 +155,12 @@ def locked_folder(path: str | Path, run: str) -> Iterator[None]:
             lock.unlink()
         os.close(handle)
         with contextlib.suppress(OSError):
-            for each in created:
-                each.rmdir()
+            for parent in created:
+                parent.rmdir()
 
 
 def _locked(lock: Path) -> int:
-    """Handle of the locked file of a folder, made anew until it is the one that the folder holds."""
+    """Open and lock the lock file of a folder; repeat if another run removes the file before it is locked."""
     while True:
         handle = os.open(lock, os.O_RDWR | os.O_CREAT | NO_DETOUR, _FILE_MODE)
         try:
@@ -172,17 +172,17 @@ def _locked(lock: Path) -> int:
                 f"{lock.parent}: {run} is writing into this folder; wait until it has ended, or choose another folder."
             ) from error
         except OSError:
-            pass  # without locks the user has to see to it
+            pass  # without locks the user must separate the runs
         if os.fstat(handle).st_nlink:
             return handle
-        os.close(handle)  # the run before removed it after we had opened it
+        os.close(handle)  # an earlier run removed the file after it was opened here
 
 
 @contextlib.contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
-    """Context manager for a temporary path, which is renamed to `path` if the block ends without an error.
+    """Yield a temporary path, which is renamed to `path` if the `with` block ends without an error.
 
-    For encoders that need a path, such as video encoders. `write_bytes` writes everything else.
+    Meant for encoders that need a path, such as video encoders; use `write_bytes` for everything else.
 
     Raises:
         BadInputError: the folder cannot be written, or the file cannot be flushed.
@@ -204,7 +204,11 @@ def written_whole(path: str | Path) -> Iterator[Path]:
 
 
 def _locked_temporary(target: Path) -> tuple[int, Path]:
-    """Handle and path of a new file next to `target`; another process may have removed it before it was locked."""
+    """Create and lock a file next to `target`; repeat if another process removes the file before it is locked.
+
+    Returns:
+        Handle and path of the file.
+    """
     while True:
         handle, name = tempfile.mkstemp(prefix=_PART, suffix=target.suffix, dir=target.parent)
         try:
@@ -213,7 +217,7 @@ def _locked_temporary(target: Path) -> tuple[int, Path]:
             os.close(handle)
             continue
         except OSError:
-            pass  # without locks nothing is removed
+            pass  # without locks no process removes temporary files
         if os.fstat(handle).st_nlink:
             return handle, Path(name)
         os.close(handle)
@@ -221,7 +225,7 @@ def _locked_temporary(target: Path) -> tuple[int, Path]:
 
 @contextlib.contextmanager
 def disk_errors(path: str | Path) -> Iterator[None]:
-    """Convert errors of the disk to a `BadInputError` that says why `path` cannot be written."""
+    """Convert disk errors to a `BadInputError` that says why `path` cannot be written."""
     try:
         yield
     except OSError as error:
@@ -249,9 +253,9 @@ def write_image(path: str | Path, image: NDArray[np.generic], parameters: Sequen
     """Write an image (colours in BGR order) in the format of the path's suffix.
 
     Args:
-        path: where.
+        path: the file.
         image: (height, width) or (height, width, 3).
-        parameters: of `cv2.imencode`.
+        parameters: parameters of `cv2.imencode`.
 
     Raises:
         BadInputError: OpenCV cannot encode this array in this format, or the disk is full.

@@ -1,4 +1,4 @@
-"""The command line: verbs generated from the options of the jobs. No formulas.
+"""Command line: verbs generated from the options of the jobs.
 
 A new verb is a job (options, function, report) and its row in `VERBS`.
 """
@@ -31,7 +31,7 @@ from wlr_render.errors import BadInputError, Terminated
 
 PROGRAM = "wlr-render"
 LONGEST_SENTENCE = 960
-"""Characters of an error: room for the names of all causes or methods."""
+"""Largest length of an error message in characters: room for the names of all causes or methods."""
 START, HEADSET, LAB, MODELS, PICTURES = GROUPS = "Start", "Headset", "Lab", "Models", "Pictures"
 
 
@@ -144,17 +144,17 @@ EPILOGUE = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the exit status: 0, 2 for bad input, 1 for a defect, 130 or 143 when interrupted."""
+    """Run one verb and return the exit status: 0, 2 for bad input, 1 for a defect, 130 or 143 when interrupted."""
     return run_app(make_app, arguments)
 
 
 def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
-    """Run one command of an app whose commands are jobs; returns the exit status as `main`."""
+    """Run one command of an app whose commands are jobs, and return the exit status as `main` does."""
     tokens = list(sys.argv[1:] if arguments is None else arguments)
     debug, outside = "--debug" in tokens, OUTSIDE in tokens
     tokens = [token for token in tokens if token not in ("--debug", OUTSIDE)] or ["--help"]
-    # Set before numpy is imported: for thin matrix products BLAS threads are slower than none, many times so on a
-    # busy machine. Other code distributes work over threads and processes.
+    # Set before numpy is imported: BLAS threads slow thin matrix products down, on a busy machine many times over.
+    # Other code distributes work over threads and processes.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app = make()
     try:
@@ -168,7 +168,7 @@ def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
                 return _run(app, tokens, debug)
         return _run(app, tokens, debug)
     except BrokenPipeError:
-        # Whoever read the output has seen enough, e.g. `| head`; Python must not complain again when it exits.
+        # The reader has closed the pipe, e.g. `| head`; Python must not complain again when it exits.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Terminated:
@@ -182,7 +182,7 @@ def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
 
 
 def _refuse_empty(tokens: Sequence[str]) -> None:
-    """Refuse empty values of options: as a path, one would be the current folder."""
+    """Reject empty option values: an empty path would mean the current folder."""
     for before, token in zip(("", *tokens), tokens, strict=False):
         name, _, value = (before, "", token) if before.startswith("--") and "=" not in before else token.partition("=")
         if name.startswith("--") and not value.strip() and token != name:
@@ -190,7 +190,7 @@ def _refuse_empty(tokens: Sequence[str]) -> None:
 
 
 def _refuse_renamed(tokens: Sequence[str]) -> None:
-    """Refuse a verb of an earlier version in a sentence that names the one in its place."""
+    """Reject a verb of an earlier version, with a message that names its replacement."""
     verbs = {verb.words for verb in VERBS}
     for words in (tokens[:2], tokens[:1]):
         new = RENAMED.get(" ".join(words))
@@ -246,10 +246,10 @@ def _run(app: App, tokens: Sequence[str], debug: bool) -> int:
 
 
 def _is_of_the_input(error: Exception) -> bool:
-    """Return whether the user can do something about an exception; others are defects of the program.
+    """Return whether the user can fix the cause of an exception; other exceptions are defects of the program.
 
-    Of the errors of the operating system these are files and the disk, and not connections or processes, whose failures
-    the program must foresee.
+    Among operating system errors, the user can fix files and the disk. The program must handle failing connections and
+    processes itself.
     """
     from socket import gaierror  # not before it is needed: --help must be quick
 
@@ -261,12 +261,14 @@ def _is_of_the_input(error: Exception) -> bool:
 
 def _sentence(error: Exception) -> str:
     if isinstance(error, UnusedCliTokensError):
-        return f"Unexpected argument '{' '.join(error.unused_tokens or ())}'; add --help to see what this verb takes."
+        return (
+            f"Unexpected argument '{' '.join(error.unused_tokens or ())}'; add --help for the arguments of this verb."
+        )
     if isinstance(error, MissingArgumentError) and error.argument is not None and error.keyword is None:
         name = error.argument.name  # --help shows an argument without a dash in capitals
         name = name if error.argument.field_info.is_keyword_only else name.lstrip("-").upper()
         hint = f" Did you{str(error).partition('Did you')[2]}" if "Did you" in str(error) else ""
-        return f"{' '.join(error.command_chain or ())} needs {name}; add --help to see what this verb takes.{hint}"
+        return f"{' '.join(error.command_chain or ())} needs {name}; add --help for the arguments of this verb.{hint}"
     if isinstance(error, UnknownCommandError) and error.app is not None:
         # The parser's own sentence would import the modules of all verbs.
         token, verbs = (error.unused_tokens or [""])[0], [name for name in error.app if not name.startswith("-")]
@@ -292,7 +294,7 @@ def _refuse(app: App, sentence: str, status: int) -> int:
 
     if len(sentence) > LONGEST_SENTENCE:  # it repeats a long argument or name
         sentence = f"{sentence[: LONGEST_SENTENCE // 2]} ... {sentence[-LONGEST_SENTENCE // 2 :]}"
-    with contextlib.suppress(OSError):  # nobody can be told anything
+    with contextlib.suppress(OSError):  # standard error may be closed
         say(f"{app.name[0]}: {sentence}", error=True)
     return status
 

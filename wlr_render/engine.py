@@ -1,4 +1,6 @@
-"""Names for render engines besides `Compositor` and `WarpMesh`: pictures, panels, trackers, wear, predicted errors.
+"""Names for render engines in addition to `Compositor` and `WarpMesh`.
+
+They cover pictures, panels, trackers, wear and predicted errors.
 
 docs/realtime.md is the guide.
 """

@@ -1,6 +1,6 @@
-"""Names that a public module takes from other modules when they are first used (PEP 562).
+"""Lazy names of a public module: each is imported from its defining module on first use (PEP 562).
 
-`import wlr_render` loads neither NumPy nor OpenCV: each name loads what it needs.
+`import wlr_render` loads neither NumPy nor OpenCV; a name loads them if it needs them.
 """
 
 import sys
@@ -19,8 +19,8 @@ def lazy_names(
 
     Args:
         module: `__name__` of the module.
-        places: names by the module of this package that defines them, without "wlr_render.". A name of that module
-            itself stands for the module, unless the module defines the name.
+        places: names by the module that defines them, without "wlr_render.". The last part of a module's path is a name
+            for the module, unless the module defines that name.
     """
     place_of = {name: place for place, names in places.items() for name in names}
 

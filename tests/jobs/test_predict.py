@@ -219,7 +219,7 @@ def test_faults_are_one_sentence(corrected, second, tmp_path, capsys):
         ([second / "display.csv.gz", second], "display.csv.gz: line 1 is not UTF-8 text"),
         ([empty, second], "bench.toml: does not exist; name a bench file, or a folder with bench.toml"),
         ([corrected, empty], "empty: has no bench.toml, so it is not a bench session"),
-        ([corrected], "predict needs SESSION; add --help to see what this verb takes."),
+        ([corrected], "predict needs SESSION; add --help for the arguments of this verb."),
     ):
         status, printed = run(capsys, *arguments, "--out", tmp_path / "out")
         assert status == 2

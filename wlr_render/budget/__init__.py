@@ -1,1 +1,1 @@
-"""The error budget of a headset: covariance of its registration error by source, and statements about it."""
+"""Error budget of a headset: covariance of the registration error by source, and figures derived from it."""

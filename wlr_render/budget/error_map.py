@@ -1,7 +1,7 @@
-"""Predicted registration error beside each frame: coarse maps, interpolated from covariances over the eye box.
+"""Coarse maps of the predicted registration error of a frame, interpolated between covariances over the eye box.
 
-The covariance of a pixel is smooth in the viewpoint, and quadratic in the inverse depth as far as parallax is linear in
-it. It is computed once, at Chebyshev nodes of both; a map is then one product with a small table.
+The covariance of a pixel is smooth in the viewpoint and, where parallax is linear in inverse depth, quadratic in
+inverse depth. It is computed once, at Chebyshev nodes of both; a map is then one product with a small table.
 """
 
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ from wlr_render.numerics import chebyshev
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.rendering.sampling import bilinear_at
 
-_VIEWPOINTS = 3  # along each axis of the eye box
-_DEPTHS = 3  # inverse ones, of which the covariance is a quadratic
-_NEAREST_PER_M = 5.0  # 0.2 m; nearer points follow the same quadratic
+_VIEWPOINTS = 3  # Chebyshev nodes along each axis of the eye box
+_DEPTHS = 3  # Chebyshev nodes in inverse depth; three determine a quadratic
+_NEAREST_PER_M = 5.0  # inverse of 0.2 m; nearer points follow the same quadratic
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +28,11 @@ class PredictedError:
     """Predicted registration error of one eye's frame.
 
     Attributes:
-        panel: of the eye.
-        covariance: (rows, columns, 2, 2) square arcminutes, along the axes right and up, perpendicular to the view
-            direction, of the pixels `ErrorMap.pixel`; NaN where the eye does not see pixel or point.
-        in_field: (rows, columns) whether the pixel lies in the nominal field of view, everywhere if there is none.
+        panel: the panel of the eye.
+        covariance: (rows, columns, 2, 2) square arcminutes at the pixels `ErrorMap.pixel`, along the axes right and up
+            perpendicular to the view direction; NaN where the eye does not see the pixel or the point.
+        in_field: (rows, columns) True where the pixel lies in the nominal field of view; True everywhere if the headset
+            states no field of view.
     """
 
     panel: Panel
@@ -40,23 +41,23 @@ class PredictedError:
 
     @cached_property
     def rms_map_arcmin(self) -> Float32Array:
-        """(rows, columns), rms length of the error."""
+        """Rms length of the error, (rows, columns) arcminutes."""
         return np.sqrt(np.maximum(variance(self.covariance), 0.0)).astype(np.float32)
 
     @property
     def map_arcmin(self) -> Float32Array:
-        """(rows, columns, 3): rms to the right, upwards and of the length."""
+        """Rms of the horizontal and vertical components and of the length, (rows, columns, 3) arcminutes."""
         along = np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=-2, axis2=-1), 0.0))
         return np.concatenate([along.astype(np.float32), self.rms_map_arcmin[..., None]], axis=-1)
 
     @property
     def rms_arcmin(self) -> float:
-        """Rms length of the error over the field of view; NaN if no pixel has one."""
+        """Rms length of the error over the field of view; NaN if no pixel has an error."""
         return float(np.sqrt(variance(self._of_field).mean())) if len(self._of_field) else np.nan
 
     @property
     def radius_arcmin(self) -> float:
-        """Radius within which 95 % of the errors lie over the field of view; NaN if no pixel has one."""
+        """Radius that contains 95 % of the errors over the field of view; NaN if no pixel has an error."""
         return float(radius_within(self._of_field)) if len(self._of_field) else np.nan
 
     @property
@@ -64,52 +65,52 @@ class PredictedError:
         return self.covariance[self.in_field & np.isfinite(self.covariance).all(axis=(-2, -1))]
 
     def at_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Rms length of the error (n,) at pixels (n, 2), bilinear in the map; arcminutes."""
+        """Return the rms length of the error (n,) in arcminutes at pixels (n, 2), by bilinear interpolation."""
         rows, columns = self.rms_map_arcmin.shape
         u, v = (np.asarray(pixel) * [columns, rows] / self.panel.size_px).astype(np.float32).T
         return bilinear_at(self.rms_map_arcmin, u, v).astype(np.float64)
 
 
 class ErrorMap:
-    """Predicted registration error of an eye's frames; `at` takes 0.1 ms, the constructor some seconds.
+    """Predictor of the registration error of an eye's frames; `at` takes 0.1 ms, the constructor some seconds.
 
-    The errors of interpolation, against `registration_covariance`, are those of the model's covariance, which rises
-    at the borders of panel and eye box; docs/budget.md states them.
+    The model's covariance rises at the borders of the panel and the eye box, where interpolation is least accurate.
+    docs/budget.md states the interpolation errors against `registration_covariance`.
 
     Attributes:
         pixel: (rows, columns, 2) panel pixels of the maps: centres of equal cells.
     """
 
     def __init__(self, eye: Eye, sizes: ErrorSizes, columns: int = 18, rows: int = 16) -> None:
-        """Compute covariances over eye box, panel and depth.
+        """Compute the covariances over eye box, panel and depth.
 
         Args:
-            eye: both mappings; exact ones have no errors of their own.
-            sizes: of all errors but those of the models.
-            columns, rows: of the maps.
+            eye: display and see-through mappings; the model error of exact mappings is zero.
+            sizes: sizes of the errors, except model errors.
+            columns, rows: size of the maps.
 
         Raises:
-            BadInputError: a fitted model without covariance.
+            BadInputError: a fitted model has no covariance.
         """
         self._panel, self._box, self._field = eye.display.panel, eye.eye_box, eye.field
         self.pixel = self._panel.grid(columns, rows)
         unit = chebyshev.nodes(_VIEWPOINTS, -1.0, 1.0)
         viewpoint = self._box.at(np.stack(np.meshgrid(unit, unit, unit, indexing="ij"), axis=-1).reshape(-1, 3))
         depth_m = 1.0 / chebyshev.nodes(_DEPTHS, 0.0, _NEAREST_PER_M)
-        found = registration_covariance(
+        budget = registration_covariance(
             eye, self.pixel[:, :, None], viewpoint[:, None, None, None], depth_m, sizes
         )  # (viewpoints, rows, columns, depths)
-        self._covariance = found.total.reshape(len(viewpoint), -1)
-        self._tangents = tangents_of_dir(found.view_dir[..., 0, :]).reshape(len(viewpoint), -1)
+        self._covariance = budget.total.reshape(len(viewpoint), -1)
+        self._tangents = tangents_of_dir(budget.view_dir[..., 0, :]).reshape(len(viewpoint), -1)
 
     def at(self, viewpoint: FloatArray, depth_m: float | FloatArray) -> PredictedError:
-        """Predicted error of a frame.
+        """Predict the registration error of a frame.
 
         Args:
-            viewpoint: (3,) that the frame was drawn for, device frame, metres. Outside the eye box the nearest one
-                inside counts.
-            depth_m: of the real points in front of the viewpoint, along the device's z axis: one, or (rows, columns) of
-                `pixel`; infinite and NaN ones may be among them.
+            viewpoint: (3,) viewpoint that the frame was drawn for, device frame, metres. A viewpoint outside the eye
+                box is replaced by the nearest one inside.
+            depth_m: depth of the real points in front of the viewpoint, along the device's z axis: one value, or
+                (rows, columns) at `pixel`. Infinite and NaN values are allowed.
         """
         unit = np.clip((viewpoint - self._box.centre) / (0.5 * self._box.size), -1.0, 1.0)
         x, y, z = chebyshev.interpolation_matrix(_VIEWPOINTS, -1.0, 1.0, unit)

@@ -1,4 +1,4 @@
-"""Sizes of the errors that a budget counts: those of trackers, of drawing, and of what a model cannot follow."""
+"""Sizes of the errors in a budget: errors of the trackers, of drawing, and truncation errors of the models."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -10,12 +10,12 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
 
 PerAxis = float | tuple[float, float, float]
-"""One standard deviation for all three axes of the device frame, or one each."""
+"""One standard deviation for all three axes of the device frame, or one per axis."""
 
 
 @dataclass(frozen=True)
 class _Sizes:
-    """Sizes, of which none is negative."""
+    """Base of the error sizes; requires every size to be finite and not negative."""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -31,9 +31,9 @@ class EyeTracker(_Sizes):
     """Errors of the viewpoint that an eye tracker reports.
 
     Attributes:
-        noise_m: standard deviation of a report, per axis.
-        bias_m: standard deviation, over wearers, of the constant error of all reports, per axis.
-        latency_s: from the eye's motion to the frame that uses it, less what prediction makes up for.
+        noise_m: standard deviation of a single report, per axis.
+        bias_m: standard deviation of the constant error over wearers, per axis.
+        latency_s: time from the eye's motion to the frame that uses it, less the time that prediction compensates.
         speed_m_s: rms speed of the pupil in the device frame, per axis.
     """
 
@@ -48,9 +48,10 @@ class HeadTracker(_Sizes):
     """Errors of the device's pose in the world.
 
     Attributes:
-        rotation_rad, position_m: standard deviation per axis, of rotation about the origin of the device frame, and of
-            position.
-        latency_s: from the head's motion to the light of the frame, less what prediction and late warp make up for.
+        rotation_rad: standard deviation of the rotation about the origin of the device frame, per axis.
+        position_m: standard deviation of the position, per axis.
+        latency_s: time from the head's motion to the light of the frame, less the time that prediction and late warp
+            compensate.
         angular_speed_rad_s, speed_m_s: rms speeds of the head, per axis.
     """
 
@@ -63,13 +64,14 @@ class HeadTracker(_Sizes):
 
 @dataclass(frozen=True)
 class Drawing(_Sizes):
-    """Errors of drawing, which are counted as if every pixel had the bound.
+    """Errors of drawing; every pixel counts as if its error were the bound.
 
     Attributes:
         warp_grid_arcmin: bound of the interpolation error of the warp grid (`rendering.choose_warp_grid`).
-        raster_arcmin: of a raster frame against a ray-traced one.
-        is_rounded: whether edges lie on whole pixels. A warp that filters does not round: the place of an edge between
-            two pixels is in their brightness. Without filter an edge is off by up to half a pixel, evenly distributed.
+        raster_arcmin: bound of the difference between a raster frame and a ray-traced one.
+        is_rounded: whether edges are rounded to whole pixels. A warp with a filter does not round: the brightness of
+            two neighbouring pixels places an edge between them. Without a filter, the error of an edge is uniform
+            within half a pixel to either side.
     """
 
     warp_grid_arcmin: float = 0.0
@@ -79,10 +81,10 @@ class Drawing(_Sizes):
 
 @dataclass(frozen=True)
 class Truncation(_Sizes):
-    """What the models cannot follow, as standard deviations per axis of a direction, arcminutes.
+    """Truncation errors: parts of the true mappings that the models cannot represent.
 
     Attributes:
-        display_arcmin, see_through_arcmin: of both models.
+        display_arcmin, see_through_arcmin: standard deviation per axis of a direction, arcminutes.
     """
 
     display_arcmin: float = 0.0
@@ -90,29 +92,29 @@ class Truncation(_Sizes):
 
     @classmethod
     def from_report(cls, report: Mapping[str, Any]) -> "Truncation":
-        """From the rows and columns of camera positions that the fits of a model file left out.
+        """Estimate the truncation errors from the cross-validation in a model file.
 
-        A row that was left out is predicted by a fit to the others, with the error that the fit expects there: noise,
-        motions of the camera and the covariance of the model. Found over expected variance is what the model's terms or
-        its prior cannot follow. It is zero unless the mean over rows and columns exceeds two standard errors of
-        itself. A left-out row is farther from its neighbours than anything is from the captures of the whole fit, so
-        that the value is an upper one.
+        Cross-validation predicts each left-out row or column of camera positions from a fit to the others, and states
+        the error to expect there: noise, motions of the camera and the covariance of the model. Variance beyond the
+        expected one is truncation error: the model's terms or its prior cannot represent the data. It is set to zero
+        unless its mean over rows and columns exceeds two standard errors. The estimate is an upper bound, because a
+        left-out row is farther from its neighbours than any viewpoint is from the captures of the whole fit.
 
         Args:
-            report: `EyeModel.report`; a side without rows and columns has none.
+            report: `EyeModel.report`; the error of a side without cross-validation is zero.
         """
         return cls(*(_excess_arcmin(report.get(side, {})) for side in ("display", "see_through")))
 
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """Sizes of all errors beside those that fitted models state of themselves; none by default.
+    """Sizes of all errors except the uncertainty that fitted models state; zero by default.
 
     Attributes:
         eye: errors of the eye tracker, metres and seconds.
         head: errors of the head tracker, radians, metres and seconds.
         drawing: errors of drawing, arcminutes.
-        truncation: what the models cannot follow, arcminutes.
+        truncation: truncation errors of the models, arcminutes.
     """
 
     eye: EyeTracker = field(default_factory=EyeTracker)
@@ -122,27 +124,27 @@ class ErrorSizes:
 
 
 def variances(*sizes: PerAxis) -> FloatArray:
-    """Variances (3 k,) of k sizes."""
+    """Return the variances (3 k,) of k standard deviations, one per axis."""
     return np.concatenate([np.broadcast_to(np.asarray(size, np.float64), (3,)) for size in sizes]) ** 2
 
 
-_SIGNIFICANT = 2.0
+_SIGNIFICANT = 2.0  # standard errors above which an excess variance counts
 
 
 def _excess_arcmin(side: Any) -> float:
-    """Root of the excess variance per axis."""
+    """Return the root of the excess variance per axis, arcminutes."""
     rows = side.get("held_out") or () if isinstance(side, Mapping) else ()
     try:
-        found, expected, captures = (
+        measured, expected, captures = (
             np.array([[row["rms_arcmin"], row["expected_arcmin"], row["captures"]] for row in rows], np.float64)
             .reshape(-1, 3)
             .T
         )
-    except (KeyError, TypeError, ValueError):  # reports are free: one that says nothing of this is no fault
+    except (KeyError, TypeError, ValueError):  # a report without cross-validation is valid
         return 0.0
-    if len(found) < 3 or not np.all(np.isfinite(found + expected) & (captures > 0)):
+    if len(measured) < 3 or not np.all(np.isfinite(measured + expected) & (captures > 0)):
         return 0.0
-    excess, weight = found**2 - expected**2, captures / captures.sum()
+    excess, weight = measured**2 - expected**2, captures / captures.sum()
     mean = float(weight @ excess)
     error = float(np.sqrt(np.sum((weight * (excess - mean)) ** 2) * len(excess) / (len(excess) - 1)))
     return float(np.sqrt(0.5 * mean)) if mean > _SIGNIFICANT * error else 0.0

@@ -1,9 +1,9 @@
-"""Covariance of registration: the direction in which a pixel is shown less that in which its real point is seen.
+"""Covariance of the registration error: the view direction of a pixel less the view direction of its real point.
 
-All errors are small: their effect is linear. Derivatives by viewpoint, real point and pixel are central differences of
-the mappings, whatever their kind. A tracker that reports the viewpoint v + d makes the renderer choose the pixel that
-covers the point as seen from v + d; seen from v, pixel and point are then apart by the difference of both directions'
-derivatives times -d. An error of the head's pose moves the point in the device frame, where the renderer looks for it.
+All errors are small, so that their effects are linear. Derivatives by viewpoint, real point and pixel are central
+differences of the mappings, traced or fitted. When a tracker reports the viewpoint v + d instead of v, the renderer
+chooses the pixel that covers the point from v + d; from v, the directions of pixel and point then differ by the
+difference of their derivatives times -d. An error of the head pose moves the point in the device frame.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,25 +22,25 @@ from wlr_render.models.registration import model_registration_covariance, right_
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 MODEL, EYE, HEAD, DRAWING = "model", "eye tracker", "head tracker", "drawing"
-"""Owners of the sources; a source is "OWNER: what"."""
+"""Owners of error sources; the name of a source is "OWNER: DETAIL"."""
 TRACKING_CAMERA = f"{MODEL}: tracking camera"
-"""Source of models from photographs: the stated pose of the headset's camera, in whose frame all was measured."""
+"""Error source of models fitted to photographs: the stated pose of the headset's camera, the frame of all readings."""
 
-_STEP_M = 20e-6  # of a viewpoint: models bend over millimetres, solves end at 1e-12
-_STEP_RAD = 1e-4  # of a real point, as seen from the viewpoint
-_STEP_PX = 0.05
+_STEP_M = 20e-6  # step of a viewpoint; models curve over millimetres, and solves converge to 1e-12
+_STEP_RAD = 1e-4  # step of a real point, as an angle at the viewpoint
+_STEP_PX = 0.05  # step of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class RegistrationCovariance:
-    """Covariance of registration by source.
+    """Covariance of the registration error by source.
 
     Attributes:
-        by_source: "OWNER: what" -> (..., 2, 2) square arcminutes, along the axes right and up, perpendicular to the
-            view direction; NaN where the eye does not see pixel or point.
-        view_dir: (..., 3) direction in which the pixel is shown.
-        point: (..., 3) real point that it covers, device frame, metres.
-        is_inside: (...) whether both mappings answer inside of what they were fitted to.
+        by_source: "OWNER: DETAIL" -> (..., 2, 2) square arcminutes, along the axes right and up perpendicular to the
+            view direction; NaN where the eye does not see the pixel or the point.
+        view_dir: (..., 3) view direction of the pixel.
+        point: (..., 3) real point that the pixel covers, device frame, metres.
+        is_inside: (...) True where both mappings are inside their fitted range.
     """
 
     by_source: dict[str, FloatArray]
@@ -50,31 +50,32 @@ class RegistrationCovariance:
 
     @property
     def total(self) -> FloatArray:
-        """Sum over all sources, (..., 2, 2)."""
+        """Sum over all sources, (..., 2, 2) square arcminutes."""
         return np.asarray(sum(self.by_source.values()))
 
     def in_camera_frame(self) -> "RegistrationCovariance":
-        """Covariance where the trackers measure by the tracking camera, with its stated pose.
+        """Return the covariance for trackers that measure in the frame of the tracking camera, with its stated pose.
 
-        An error of that pose then moves display, world, eye and trackers alike, and is none of registration.
+        An error of the stated pose then moves display, world, eye and trackers together and causes no registration
+        error.
         """
-        kept = {name: each for name, each in self.by_source.items() if name != TRACKING_CAMERA}
+        kept = {name: covariance for name, covariance in self.by_source.items() if name != TRACKING_CAMERA}
         return replace(self, by_source=kept)
 
 
 def registration_covariance(
     eye: Eye, pixel: FloatArray, viewpoint: FloatArray, depth_m: float | FloatArray, sizes: ErrorSizes
 ) -> RegistrationCovariance:
-    """Covariance of registration of pixels, by source.
+    """Return the covariance of the registration error of pixels, by source.
 
     Args:
-        eye: both mappings; exact ones have no errors of their own.
+        eye: display and see-through mappings; the model error of exact mappings is zero.
         pixel: (..., 2) panel pixels. viewpoint: (..., 3) device frame, metres. Both broadcast.
-        depth_m: (...) of the real points in front of the viewpoints, along the device's z axis.
-        sizes: of all errors but those of the models.
+        depth_m: (...) depth of the real points in front of the viewpoints, along the device's z axis.
+        sizes: sizes of the errors, except model errors.
 
     Raises:
-        BadInputError: a fitted model without covariance.
+        BadInputError: a fitted model has no covariance.
     """
     lead = np.broadcast_shapes(np.shape(pixel)[:-1], np.shape(viewpoint)[:-1], np.shape(depth_m))
     pixel, viewpoint = np.broadcast_to(pixel, (*lead, 2)), np.broadcast_to(viewpoint, (*lead, 3))
@@ -94,24 +95,24 @@ def _covered(
 def disparity_covariance(
     eyes: Sequence[Eye], point: FloatArray, viewpoints: Sequence[FloatArray], sizes: Sequence[ErrorSizes]
 ) -> dict[str, FloatArray]:
-    """Covariance of both eyes' disparity: registration of the right eye less that of the left, by source.
+    """Return the covariance of the disparity error by source: right registration error less left registration error.
 
-    The models of both eyes are independent, and so are noise and bias of their eye trackers. Errors of the head's
-    pose are common to both eyes, and cancel but for what the eyes see differently. Eyes turn together: latency is
-    common, too. An error of the tracking camera's stated pose moves both eyes alike, and is left out.
+    The models of the two eyes are independent, and so are the noise and bias of their eye trackers. Errors of the head
+    pose are common to both eyes and cancel except where the optics of the eyes differ. Eyes turn together, so that
+    latency is common, too. An error of the tracking camera's stated pose moves both eyes together and is omitted.
 
     Args:
-        eyes: left and right.
+        eyes: left and right eye.
         point: (..., 3) real points, device frame, metres.
-        viewpoints: (..., 3) of both eyes.
-        sizes: of the errors of both eyes, which have the same trackers.
+        viewpoints: (..., 3) viewpoints of both eyes.
+        sizes: sizes of the errors of both eyes, which share their trackers.
 
     Returns:
         Source -> (..., 2, 2) square arcminutes: horizontal, then vertical disparity; NaN where an eye does not see the
         point through its display.
 
     Raises:
-        BadInputError: a fitted model without covariance.
+        BadInputError: a fitted model has no covariance.
     """
     both = []
     for eye, viewpoint in zip(eyes, viewpoints, strict=True):
@@ -121,19 +122,21 @@ def disparity_covariance(
         pixel = eye.display.pixel_of_view_dir(seen.value, seen_from)
         both.append(_Sensitivity(eye, pixel.value, seen_from, at, seen.value))
     left, right = both
-    apart = [each.covariances(of_eye) for each, of_eye in zip(both, sizes, strict=True)]
+    independent = [sensitivity.covariances(of_eye) for sensitivity, of_eye in zip(both, sizes, strict=True)]
     of_left = left.common_motions(sizes[0])
     common = {
         name: _spread(by - of_left[name][0], variance)
         for name, (by, variance) in right.common_motions(sizes[1]).items()
     }
-    names = dict.fromkeys(name for each in apart for name in each if name != TRACKING_CAMERA)
-    summed = {name: np.asarray(sum(each[name] for each in apart if name in each)) for name in names}
+    names = dict.fromkeys(name for by_source in independent for name in by_source if name != TRACKING_CAMERA)
+    summed = {
+        name: np.asarray(sum(by_source[name] for by_source in independent if name in by_source)) for name in names
+    }
     return summed | common
 
 
 class _Sensitivity:
-    """How registration of pixels (..., 2) with points (..., 3), seen along (..., 3), follows every error."""
+    """Derivatives of the registration error of pixels (..., 2) and points (..., 3) in directions (..., 3)."""
 
     def __init__(
         self, eye: Eye, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray, view_dir: FloatArray
@@ -156,7 +159,7 @@ class _Sensitivity:
         self.by_pixel = axes @ _derivative(lambda at: shown(at, viewpoint), pixel, _STEP_PX)
 
     def covariances(self, sizes: ErrorSizes) -> dict[str, FloatArray]:
-        """(..., 2, 2) by source."""
+        """Return the covariances (..., 2, 2) by source, square arcminutes."""
         eye, drawing, truncation = sizes.eye, sizes.drawing, sizes.truncation
         each_axis = np.eye(2) + 0.0 * self.by_viewpoint[..., :1]  # NaN where nothing is seen
         moved = {name: _spread(by, variance) for name, (by, variance) in self.common_motions(sizes).items()}
@@ -173,7 +176,7 @@ class _Sensitivity:
         }
 
     def common_motions(self, sizes: ErrorSizes) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Derivatives (..., 2, k) by what moves both eyes alike, and its variances (k,), by source."""
+        """Return derivatives (..., 2, k) and variances (k,) of the errors common to both eyes, by source."""
         eye, head = sizes.eye, sizes.head
         return {
             f"{EYE}: latency": (self.by_viewpoint, eye.latency_s**2 * variances(eye.speed_m_s)),
@@ -202,7 +205,7 @@ class _Sensitivity:
 def _derivative(
     query: Callable[[FloatArray], QueryResult], argument: FloatArray, step: float | FloatArray
 ) -> FloatArray:
-    """Derivative (..., 3, k) of directions by an argument (..., k), by central differences of `step` (...)."""
+    """Return the derivative (..., 3, k) of directions by an argument (..., k), from central differences of `step`."""
     count = argument.shape[-1]
     offset = np.asarray(step)[..., None] * np.concatenate([np.eye(count), -np.eye(count)]).reshape(
         2 * count, *(1,) * (argument.ndim - 1), count
@@ -212,5 +215,5 @@ def _derivative(
 
 
 def _spread(by: FloatArray, variance: FloatArray) -> FloatArray:
-    """Covariance (..., 2, 2) by independent variables (k,) through derivatives (..., 2, k)."""
+    """Return the covariance (..., 2, 2) from derivatives (..., 2, k) by independent variables of `variance` (k,)."""
     return np.asarray((by * variance) @ np.swapaxes(by, -1, -2))

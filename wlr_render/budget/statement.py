@@ -1,4 +1,4 @@
-"""Statements about a population of registration errors: radii, shares, and what halving a source gives."""
+"""Figures of a population of registration errors: 95 % radius, share of each source, and the gain of halving it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,21 +8,21 @@ import numpy as np
 from wlr_render.mappings import Panel
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_ANGLES = 16  # of a normal vector: more change nothing in four digits
-_SHARE = 0.95  # of normal errors within the radius
-_HALVINGS = 30  # of the interval in which a radius is sought
+_ANGLES = 16  # quadrature angles of a normal vector; more do not change four digits
+_SHARE = 0.95  # share of the errors within the radius
+_HALVINGS = 30  # bisection steps for a radius
 
 
 @dataclass(frozen=True)
 class SourceShare:
-    """What one source, or all sources of one owner, contribute.
+    """Contribution of one source, or of all sources of one owner.
 
     Attributes:
-        name: of source or owner.
-        rms_arcmin: of the length of its error over the population.
-        worst_arcmin: rms length where it is largest.
-        share: of the total variance, 0..1.
-        radius_if_halved_arcmin: radius of 95 % if its standard deviation were half as large.
+        name: name of the source or owner.
+        rms_arcmin: rms length of its error over the population.
+        worst_arcmin: largest rms length in the population.
+        share: share of the total variance, 0..1.
+        radius_if_halved_arcmin: 95 % radius of the total if the standard deviation of this source were halved.
     """
 
     name: str
@@ -33,9 +33,9 @@ class SourceShare:
 
 
 def radius_within(covariance: FloatArray) -> FloatArray:
-    """Radius (...) within which 95 % of normal errors lie, of populations (..., n) with covariances (..., n, 2, 2).
+    """Return the radius (...) that contains 95 % of the normal errors of populations with covariances (..., n, 2, 2).
 
-    The members of a population count alike; NaN ones do not count.
+    All members of a population have equal weight; NaN members are ignored.
     """
     (xx, xy), (_, yy) = np.moveaxis(covariance, (-2, -1), (0, 1))
     mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
@@ -56,38 +56,38 @@ def radius_within(covariance: FloatArray) -> FloatArray:
 
 REGIONS = ("centre", "edge", "corner")
 """Regions of a panel."""
-_CENTRAL = 0.6  # of the half width and height
+_CENTRAL = 0.6  # half width and half height of the centre, as a share of the panel's
 
 
 def region_of(panel: Panel, pixel: FloatArray) -> IntArray:
-    """Region (...) of pixels (..., 2), an index into `REGIONS`: how many coordinates lie in the outer two fifths."""
+    """Return the region (...) of pixels (..., 2): index into `REGIONS`, the number of coordinates in the outer 40 %."""
     outer = np.abs(2.0 * pixel / panel.size_px - 1.0) > _CENTRAL
     return np.asarray(np.count_nonzero(outer, axis=-1))
 
 
 def variance(covariance: FloatArray) -> FloatArray:
-    """Mean square length (...) of errors with covariances (..., 2, 2)."""
+    """Return the mean square length (...) of errors with covariances (..., 2, 2)."""
     return np.asarray(np.trace(covariance, axis1=-2, axis2=-1))
 
 
 def shares(by_source: Mapping[str, FloatArray]) -> list[SourceShare]:
-    """Contribution of each source to a population (n, 2, 2), largest first."""
+    """Return the contribution of each source to a population (n, 2, 2), largest first."""
     total = sum(by_source.values())
     whole = float(np.nanmean(variance(np.asarray(total))))
-    found = []
-    for name, each in by_source.items():
-        own = variance(each)
-        mean = float(np.nanmean(own))
-        halved = float(radius_within(total - 0.75 * each)) if mean else float(radius_within(np.asarray(total)))
+    rows = []
+    for name, covariance in by_source.items():
+        square = variance(covariance)
+        mean = float(np.nanmean(square))
+        halved = float(radius_within(total - 0.75 * covariance)) if mean else float(radius_within(np.asarray(total)))
         share = mean / whole if whole else 0.0
-        found.append(SourceShare(name, mean**0.5, float(np.nanmax(own)) ** 0.5, share, halved))
-    return sorted(found, key=lambda each: -each.share)
+        rows.append(SourceShare(name, mean**0.5, float(np.nanmax(square)) ** 0.5, share, halved))
+    return sorted(rows, key=lambda row: -row.share)
 
 
 def by_owner(by_source: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Sums over the sources of each owner."""
+    """Return the sum over the sources of each owner."""
     owned: dict[str, FloatArray] = {}
-    for name, each in by_source.items():
+    for name, covariance in by_source.items():
         owner = name.partition(":")[0]
-        owned[owner] = owned[owner] + each if owner in owned else each
+        owned[owner] = owned[owner] + covariance if owner in owned else covariance
     return owned

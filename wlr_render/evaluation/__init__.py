@@ -1,1 +1,1 @@
-"""Errors in arcminutes: mapping against mapping, image against exact optics."""
+"""Errors in arcminutes: of fitted mappings and of images against exact optics."""

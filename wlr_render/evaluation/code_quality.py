@@ -1,7 +1,7 @@
 """Deviation of decoded panel positions from flat surfaces: a plane maps camera to panel pixels by a homography.
 
-The residual of a homography is the error of decoding, of both lenses, and of the surface's flatness. Codes without
-sub-pixel refinement have at least 1 / sqrt(12) = 0.29 panel pixels per axis, if errors are uniform.
+The residual of a homography combines the errors of the decoder, of both lenses, and of the surface's flatness. Without
+sub-pixel refinement it is at least 1 / sqrt(12) = 0.29 panel pixels per axis, if errors are uniform.
 """
 
 from collections.abc import Sequence
@@ -23,16 +23,16 @@ TOLERANCE_PX = 0.75
 """Panel pixels from a plane's homography within which a camera pixel belongs to the plane."""
 
 _FEWEST_SHARE = 0.02  # smallest share of the accepted pixels that makes a plane
-_MOST_PLANES = 8
-_SAMPLE = 20_000  # rows that a homography is fitted to
-_ROUNDS = 5  # of fitting and choosing members again
-_CELL_PX = 16  # of the camera, over which the smooth part is averaged
-_FEWEST_IN_CELL = _CELL_PX**2 // 4
+_MOST_PLANES = 8  # largest number of planes
+_SAMPLE = 20_000  # most rows in the fit of a homography
+_ROUNDS = 5  # repetitions of the fit and the choice of inliers
+_CELL_PX = 16  # side of the cells whose means are the smooth part, camera pixels
+_FEWEST_IN_CELL = _CELL_PX**2 // 4  # fewest pixels in a cell
 
 
 @dataclass(frozen=True)
 class Lenses:
-    """Lenses, to undistort pixels before a homography is fitted; None leaves pixels unchanged."""
+    """Lenses that undistort pixels before the fit of a homography; None leaves pixels unchanged."""
 
     camera: LensCamera | None = None
     projector: LensCamera | None = None
@@ -47,11 +47,11 @@ class PlaneFit:
 
     Attributes:
         homography: (3, 3) from undistorted camera pixels to undistorted panel pixels.
-        share: of the accepted pixels that belong to the plane.
+        share: share of the accepted pixels that belong to the plane.
         residual: summary of the distances between decoded and predicted positions, panel pixels.
-        rms_per_axis: of the residual, panel pixels.
-        smooth_per_axis: rms of the mean residual of cells of 16 x 16 camera pixels: lens errors and surface shape.
-        scatter_per_axis: rms about those means: the decoder's noise.
+        rms_per_axis: rms of the residual per axis, panel pixels.
+        smooth_per_axis: rms of the mean residuals of cells of 16 x 16 camera pixels: lens errors and surface shape.
+        scatter_per_axis: rms about the cell means: the decoder's noise.
     """
 
     homography: FloatArray
@@ -64,12 +64,12 @@ class PlaneFit:
 
 @dataclass(frozen=True, eq=False)
 class PlaneSurvey:
-    """Flat surfaces found in a decoded picture, in the order of detection.
+    """Flat surfaces in a decoded picture, in the order of detection.
 
     Attributes:
-        planes: one fit each.
-        label: (h, w) int8, the plane's number, -1 where there is none.
-        residual: (h, w, 2) float32 decoded minus predicted, panel pixels; NaN where there is no plane.
+        planes: one fit per plane.
+        label: (h, w) int8 number of the plane; -1 outside all planes.
+        residual: (h, w, 2) float32 decoded minus predicted, panel pixels; NaN outside all planes.
     """
 
     planes: tuple[PlaneFit, ...]
@@ -78,7 +78,7 @@ class PlaneSurvey:
 
 
 def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8]:
-    """Label the accepted pixels (h, w) by flat surfaces, found in turn by RANSAC; -1 where none fits."""
+    """Label the accepted pixels (h, w) with flat surfaces, detected one after another by RANSAC; -1 elsewhere."""
     seen, shown = _undistorted(decoded, lenses)
     label = np.full(len(seen), -1, dtype=np.int8)
     for number in range(_MOST_PLANES):
@@ -97,23 +97,23 @@ def find_planes(decoded: Decoded, lenses: Lenses = NO_LENSES) -> NDArray[np.int8
 def fit_planes(decoded: Decoded, label: NDArray[np.int8], lenses: Lenses = NO_LENSES) -> PlaneSurvey:
     """Fit a homography to each of the labelled surfaces (h, w) by least squares."""
     seen, shown = _undistorted(decoded, lenses)
-    own = label[decoded.accepted]
+    number_of = label[decoded.accepted]
     residual = np.full((*label.shape, 2), np.nan, dtype=np.float32)
     planes = []
-    for number in range(int(own.max(initial=-1)) + 1):
-        members = own == number
+    for number in range(int(number_of.max(initial=-1)) + 1):
+        members = number_of == number
         homography = _homography(seen[members], shown[members])
         left = np.full(seen.shape, np.nan)
         left[members] = shown[members] - _mapped(homography, seen[members])
         of_plane = np.full_like(residual, np.nan)
         of_plane[decoded.accepted] = left
-        planes.append(_judged(homography, float(members.mean()), of_plane))
+        planes.append(_plane_fit(homography, float(members.mean()), of_plane))
         residual = np.where(np.isnan(residual), of_plane, residual)
     return PlaneSurvey(tuple(planes), label, residual)
 
 
-def _judged(homography: FloatArray, share: float, residual: NDArray[np.float32]) -> PlaneFit:
-    """From the residual (h, w, 2), NaN outside of the surface."""
+def _plane_fit(homography: FloatArray, share: float, residual: NDArray[np.float32]) -> PlaneFit:
+    """Summarise the residual (h, w, 2) of one surface, NaN outside it."""
     length = np.linalg.norm(residual, axis=-1)
     rms = float(np.sqrt(np.nanmean(residual**2)))
     return PlaneFit(homography, share, summary(length[np.isfinite(length)]), rms, *_smooth_and_scatter(residual))
@@ -122,14 +122,14 @@ def _judged(homography: FloatArray, share: float, residual: NDArray[np.float32])
 def distance_to_planes(
     planes: Sequence[PlaneFit], camera_pixel: PixelArray, panel_pixel: PixelArray, lenses: Lenses = NO_LENSES
 ) -> FloatArray:
-    """Distances (n,) in panel pixels of decoded positions (n, 2) from the prediction of the nearest plane."""
+    """Return the distances (n,) of decoded positions (n, 2) from the prediction of the nearest plane, panel pixels."""
     seen, shown = _straightened(lenses.camera, camera_pixel), _straightened(lenses.projector, panel_pixel)
     distances = [np.linalg.norm(shown - _mapped(plane.homography, seen), axis=1) for plane in planes]
     return np.asarray(np.min(distances, axis=0, initial=np.inf))
 
 
 def _undistorted(decoded: Decoded, lenses: Lenses) -> tuple[FloatArray, FloatArray]:
-    """Undistorted camera and panel pixels (n, 2) of the accepted pixels."""
+    """Return the undistorted camera and panel pixels (n, 2) of the accepted pixels."""
     row, column = np.nonzero(decoded.accepted)
     seen = np.stack([column, row], axis=-1) + 0.5
     return _straightened(lenses.camera, seen), _straightened(lenses.projector, decoded.pixel[decoded.accepted])
@@ -146,7 +146,7 @@ def _straightened(lens: LensCamera | None, pixel: PixelArray) -> FloatArray:
 
 
 def _members(seen: FloatArray, shown: FloatArray, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mask (n,) of the free rows that agree with the homography of the largest consensus."""
+    """Return a mask (n,) of the free rows that agree with the homography of the largest consensus."""
     rows = _thinned(np.flatnonzero(free))
     homography, _ = cv2.findHomography(seen[rows][:, None], shown[rows][:, None], cv2.RANSAC, TOLERANCE_PX)
     members = free
@@ -160,13 +160,13 @@ def _members(seen: FloatArray, shown: FloatArray, free: NDArray[np.bool_]) -> ND
 
 
 def _homography(seen: FloatArray, shown: FloatArray) -> FloatArray:
-    """Homography (3, 3) by least squares on the distance in the panel."""
+    """Fit a homography (3, 3) by least squares on panel distances."""
     rows = _thinned(np.arange(len(seen)))
     return np.asarray(cv2.findHomography(seen[rows][:, None], shown[rows][:, None])[0])
 
 
 def _thinned(rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """A random but reproducible subset of at most `_SAMPLE` rows."""
+    """Return a random but reproducible subset of at most `_SAMPLE` rows."""
     return np.random.default_rng(0).choice(rows, _SAMPLE, replace=False) if len(rows) > _SAMPLE else rows
 
 
@@ -175,9 +175,9 @@ def _mapped(homography: FloatArray, pixel: FloatArray) -> FloatArray:
 
 
 def _smooth_and_scatter(residual: NDArray[np.float32]) -> tuple[float, float]:
-    """Rms per axis of the cell means of a picture (h, w, 2), and of the deviations from them.
+    """Return the rms per axis of the cell means of a picture (h, w, 2), and of the deviations from these means.
 
-    Cells that are mostly NaN do not count; NaN if none counts.
+    Cells that are mostly NaN are ignored; both values are NaN if all cells are.
     """
     row, column = np.nonzero(np.isfinite(residual[..., 0]))
     cell = row // _CELL_PX * (residual.shape[1] // _CELL_PX + 1) + column // _CELL_PX

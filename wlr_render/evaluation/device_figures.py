@@ -1,4 +1,4 @@
-"""Optical figures of one eye of a headset, computed from its mappings, traced or fitted."""
+"""Optical figures of one eye of a headset, computed from traced or fitted mappings."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,11 @@ from wlr_render.mappings import DisplayMapping, Eye, EyeBox
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
-_COLUMNS, _ROWS = 25, 21  # directions judged over the nominal field, or pixels over the panel
-_BOX_STEPS = 5  # viewpoints judged per axis of the eye box
-_NEAR_M = 0.3
-_MOVE_M = 1e-3  # pupil swim is stated per millimetre
-_SEARCH_DEG = np.arange(-85.0, 85.0, 0.05)
+_COLUMNS, _ROWS = 25, 21  # sampled directions in the nominal field, or pixels on the panel
+_BOX_STEPS = 5  # sampled viewpoints per axis of the eye box
+_NEAR_M = 0.3  # distance of near points
+_MOVE_M = 1e-3  # motion of the viewpoint; pupil swim is stated per millimetre
+_SEARCH_DEG = np.arange(-85.0, 85.0, 0.05)  # angles at which the field's limits are searched
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class AngleSpread:
 
     @classmethod
     def of(cls, arcmin: FloatArray) -> "AngleSpread":
-        """Summary of all finite entries."""
+        """Summarise all finite entries."""
         kept = arcmin[np.isfinite(arcmin)]
         if kept.size == 0:
             return cls(np.nan, np.nan, np.nan)
@@ -35,8 +35,9 @@ class AngleSpread:
 
 @dataclass(frozen=True)
 class FieldAngles:
-    """How far the panel is seen from the nominal viewpoint along the horizontal and the vertical through straight
-    ahead: degrees, right and up positive; NaN where it is not seen on that line.
+    """Field of view from the nominal viewpoint, along the horizontal and the vertical through straight ahead.
+
+    Degrees, positive to the right and up; NaN if the panel is not visible along that line.
     """
 
     left_deg: float
@@ -49,17 +50,17 @@ class FieldAngles:
 class DeviceFigures:
     """Optical figures of one eye.
 
-    All but the field angles are over the nominal field, or the whole panel if none is stated, and at the nominal
-    viewpoint unless they mention the box.
+    Except for the field angles, they are averaged over the nominal field, or over the whole panel if the headset states
+    no field, and at the nominal viewpoint unless they mention the eye box.
 
     Attributes:
-        field_angles: of the display.
-        panel_share: share of the judged directions that meet the panel.
+        field_angles: field of view of the display.
+        panel_share: share of the sampled directions that hit the panel.
         pixel_arcmin: side of a square with the mean solid angle of a pixel.
-        swim: change of a pixel's direction when the viewpoint moves 1 mm, half to either side, along x, y and z.
-        ignoring_viewpoint: error of a pixel's direction at the nominal viewpoint, for viewpoints all over the box.
+        swim: change of a pixel's direction when the viewpoint moves by 1 mm, half to either side, along x, y and z.
+        ignoring_viewpoint: error at viewpoints all over the eye box of the pixel directions of the nominal viewpoint.
         deviation_far: angle between the apparent and the true direction of a point at infinity.
-        deviation_near: the same for points 0.3 m away.
+        deviation_near: angle between the apparent and the true direction of a point 0.3 m away.
         deviation_change: change of `deviation_far` over the eye box with its corners, for the same view direction.
         colour: angle between the blue and the red real ray of the same view direction.
     """
@@ -76,9 +77,9 @@ class DeviceFigures:
 
     @property
     def parallax_distance_m(self) -> tuple[float, float]:
-        """Distance of a point without optics that would swim by the mean pupil swim in x, and in y.
+        """Distance of a point without optics whose parallax equals the mean pupil swim in x, and in y.
 
-        It is that of the virtual image only if the optics have no aberrations.
+        Without aberrations it is the distance of the virtual image.
         """
         x, y = (_MOVE_M / (swim.mean * ARCMIN) if swim.mean > 0 else np.inf for swim in self.swim[:2])
         return x, y
@@ -88,7 +89,7 @@ def device_figures(mappings: Eye, blue: Eye, red: Eye) -> DeviceFigures:
     """Compute all figures.
 
     Args:
-        mappings: the eye in the colour of most figures.
+        mappings: the eye in the colour of all figures but `colour`.
         blue, red: the same eye at the two ends of the spectrum (Fraunhofer's F and C lines, 486.1 and 656.3 nm).
     """
     display, see_through, box = mappings.display, mappings.see_through, mappings.eye_box
@@ -115,7 +116,7 @@ def device_figures(mappings: Eye, blue: Eye, red: Eye) -> DeviceFigures:
 
 
 def figures_table(mappings: Eye, figures: DeviceFigures) -> ReportTable:
-    """The figures of an eye as a table in arcminutes; field and image distance are in the notes."""
+    """Return the figures of an eye as a table in arcminutes, with field and image distance in the notes."""
     box_mm = " x ".join(f"{1e3 * side:g}" for side in mappings.eye_box.size)
     rows: list[list[Cell]] = [["one pixel", figures.pixel_arcmin, None, None]]
     spreads = [
@@ -147,7 +148,7 @@ def _extent(low: float, high: float) -> str:
 
 
 def judged_pixels(mappings: Eye, columns: int, rows: int) -> FloatArray:
-    """Pixels (n, 2) spaced evenly in tangents over the nominal field, or evenly over the panel if there is none."""
+    """Return pixels (n, 2) spaced evenly in tangents over the nominal field; without a field, evenly over the panel."""
     if mappings.field is None:
         return mappings.display.panel.grid(columns, rows).reshape(-1, 2)
     answer = mappings.display.pixel_of_view_dir(mappings.field.directions(columns, rows), mappings.eye_box.centre)
@@ -155,7 +156,7 @@ def judged_pixels(mappings: Eye, columns: int, rows: int) -> FloatArray:
 
 
 def _over_box(box: EyeBox, side: FloatArray) -> FloatArray:
-    """Viewpoints (n, 1, 3) at all combinations of box coordinates from `side` (-1..1)."""
+    """Return the viewpoints (n, 1, 3) at all combinations of box coordinates from `side` (-1..1)."""
     return box.at(np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 1, 3))
 
 
@@ -165,12 +166,12 @@ def _swim(display: DisplayMapping, pixel: FloatArray, centre: FloatArray, axis: 
 
 
 def _far(mappings: Eye, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Directions of the real rays beyond the optics, (..., 3)."""
+    """Return the directions (..., 3) of the real rays beyond the optics."""
     return mappings.see_through.real_ray_of_view_dir(view_dir, viewpoint).value[..., 3:]
 
 
 def _pixel_arcmin(display: DisplayMapping, pixel: FloatArray, centre: FloatArray) -> float:
-    """Square root of the mean solid angle of a pixel, from differences of half a pixel to each side."""
+    """Return the square root of the mean solid angle of a pixel, from differences of half a pixel to each side."""
     u, v = (
         display.view_dir_of_pixel(pixel + half, centre).value - display.view_dir_of_pixel(pixel - half, centre).value
         for half in np.diag([0.5, 0.5])
@@ -185,7 +186,7 @@ def _field_angles(display: DisplayMapping, centre: FloatArray) -> FieldAngles:
     for axis in np.eye(2):
         view_dir = dir_of_tangents(np.tan(np.deg2rad(_SEARCH_DEG))[:, None] * axis)
         answer = display.pixel_of_view_dir(view_dir, centre)
-        # A fitted model may go on beyond the panel.
+        # A fitted model may extrapolate beyond the panel.
         on_panel = np.all((answer.value >= 0.0) & (answer.value <= display.panel.size_px), axis=-1)
         seen = _SEARCH_DEG[answer.ok & on_panel]
         ends += [float(seen[0]), float(seen[-1])] if seen.size else [np.nan, np.nan]

@@ -11,8 +11,8 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
 
 DEPTH_M = 2.0
-"""Distance of the real points: about that of virtual images in headsets."""
-_COLUMNS, _ROWS = 41, 31
+"""Distance of the real points, close to the distance of virtual images in headsets."""
+_COLUMNS, _ROWS = 41, 31  # sampled directions in the nominal field, or pixels on the panel
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +20,10 @@ class LateralColour:
     """Angles between one colour and green, (n,) arcminutes; NaN where either is not visible.
 
     Attributes:
-        display: between the directions of a pixel.
-        see_through: between the directions of a real point.
-        world_ray: angle at the viewpoint between the points at `DEPTH_M` on a pixel's rays: the image error of one map
-            for both colours.
+        display: angle between the view directions of a pixel.
+        see_through: angle between the view directions of a real point.
+        world_ray: angle at the viewpoint between the points at `DEPTH_M` on a pixel's rays: the image error if one map
+            serves both colours.
     """
 
     display: FloatArray
@@ -37,27 +37,27 @@ def lateral_colour(green: Eye, other: Eye, viewpoint: FloatArray, pixel: FloatAr
     The real points are at `DEPTH_M` on the green rays of the pixels.
     """
     seen = [colour.display.view_dir_of_pixel(pixel, viewpoint).value for colour in (green, other)]
-    points = [_met(colour, view_dir, viewpoint) for colour, view_dir in zip((green, other), seen, strict=True)]
+    points = [_point_along(colour, view_dir, viewpoint) for colour, view_dir in zip((green, other), seen, strict=True)]
     through = [colour.see_through.view_dir_of_real_point(points[0], viewpoint).value for colour in (green, other)]
     places = [directions.normalised(point - viewpoint) for point in points]
     return LateralColour(*(directions.arcmin_between(*pair) for pair in (seen, through, places)))
 
 
-def _met(mappings: Eye, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    """Points (n, 3) at `DEPTH_M` in front of the viewpoint, visible in directions (n, 3)."""
+def _point_along(mappings: Eye, view_dir: FloatArray, viewpoint: FloatArray) -> FloatArray:
+    """Return the points (n, 3) at `DEPTH_M` in front of the viewpoint that are visible in directions (n, 3)."""
     real = mappings.see_through.real_ray_of_view_dir(view_dir, viewpoint).value
     return rays.split(rays.at_z(real, viewpoint[2] - DEPTH_M))[0]
 
 
 def lateral_colour_table(headsets: Sequence[EyeChannels]) -> ReportTable:
-    """Table for headsets in red, green and blue: rms and largest angles over the field, from the eye box's centre."""
+    """Tabulate rms and largest angles over the field from the eye box's centre, for headsets in red, green and blue."""
     rows: list[list[Cell]] = []
     for red, green, blue in headsets:
         pixel = judged_pixels(green, _COLUMNS, _ROWS)
         for name, other in (("red", red), ("blue", blue)):
-            found = lateral_colour(green, other, green.eye_box.centre, pixel)
-            figures = map(summary, (found.display, found.see_through, found.world_ray))
-            rows.append([green.name, name, *(each for kind in figures for each in (kind.rms, kind.maximum))])
+            angles = lateral_colour(green, other, green.eye_box.centre, pixel)
+            figures = map(summary, (angles.display, angles.see_through, angles.world_ray))
+            rows.append([green.name, name, *(value for kind in figures for value in (kind.rms, kind.maximum))])
     kinds = ("display", "see-through", "world ray")
     columns = ("headset", "against green", *(f"{kind} {what}" for kind in kinds for what in ("rms", "max")))
     notes = (

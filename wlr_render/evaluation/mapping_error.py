@@ -1,6 +1,6 @@
 """Errors of a mapping against exact optics, in arcminutes and panel pixels.
 
-Exact answers are computed once, as *observations*, and compared with any number of mappings, because exact tracing
+Exact results are computed once, as *observations*, and compared with any number of mappings, because exact tracing
 is far slower than a fitted model.
 """
 
@@ -20,7 +20,7 @@ class DisplayObservations:
 
     Attributes:
         viewpoint: (n, 3) metres, device frame.
-        pixel: (n, 2).
+        pixel: (n, 2) panel pixels.
         view_dir: (n, 3) direction of the pixel from the viewpoint.
     """
 
@@ -50,7 +50,7 @@ class SeeThroughObservations:
         viewpoint: (n, 3) metres, device frame.
         view_dir: (n, 3) direction of the point from the viewpoint.
         real_ray: (n, 6) world ray through the point.
-        point: (n, 3).
+        point: (n, 3) metres, device frame.
     """
 
     viewpoint: FloatArray
@@ -82,14 +82,17 @@ def observations_of_pixels(truth: DisplayMapping, viewpoint: FloatArray, pixel: 
 
 
 def observations_of_dirs(truth: DisplayMapping, viewpoint: FloatArray, view_dir: FloatArray) -> DisplayObservations:
-    """Observe the pixels in directions (..., 3) from viewpoints (..., 3) with exact optics, where there are any."""
+    """Observe the pixels in directions (..., 3) from viewpoints (..., 3) with exact optics.
+
+    Directions without a visible pixel are omitted.
+    """
     shown = truth.pixel_of_view_dir(view_dir, viewpoint)
     kept = shown.usable
     return DisplayObservations(_rows(viewpoint, kept, 3), shown.value[kept], _rows(view_dir, kept, 3))
 
 
 def display_error(candidate: DisplayMapping, observations: DisplayObservations) -> DisplayError:
-    """Errors of a display mapping, forward and backward."""
+    """Compute the errors of a display mapping, forward and backward."""
     shown = candidate.view_dir_of_pixel(observations.pixel, observations.viewpoint)
     pixel = candidate.pixel_of_view_dir(observations.view_dir, observations.viewpoint)
     return DisplayError(
@@ -115,7 +118,7 @@ def see_through_observations(
 
 
 def see_through_error(candidate: SeeThroughMapping, observations: SeeThroughObservations) -> SeeThroughError:
-    """Errors of a see-through mapping, forward and backward."""
+    """Compute the errors of a see-through mapping, forward and backward."""
     seen = candidate.view_dir_of_real_point(observations.point, observations.viewpoint)
     ray = candidate.real_ray_of_view_dir(observations.view_dir, observations.viewpoint).value
     return SeeThroughError(

@@ -11,7 +11,7 @@ class Summary:
     """Summary of a set of errors; NaN entries are omitted and counted.
 
     Attributes:
-        rms, median, p95, maximum: in the unit of the errors; NaN if there is no finite error.
+        rms, median, p95, maximum: in the unit of the errors; NaN without finite errors.
         count: number of finite errors.
         missing: number of NaN entries.
     """

@@ -14,7 +14,7 @@ from wlr_render.numerics.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class PairMisalignment:
-    """Misalignment of the dots found in both photographs.
+    """Misalignment of the dots detected in both photographs.
 
     Attributes:
         index: (n, 2) column and row on the board.
@@ -34,18 +34,18 @@ class PairMisalignment:
         return len(self.index)
 
     def only(self, dots: Set[tuple[int, int]]) -> "PairMisalignment":
-        """Some of the dots, by column and row."""
+        """Return the dots with these columns and rows."""
         kept = np.array([tuple(dot) in dots for dot in self.index.tolist()], dtype=bool)
-        return PairMisalignment(*(getattr(self, each.name)[kept] for each in fields(self)))
+        return PairMisalignment(*(getattr(self, field.name)[kept] for field in fields(self)))
 
 
 def pair_misalignment(real: BoardObservation, virtual: BoardObservation, camera: Lens) -> PairMisalignment:
-    """Match the dots of both photographs by their indices on the board; dots found in only one are omitted.
+    """Match the dots of both photographs by their indices on the board, and omit dots detected in only one.
 
     Args:
-        real: of the photograph with the display off.
-        virtual: with the display on, from the same position.
-        camera: that took both.
+        real: dots in the photograph with the display off.
+        virtual: dots in the photograph with the display on, from the same position.
+        camera: lens of the camera that took both.
     """
     place = {tuple(dot): row for row, dot in enumerate(virtual.index.tolist())}
     matched = [(row, place[tuple(dot)]) for row, dot in enumerate(real.index.tolist()) if tuple(dot) in place]

@@ -10,7 +10,7 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import Eye, FieldOfView
 
-TESTS = (100, 60)  # random viewpoints, and random pixels seen from each
+TESTS = (100, 60)  # random viewpoints, and random pixels per viewpoint
 TEST_DEPTHS_M = (0.3, 5.0)
 PIXEL_DIRECTION = "direction of a pixel (arcmin)"
 POINT_DIRECTION = "direction of a real point (arcmin)"
@@ -24,13 +24,13 @@ def compare(
     Args:
         eye: a fitted eye, such as `Calibration.mappings`.
         truth: the same eye with exact optics, from `open_eye` of a device.
-        seed: of the random viewpoints, pixels and depths. Not the seed of the captures that the eye was fitted to.
+        seed: seed of the random viewpoints, pixels and depths. Must differ from the seed of the fitted captures.
         field: directions to test; the whole panel by default. `truth.field` is the nominal field of view.
 
     Returns:
         A summary (rms, median, 95 % and maximum) of each kind of error, by its name with the unit: direction of a pixel
-        and of a real point, pixel of a direction, direction of a ray in the world. Where the eye has no answer, the
-        summary counts it as missing.
+        and of a real point, pixel of a direction, direction of a ray in the world. A query without a result counts as
+        missing.
 
     Example:
         >>> import wlr_render as wlr
@@ -51,15 +51,15 @@ class TruthTests:
 
     @classmethod
     def of(cls, truth: Eye, seed: int | Sequence[int], field: FieldOfView | None = None) -> "TruthTests":
-        """Pixels random on the panel or, if `field` is given, in random directions of it; real points likewise."""
+        """Observe random pixels on the panel or, if `field` is given, in random directions of it, and real points."""
         rng = np.random.default_rng(seed)
-        count, each = TESTS
+        count, per_viewpoint = TESTS
         viewpoint = truth.eye_box.at(rng.uniform(-1.0, 1.0, (count, 1, 3)))
         if field is None:
-            pixel = rng.uniform(0.0, 1.0, (count, each, 2)) * truth.display.panel.size_px
+            pixel = rng.uniform(0.0, 1.0, (count, per_viewpoint, 2)) * truth.display.panel.size_px
             seen = mapping_error.observations_of_pixels(truth.display, viewpoint, pixel)
         else:
-            view_dir = dir_of_tangents(rng.uniform(field.low, field.high, (count, each, 2)))
+            view_dir = dir_of_tangents(rng.uniform(field.low, field.high, (count, per_viewpoint, 2)))
             seen = mapping_error.observations_of_dirs(truth.display, viewpoint, view_dir)
         near, far = TEST_DEPTHS_M
         depth = 1.0 / rng.uniform(1.0 / far, 1.0 / near, len(seen.pixel))
@@ -67,7 +67,7 @@ class TruthTests:
         return cls(seen, points)
 
     def errors(self, model: Eye) -> dict[str, Summary]:
-        """Errors of a model, by name with unit."""
+        """Return the errors of a model, by name with unit."""
         display = mapping_error.display_error(model.display, self.display)
         world = mapping_error.see_through_error(model.see_through, self.see_through)
         return {

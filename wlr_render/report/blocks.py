@@ -54,12 +54,12 @@ class ReportTable:
 
     @cached_property
     def word_columns(self) -> list[bool]:
-        """Which columns hold words: they are aligned to the left, numbers to the right."""
+        """One flag per column: True for words (aligned left), False for numbers (aligned right)."""
         return [any(isinstance(row[k], str) for row in self.rows) for k in range(len(self.columns))]
 
     @property
     def summary(self) -> SummaryTable:
-        """The table as notebooks show it, without its notes."""
+        """The table as notebooks display it, without its notes."""
         return SummaryTable(self.columns, self.text_rows(), self.title)
 
     def _repr_html_(self) -> str:
@@ -73,8 +73,8 @@ class Picture:
     Attributes:
         title: one line.
         path: a PNG file.
-        caption: what it shows; also its alternative text.
-        link: address of a page that the picture leads to, relative to the report's folder.
+        caption: one sentence about the content; also the alternative text.
+        link: target of a click on the picture, relative to the report's folder.
     """
 
     title: str
@@ -85,13 +85,13 @@ class Picture:
 
 @dataclass(frozen=True)
 class Plot:
-    """A Plotly figure: interactive in HTML pages, its data in the JSON.
+    """A Plotly figure: interactive in HTML pages, with its data in the JSON file.
 
     Attributes:
         title: one line.
         data: Plotly traces.
         layout: Plotly layout; colours and fonts come from the page.
-        caption: what it shows.
+        caption: one sentence about the content.
         height_px: height in the page.
     """
 
@@ -107,18 +107,18 @@ Block = Section | Text | ReportTable | Picture | Plot
 
 @dataclass(frozen=True)
 class Report:
-    """What a job found.
+    """Result of a job.
 
     Attributes:
         title: one line, e.g. "Diagnosis of session-7".
         verdict: the result in one or two sentences.
-        advice: what to do next, most important first.
-        warnings: what limits the result.
+        advice: next steps, most important first.
+        warnings: limits of the result.
         blocks: the evidence.
         inputs: files and folders that the result depends on; pages state their SHA-256.
         files: files that the job wrote.
         record: data for the JSON file, a dataclass or a mapping.
-        faults: items that could not be used; the command line ends with status 2 if there are any.
+        faults: items that could not be used; the command line exits with status 2 if there are any.
     """
 
     title: str
@@ -137,7 +137,7 @@ class Report:
         return [block for block in self.blocks if isinstance(block, ReportTable)]
 
     def _repr_html_(self) -> str:
-        """Verdict, warnings, advice, tables and files; plots and pictures are in the page."""
+        """Return verdict, warnings, advice, tables and files as HTML; only the report's page has plots and pictures."""
         steps = [f"{number}. {step}" for number, step in enumerate(self.advice, 1)]
         written = ["Written: " + ", ".join(map(str, self.files))] if self.files else []
         sentences = [sentence for sentence in (self.verdict, *self.warnings, *steps, *written) if sentence]
@@ -145,7 +145,7 @@ class Report:
 
 
 def cell_text(cell: Cell) -> str:
-    """Text of a cell: three significant digits for floats, a dash for an empty cell or NaN."""
+    """Return the text of a cell: three significant digits for floats, a dash for an empty cell or NaN."""
     if cell is None or (isinstance(cell, float) and not math.isfinite(cell)):
         return "-"
     if not isinstance(cell, float):

@@ -1,4 +1,4 @@
-"""A report as one HTML page that works from a file, without network."""
+"""A report as one HTML page that works from a file, without a network."""
 
 import base64
 import functools
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def html_page(report: Report, provenance: "Provenance") -> str:
-    """The page as text; pictures and, if there are plots, Plotly are embedded.
+    """Return the page as text, with its pictures and, if it has plots, Plotly embedded.
 
     Raises:
         OSError: a picture cannot be read.
@@ -35,7 +35,7 @@ def html_page(report: Report, provenance: "Provenance") -> str:
 
 
 def _kind(block: object) -> str:
-    """Name of the template's branch for a block."""
+    """Return the name of the template's branch for a block."""
     return {Section: "section", Text: "text", ReportTable: "table", Picture: "picture", Plot: "plot"}[type(block)]
 
 
@@ -51,13 +51,13 @@ def _template() -> jinja2.Template:
 
 
 def _figure_json(plot: Plot) -> str:
-    """Plotly's figure as JSON that may stand inside a script element."""
+    """Return Plotly's figure as JSON that is safe inside a script element."""
     text = json.dumps(plotly_text(to_jsonable({"data": plot.data, "layout": plot.layout})), allow_nan=False)
     return text.replace("<", "\\u003c")
 
 
 @functools.cache
 def _plotly_base64() -> str:
-    """plotly.min.js, compressed: a page of 2 MB instead of 5 MB; browsers decompress it themselves."""
+    """Return plotly.min.js as gzip in base64, which browsers decompress: a page has 2 MB instead of 5 MB."""
     script = importlib.resources.files("plotly").joinpath("package_data/plotly.min.js").read_bytes()
     return base64.b64encode(gzip.compress(script, mtime=0)).decode("ascii")

@@ -11,21 +11,21 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Plot
 
 MAX_CELLS = 200
-"""Cells of a heat map, across and down: more cannot be told apart in a page and would only make it slow."""
+"""Largest number of cells of a heat map, across and down; more cells are too small to see and slow the page."""
 MAX_ARROWS = 200
-"""Arrows of one group of a map: more cannot be told apart."""
-_ALL_ARROWS = 5000  # of all groups: what a page can carry, but 40 of each group in any case
+"""Largest number of arrows in one group of a map; more arrows overlap."""
+_ALL_ARROWS = 5000  # most arrows in all groups together, a limit of browsers; each group has at least 40
 _ARROW_SHARE = 0.05
-"""Length of the reference arrow, as a part of the map's width."""
+"""Length of the reference arrow, as a share of the map's width."""
 
-_DECADES = 3.0  # of a logarithmic scale that maps share: less shows nothing
+_DECADES = 3.0  # range of the logarithmic scale that maps share; smaller values have the first colour
 
 _COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#17becf")
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 
 
 def axis(title: str, log: bool = False) -> dict[str, Any]:
-    """Layout of an axis: its title, unit included, and its scale."""
+    """Return the layout of an axis: its title, unit included, and its scale."""
     return {"title": {"text": title, "font": {"size": 12}}, **({"type": "log"} if log else {})}
 
 
@@ -40,12 +40,17 @@ def curves(
     predicted: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
     caption: str = "",
 ) -> Plot:
-    """Named curves (x, y) in one diagram; `axes` are the titles of x and y, units included.
+    """Plot named curves (x, y) in one diagram.
 
-    `predicted` are values of curves by name; they are dashed in the colour of their curve. Do not group such curves.
-
-    If `grouped`, names are "GROUP, KIND", e.g. a device and its model: each group has a colour, each kind a dash
-    pattern, and the points are marked.
+    Args:
+        title: one line.
+        lines: x and y of each curve, by name.
+        axes: titles of x and y, units included.
+        log_x, log_y: logarithmic axes.
+        grouped: names are "GROUP, KIND", e.g. a device and its model; each group has a colour, each kind a dash
+            pattern, and the points are marked.
+        predicted: predicted x and y by the name of the curve, dashed in its colour. Exclusive with `grouped`.
+        caption: one sentence about the content.
     """
     data: list[dict[str, Any]] = [
         {"type": "scatter", "mode": "lines", "name": name, "x": _rounded(x), "y": _rounded(y)}
@@ -81,16 +86,17 @@ def heat_map(
     cell: float = 1.0,
     caption: str = "",
 ) -> Plot:
-    """Values of an image (height, width), NaN where there are none, as coloured cells; row 0 is at the top.
+    """Plot the values of an image (height, width) as coloured cells, with row 0 at the top.
 
     Args:
         title: one line.
-        values: one per pixel; large images are reduced to the maxima of blocks, which the caption then says.
-        unit: of the values.
+        values: one value per pixel; NaN leaves a cell empty. Large images are reduced to block maxima, and the caption
+            says so.
+        unit: unit of the values.
         limits: values of the first and the last colour; None for the range of the values.
         log: logarithmic colours.
         cell: side of a pixel of the image, in panel pixels.
-        caption: what it shows.
+        caption: one sentence about the content.
     """
     height, width = values.shape
     block = max(1, -(-max(height, width) // MAX_CELLS))
@@ -124,23 +130,23 @@ def heat_map(
 def small_heat_maps(
     title: str, maps: Mapping[str, FloatArray], unit: str, *, columns: int = 3, cell: float = 1.0, caption: str = ""
 ) -> Plot:
-    """Named maps (height, width) of one size side by side, on one logarithmic colour scale; row 0 is at the top.
+    """Plot named maps (height, width) of equal size side by side on one logarithmic colour scale, row 0 at the top.
 
     Args:
         title: one line.
-        maps: positive values; NaN where there are none. Zero has the first colour.
-        unit: of the values.
-        columns: of the maps.
-        cell: side of a cell, in the unit of the axes, pixels.
-        caption: what they show.
+        maps: positive values; NaN leaves a cell empty, zero has the first colour.
+        unit: unit of the values.
+        columns: number of maps in a row.
+        cell: side of a cell in the unit of the axes, pixels.
+        caption: one sentence about the content.
     """
-    every = np.concatenate([each[each > 0] for each in maps.values()])
+    every = np.concatenate([values[values > 0] for values in maps.values()])
     high = np.log10(every.max(initial=1e-6))
     low = max(np.log10(every.min(initial=10.0**high)), high - _DECADES)
     rows = -(-len(maps) // columns)
     ticks = [n * 10.0**d for d in range(int(np.floor(low)), int(np.ceil(high)) + 1) for n in (1, 2, 5)]
-    ticks = [each for each in ticks if low <= np.log10(each) <= high]
-    bar = {"title": {"text": unit}, "tickvals": np.log10(ticks), "ticktext": [f"{each:g}" for each in ticks]}
+    ticks = [tick for tick in ticks if low <= np.log10(tick) <= high]
+    bar = {"title": {"text": unit}, "tickvals": np.log10(ticks), "ticktext": [f"{tick:g}" for tick in ticks]}
     layout: dict[str, Any] = {
         "coloraxis": {"colorscale": "Viridis", "cmin": float(low), "cmax": float(high), "colorbar": bar},
         "annotations": [],
@@ -149,15 +155,15 @@ def small_heat_maps(
     for number, (name, values) in enumerate(maps.items()):
         row, column = divmod(number, columns)
         left, top = column / columns, 1.0 - row / rows
-        own = str(number + 1) if number else ""
+        suffix = str(number + 1) if number else ""
         across, down = [left, left + 0.95 / columns], [top - 0.95 / rows, top - 0.12 / rows]
         plain = {"showgrid": False, "zeroline": False, "showticklabels": False, "ticks": "", "constrain": "domain"}
-        layout[f"xaxis{own}"] = plain | {"domain": across, "anchor": f"y{own}"}
-        layout[f"yaxis{own}"] = plain | {
+        layout[f"xaxis{suffix}"] = plain | {"domain": across, "anchor": f"y{suffix}"}
+        layout[f"yaxis{suffix}"] = plain | {
             "domain": down,
-            "anchor": f"x{own}",
+            "anchor": f"x{suffix}",
             "autorange": "reversed",
-            "scaleanchor": f"x{own}",
+            "scaleanchor": f"x{suffix}",
         }
         at = {"x": sum(across) / 2, "y": top - 0.12 / rows, "xref": "paper", "yref": "paper"}
         layout["annotations"].append(at | {"xanchor": "center", "yanchor": "bottom", "text": name, "showarrow": False})
@@ -171,15 +177,15 @@ def small_heat_maps(
                 "hovertemplate": f"%{{x:.0f}}, %{{y:.0f}}: %{{customdata:.3g}} {unit}<extra>{name}</extra>",
                 "hoverongaps": False,
                 "coloraxis": "coloraxis",
-                "xaxis": f"x{own}",
-                "yaxis": f"y{own}",
+                "xaxis": f"x{suffix}",
+                "yaxis": f"y{suffix}",
             }
         )
     return Plot(title, data, layout, caption, height_px=60 + 230 * rows)
 
 
 def block_maxima(values: FloatArray, block: int) -> FloatArray:
-    """Maxima of the square blocks of an image, without NaN where a block has any number."""
+    """Return the maxima of the square blocks of an image, ignoring NaN; a block of NaN only is NaN."""
     rows, columns = (-(-size // block) * block for size in values.shape)
     padded = np.full((rows, columns), np.nan)
     padded[: values.shape[0], : values.shape[1]] = values
@@ -190,7 +196,7 @@ def block_maxima(values: FloatArray, block: int) -> FloatArray:
 
 
 def bars(title: str, names: Sequence[str], series: Mapping[str, ArrayLike], y_title: str, *, caption: str = "") -> Plot:
-    """Named values side by side, one colour for each series; NaN leaves a gap."""
+    """Plot named values as bars side by side, one colour per series; NaN leaves a gap."""
     data = [
         {"type": "bar", "name": name, "x": list(names), "y": _rounded(values), "showlegend": len(series) > 1}
         for name, values in series.items()
@@ -208,15 +214,15 @@ def arrow_map(
     y_down: bool = False,
     caption: str = "",
 ) -> Plot:
-    """Arrows at positions, one group at a time chosen from a menu; all groups have one scale and a reference arrow.
+    """Plot arrows at positions; a menu selects one group, and all groups share a scale and a reference arrow.
 
     Args:
         title: one line.
-        groups: positions (n, 2) and arrows (n, 2) by name; arrows point right and up. NaN is left out.
-        unit: of the arrows.
+        groups: positions (n, 2) and arrows (n, 2) by name; arrows point right and up. NaN arrows are omitted.
+        unit: unit of the arrows.
         axes: titles of x and y, units included.
         y_down: the y axis points down.
-        caption: what it shows.
+        caption: one sentence about the content.
     """
     every = np.concatenate([place for place, _ in groups.values()])
     low, high = every.min(axis=0), every.max(axis=0)
@@ -227,8 +233,8 @@ def arrow_map(
     most = min(MAX_ARROWS, max(40, _ALL_ARROWS // len(groups)))
     data: list[dict[str, Any]] = []
     for number, (place, arrow) in enumerate(groups.values()):
-        known = np.flatnonzero(np.isfinite(arrow).all(axis=1))
-        rows = known[:: max(1, len(known) // most)]
+        finite = np.flatnonzero(np.isfinite(arrow).all(axis=1))
+        rows = finite[:: max(1, len(finite) // most)]
         tip = place[rows] + scale * arrow[rows]
         shaft = np.stack([place[rows], tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 2)
         size = np.linalg.norm(arrow[rows], axis=1)
@@ -269,7 +275,7 @@ def arrow_map(
 
 
 def _group_menu(names: Sequence[str]) -> dict[str, Any]:
-    """A menu that shows the two traces of one group, and always the last trace."""
+    """Return a menu that shows the two traces of one group and always the last trace."""
     shown = [[trace // 2 == number for trace in range(2 * len(names))] + [True] for number in range(len(names))]
     buttons = [
         {"label": name, "method": "update", "args": [{"visible": visible}]}
@@ -284,6 +290,6 @@ def _trace(points: FloatArray, mode: str, **more: object) -> dict[str, Any]:
 
 
 def _rounded(values: ArrayLike) -> list[Any]:
-    """Four significant digits: what can be read from a plot, in a third of the bytes."""
+    """Round to four significant digits: enough for a plot, in a third of the bytes."""
     array = np.asarray(values, dtype=np.float64)
     return [_rounded(row) if array.ndim > 1 else float(f"{row:.4g}") for row in array]

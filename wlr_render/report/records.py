@@ -1,4 +1,4 @@
-"""Records as JSON: one function for all of them."""
+"""Conversion of records to JSON."""
 
 import dataclasses
 import enum
@@ -13,10 +13,10 @@ import numpy as np
 
 
 def to_jsonable(value: object) -> object:
-    """Convert a record to what JSON can hold.
+    """Convert a record to types that JSON supports.
 
-    Dataclasses become objects with one key per field (fields whose metadata has `"json": False` are left out), arrays
-    become nested lists, enumerations their values, paths and dates text. NaN and infinity become null.
+    Dataclasses become objects with one key per field (fields whose metadata has `"json": False` are omitted), arrays
+    become nested lists, enumerations their values, and paths text. NaN and infinity become null.
 
     Raises:
         TypeError: a value of another type.
@@ -43,15 +43,15 @@ def to_jsonable(value: object) -> object:
 
 
 def fields_of(record: Any) -> dict[str, Any]:
-    """Fields of a dataclass that go into its JSON, unconverted."""
+    """Return the fields of a dataclass that its JSON contains, unconverted."""
     kept = [field.name for field in dataclasses.fields(record) if field.metadata.get("json", True)]
     return {name: getattr(record, name) for name in kept}
 
 
 def json_text(value: object) -> str:
-    """A record as indented JSON text that ends with a newline; lists of plain values stay on one line."""
+    """Return a record as indented JSON text that ends with a newline; lists of plain values stay on one line."""
     text = json.dumps(to_jsonable(value), indent=2, allow_nan=False)
-    return _PLAIN_LIST.sub(lambda found: "[" + re.sub(r"\n\s+", " ", found[1]) + "]", text) + "\n"
+    return _PLAIN_LIST.sub(lambda match: "[" + re.sub(r"\n\s+", " ", match[1]) + "]", text) + "\n"
 
 
 _PLAIN_LIST = re.compile(r"\[\n\s+([^][{}]*?)\n\s+\]")

@@ -1,4 +1,4 @@
-"""Writing a report: an HTML page, a Markdown file and a JSON file under one name, with their provenance."""
+"""Writing of a report: an HTML page, a Markdown file and a JSON file with one stem, and their provenance."""
 
 import dataclasses
 import datetime
@@ -23,8 +23,8 @@ from wlr_render.report.records import fields_of, json_text
 class InputFile:
     """An input of a result: its name and the SHA-256 of its content.
 
-    The hash of a folder is that of the sorted list of its files' relative names and hashes, without the files of the
-    output folder if that lies inside. An input that can no longer be read has the reason in place of its hash.
+    The hash of a folder covers the sorted list of its files' relative names and hashes, except files of an output
+    folder inside it. An input that can no longer be read has the reason in place of its hash.
     """
 
     name: str
@@ -33,7 +33,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Provenance:
-    """When, by which version and from which inputs a result was made."""
+    """Date, version, command line and inputs of a result."""
 
     date: str
     version: str
@@ -42,9 +42,9 @@ class Provenance:
 
 
 def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
-    """Write FOLDER/STEM.html, .md and .json; returns the report with these files added.
+    """Write FOLDER/STEM.html, .md and .json, and return the report with these files added.
 
-    The JSON file holds the fields of `report.record` beside what every report says.
+    The JSON file has the fields of `report.record` in addition to the fields of every report.
 
     Raises:
         BadInputError: a file cannot be written.
@@ -59,25 +59,25 @@ def save_report(report: Report, folder: Path, stem: str = "report") -> Report:
         "tables": [table_record(table) for table in report.tables],
         "plots": [{"title": plot.title, "data": plot.data} for plot in report.blocks if isinstance(plot, Plot)],
     }
-    own = fields_of(report.record) if dataclasses.is_dataclass(report.record) else dict(report.record)
-    assert not record.keys() & own.keys(), "a job's record must not hide what every report says"
+    of_job = fields_of(report.record) if dataclasses.is_dataclass(report.record) else dict(report.record)
+    assert not record.keys() & of_job.keys(), "a job's record must not replace fields of every report"
     written = [
         write_text(folder / f"{stem}.html", html_page(report, origin)),
         write_text(folder / f"{stem}.md", markdown(report, folder)),
-        write_text(folder / f"{stem}.json", json_text(record | own)),
+        write_text(folder / f"{stem}.json", json_text(record | of_job)),
     ]
     return dataclasses.replace(report, files=(*report.files, *written))
 
 
 def provenance(inputs: Sequence[Path], output: Path) -> Provenance:
-    """Date, version, command line and input hashes of the running program, which writes into the folder `output`."""
+    """Return date, version, command line and input hashes of the running program, which writes to folder `output`."""
     now = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     hashes = (_sha256(path, output) for path in inputs)
     return Provenance(now, __version__, _command(), tuple(map(InputFile, map(str, inputs), hashes)))
 
 
 def _command() -> str:
-    """The command line; words for a notebook or a prompt, whose own command line says nothing of the work."""
+    """Return the command line, or words for a notebook or a prompt, whose command line does not describe the job."""
     started, arguments = Path(sys.argv[0]), sys.argv[1:]
     if started.stem == "ipykernel_launcher" or started.name in ("", "-c"):
         return "Python, without a command line"
@@ -93,11 +93,11 @@ def _sha256(path: Path, output: Path) -> str:
         if path.resolve() in output.resolve().parents:
             files = [item for item in files if not item.resolve().is_relative_to(output.resolve())]
         total = hashlib.sha256()
-        for each in sorted(files):
-            total.update(f"{each.relative_to(path).as_posix()} {_file_sha256(each)}\n".encode())
+        for file in sorted(files):
+            total.update(f"{file.relative_to(path).as_posix()} {_file_sha256(file)}\n".encode())
         return total.hexdigest()
     except OSError as error:
-        # The work is done: its report must not be lost with an input that was removed meanwhile.
+        # An input that was removed during the job must not prevent its report.
         return f"not readable ({error.strerror})"
 
 
@@ -107,14 +107,14 @@ def _file_sha256(path: Path) -> str:
 
 
 def table_record(table: ReportTable) -> dict[str, object]:
-    """Title, rows as objects with full-precision numbers, and notes of a table."""
+    """Return the title, rows as objects with full-precision numbers, and notes of a table."""
     keys = _unique(table.columns)
     rows = [dict(zip(keys, row, strict=True)) for row in table.rows]
     return {"title": table.title, "rows": rows, "notes": table.notes}
 
 
 def _unique(columns: Sequence[str]) -> list[str]:
-    """Names of columns as keys of an object: a name that is there already gets a number, as in "interval (2)"."""
+    """Return names of columns as keys of an object; a repeated name gets a number, e.g. "interval (2)"."""
     keys: list[str] = []
     for column in columns:
         key, number = column, 1
@@ -126,7 +126,7 @@ def _unique(columns: Sequence[str]) -> list[str]:
 
 
 def markdown(report: Report, folder: Path) -> str:
-    """The report as Markdown; links are relative to `folder`."""
+    """Return the report as Markdown, with links relative to `folder`."""
     parts = [f"# {markdown_text(report.title)}\n"]
     parts += [f"{markdown_text(sentence)}\n" for sentence in (report.verdict, *report.warnings) if sentence]
     parts += (
@@ -156,7 +156,7 @@ def _markdown_block(block: Block, folder: Path) -> str:
 
 
 def markdown_table(table: ReportTable) -> str:
-    """A Markdown table with its title and notes."""
+    """Return a Markdown table with its title and notes."""
     lines = [f"### {markdown_text(table.title)}", "", _line(table.columns), _line(["---"] * len(table.columns))]
     lines += [_line(row) for row in table.text_rows()]
     lines += ["", *map(markdown_text, table.notes)] if table.notes else []

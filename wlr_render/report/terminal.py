@@ -1,6 +1,6 @@
 """Reports, tables and progress in the terminal.
 
-Names and messages may come from files of others: control characters are escaped and markup is not interpreted.
+Names and messages may come from untrusted files: control characters are escaped, and markup is not interpreted.
 """
 
 import io
@@ -21,9 +21,9 @@ from wlr_render.progress import Item, Progress
 from wlr_render.report.blocks import Report, ReportTable
 
 PIPE_WIDTH = 140
-"""Columns of output that goes into a file or a pipe."""
+"""Width of output to a file or a pipe, characters."""
 MAX_ROWS = 20
-"""Rows of a table that the terminal shows."""
+"""Largest number of rows of a table in the terminal."""
 
 
 def say(*lines: object, error: bool = False) -> None:
@@ -33,7 +33,7 @@ def say(*lines: object, error: bool = False) -> None:
 
 
 def _stream(error: bool) -> TextIO:
-    """A standard stream, on which characters that its encoding lacks become escapes."""
+    """Return a standard stream that escapes characters that its encoding lacks."""
     stream = sys.stderr if error else sys.stdout
     if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
         stream.reconfigure(errors="backslashreplace")
@@ -48,7 +48,7 @@ def _console(stderr: bool = False, width: int | None = None) -> Console:
 class TerminalProgress(Progress):
     """Progress on standard error, so that standard output stays clean for pipes.
 
-    Where standard error is no terminal, nothing is shown: its reader expects at most the one sentence of an error.
+    If standard error is not a terminal, nothing is shown: its reader expects at most one error message.
     """
 
     def __init__(self, status: Status) -> None:
@@ -70,14 +70,14 @@ class TerminalProgress(Progress):
                 bar.advance(task)
 
     def say(self, text: str) -> None:
-        """Show what is being done."""
+        """Show the current step."""
         self._status.update(Text(printable(text)))
         self._status.start()
 
 
 @contextmanager
 def terminal_progress() -> Iterator[TerminalProgress]:
-    """Progress for one job; the status line is removed at the end."""
+    """Show the progress of one job, and remove the status line at the end."""
     status = _console(stderr=True).status("")
     try:
         yield TerminalProgress(status)
@@ -86,7 +86,7 @@ def terminal_progress() -> Iterator[TerminalProgress]:
 
 
 def print_report(report: Report) -> None:
-    """Print a report on standard output: verdict, warnings, what to do, tables, files."""
+    """Print a report on standard output: verdict, warnings, advice, tables, files."""
     say(*filter(None, (report.verdict, *report.warnings)), *(f"{n}. {step}" for n, step in enumerate(report.advice, 1)))
     # A file or a pipe has no window width.
     console = _console(width=None if sys.stdout.isatty() else PIPE_WIDTH)
