@@ -83,7 +83,7 @@ class RayLayers:
         near = self.dioptres[:, None]
         share = 1.0 - near * offset[..., 2:]  # depth from the viewpoint over that from the centre
         at, seen_from_centre = near / share, (tangents + near * offset[..., :2]) / share
-        scale = self.box.of((3, 4))
+        scale = self.box.select((3, 4))
         least, most = self.dioptres.min(), self.dioptres.max()
         points = [scale.scaled(seen_from_centre), (2.0 * at - least - most) / (most - least)]
         direction = np.broadcast_to(inputs[:, None, 3:], (len(inputs), len(near), 2))

@@ -61,7 +61,7 @@ class PositionMaps:
         if len(known) > 1:
             degree = min(known, key=lambda each: _held_out_map_error(samples, each))
         subject = samples.readings.inputs[:, ~samples.is_place]
-        box = samples.readings.box.of(np.flatnonzero(~samples.is_place).tolist())
+        box = samples.readings.box.select(np.flatnonzero(~samples.is_place).tolist())
         orders = total_degree(2, degree)
         phi, columns = basis(subject, orders, box), samples.readings.blocks * len(orders)
         coefficients, places = [], []
@@ -124,7 +124,9 @@ class PositionMaps:
 def _held_out_map_error(samples: Samples, degree: int) -> float:
     """Sum of squares at every fifth reading of each position, of a map fitted to the others."""
     subject = samples.readings.inputs[:, ~samples.is_place]
-    phi = basis(subject, total_degree(2, degree), samples.readings.box.of(np.flatnonzero(~samples.is_place).tolist()))
+    phi = basis(
+        subject, total_degree(2, degree), samples.readings.box.select(np.flatnonzero(~samples.is_place).tolist())
+    )
     target, error = samples.target(), 0.0
     out = np.random.default_rng(0).permutation(len(samples)) % FOLDS == 0
     for position in range(int(samples.position.max()) + 1):

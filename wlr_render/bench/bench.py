@@ -65,8 +65,8 @@ class EyeballCamera:
         square = radius * radius
         factor = 1.0 + square * (k1 + k2 * square)
         # Solutions beyond the first radius at which the picture folds over are not valid for this lens.
-        sound = (np.abs(radius * factor - distorted_radius) < _NEWTON_ERROR) & (radius >= 0) & (radius < self._fold)
-        return np.where(sound[..., None], distorted / np.where(sound, factor, 1.0)[..., None], np.nan)
+        valid = (np.abs(radius * factor - distorted_radius) < _NEWTON_ERROR) & (radius >= 0) & (radius < self._fold)
+        return np.where(valid[..., None], distorted / np.where(valid, factor, 1.0)[..., None], np.nan)
 
     @property
     def _fold(self) -> float:

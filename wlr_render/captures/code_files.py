@@ -85,8 +85,8 @@ class CodeFiles:
                     f"{files[0]}: the exposures of this picture differ in size or depth; take them again."
                 )
             if weights is None:
-                sound = np.array([image < kind.end_of_scale for image in images])
-                weights = sound * time[:, None, None]
+                unsaturated = np.array([image < kind.end_of_scale for image in images])
+                weights = unsaturated * time[:, None, None]
                 weights /= np.maximum(weights.sum(axis=0), time.min())
             light = np.zeros(images[0].shape, dtype=np.float32)
             over = ~weights.any(axis=0)

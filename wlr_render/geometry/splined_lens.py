@@ -140,5 +140,5 @@ class SplinedLens:
         # A symmetric part that is positive definite excludes folds.
         across = slope[:, 0, 1] + slope[:, 1, 0]
         first, second = slope[:, 0, 0], slope[:, 1, 1]
-        sound = np.asarray((first > 0) & (4 * first * second > across**2))
-        return np.where(sound[:, None], position + self._shift(index), np.nan), slope
+        one_to_one = np.asarray((first > 0) & (4 * first * second > across**2))
+        return np.where(one_to_one[:, None], position + self._shift(index), np.nan), slope

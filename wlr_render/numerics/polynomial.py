@@ -101,7 +101,7 @@ class Box:
         """Return whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
         return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
 
-    def of(self, axes: Sequence[int]) -> "Box":
+    def select(self, axes: Sequence[int]) -> "Box":
         """Return the box of some of the variables."""
         return Box(self.low[list(axes)], self.high[list(axes)])
 
@@ -124,7 +124,7 @@ class _Products:
     bends: list[FloatArray]
 
     @classmethod
-    def of(cls, orders: IntArray, box: Box, inputs: FloatArray, slopes: bool = False) -> "_Products":
+    def compute(cls, orders: IntArray, box: Box, inputs: FloatArray, slopes: bool = False) -> "_Products":
         """Compute the products of orders (products, variables) at inputs (n, variables)."""
         x, beyond = np.ascontiguousarray(box.scaled(inputs).T), None
         if x.size and not np.abs(x).max() <= SCALED_LIMIT:  # NaN, too
@@ -187,8 +187,8 @@ def basis(inputs: FloatArray, orders: IntArray, box: Box) -> FloatArray:
     middle = (orders.shape[1] + 1) // 2
     (first, row), (second, column) = _distinct(orders[:, :middle]), _distinct(orders[:, middle:])
     axes = range(orders.shape[1])
-    head = _Products.of(first, box.of(axes[:middle]), inputs[:, :middle])
-    tail = _Products.of(second, box.of(axes[middle:]), inputs[:, middle:])
+    head = _Products.compute(first, box.select(axes[:middle]), inputs[:, :middle])
+    tail = _Products.compute(second, box.select(axes[middle:]), inputs[:, middle:])
     result = head.value[row] * tail.value[column]
     if head.beyond is not None:
         result += head.excess[row] * tail.value[column]
@@ -222,7 +222,7 @@ class _Split:
     table: FloatArray
 
     @classmethod
-    def of(cls, orders: IntArray, coefficients: FloatArray, held_axes: Sequence[int]) -> "_Split":
+    def from_terms(cls, orders: IntArray, coefficients: FloatArray, held_axes: Sequence[int]) -> "_Split":
         if len(orders) == 0:  # zero, everywhere
             orders, coefficients = np.zeros((1, orders.shape[1]), np.int64), np.zeros((1, coefficients.shape[1]))
         held = list(held_axes)
@@ -246,8 +246,8 @@ class HeldPolynomial:
 
     def __init__(self, split: _Split, box: Box, inputs: FloatArray) -> None:
         """Hold the rows of inputs (n, held variables)."""
-        self._orders, self._box = split.free_orders, box.of(split.free_axes)
-        factors = _Products.of(split.held_orders, box.of(split.held_axes), inputs)
+        self._orders, self._box = split.free_orders, box.select(split.free_axes)
+        factors = _Products.compute(split.held_orders, box.select(split.held_axes), inputs)
         shape = (len(split.table) // len(self._orders), len(self._orders), len(inputs))
         self._border = (split.table @ factors.value).reshape(shape)
         beyond = factors.beyond is not None
@@ -260,7 +260,7 @@ class HeldPolynomial:
             inputs: (m, free variables).
             index: (m,) held row of each input, strictly ascending; None for all rows.
         """
-        factors = _Products.of(self._orders, self._box, inputs)
+        factors = _Products.compute(self._orders, self._box, inputs)
         value = _summed(_rows(self._here, index), factors.value)
         if factors.beyond is not None:
             value += _summed(_rows(self._border, index), factors.excess)
@@ -268,7 +268,7 @@ class HeldPolynomial:
 
     def with_jacobian(self, inputs: FloatArray, index: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Return the value (m, outputs) and Jacobian (m, outputs, free variables), see `__call__`."""
-        factors = _Products.of(self._orders, self._box, inputs, slopes=True)
+        factors = _Products.compute(self._orders, self._box, inputs, slopes=True)
         border = _rows(self._border, index)
         here = border if self._here is self._border else _rows(self._here, index)
         value = _summed(here, factors.value)
@@ -374,7 +374,7 @@ class Polynomial:
     def _split(self, held_axes: Sequence[int]) -> _Split:
         key = tuple(held_axes)
         if key not in self._splits:
-            self._splits[key] = _Split.of(self.orders, self.coefficients, key)
+            self._splits[key] = _Split.from_terms(self.orders, self.coefficients, key)
         return self._splits[key]
 
     def _cheapest(self) -> _Split:

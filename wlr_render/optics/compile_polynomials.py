@@ -186,7 +186,7 @@ class _DisplayRays:
         return pixel, np.asarray(status == Status.OK)
 
     def _in_box(self, pixel: FloatArray, border: float) -> BoolArray:
-        return self.box.of((0, 1)).contains(pixel, border)
+        return self.box.select((0, 1)).contains(pixel, border)
 
     def _bounds(self, place: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lowest and highest tangents (n, 2) that reach the box from places (n, 2), of a grid `axes` (m, 2)."""

@@ -32,7 +32,7 @@ def bent_along_a_line(place):
 
 @pytest.mark.parametrize("exact", [smooth, behind_a_round_hole, bent_along_a_line])
 def test_every_pixel_has_its_exact_value_and_light(exact):
-    field = PixelMap.of(exact, SIZE, OFFSET, TOLERANCE)
+    field = PixelMap.sample(exact, SIZE, OFFSET, TOLERANCE)
     value, lit = exact(places())
     np.testing.assert_array_equal(field.lit, lit)
     error = np.abs(np.moveaxis(field.planes(), 0, -1) - value)[lit]
@@ -40,13 +40,13 @@ def test_every_pixel_has_its_exact_value_and_light(exact):
 
 
 def test_few_pixels_are_computed_one_by_one_where_it_is_smooth():
-    assert len(PixelMap.of(smooth, SIZE, OFFSET, TOLERANCE).alone) == 0
-    bent = PixelMap.of(bent_along_a_line, (600, 40), OFFSET, TOLERANCE)
+    assert len(PixelMap.sample(smooth, SIZE, OFFSET, TOLERANCE).alone) == 0
+    bent = PixelMap.sample(bent_along_a_line, (600, 40), OFFSET, TOLERANCE)
     assert 0 < len(bent.alone) < 0.25 * 600 * 40
 
 
 def test_a_picture_without_light_is_dark_everywhere():
-    field = PixelMap.of(
+    field = PixelMap.sample(
         lambda place: (np.full((*place.shape[:-1], 2), np.nan), np.zeros(place.shape[:-1], bool)),
         (7, 3),
         np.zeros(2),

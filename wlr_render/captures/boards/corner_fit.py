@@ -66,17 +66,19 @@ def fit_corners(
     grey = np.ascontiguousarray(image, dtype=np.float32)
     number = len(start)
     pixel, sigma, contrast = np.full((number, 2), np.nan), np.full(number, np.nan), np.full(number, np.nan)
-    sound = np.abs(np.linalg.det(slope)) > 1e-3
-    sound[sound] &= np.isfinite(start[sound]).all(axis=-1)
+    usable = np.abs(np.linalg.det(slope)) > 1e-3
+    usable[usable] &= np.isfinite(start[usable]).all(axis=-1)
     across = np.zeros(number)
-    across[sound] = 1.0 / np.linalg.norm(np.linalg.inv(slope[sound]), axis=2).max(axis=1)  # px between edges' parallels
+    across[usable] = 1.0 / np.linalg.norm(np.linalg.inv(slope[usable]), axis=2).max(
+        axis=1
+    )  # px between edges' parallels
     reach_px = np.minimum(
         np.maximum(_REACH_PART * across, np.minimum(_LEAST_REACH_PX, _LEAST_REACH_PART * across)), _MOST_REACH_PX
     )
     reach_px = np.minimum(reach_px, reach * across)
     half = np.ceil(1.5 * reach_px).astype(np.int64)
-    for size in np.unique(half[sound]):
-        of = np.nonzero(sound & (half == size))[0]
+    for size in np.unique(half[usable]):
+        of = np.nonzero(usable & (half == size))[0]
         window = _Window.around(grey, start[of], slope[of], reach_px[of] / across[of], int(size), white_margin)
         pixel[of], sigma[of], contrast[of] = _fit(window, start[of], slope[of], reach_px[of])
     return FittedCorners(pixel, sigma, contrast)
@@ -160,11 +162,11 @@ def _fit(
     covariance = np.linalg.inv(now.normal + 1e-12 * _diagonal(now.normal) + 1e-12 * np.eye(5))
     noise = 0.5 * np.trace(covariance[:, :2, :2], axis1=1, axis2=2) * variance
     sigma = np.hypot(np.sqrt(np.maximum(noise, 0.0)), _MODEL_ERROR_PX)
-    sound = (used >= _LEAST_PIXELS) & (np.linalg.norm(state[:, :2], axis=1) <= _MOST_SHIFT_PART * reach_px)
-    sound &= np.abs(now.contrast) > _LEAST_CONTRAST * np.sqrt(variance)
-    sound &= (sigma < 0.25 * reach_px) & (damping < 1e6)
-    place = np.where(sound[:, None], start + state[:, :2], np.nan)
-    return place, np.where(sound, sigma, np.nan), np.where(sound, now.contrast, np.nan)
+    converged = (used >= _LEAST_PIXELS) & (np.linalg.norm(state[:, :2], axis=1) <= _MOST_SHIFT_PART * reach_px)
+    converged &= np.abs(now.contrast) > _LEAST_CONTRAST * np.sqrt(variance)
+    converged &= (sigma < 0.25 * reach_px) & (damping < 1e6)
+    place = np.where(converged[:, None], start + state[:, :2], np.nan)
+    return place, np.where(converged, sigma, np.nan), np.where(converged, now.contrast, np.nan)
 
 
 def _readable(window: _Window, blur_px: FloatArray) -> BoolArray:

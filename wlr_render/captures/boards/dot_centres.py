@@ -59,8 +59,8 @@ def _patches_around(
         near_px: (n,) distance beyond its edge at which a pixel still belongs to a dot.
         reach_px: (n,) distance beyond its edge that the patch must cover.
     """
-    sound = dots.sound & np.all((dots.centre > 0) & (dots.centre < np.array(grey.shape)[::-1]), axis=-1)
-    which = which[sound[which]]
+    usable = dots.is_valid & np.all((dots.centre > 0) & (dots.centre < np.array(grey.shape)[::-1]), axis=-1)
+    which = which[usable[which]]
     if not len(which):
         return
     extent = 2.0 * np.sqrt(np.maximum(dots.spread[which, 0, 0], dots.spread[which, 1, 1])) + reach_px[which] + 1.0
@@ -69,7 +69,7 @@ def _patches_around(
     frame = (border, border, border, border)
     padded = cv2.copyMakeBorder(grey, *frame, cv2.BORDER_REPLICATE)
     owner = cv2.copyMakeBorder(
-        _owners(grey, dots, near_px, np.nonzero(sound)[0]), *frame, cv2.BORDER_CONSTANT, value=_OUTSIDE
+        _owners(grey, dots, near_px, np.nonzero(usable)[0]), *frame, cv2.BORDER_CONSTANT, value=_OUTSIDE
     )
     for size in np.unique(half):
         yield _of_one_size(which[half == size], dots, int(size), padded, owner, border)
@@ -210,23 +210,23 @@ def _moments(patches: _Patches, dots: Dots, band: FloatArray) -> tuple[FloatArra
     x, y, deficit = patches.x, patches.y, ground.deficit
     depth = _mean(deficit, regions.middle)
     whole = ~(patches.outside & (regions.edge | regions.inside)).any(axis=1)
-    sound = whole & (regions.ring.sum(axis=1) >= _LEAST_GROUND_PX) & (ground.level > 0) & (depth > 0)
+    usable = whole & (regions.ring.sum(axis=1) >= _LEAST_GROUND_PX) & (ground.level > 0) & (depth > 0)
 
     taken = np.where(regions.edge, deficit, 0.0)
     taken += np.where(regions.inside, _mean(deficit, regions.inside)[:, None], 0.0)
     area = taken.sum(axis=1)
-    sound &= area > 0
-    area, depth, level = (np.where(sound, each, 1.0) for each in (area, depth, ground.level))
+    usable &= area > 0
+    area, depth, level = (np.where(usable, each, 1.0) for each in (area, depth, ground.level))
     shift = np.stack([_dot(taken, x), _dot(taken, y)], axis=-1) / area[:, None]
     second = _symmetric(*(_dot(taken, product) / area for product in (x * x, x * y, y * y)))
     spread = second - shift[:, :, None] * shift[:, None, :]
-    sound &= (_determinant(spread) > 0) & (spread[:, 0, 0] > 0)
+    usable &= (_determinant(spread) > 0) & (spread[:, 0, 0] > 0)
 
     variance = np.maximum(_noise_variance(deficit, regions), _QUANTUM_VARIANCE / level**2)
     sigma = np.sqrt(variance * _lever(patches, regions.edge, ground.covariance)) / area
     blur = _blur(deficit / depth[:, None], regions.edge, variance / depth**2, dots)
     results = dots.centre + shift, spread, area, depth, np.hypot(sigma, _SAMPLING_ERROR_PX), blur
-    return tuple(np.where(sound.reshape(-1, *[1] * (each.ndim - 1)), each, np.nan) for each in results)
+    return tuple(np.where(usable.reshape(-1, *[1] * (each.ndim - 1)), each, np.nan) for each in results)
 
 
 def _regions(patches: _Patches, dots: Dots, band: FloatArray) -> _Regions:

@@ -45,7 +45,7 @@ class Dots:
         return Dots(self.centre[which], self.spread[which])
 
     @property
-    def sound(self) -> NDArray[np.bool_]:
+    def is_valid(self) -> NDArray[np.bool_]:
         """Mask (n,) of the dots that are not NaN."""
         return np.asarray(np.isfinite(self.centre).all(axis=-1) & np.isfinite(self.spread).all(axis=(-1, -2)))
 

@@ -156,7 +156,7 @@ def _maps(
     tolerance: FloatArray,
 ) -> tuple[PixelMap, ...]:
     return tuple(
-        PixelMap.of(partial(exact, pupil_point), lens.camera.size_px, offset, tolerance)
+        PixelMap.sample(partial(exact, pupil_point), lens.camera.size_px, offset, tolerance)
         for offset, pupil_point in zip(*lens.samples(samples), strict=True)
     )
 

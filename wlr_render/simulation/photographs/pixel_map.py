@@ -40,7 +40,7 @@ class PixelMap:
     alone_value: Float32Array
 
     @classmethod
-    def of(cls, exact: Exact, size_px: tuple[int, int], offset: FloatArray, tolerance: FloatArray) -> "PixelMap":
+    def sample(cls, exact: Exact, size_px: tuple[int, int], offset: FloatArray, tolerance: FloatArray) -> "PixelMap":
         """Compute the quantity on the grid, and pixel by pixel where the tolerance is not met.
 
         Args:
