@@ -18,7 +18,7 @@ BENCHMARKS = {
     "simulated-lab": "Simulated photographs: readings, calibrations and corrected displays, compared with the truth.",
     "budget": "Predicted covariance of registration against true errors of simulated sessions.",
     "published-data": "Published data sets: converted, decoded, display models and detectors of boards on them.",
-    "accuracy": "Errors of fitted models by camera positions, noise and stage, beside what the models predict.",
+    "accuracy": "Errors of fitted models by camera positions, noise and stage, compared with predicted errors.",
     "design": "Errors of simulated sessions by the design of their camera places.",
     "wear": "Self-calibration by clicks over half an hour of simulated wear with slips.",
     "paper": "Planar against volumetric sampling of display and see-through, in simulation.",
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_app() -> "App":
-    """The parser of the command line; a benchmark's module is imported when it is used."""
+    """Return the parser of the command line; a benchmark's module is imported when it is used."""
     from cyclopts import App, Parameter
 
     app = App(

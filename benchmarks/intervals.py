@@ -23,9 +23,9 @@ def interval_percent(count: int, total: int) -> str:
 
 
 def ratio_interval(numerators: ArrayLike, denominators: ArrayLike) -> tuple[float, float]:
-    """95 % confidence interval of the ratio of two sums over sessions (n,), by bootstrap over them.
+    """Return the 95 % confidence interval of the ratio of two sums over sessions (n,), by bootstrap over sessions.
 
-    For what is dependent within a session: each session counts as one draw.
+    Values may be dependent within a session: each session counts as one draw.
     """
     above, below = np.asarray(numerators, np.float64), np.asarray(denominators, np.float64)
     drawn = np.random.default_rng(1).integers(0, len(above), (_RESAMPLED, len(above)))

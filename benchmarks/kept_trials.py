@@ -44,22 +44,22 @@ def finished_trials(
     resume: bool,
     workers: WorkerPool,
 ) -> Iterator[Outcome]:
-    """Outcomes in the order in which they are finished, see `as_finished`; those of another seed are kept apart.
+    """Yield outcomes in the order in which they finish, see `as_finished`; each seed has its own folder.
 
     Args:
-        run, load: of one trial; functions of a module, because they go between processes.
+        run, load: functions for one trial; they must belong to a module, because processes exchange them.
         tasks: the trials.
-        seed: of all trials.
-        folder: where outcomes are kept.
-        resume: whether the outcomes that are there already are used instead of being deleted.
-        workers: where the trials run.
+        seed: seed of all trials.
+        folder: folder of the outcomes.
+        resume: use existing outcomes instead of deleting them.
+        workers: processes that run the trials.
     """
     own = outcome_folder(folder, seed, resume)
     return as_finished(partial(kept_outcome, run, load, own, seed), tasks, workers, own)
 
 
 def outcome_folder(folder: Path, seed: int, resume: bool) -> Path:
-    """The folder of the outcomes of a seed; they are deleted unless a run is resumed."""
+    """Return the folder of the outcomes of a seed; existing outcomes are deleted unless a run is resumed."""
     own = output_folder(folder / f"seed-{seed}")
     if not resume:
         for path in own.glob("*.json"):
@@ -70,7 +70,7 @@ def outcome_folder(folder: Path, seed: int, resume: bool) -> Path:
 def kept_outcome(
     run: Run[AnyTrial, Outcome], load: Load[AnyTrial, Outcome], folder: Path, seed: int, trial: AnyTrial
 ) -> Outcome:
-    """The outcome that is kept in the folder, else that of running the trial, which is then kept."""
+    """Return the outcome from the folder; if it is missing, run the trial and save its outcome."""
     path = folder / trial.file
     kept = _read(path)
     if kept is not None:
@@ -88,7 +88,7 @@ def damaged_outcomes(folder: Path, seed: int) -> list[Path]:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """An outcome, None if the file is missing, or is not as it was written."""
+    """Read an outcome; None if the file is missing or damaged."""
     try:
         content = parse_json(path, read_text(path, _KIND), _KIND, _REMEDY)
         with as_bad_input(path, _KIND, _REMEDY):

@@ -17,17 +17,17 @@ def straight_error(observations: SeeThroughObservations) -> FloatArray:
 
 
 def displaced(observations: DisplayObservations, offset: FloatArray) -> DisplayObservations:
-    """The same observations with viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
+    """Return the same observations with viewpoints wrong by `offset` (n, 3) metres: an error of eye tracking."""
     return replace(observations, viewpoint=observations.viewpoint + offset)
 
 
 def moved_back(observations: DisplayObservations, distance_m: float | FloatArray) -> DisplayObservations:
-    """The same rays with viewpoints moved back along them, by one distance or (n,) distances."""
+    """Return the same rays with viewpoints moved back along them, by one distance or (n,) distances."""
     return displaced(observations, -np.asarray(distance_m)[..., None] * observations.view_dir)
 
 
 def through_depth(view_dir: FloatArray, depth_m: float) -> FloatArray:
-    """Length (...) of a ray of direction (..., 3) between planes of constant z that are `depth_m` apart, metres."""
+    """Return the length (...) of a ray of direction (..., 3) between two z planes `depth_m` from each other."""
     return np.asarray(depth_m / -view_dir[..., 2])
 
 

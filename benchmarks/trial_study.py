@@ -71,8 +71,8 @@ class Findings:
 
     Attributes:
         blocks: tables and plots.
-        verdict: sentences, one for each eye; those of the first experiment stand at the top of the report.
-        record: data for the JSON beside tables and plots.
+        verdict: sentences, one for each eye; the report starts with those of the first experiment.
+        record: data for the JSON file in addition to tables and plots.
     """
 
     blocks: Sequence[Block]
@@ -89,7 +89,7 @@ class Study:
     repeats: int = 1
 
     def display(self, eye: EvaluatedEye, kind: str, degree: int | None, count: int) -> Outcome:
-        """The outcome of an error-free trial of the display model."""
+        """Return the outcome of an error-free trial of the display model."""
         return self.outcome_of(trial_at(DisplayTrial, eye, kind, degree, count))
 
     def repeated(self, trial: Trial, most: int | None = None) -> list[Outcome]:
@@ -174,7 +174,7 @@ def _conditions(eyes: Sequence[EvaluatedEye]) -> ReportTable:
 def trial_at(
     trial: type[AnyOwnTrial], eye: EvaluatedEye, kind: str, degree: int | None, count: int, **errors: Any
 ) -> AnyOwnTrial:
-    """A trial of an eye; `errors` are the fields of the trial that state errors of the bench."""
+    """Return a trial of an eye; `errors` are the fields of the trial that state errors of the bench."""
     where: dict[str, Any] = {"whole_panel": eye.whole_panel, "eye": eye.eye}
     return trial(eye.device, kind, degree, count, eye.eye_box_mm, **where, **errors)
 
@@ -185,7 +185,7 @@ def pooled(outcomes: Sequence[Outcome], measure: str) -> float:
 
 
 def error_curves(title: str, x_title: str, lines: Lines, predicted: Lines | None = None) -> Plot:
-    """Forward errors on a logarithmic scale, and what the models predict of them; names are "EYE, MODEL"."""
+    """Plot forward errors and predicted errors on a logarithmic scale; names are "EYE, MODEL"."""
     axes = (x_title, "forward rms (arcmin)")
     return curves(title, lines, axes, log_y=True, grouped=predicted is None, predicted=predicted)
 

@@ -81,7 +81,7 @@ class EvaluatedEye:
 
 @lru_cache
 def truth(at: EvaluatedEye) -> Eye:
-    """The traced eye."""
+    """Return the traced eye."""
     device = load_device(at.device)
     eye = traced_eye(device, at.eye)
     box = EyeBox(eye.eye_box.centre, np.array(at.eye_box_mm) * 1e-3)
@@ -90,7 +90,7 @@ def truth(at: EvaluatedEye) -> Eye:
 
 @lru_cache
 def capture_setup(at: EvaluatedEye) -> CaptureSetup:
-    """A bench without errors; its camera sees the nominal field, if the device has one."""
+    """Return a bench without errors whose camera sees the nominal field, if the device has one."""
     eye = truth(at)
     return CaptureSetup(eye, camera_field=eye.field)
 
@@ -141,11 +141,11 @@ class Measure(StrEnum):
 
 @dataclass(frozen=True)
 class FoundBench:
-    """What a fit found of the bench, standard deviations per axis.
+    """Bench errors estimated by a fit, standard deviations per axis.
 
     Attributes:
-        noise_arcmin: of a reading.
-        repeatability_um, wobble_urad: of the shift and the turn of the camera per visit of a position.
+        noise_arcmin: noise of a reading.
+        repeatability_um, wobble_urad: random shift and rotation of the camera per visit of a position.
     """
 
     noise_arcmin: float
@@ -154,7 +154,7 @@ class FoundBench:
 
     @classmethod
     def of(cls, fit: AnyFit) -> "FoundBench":
-        """What a fit found; its whole report would cost as much time as the fit."""
+        """Extract the bench errors from a fit; its whole report would take as long as the fit."""
         unit = float(np.median(fit.captures.sigma_arcmin)) or 1.0
         return cls(unit * fit.smooth.noise, 1e6 * fit.smooth.shift_m, 1e6 * fit.smooth.turn_rad)
 
@@ -164,11 +164,11 @@ class Outcome:
     """Result of a trial.
 
     Attributes:
-        errors: by measure.
-        found: of the bench; None without a fit.
+        errors: errors by measure.
+        found: estimated bench errors; None without a fit.
         readings: number of measured directions.
         seconds: process time of the fit.
-        refused: why there is no model; empty if there is one.
+        refused: reason for a missing model; empty if the fit succeeded.
     """
 
     errors: Mapping[str, Summary]
@@ -221,7 +221,7 @@ class Trial:
 
     @property
     def has_random_errors(self) -> bool:
-        """Whether repetitions differ."""
+        """True if repetitions differ."""
         return bool(self.camera_noise_arcmin or self.stage_error_mm or self.stage_turn_urad)
 
     @property
@@ -253,7 +253,7 @@ class DisplayTrial(Trial):
 
     @property
     def has_random_errors(self) -> bool:
-        """Whether repetitions differ."""
+        """True if repetitions differ."""
         return super().has_random_errors or bool(self.tracking_error_mm)
 
     def run(self, seed: int) -> Outcome:
@@ -314,12 +314,12 @@ class NoModelTrial:
 
     @property
     def shared(self) -> object:
-        """See `Trial`."""
+        """Data shared by trials, see `Trial`."""
         return self
 
     @property
     def file(self) -> str:
-        """See `Trial`."""
+        """Name of the outcome's file, see `Trial`."""
         return _file_of(self)
 
     def run(self, seed: int) -> Outcome:
@@ -336,8 +336,8 @@ def run_trials(
 ) -> dict[AnyTrial, Outcome]:
     """Run each different trial once, on several processes.
 
-    Outcomes depend on the seed and the trial alone; those of networks also on the speed of the machine, because they
-    are trained for a fixed time. They are kept in the folder, and with `resume` those that are there are not repeated.
+    Outcomes depend only on the seed and the trial; outcomes of networks also depend on the speed of the machine,
+    because their training time is fixed. The folder keeps them, and `resume` does not repeat existing ones.
     """
     tasks, kept = tasks_of(trials), outcome_folder(folder, seed, resume)
     finished = (pair for found in as_finished(partial(_run, kept, seed), tasks, workers, kept) for pair in found)
@@ -376,14 +376,14 @@ def _file_of(trial: "AnyTrial") -> str:
 def _timed(
     fit: Callable[[AnyCaptures, str, int | None], ModelFit[AnyModel]], captures: AnyCaptures, trial: Trial
 ) -> tuple[ModelFit[AnyModel], float]:
-    """A trial's fit, and its process time in seconds."""
+    """Return a trial's fit and its process time in seconds."""
     started = time.process_time()
     fitted = fit(captures, trial.kind, trial.degree)
     return fitted, time.process_time() - started
 
 
 def _measured(trial: Trial, simulate: Simulate[AnyCaptures], rng: np.random.Generator) -> AnyCaptures:
-    """The trial's captures; camera noise needs no new tracing, a displaced camera does."""
+    """Simulate the trial's captures; camera noise needs no new tracing, a displaced camera does."""
     if trial.stage_error_mm == trial.stage_turn_urad == 0.0:
         captures: AnyCaptures = exact_captures(simulate, trial.at, trial.kind, trial.viewpoints)
         return with_camera_noise(captures, trial.camera_noise_arcmin, rng)

@@ -1,1 +1,1 @@
-"""Errors of fitted models over random draws, beside what the models predict of themselves."""
+"""Errors of fitted models over random draws, compared with the errors that the models predict."""

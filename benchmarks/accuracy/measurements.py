@@ -125,7 +125,7 @@ def tracking(study: Study) -> Findings:
 
 
 def prescribed(study: Study) -> Findings:
-    """Models that know the prescription of a headset that differs from it, beside one that does not."""
+    """Compare models that use a prescription that differs from the headset with a model that uses none."""
     rows: list[list[Cell]] = []
     for eye, (positions, noise, shape, goal), kind in product(study.eyes, wanted.GREY_BOX, _PRESCRIBED):
         errors = {"camera_noise_arcmin": noise, "shape": shape}

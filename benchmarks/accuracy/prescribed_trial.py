@@ -33,7 +33,7 @@ from wlr_render.simulation.simulate_captures import (
 )
 
 SEE_THROUGH_PREDICTED = "see-through predicted (arcmin)"
-"""A measure beside those of `Measure`: the standard error that the see-through model states."""
+"""A measure in addition to `Measure`: the standard error that the see-through model states."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class PrescribedTrial(DisplayTrial):
 def _bench(
     at: EvaluatedEye, turn_deg: float, shift_mm: float, shape: float, repeat: int, count: int, seed: int
 ) -> tuple[Captures, CaptureSetup]:
-    """Captures without noise of a headset that differs from its prescription, and how they were taken."""
+    """Simulate noise-free captures of a headset that differs from its prescription; also return their setup."""
     device = load_device(at.device)
     wrong = wrong_headset(device.eyes[at.eye], np.random.default_rng([seed, repeat]), turn_deg, shift_mm, shape)
     eye = traced_eye(replace(device, eyes={at.eye: wrong}), at.eye)

@@ -1,4 +1,4 @@
-"""Accuracy of fitted models over random draws, beside the figures wanted and what the models predict."""
+"""Accuracy of fitted models over random draws, compared with the goals and with the predicted errors."""
 
 from dataclasses import KW_ONLY, dataclass
 from functools import partial

@@ -115,7 +115,7 @@ def tables(outcomes: Sequence[BudgetOutcome]) -> list[ReportTable]:
 
 
 def _row(condition: str, name: str, outcomes: Sequence[BudgetOutcome], regions: Sequence[str] = REGIONS) -> list[Cell]:
-    """A row over sessions and regions; empty where there is nothing."""
+    """Return a row over sessions and regions; cells without data are empty."""
     sessions = [
         [part for part in each.coverage if part.condition == condition and part.region in regions] for each in outcomes
     ]

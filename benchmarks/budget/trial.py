@@ -62,11 +62,11 @@ class BudgetTrial:
 
 @dataclass(frozen=True)
 class Coverage:
-    """True errors of one region of a panel beside their predicted covariance.
+    """True errors of one region of a panel and their predicted covariance.
 
     Attributes:
         condition: one of `CONDITIONS`. region: one of `REGIONS`.
-        points: how many errors. inside: of them within each ellipse of `SHARES`.
+        points: number of errors. inside: number of them within each ellipse of `SHARES`.
         true, predicted: sums of squared lengths, square arcminutes.
     """
 
@@ -80,13 +80,13 @@ class Coverage:
 
 @dataclass(frozen=True)
 class BudgetOutcome:
-    """What became of a trial.
+    """Outcome of a trial.
 
     Attributes:
         trial: the session.
-        coverage: by condition and region.
-        truncation: of the models.
-        refused: an error that stopped the calibration; "" if none.
+        coverage: coverage by condition and region.
+        truncation: truncation errors of the models.
+        refused: error that stopped the calibration; "" if there was none.
     """
 
     trial: BudgetTrial
@@ -96,7 +96,7 @@ class BudgetOutcome:
 
 
 def loaded_outcome(trial: BudgetTrial, content: dict[str, Any]) -> BudgetOutcome:
-    """The outcome of a trial from its fields as JSON has them."""
+    """Return the outcome of a trial from its JSON fields."""
     content["trial"] = trial
     content["coverage"] = [Coverage(**each | {"inside": tuple(each["inside"])}) for each in content["coverage"]]
     content["truncation"] = Truncation(**content["truncation"])
@@ -145,15 +145,15 @@ def judged(
     sizes: ErrorSizes,
     rng: np.random.Generator,
 ) -> list[Coverage]:
-    """True errors of registration at random pixels, viewpoints and depths, beside the covariance that is predicted.
+    """Compare true registration errors at random pixels, viewpoints and depths with the predicted covariance.
 
     Args:
         condition: one of `CONDITIONS`.
         eye: the models, in the frame of the calibration.
         truth: the headset, in its own frame.
-        model_from_true: (4, 4) between the frames: the identity where trackers know the true one.
-        sizes: of the trackers' errors, which are drawn from other distributions, and of truncation.
-        rng: of the points, and of the trackers' errors.
+        model_from_true: (4, 4) between the frames; identity if the trackers measure in the true frame.
+        sizes: sizes of the tracker errors, which are drawn from other distributions, and of the truncation errors.
+        rng: generator of the points and of the tracker errors.
     """
     pixel = rng.uniform(0.0, 1.0, (_POINTS, 2)) * eye.display.panel.size_px
     viewpoint = eye.eye_box.at(rng.uniform(-1.0, 1.0, (_POINTS, 3)))
@@ -185,7 +185,7 @@ def judged(
 def _true_error(
     truth: Eye, true_from_model: FloatArray, pixel: FloatArray, viewpoint: FloatArray, point: FloatArray
 ) -> FloatArray:
-    """Direction (n, 3) of pixels less that of points, as the headset shows them; axes of the model's frame."""
+    """Return true directions (n, 3) of pixels less true directions of points; axes of the model's frame."""
     viewpoint, point = (transforms.apply(true_from_model, each) for each in (viewpoint, point))
     shown = truth.display.view_dir_of_pixel(pixel, viewpoint).value
     seen = truth.see_through.view_dir_of_real_point(point, viewpoint).value

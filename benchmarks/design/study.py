@@ -1,4 +1,4 @@
-"""Registration error of simulated sessions with chosen camera places, beside spreads of as many and of more."""
+"""Registration error of simulated sessions with optimised camera positions, compared with regular grids."""
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass

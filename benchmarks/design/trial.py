@@ -32,7 +32,7 @@ class DesignTrial:
 
 @dataclass(frozen=True)
 class DesignOutcome:
-    """What became of a trial.
+    """Outcome of a trial.
 
     Attributes:
         trial: the session.
@@ -44,14 +44,14 @@ class DesignOutcome:
 
 
 def loaded_outcome(trial: DesignTrial, content: dict[str, Any]) -> DesignOutcome:
-    """The outcome of a trial from its fields as JSON has them."""
+    """Return the outcome of a trial from its JSON fields."""
     return DesignOutcome(trial, {name: float(content["p95"][name]) for name in DESIGNS})
 
 
 def run_trial(trial: DesignTrial, seed: int) -> DesignOutcome:
     """Run a trial; the same seed gives the same outcome.
 
-    Each trial has a pilot session of its own, so that trials scatter by what the choice of places owes to chance, too.
+    Each trial has its own pilot session, so that the scatter of trials includes the randomness of the chosen positions.
     """
     recipe = PlanOptions(trial.headset).recipe
     built = recipe.build()

@@ -12,7 +12,7 @@ _NOISE_FACTORS = (0.9, 1.1)
 
 
 class Condition(StrEnum):
-    """How a bench differs from one with white noise of the stated size."""
+    """Departures of a bench from white noise of the stated size."""
 
     WHITE = "white"
     REPEATABILITY = "repeatability"
@@ -24,7 +24,7 @@ class Condition(StrEnum):
 
 
 def nature_of(condition: Condition, rng: np.random.Generator) -> BenchNature:
-    """A bench of that condition; sizes that vary from bench to bench are drawn."""
+    """Return a bench of that condition; sizes that vary from bench to bench are drawn."""
     drawn = {name: draw(rng) for name, draw in _DRAWS.items()}
     chosen = drawn.values() if condition is Condition.ALL else [drawn.get(condition, {})]
     return BenchNature(**{key: value for sizes in chosen for key, value in sizes.items()})

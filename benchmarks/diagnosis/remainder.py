@@ -12,20 +12,20 @@ from wlr_render.diagnosis.screening import hypotheses, screen
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 
 _OTHERS = 6
-_WORTH_A_FIT = 0.3  # of what the truth gains: a smaller first-order gain leaves far more than the truth does
+_WORTH_A_FIT = 0.3  # share of the truth's gain; a smaller first-order gain leaves far more residual than the truth
 
 
 def remainder(readings: WeighedReadings, scatter: Scatter, hidden: Sequence[str], name: str) -> float:
-    """Chi-squared that the best other cause in the place of a hidden one leaves above the truth; 25 are 5 sigma.
+    """Return the chi-squared, above the truth's, of the best other cause in place of a hidden one; 25 is 5 sigma.
 
-    No cause at all competes, too. All readings count, also those that a diagnosis excludes: a slip before the last
+    "No cause" competes as well. All readings count, including those that a diagnosis excludes: a slip before the last
     captures must not pass for captures that moved.
 
     Args:
-        readings: in which nothing but the hidden causes is at work, with the noise that is really there.
-        scatter: how far captures really scatter.
-        hidden: all causes that are at work.
-        name: which of them is to be replaced, the others being at work.
+        readings: readings with only the hidden causes and the true noise.
+        scatter: true scatter of the captures.
+        hidden: all active causes.
+        name: the cause to be replaced; the others stay active.
     """
     rest = fit(readings, Explanation(), scatter, vary_scatter=False)
     assert rest is not None

@@ -35,7 +35,7 @@ ConditionName = Literal["white", "repeatability", "sigma_misstated", "rim", "noi
 
 _COMBINED = 4  # pairs, triples, and the like for every trial of a cause
 _TRIALS = "trials"
-_OF_CAPTURES = (Condition.REPEATABILITY, Condition.SHARED)  # at run time there are neither positions nor neighbours
+_OF_CAPTURES = (Condition.REPEATABILITY, Condition.SHARED)  # need camera positions; run-time recordings have none
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def trials(options: DiagnosisOptions) -> list[DiagnosisTrial]:
     made = []
     for kind in TrialKind:
         if kind.name.lower() in options.kinds:
-            # Each kind draws by itself, so that its trials are the same whatever other kinds are run.
+            # Each kind has its own generator, so that its trials do not depend on the other kinds of a run.
             rng = np.random.default_rng([options.seed, list(TrialKind).index(kind)])
             effects = _effects(kind, options.trials, len(conditions), rng)
             drawn = rng.permutation(np.resize(np.arange(len(conditions)), len(effects)))
@@ -138,7 +138,7 @@ def _effects(kind: TrialKind, count: int, conditions: int, rng: np.random.Genera
         case TrialKind.MOVED:
             return [_chosen(listed, 1, rng) for _ in range(_COMBINED * count)]
         case TrialKind.MOVED_MANY:
-            # Half of them beside a cause; the number of captures that moved changes from trial to trial.
+            # Half of the trials hide a cause, too; the number of captures that moved changes from trial to trial.
             return [_chosen(listed, int(rng.integers(2)), rng) for _ in range(_COMBINED * count)]
 
 

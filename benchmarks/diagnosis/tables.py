@@ -42,7 +42,7 @@ def _strong(outcomes: Sequence[DiagnosisOutcome]) -> list[DiagnosisOutcome]:
 
 
 def _right(outcome: DiagnosisOutcome) -> bool:
-    """Whether the hidden cause is the first that was named."""
+    """True if the first named cause is the hidden one."""
     return outcome.first == outcome.trial.effects[0]
 
 
@@ -67,7 +67,7 @@ def _deviations(outcomes: Sequence[DiagnosisOutcome]) -> list[float]:
 
 
 Figure = tuple[str, Sequence[DiagnosisOutcome] | Sequence[float], Callable[..., float], str | None]
-"""Name, what it is a figure of, how it is found, and the goal."""
+"""Name, values, the statistic of the values, and the goal."""
 
 
 def _main_figures(outcomes: Sequence[DiagnosisOutcome]) -> list[Figure]:
@@ -111,7 +111,7 @@ def _figures(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
         ("one capture that moved excluded and no other (%)", moved, _share(_moved_exactly), None),
         ("clean sessions where a capture was excluded (%)", clean, _share(lambda o: bool(_wrongly(o))), None),
         ("sessions where another was excluded (%)", outcomes, _share(lambda o: bool(_wrongly(o))), None),
-        ("effects that no cause stands for: unexplained (%)", unlisted, _share(_admitted), None),
+        ("effects outside the list of causes: unexplained (%)", unlisted, _share(_admitted), None),
         ("mean square of (estimate - truth) / sigma", _deviations(_estimated(outcomes)), _mean_square, None),
         ("held-out residual over the noise, median", held_out, _median, "<= 1.03"),
         ("held-out residual within 3 % of the noise (%)", held_out, _at_floor, None),
@@ -189,7 +189,7 @@ def _moved_exactly(outcome: DiagnosisOutcome) -> bool:
 
 
 def _estimated(outcomes: Sequence[DiagnosisOutcome]) -> list[DiagnosisOutcome]:
-    """Trials in which a cause stands for every effect."""
+    """Return the trials whose effects are all listed causes."""
     return [outcome for outcome in outcomes if outcome.trial.causes == outcome.trial.effects]
 
 
@@ -207,7 +207,7 @@ def _wrongly(outcome: DiagnosisOutcome) -> set[str]:
 
 
 def _confusion(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
-    """The confusion matrix, without its zeros."""
+    """Return the confusion matrix, without its zeros."""
     rows: list[list[Cell]] = []
     for name, mine in _by_effect(_of(outcomes, TrialKind.ONE)).items():
         strong = _strong(mine)
@@ -218,7 +218,7 @@ def _confusion(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
         if mine := _of(outcomes, kind):
             rows.append([kind.value, _counted(outcome.first for outcome in mine), _size(mine), None, None, None])
     columns = ("hidden", "named first (trials)", "size over noise", "5 sigma remain", "of these right (%)", INTERVAL)
-    return ReportTable("Confusion: what was hidden, and what was named first", columns, rows, (_SIZE_NOTE,))
+    return ReportTable("Confusion: hidden cause, and first named cause", columns, rows, (_SIZE_NOTE,))
 
 
 _SIZE_NOTE = "Size over noise: median rms change of the readings, in units of their noise."
@@ -249,7 +249,7 @@ def _unlisted(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:
         for name, mine in _by_effect(_of(outcomes, TrialKind.UNLISTED)).items()
     ]
     columns = ("effect", "verdict (trials)", "depends on (trials)", "causes named (trials)", "size over noise")
-    return ReportTable("Effects that no cause stands for", columns, rows)
+    return ReportTable("Effects outside the list of causes", columns, rows)
 
 
 def _faults(outcomes: Sequence[DiagnosisOutcome]) -> ReportTable:

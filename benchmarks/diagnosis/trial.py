@@ -45,7 +45,7 @@ AnyPlan = Plan | RunTimePlan
 
 _GRID, _COLOUR_GRID, _DOTS = (12, 9), (8, 6), (9, 6)
 _LARGE, _SMALL, _EIGHTEEN = (6, 12), (4, 8), (4, 2)  # nodes per axis and captures off the plane
-_IN_COLOUR = 0.25  # of the sessions, besides those whose effect is one of colour
+_IN_COLOUR = 0.25  # share of sessions in colour, in addition to those with a colour effect
 _SIGMA_PX = (0.05, 0.2)
 _MOST_MOVED = 6
 _LATE = 2  # captures after a late slip
@@ -54,7 +54,7 @@ _SUBSAMPLE = 2000  # about a third of the readings, as in a session of full size
 
 
 class TrialKind(StrEnum):
-    """What is hidden."""
+    """Kind of the hidden effects."""
 
     CLEAN = "nothing"
     CLEAN_RUN_TIME = "nothing, at run time"
@@ -62,8 +62,8 @@ class TrialKind(StrEnum):
     TWO = "two causes"
     THREE = "three causes"
     LATE_SLIP = "a slip before the last two captures"
-    UNLISTED = "an effect that no cause stands for"
-    UNLISTED_BESIDE = "an effect that no cause stands for, and a cause in the other part"
+    UNLISTED = "an effect outside the list of causes"
+    UNLISTED_BESIDE = "an effect outside the list of causes, and a cause in the other part"
     MOVED = "one cause and a capture that moved"
     MOVED_MANY = "1 to 6 of 18 captures of the display that moved"
 
@@ -80,14 +80,14 @@ JUDGED_BY_REMAINDER = (
 
 @dataclass(frozen=True)
 class DiagnosisTrial:
-    """What is to be hidden; everything else is drawn.
+    """Hidden effects of a trial; everything else is drawn.
 
     Attributes:
         kind: see `TrialKind`.
-        effects: names of the effects, but for captures that moved.
-        number: tells trials alike from each other. Late slips come before the last captures of the session in odd
-            trials, and before the last of the display in even ones.
-        condition: of the bench.
+        effects: names of the effects, except captures that moved.
+        number: distinguishes equal trials. Late slips happen before the last captures of the session in odd trials, and
+            before the last display captures in even ones.
+        condition: condition of the bench.
     """
 
     kind: TrialKind
@@ -97,7 +97,7 @@ class DiagnosisTrial:
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """Names of the effects that a cause stands for."""
+        """Names of the effects that are listed causes."""
         return tuple(name for name in self.effects if name in CAUSES)
 
     @property
@@ -107,7 +107,7 @@ class DiagnosisTrial:
 
     @property
     def at_run_time(self) -> bool:
-        """Whether its session is one of glasses that run."""
+        """True if the session is a run-time recording."""
         return self.kind is TrialKind.CLEAN_RUN_TIME or not set(self.effects).isdisjoint(LISTED_AT_RUN_TIME)
 
     def generator(self, seed: int) -> np.random.Generator:
@@ -118,24 +118,24 @@ class DiagnosisTrial:
 
 @dataclass(frozen=True)
 class DiagnosisOutcome:
-    """What became of a trial.
+    """Outcome of a trial.
 
     Attributes:
-        trial: which.
+        trial: the trial.
         device: name of the headset.
-        nature: of the bench, see `oracle.nature.BenchNature`.
-        amounts: of the hidden effects, in order, as the generator has them.
-        verdict: of the diagnosis; the sentence of an error that ended it.
-        named: causes, most important first.
-        depends_on: what is left unexplained depends on this; empty where nothing is.
+        nature: nature of the bench, see `oracle.nature.BenchNature`.
+        amounts: amounts of the hidden effects, in order, in the generator's units.
+        verdict: verdict of the diagnosis, or the error that ended it.
+        named: named causes, most important first.
+        depends_on: quantity that the unexplained residual depends on; empty if the residual is explained.
         excluded: excluded captures.
         moved: the captures that truly moved.
-        deviations: (estimate - truth) / sigma of every parameter of the hidden causes, where exactly those were named.
+        deviations: (estimate - truth) / sigma of every parameter of the hidden causes, if exactly these were named.
         size: rms change of the readings by the effects, in units of sigma.
         remainder: see `remainder.remainder`; one for each hidden cause in the kinds of `JUDGED_BY_REMAINDER`.
-        held_out: rms residual of a second session of the bench by the corrected bench, in units of sigma; that
+        held_out: rms residual of a second session of the bench against the corrected bench, in units of sigma; that
             session has white noise of the stated size, whatever the condition.
-        seconds: that the diagnosis took.
+        seconds: duration of the diagnosis.
     """
 
     trial: DiagnosisTrial
@@ -155,7 +155,7 @@ class DiagnosisOutcome:
 
     @property
     def exact(self) -> bool:
-        """Whether the hidden causes were named and no other."""
+        """True if exactly the hidden causes were named."""
         return sorted(self.named) == sorted(self.trial.causes)
 
     @property
@@ -207,7 +207,7 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
 
 
 def loaded_outcome(trial: DiagnosisTrial, content: dict[str, Any]) -> DiagnosisOutcome:
-    """The outcome of a trial from its fields, in which JSON has lists in place of tuples."""
+    """Return the outcome of a trial from its fields, in which JSON has lists in place of tuples."""
     fields: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in content.items()}
     return DiagnosisOutcome(**{**fields, "trial": trial})
 
@@ -215,7 +215,7 @@ def loaded_outcome(trial: DiagnosisTrial, content: dict[str, Any]) -> DiagnosisO
 def observed(
     plan: AnyPlan, effects: Sequence[Effect], rng: np.random.Generator, nature: BenchNature = PERFECT
 ) -> tuple[Bench, Session]:
-    """What the makers of a bench with hidden effects believe it to be, and what they measure."""
+    """Simulate a bench with hidden effects; return the nominal bench and the measured session."""
     with tempfile.TemporaryDirectory() as folder:
         if isinstance(plan, RunTimePlan):
             write_run_time_session(folder, plan, effects, rng, nature)
@@ -250,7 +250,7 @@ def _moved(trial: DiagnosisTrial, plan: AnyPlan, rng: np.random.Generator) -> Se
 
 
 def _remainders(said: Diagnosis, trial: DiagnosisTrial, nature: BenchNature) -> tuple[float, ...]:
-    """See `remainder`; in the part in which an unlisted effect is, a listed one beside it changes nothing."""
+    """Return the `remainder` of each hidden cause; a listed cause in the part of an unlisted effect changes nothing."""
     if trial.kind not in JUDGED_BY_REMAINDER:
         return ()
     readings = said.readings
@@ -294,7 +294,7 @@ def _deviations(said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan) -> tu
 
 
 def _rms(bench: Bench, session: Session) -> float:
-    """Of the residual of a session by a bench, in units of sigma."""
+    """Return the rms residual of a session against a bench, in units of sigma."""
     observations = observe(bench, session)
     residual = observations.residual(simulate(bench, observations.session.plan))
     return float(np.sqrt(np.mean(residual**2)))

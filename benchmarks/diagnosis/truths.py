@@ -1,7 +1,7 @@
 """True parameter values of hidden effects, in the parameters of the causes.
 
-The generator counts in millimetres along x right, y down, z forward; causes along x right, y up, z backward. Turning
-one frame into the other is half a turn about x, so that vectors and rotation vectors change alike.
+The generator's axes are x right, y down, z forward, in millimetres; the causes' axes are x right, y up, z backward. The
+frames differ by half a turn about x, so that vectors and rotation vectors transform in the same way.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,14 +20,14 @@ Truth = Mapping[str, float]
 Convert = Callable[[Amount, Plan | RunTimePlan], Truth]
 
 _BOW_REFERENCE_MM = 400.0
-_BOW_DOTS = 10  # the cause states the sag so many dots of the first target from the middle
+_BOW_DOTS = 10  # distance from the middle of the first target, in dots, at which the cause states the sag
 _EDGE_PX, _FOCAL_PX = 640.0, 1350.0
 
 
 def truth_of(effect: Effect, plan: Plan | RunTimePlan) -> Truth:
-    """What a perfect diagnosis of an effect would say; empty for an effect that no cause stands for.
+    """Return the perfect diagnosis of an effect; empty for an effect outside the list of causes.
 
-    The thickness of the see-through plate is left out: the generator's glass is not the cause's.
+    The thickness of the see-through plate is omitted: the generator's glass is not the cause's.
     """
     convert = _CONVERSIONS.get(effect.name)
     return convert(effect.amount, plan) if convert else {}

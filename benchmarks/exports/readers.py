@@ -13,7 +13,7 @@ from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
 from wlr_render.rendering.sampling import remap
 
 DEBIAN_PYTHON = "/usr/bin/python3"
-"""Debian's python3-mrcal is no package of the Python that runs the tests."""
+"""Debian's Python, because python3-mrcal is not installed for the Python that runs the tests."""
 _PROJECT = """
 import sys, numpy as np, mrcal
 file, points, pixels = sys.argv[1:]
@@ -34,13 +34,13 @@ def smooth_picture(size_px: tuple[int, int], seed: int = 3) -> Float32Array:
 
 
 def our_warp(picture: Float32Array, view: ExportedView, colour: str = "all") -> tuple[Float32Array, BoolArray]:
-    """The panel's picture by our own sampling, and where a pixel has a ray into the source picture."""
+    """Warp the panel's picture with our own sampling; also return where a pixel has a ray into the source picture."""
     warped, is_inside = remap(picture, view.source_px(colour))
     return warped, is_inside
 
 
 def warped_by_openimageio(picture: Float32Array, stmap: Path, size_px: tuple[int, int]) -> Float32Array:
-    """The panel's picture by st_warp, (height, width, 3)."""
+    """Warp the panel's picture with OpenImageIO's st_warp, (height, width, 3)."""
     import OpenImageIO as oiio
 
     source = oiio.ImageBuf(oiio.ImageSpec(picture.shape[1], picture.shape[0], 3, "float"))
@@ -58,7 +58,7 @@ def read_by_openimageio(path: Path) -> Float32Array:
 
 
 def drawn_by_ffmpeg(folder: Path, source: NDArray[np.uint8], arguments: list[str], program: str) -> NDArray[np.uint8]:
-    """A picture (height, width, 3) that ffmpeg makes of `source`, with arguments between its input and its output."""
+    """Let ffmpeg draw a picture (height, width, 3) of `source`, with arguments between its input and its output."""
     cv2.imwrite(str(folder / "source.png"), source[..., ::-1])
     command = [program, "-v", "error", "-y", "-i", "source.png", *arguments, "panel.png"]
     subprocess.run(command, cwd=folder, check=True, timeout=120)
@@ -66,7 +66,7 @@ def drawn_by_ffmpeg(folder: Path, source: NDArray[np.uint8], arguments: list[str
 
 
 def has_mrcal() -> bool:
-    """Whether Debian's Python has mrcal."""
+    """Return whether Debian's Python has mrcal."""
     try:
         return subprocess.run([DEBIAN_PYTHON, "-c", "import mrcal"], capture_output=True).returncode == 0
     except FileNotFoundError:
@@ -74,7 +74,7 @@ def has_mrcal() -> bool:
 
 
 def projected_by_mrcal(model: Path, points: FloatArray, folder: Path) -> tuple[FloatArray, list[int]]:
-    """mrcal's pixels (n, 2) of points (n, 3) in the device frame, and the size of the picture.
+    """Return mrcal's pixels (n, 2) of points (n, 3) in the device frame, and the size of the picture.
 
     Raises:
         BadInputError: mrcal refuses the model.
@@ -88,7 +88,7 @@ def projected_by_mrcal(model: Path, points: FloatArray, folder: Path) -> tuple[F
 
 
 def points_of_pixels(view: ExportedView, distance_m: float) -> tuple[NDArray[np.int64], FloatArray]:
-    """mrcal's pixels (n, 2) all over the panel, no nodes of any fit, and points (n, 3) in the device that they show."""
+    """Return mrcal's pixels (n, 2) all over the panel, off the nodes of any fit, and their device points (n, 3)."""
     across, down = (
         np.arange(_BORDER_PX, size - _BORDER_PX, size // count)
         for size, count in zip(view.panel_size_px, (_HELD_OUT_COLUMNS, _HELD_OUT_ROWS), strict=True)

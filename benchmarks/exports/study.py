@@ -93,7 +93,7 @@ def _readers() -> dict[str, bool]:
 
 
 def _rows(view: ExportedView, folder: Path) -> Iterator[list[Cell]]:
-    """Reader, what it read, unit, and rms and largest difference, of each reader that is installed."""
+    """Yield reader, quantity, unit, rms and largest difference of each installed reader."""
     there, picture = _readers(), smooth_picture(view.source.camera.size_px)
     ours, inside = our_warp(picture, view)
     if there["OpenImageIO"]:
