@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from given_lenses import with_stated_lenses
 
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key
@@ -18,9 +19,10 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 @pytest.fixture(scope="module")
 def calibrated():
     recipe = SimulationRecipe("birdbath28", viewpoints=5, bench=PhotoBenchOptions(seed=3))
-    made = simulate_readings(recipe, ReadingOptions(panel_samples=400, most_dots=150))
-    bench = calibrate_bench(made.session, made.reading)
-    return made.session, bench, sound_captures(made.session, made.reading, bench)[0]
+    made = simulate_readings(recipe, ReadingOptions(panel_samples=200, most_dots=100))
+    session = with_stated_lenses(made.session)
+    bench = calibrate_bench(session, made.reading)
+    return session, bench, sound_captures(session, made.reading, bench)[0]
 
 
 def test_own_and_common_motions_are_those_of_the_adjustment(calibrated):
