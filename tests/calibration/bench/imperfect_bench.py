@@ -194,7 +194,7 @@ class TrueBench:
             for when in ("before", "after"):
                 pose = transforms.inverse(self.device_from_tracking) @ self.targets[target]
                 views.append(self.view(f"tracking/pose{target}_{when}.png", TRACKING, pose, target))
-        x, y = np.meshgrid(np.linspace(-0.007, 0.007, 5), np.linspace(-0.007, 0.007, 5))
+        x, y = np.meshgrid(*[np.linspace(-0.007, 0.007, 3)] * 2)
         for number, reading in enumerate(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1)):
             name = f"sweep{number:02d}"
             places[name] = CameraPlace(np.round(reading + self.size.readback_m * self.rng.normal(size=3), 7))
@@ -209,7 +209,7 @@ class TrueBench:
         )
 
 
-def thinned(observations, every=4):
+def thinned(observations, every=8):
     """Fewer features, so that tests are quick."""
     views = [view.only((view.feature @ [1, 2]) % every == 0) for view in observations.views]
     return replace(observations, views=views)

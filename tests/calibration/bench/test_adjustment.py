@@ -23,7 +23,7 @@ def solved():
     found = []
     for seed in SEEDS:
         bench = TrueBench(seed, replace(Imperfections(), extrinsics_rad=0.0, extrinsics_m=0.0))
-        found.append((bench, adjusted(thinned(bench.observations(lens_photographs=10)))))
+        found.append((bench, adjusted(thinned(bench.observations(lens_photographs=6)))))
     return found
 
 
@@ -74,7 +74,7 @@ def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(solved):
 
 def test_a_perfect_bench_is_found_to_the_noise_of_its_dots():
     bench = TrueBench(7, PERFECT)
-    found = adjusted(thinned(bench.observations(lens_photographs=8)))
+    found = adjusted(thinned(bench.observations(lens_photographs=6)))
     assert found.sizes.turn < 3e-6
     assert found.sizes.shift < 1e-6
     for k, true in bench.targets.items():
@@ -83,7 +83,7 @@ def test_a_perfect_bench_is_found_to_the_noise_of_its_dots():
 
 def test_stated_extrinsics_that_are_wrong_are_in_the_sigma_of_every_pose():
     bench = TrueBench(3)
-    observations = thinned(bench.observations(lens_photographs=8))
+    observations = thinned(bench.observations(lens_photographs=6))
     found = adjusted(observations)
     sigma = found.target_pose(0).sigma_arcmin
     assert np.all(sigma > 0.9 * np.degrees(bench.size.extrinsics_rad) * 60)
@@ -111,7 +111,7 @@ def test_photographs_by_hand_tell_how_much_they_are_stretched():
 
 def test_exchanged_readings_are_named():
     bench = TrueBench(4)
-    observations = thinned(bench.observations(lens_photographs=8))
+    observations = thinned(bench.observations(lens_photographs=6))
     places = dict(observations.places)
     one, other = "bare/pose0_02.png", "bare/pose0_05.png"
     places[one], places[other] = places[other], places[one]
@@ -124,10 +124,10 @@ def test_exchanged_readings_are_named():
 def test_a_target_that_moved_is_named(when):
     motion = small_motion(np.array([0.0, 0.0, 1e-3, 3e-4, 0.0, 0.0]))
     whole = TrueBench(5)
-    observations = thinned(whole.observations(lens_photographs=8))
+    observations = thinned(whole.observations(lens_photographs=6))
     moved = TrueBench(5)
     moved.targets = moved.targets | {0: moved.targets[0] @ motion}
-    others = {view.name: view for view in thinned(moved.observations(lens_photographs=8)).views}
+    others = {view.name: view for view in thinned(moved.observations(lens_photographs=6)).views}
     # Moved before the tracking photographs, or between the two of them.
     touched = "tracking/pose0" if when == "before" else "tracking/pose0_after"
     views = [others[view.name] if view.name.startswith(touched) else view for view in observations.views]
@@ -160,7 +160,7 @@ def test_the_kind_of_lens_is_chosen_by_photographs_that_were_left_out():
 
 def test_photographs_of_another_board_are_rejected_by_name():
     bench = TrueBench(8)
-    observations = thinned(bench.observations(lens_photographs=8))
+    observations = thinned(bench.observations(lens_photographs=6))
     views = [view for view in observations.views if view.camera == EYEBALL]
     wrong = replace(views[2], point=views[2].point * [1.0, 1.3, 1.0])
     found = sound_views([*views[:2], wrong, *views[3:]], observations.cameras[EYEBALL], observations)
@@ -194,7 +194,7 @@ def test_significance_is_that_of_one_normal_variable():
 
 def test_a_search_without_an_end_contradicts_the_bench():
     """Two targets of the tracking camera exchanged half way: no bench fits, and the search says that it found none."""
-    sound = thinned(TrueBench(3).observations(lens_photographs=6), every=5)
+    sound = thinned(TrueBench(3).observations(lens_photographs=6))
     exchanged = ("tracking/pose0_after.png", "tracking/pose1_after.png")
     views = [replace(each, target=1 - each.target) if each.name in exchanged else each for each in sound.views]
     assert adjusted(sound).is_settled
