@@ -23,6 +23,7 @@ def observed():
     return measured(bench, small_plan(bench), SIGMA_PX, seed=8, combiner_tilt=TILT)
 
 
+@pytest.mark.slow
 def test_a_capture_file_is_held_out_with_the_causes_that_are_named(observed, tmp_path):
     captures = save_captures(tmp_path / "captures-right.npz", observations_of(observed.nominal, observed.session))
     options = DiagnoseOptions(captures, causes=("combiner_tilt", "panel_shift"), hold_out=True, out=tmp_path / "out")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from small_session import SIGMA_PX, explanation, fitted_at_rest, measured, with_noise
 
 from wlr_render.bench.simulate_session import simulate
@@ -36,6 +37,7 @@ def test_changes_are_those_of_fits_without_the_capture(bench, plan):
     assert np.isfinite(jackknife(kept, group[group != 0], count)).all()
 
 
+@pytest.mark.slow
 def test_errors_cover_where_the_stage_repeats_badly_and_those_of_a_fit_at_rest_do_not(bench, plan):
     """Each capture stands some hundredths of a millimetre off, and its readings share that error; the truth is 0."""
     draws = [_with_a_bad_stage(bench, plan, np.random.default_rng(seed)) for seed in range(DRAWS)]

@@ -34,6 +34,7 @@ def test_every_cause_that_the_session_can_show_has_a_limit(noisy):
     assert {(cause, parameter.split(" (")[0]) for cause, parameter in found} <= units
 
 
+@pytest.mark.slow
 def test_an_effect_of_that_size_is_five_standard_errors_when_it_is_there(bench, plan, noisy):
     for name in ("panel_scale", "camera_focal_length", "stage_backlash"):
         ((_, smallest),) = limits_of(noisy, {name: CAUSES[name]}).items()

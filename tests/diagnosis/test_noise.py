@@ -52,6 +52,7 @@ def drawn(clean, sigma_px, seed):
 
 
 @pytest.mark.parametrize("larger", [1.0, 1.04, 1.2])
+@pytest.mark.slow
 def test_noise_a_little_larger_than_stated_is_found_and_not_called_unbelievable(clean, larger):
     """Over draws: the noise used is the true one; it is disbelieved only where it matters."""
     found = [floor for seed in range(20) for floor in noise_of(clean, drawn(clean, larger * SIGMA_PX, seed)).floors]
@@ -85,6 +86,7 @@ def natural(clean, seed, **imperfections):
 
 
 @pytest.mark.parametrize("tails", [np.inf, 4.0])
+@pytest.mark.slow
 def test_a_white_session_has_no_rim_no_factors_and_shares_nothing(clean, tails):
     """Also where noise has the tails of Student's t, which is in no part of the model; each may err in 1 of 20."""
     found = [floor for seed in range(12) for floor in noise_of(clean, natural(clean, seed, t_dof=tails)).floors]
@@ -136,6 +138,7 @@ def test_a_difference_must_be_both_sure_and_large():
     assert not is_significant(0.05, 0.001)
 
 
+@pytest.mark.slow
 def test_few_repeats_do_not_override_the_scatter_within_photographs(bench, plan):
     """Over draws: the combined noise is nearer the truth than either, and stated noise that is true is believed."""
     exact = measured(bench, SessionPlan(display=plan.display))

@@ -51,6 +51,7 @@ def clean_and_noisy(bench, plan):
     return measured(bench, plan, SIGMA_PX, seed=12)
 
 
+@pytest.mark.slow
 def test_causes_are_added_until_none_is_worth_fitting(two):
     selection = searching(two).select()
     assert set(names_of(selection)) == {"combiner_tilt", "target_scale"}
@@ -62,12 +63,14 @@ def test_nothing_is_added_to_noise(clean_and_noisy):
     assert names_of(searching(clean_and_noisy).select()) == ()
 
 
+@pytest.mark.slow
 def test_no_more_causes_than_allowed_are_added_and_the_reason_says_so(two):
     selection = searching(two, max_causes=1, restarts=0).select()
     assert names_of(selection) == ("combiner_tilt",)
     assert selection.reason == "1 causes are the most that are searched for"
 
 
+@pytest.mark.slow
 def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
     search = searching(two, min_relative_gain=0.001)
     ranking = ranking_of(search, explanation(target_scale=[0, 0]))
@@ -81,6 +84,7 @@ def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
 
 
 @pytest.mark.parametrize(("share", "most"), [(0.001, 4), (0.99, 1)])
+@pytest.mark.slow
 def test_only_candidates_that_promise_a_share_of_the_best_gain_are_fitted(two, share, most):
     search = searching(two, min_relative_gain=share)
     ranking = ranking_of(search)
@@ -98,6 +102,7 @@ def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(
     assert names_of(loose) == ("target_scale",)
 
 
+@pytest.mark.slow
 def test_no_cause_is_named_on_shaky_benches(bench, plan):
     """Motions with tails, which the model takes for normal ones: none of ten sessions has odds for any cause."""
     clean = measured(bench, plan)
@@ -107,6 +112,7 @@ def test_no_cause_is_named_on_shaky_benches(bench, plan):
         assert names_of(searching(shaky).select()) == ()
 
 
+@pytest.mark.slow
 def test_an_unlisted_effect_in_one_part_hides_no_cause_in_another(bench, plan):
     """A dent of the display, and a target printed too large, which shows in the other part alone."""
     for size_px in (1.0, 3.0, 10.0):
@@ -137,6 +143,7 @@ def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, pla
     assert not selection.fit.scatter.moved.any()
 
 
+@pytest.mark.slow
 def test_a_candidate_that_loses_readings_is_none(two):
     """Its few residuals would be smaller than those of all readings."""
     search = searching(two)
@@ -147,6 +154,7 @@ def test_a_candidate_that_loses_readings_is_none(two):
     assert best_fit(search.subsample, nothing, lost) is None
 
 
+@pytest.mark.slow
 def test_runners_up_that_were_fitted_to_all_readings_are_restarts(two):
     search = searching(two, min_relative_gain=0.001, restarts=2)
     first = ranking_of(search)

@@ -79,6 +79,7 @@ def test_the_wall_is_smooth_and_stays_within_its_contrast():
     assert np.abs(np.diff(wall, axis=1)).max() < 0.2 * 0.5 * 2 * np.pi / 0.3 / 400 * 1.5
 
 
+@pytest.mark.slow
 def test_light_of_more_samples_converges():
     scene = BoardLight(BOARD, TILTED)
     few, many = (

@@ -176,7 +176,7 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(name, focal, monkeypatc
     lens = SimulatedLens(camera((240, 180), focal, BROWN))
     rng, panel_px, world_arcmin = np.random.default_rng(0), [], []
 
-    def measured(exact, size_px, offset, tolerance, make=camera_view.PixelMap.of):
+    def measured(exact, size_px, offset, tolerance, make=camera_view.PixelMap.sample):
         """Compare the interpolated pixels, at 500 random ones of them, with exact rays."""
         made = make(exact, size_px, offset, tolerance)
         interpolated = made.lit.copy()
@@ -191,7 +191,7 @@ def test_interpolated_rays_are_exact_ones_to_a_hundredth(name, focal, monkeypatc
         return made
 
     with monkeypatch.context() as patch:
-        patch.setattr(camera_view.PixelMap, "of", measured)
+        patch.setattr(camera_view.PixelMap, "sample", measured)
         CameraView.through_optics(eye, lens, pose, samples=4)
     assert len(panel_px) == len(world_arcmin) == 4
     assert 0.0 < max(panel_px) < 0.01

@@ -158,6 +158,7 @@ def test_both_signs_of_the_bow_come_by_seed():
     assert {np.sign(bench_with(seed, bow_mm=0.2).printed.bow_m) for seed in range(1, 9)} == {-1.0, 1.0}
 
 
+@pytest.mark.slow
 def test_stated_extrinsics_are_off_by_their_sigmas():
     shift, turn = [], []
     for seed in range(1, 16):

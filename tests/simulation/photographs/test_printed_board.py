@@ -18,6 +18,7 @@ TILTED = rigid(OPENXR_FROM_OPENCV @ rotation_about("y", 0.5) @ rotation_about("x
 
 
 @pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.slow
 def test_the_dots_of_a_bent_board_are_found_where_they_are_stated(seed):
     board = design_board(17, 13, 0.022)
     sizes = BenchImperfections(bow_mm=4.0, twist_mm=2.0, anisotropy=5e-3, scale_error=5e-3, dot_error_um=30.0)
