@@ -58,7 +58,7 @@ def main(configuration, result):
 
 
 def start(running, command, folder, **settings):
-    """Start a program that ends with `running`; what it prints goes to a file of its name."""
+    """Start a program that ends with `running`; its output goes to a file of its name."""
     log = (folder / Path(command[0]).name).open("wb")
     settings = {"stdout": log, "stderr": log, "stdin": subprocess.DEVNULL} | settings
     process = subprocess.Popen(command, **settings)
@@ -170,7 +170,7 @@ def positions(blue):
 
 
 def egl_binding():
-    """The graphics binding of this thread's EGL context, which needs no window."""
+    """Return the graphics binding of this thread's EGL context, which needs no window."""
     egl = ctypes.CDLL("libEGL.so.1")
     egl.eglGetCurrentDisplay.restype = egl.eglGetCurrentContext.restype = ctypes.c_void_p
     display, context = (ctypes.c_void_p(get()) for get in (egl.eglGetCurrentDisplay, egl.eglGetCurrentContext))

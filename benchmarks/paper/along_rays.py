@@ -31,11 +31,12 @@ from wlr_render.simulation.simulate_captures import SeeThroughRays
 class DepthMeasure(StrEnum):
     """Errors along the rays of random viewpoints.
 
-    MOVED_BACK: of the direction of a pixel, or of a real point, from `BACK_M` farther back. The others compare a
-    model's answers at two points of one of its rays, the eye box's depth apart, where they must be equal. ALONG_RAY:
-    forward query, the direction of a pixel, or of the world ray of a view direction. OFFSET_ALONG_RAY: distance of
-    that world ray from the first one's point at the depth of the real point. PIXEL_ALONG_RAY and POINT_ALONG_RAY:
-    backward query, the pixel of a view direction, and the view direction of a real point.
+    MOVED_BACK: direction of a pixel, or of a real point, from `BACK_M` farther back. The other measures compare a
+    model's results at two points of one of its rays, one depth of the eye box from each other, where they must be
+    equal. ALONG_RAY: forward query, the direction of a pixel, or of the world ray of a view direction.
+    OFFSET_ALONG_RAY: distance of that world ray from the first one's point at the depth of the real point.
+    PIXEL_ALONG_RAY and POINT_ALONG_RAY: backward query, the pixel of a view direction, and the view direction of a real
+    point.
     """
 
     MOVED_BACK = "moved back (arcmin)"
@@ -91,7 +92,7 @@ def _through(trial: DisplayTrial | SeeThroughTrial, view_dir: FloatArray) -> Flo
 def see_through_moved_back(
     observations: SeeThroughObservations, distance_m: float | FloatArray
 ) -> SeeThroughObservations:
-    """The same points and rays with viewpoints moved back along their view rays, by one distance or (n,) distances."""
+    """Return the same points and rays with viewpoints moved back along their view rays, by one or (n,) distances."""
     return replace(observations, viewpoint=_behind(observations.viewpoint, observations.view_dir, distance_m))
 
 

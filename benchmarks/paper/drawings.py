@@ -22,13 +22,13 @@ RED, BLUE, GREEN, GREY = "#d62728", "#1f77b4", "#2ca02c", "#888888"
 ORANGE, PURPLE, BROWN = "#ff7f0e", "#9467bd", "#8c564b"
 """Legible on light and dark pages."""
 _PANEL_EDGES = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
-_EVERY = 5  # points of a cut, half a degree apart: what a page can show
+_EVERY = 5  # step between the points of a cut; half a degree is enough for a page
 _HEADSET_M = 0.16  # surfaces are drawn so far from the nominal viewpoint
 _GAP = 0.08, 0.22  # between diagrams across and down, as parts of the whole
 
 
 def optics_of(eye: EvaluatedEye) -> EyeOptics:
-    """The prescription of an eye."""
+    """Return the prescription of an eye."""
     return load_device(eye.device).eyes[eye.eye]
 
 
@@ -55,11 +55,11 @@ def see_through_path(
 
 @dataclass
 class Diagram:
-    """One diagram of a drawing; what is added to it is projected along an axis of the device.
+    """One diagram of a drawing; its parts are projected along an axis of the device.
 
     Attributes:
         view: the projection.
-        title: above the diagram.
+        title: text above the diagram.
         traces: Plotly traces.
     """
 
@@ -78,7 +78,7 @@ class Diagram:
         return self._add(name, points.reshape(-1, 3), "markers", marker={"color": colour, "size": 7, **marker})
 
     def optics(self, optics: EyeOptics, *, panel: bool = True) -> "Diagram":
-        """Add surfaces, cut through the nominal viewpoint as far as their apertures go, and the panel."""
+        """Add the panel and the surfaces within their apertures, cut through the nominal viewpoint."""
         for surface in optics.surfaces():
             cut = cut_surface(surface, optics.eye_box.centre, self.view)[::_EVERY]
             # A surface without an aperture has no end: it is shown near the headset only.

@@ -107,7 +107,7 @@ def depth(side: Side, degrees: Sequence[int], study: Study) -> Findings:
 
 
 def structure(study: Study) -> Findings:
-    """What all four mappings answer at two viewpoints on one ray, where the answers must be equal."""
+    """Compare the results of all four mappings at two viewpoints on one ray, where they must be equal."""
     rows: list[list[Cell]] = []
     for eye, side in product(study.eyes, (DISPLAY, SEE_THROUGH)):
         pair = [_dense(side, study, eye, kind, DEGREE) for kind in KINDS]

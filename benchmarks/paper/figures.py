@@ -41,7 +41,7 @@ _FACING = np.array([0.0, 0.0, 1.0])  # normal of an upright target
 
 
 def field_directions(eye: EvaluatedEye, columns: int, rows: int) -> FloatArray:
-    """A grid of directions (n, 3) within the evaluated field, not at its very edge."""
+    """Return a grid of directions (n, 3) within the evaluated field, without its very edge."""
     field = capture_setup(eye).field
     tx, ty = (np.linspace(field.low[k], field.high[k], n + 2)[1:-1] for k, n in enumerate((columns, rows)))
     return dir_of_tangents(np.stack(np.meshgrid(tx, ty), axis=-1).reshape(-1, 2))
@@ -49,7 +49,7 @@ def field_directions(eye: EvaluatedEye, columns: int, rows: int) -> FloatArray:
 
 @lru_cache
 def one_pixel(eye: EvaluatedEye) -> Plot:
-    """A pixel's ray from the panel through the viewpoint, and the ray of the same direction to an object (figure 2)."""
+    """Draw a pixel's ray from panel to viewpoint, and the ray of the same direction to an object (figure 2)."""
     optics, centre = optics_of(eye), truth(eye).eye_box.centre[None]
     view_dir = field_directions(eye, 3, 3)[[1]]
     shown = display_path(optics, centre, view_dir)
@@ -157,7 +157,7 @@ def _bundle_drawing(
 
 @lru_cache
 def two_planes(eye: EvaluatedEye) -> Plot:
-    """The four steps of the calibration with two target planes (figure 9) on the simulated bench."""
+    """Draw the four steps of the calibration with two target planes (figure 9) on the simulated bench."""
     optics = optics_of(eye)
     bench = design_photo_bench(load_device(eye.device), eye.eye, PhotoBenchOptions(target_depths_m=TARGETS_M))
     centre, tracking = truth(eye).eye_box.centre, bench.device_from_tracking[:3, 3]
@@ -214,7 +214,7 @@ def two_planes(eye: EvaluatedEye) -> Plot:
 
 @lru_cache
 def pupil_swim(eyes: tuple[EvaluatedEye, ...]) -> tuple[Block, ...]:
-    """How directions change when the viewpoint moves: of a pixel (figure 3), and of a world ray (figure 7)."""
+    """Draw the change of directions with the viewpoint: of a pixel (figure 3), and of a world ray (figure 7)."""
     rows: list[list[Cell]] = []
     maps: tuple[dict[str, tuple[FloatArray, FloatArray]], ...] = ({}, {})
     for eye in eyes:

@@ -31,7 +31,7 @@ from wlr_render.report.blocks import Report
 
 
 def figures(study: Study) -> Findings:
-    """The paper's figures, in its order: of the first eye, pupil swim and failures of all."""
+    """Draw the paper's figures in its order: some of the first eye, pupil swim and failures of all eyes."""
     eye, eyes = study.eyes[0], tuple(study.eyes)
     swim, display_swim, see_through_swim = pupil_swim(eyes)
     bundles = display_bundle(eye), see_through_bundle(eye)

@@ -14,7 +14,7 @@ from wlr_render.captures.boards.board import USUAL_TOLERANCES, BoardObservation
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell
 
-_FEATURES = 150  # of a photograph: more cost time and tell little
+_FEATURES = 150  # features per photograph in the fit; more cost time and add little
 _SPLITS = 6
 
 

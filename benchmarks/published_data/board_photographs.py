@@ -1,4 +1,4 @@
-"""Our detectors of boards beside OpenCV's on published photographs: what is found, and how well a camera fits it."""
+"""Our detectors of boards and OpenCV's on published photographs: detections and residual of the camera fit."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ _FLAGS = {"brown": 0, "rational": cv2.CALIB_RATIONAL_MODEL}
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 # OpenCV's 30 steps do not reach the minimum of the rational model.
 _CONVERGED = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 500, 1e-12)
-_LEAST_CORNERS = 6  # of a photograph that takes part in a calibration
+_LEAST_CORNERS = 6  # fewest corners of a photograph in a calibration
 
 Corners = tuple[IntArray, FloatArray]
 """Index (n, 2) and pixel (n, 2) in one photograph."""
@@ -52,7 +52,7 @@ def compare_detectors(folder: Path) -> Report:
 
 
 def _found(of: PhotographSet, root: Path) -> tuple[list[BoardObservation], tuple[int, int]]:
-    """What our detector finds, and the size of the photographs."""
+    """Detect the boards with our detector; also return the size of the photographs."""
     found, size = [], (0, 0)
     for path in of.photographs(root):
         image = read_photograph(path)
@@ -87,7 +87,7 @@ def _row(of: PhotographSet, root: Path, found: Sequence[BoardObservation]) -> di
 
 
 def _opencv_corners(of: PhotographSet, image: Photograph) -> Corners | None:
-    """What OpenCV's own detectors find: ChArUco's, or chessboards by sectors and, where that fails, by quads."""
+    """Detect corners with OpenCV: ChArUco, or chessboards by sectors and, if that fails, by quads."""
     board, grey = of.board, as_bytes(image)
     if isinstance(board, CharucoBoard):
         made = cv2.aruco.CharucoBoard(

@@ -32,7 +32,7 @@ class PhotographSet:
         return f"{self.name} {self.part}".strip()
 
     def photographs(self, root: Path) -> list[Path]:
-        """Those of this camera, under the folder that holds all sets."""
+        """Return the photographs of this camera below the folder of all sets."""
         folder = root / self.name
         if self.part and (folder / self.part).is_dir():
             return photographs_in(folder / self.part)

@@ -71,7 +71,7 @@ def read_itoh_alignments(folder: str | Path) -> Alignments:
     """Read the folder `dataset` of the set.
 
     Raises:
-        BadInputError: a file is missing or does not hold what it should.
+        BadInputError: a file is missing or has unexpected content.
     """
     root = Path(folder)
     names = sorted((path.name for path in root.glob("*") if path.name.isdigit()), key=int)
@@ -96,10 +96,10 @@ def _sitting(folder: Path, rotation: FloatArray, translation: FloatArray) -> Sit
 
 
 def _tracked(pairs: FloatArray) -> tuple[FloatArray, float]:
-    """The place (3,) of the eye, and the spread about it.
+    """Return the position (3,) of the eye, and the spread about it.
 
-    The outline of an iris has two possible places (k, 2, 3). The right ones of all images lie together: of all places
-    as starts, the median that the nearer one of each pair is closest to.
+    The outline of an iris has two possible positions (k, 2, 3). The right ones of all images lie together: with every
+    position as a start, choose the median that is closest to the nearer position of each pair.
     """
     best = (np.inf, pairs[0, 0])
     for start in pairs.reshape(-1, 3):

@@ -29,9 +29,9 @@ _SIGNATURE = ["22", "serialization::archive"]
 _COUNT_AT, _VALUES_AT = 8, 12
 _POSE_TOKENS, _QUATERNION, _TRANSLATION = 19, slice(10, 14), slice(16, 19)
 _TIME_AT = 5
-_LARGEST = 1e6  # of pixels and metres
+_LARGEST = 1e6  # largest number of pixels or metres
 _SMOOTH_DEGREE = 3  # polynomial degree of the smooth displacement over a view
-_MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # of a two-vector of unit normal components
+_MEDIAN_LENGTH = np.sqrt(2.0 * np.log(2.0))  # median length of a two-vector of unit normal components
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,10 @@ def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
 
 
 def see_through_session(pairs: SeeThroughPairs) -> tuple[Bench, Session]:
-    """Pairs of photographs as a session, and the bench without optics that it is compared with.
+    """Return pairs of photographs as a session, with the bench without optics as its nominal bench.
 
-    A capture has its view's number, and a pose of the target to itself. Its time is that of the photograph through the
-    headset, after the first of the set. What the bench states as a point's scatter is that of both photographs.
+    A capture has its view's number and its own target pose. Its time is the time of the photograph through the headset,
+    after the first of the set. The bench states the scatter of a point from both photographs.
     """
     views, dots = pairs.through_px.shape[:2]
     camera = EyeballCamera(np.array(pairs.size_px, dtype=float), pairs.focal_px, pairs.centre_px, scatter_px(pairs))
@@ -207,7 +207,7 @@ def _numbers(path: Path, tokens: list[str]) -> FloatArray:
 
 
 def _points(path: Path, columns: int) -> FloatArray:
-    """A measured list of points, (n, columns)."""
+    """Read a measured list of points, (n, columns)."""
     tokens = _tokens(path)
     values = _numbers(path, tokens[_VALUES_AT:])
     if not re.fullmatch(r"[0-9]{1,9}", tokens[_COUNT_AT]) or len(values) != int(tokens[_COUNT_AT]) * columns:
@@ -219,7 +219,7 @@ def _points(path: Path, columns: int) -> FloatArray:
 
 
 def _pose(path: Path) -> FloatArray:
-    """A measured pose, (4, 4): quaternion xyzw, two more archive tokens, translation."""
+    """Read a measured pose, (4, 4): quaternion xyzw, two more archive tokens, translation."""
     tokens = _tokens(path)
     if len(tokens) != _POSE_TOKENS:
         raise BadInputError(f"{path}: has {len(tokens)} tokens, a pose has {_POSE_TOKENS}; download it again.")

@@ -30,7 +30,7 @@ def read_gaze_errors(folder: str | Path) -> GazeErrors:
     """Read all `data_targets_*.csv.gz` (tab separated) of a folder.
 
     Raises:
-        BadInputError: there is none, or one cannot be read or lacks a column.
+        BadInputError: the folder has no such file, or a file cannot be read or lacks a column.
     """
     paths = sorted(Path(folder).glob("data_targets_*.csv.gz"))
     if not paths:

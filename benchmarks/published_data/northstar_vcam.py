@@ -31,20 +31,20 @@ _FULL_SCALE = 65535.0
 _LARGEST_PX = 1e6
 _MONITOR_M = (0.05, 5.0)  # width and height
 _EDGE_PX = 12  # the smoothing mixed the map with its empty surround: beyond this the roughness no longer falls
-_EVERY_PX = 3  # of each axis: the smoothing makes neighbours copies of one another
+_EVERY_PX = 3  # sampling step on each axis; the smoothing makes closer neighbours copies of one another
 _MONITOR_EVERY_PX = 8
 _TOLERANCE_PX = 1.0  # a monitor that fits its map worse than this is not the one that was photographed
 
 
 @dataclass(frozen=True)
 class MonitorFit:
-    """How the monitor fits its map from one camera position.
+    """Fit of the monitor to its map from one camera position.
 
     Attributes:
         camera: e.g. "left camera, rig down".
         median_px: median distance between the map and the fitted monitor, camera pixels.
-        height_scale: fitted height of the monitor by the stated one. What differs from 1 may as well be the ratio of
-            the camera's two focal lengths: a monitor seen straight on cannot tell.
+        height_scale: fitted over stated height of the monitor. The ratio of the camera's two focal lengths has the same
+            effect: a monitor seen straight on cannot separate the two.
     """
 
     camera: str
@@ -57,13 +57,13 @@ class VcamCaptures:
     """Display captures of both eyes in one device frame.
 
     The device frame has the monitor's axes (x right, y up, -z towards the monitor) and its origin half way between the
-    two cameras with the rig down. `capture` is 0 with the rig down and 1 with the rig up; the camera centres of the
-    display captures are those of the monitor captures, as far as the lift repeats.
+    two cameras with the rig down. `capture` is 0 with the rig down and 1 with the rig up; display captures have the
+    camera centres of the monitor captures, within the repeatability of the lift.
 
     Attributes:
-        left, right: of each eye; sigma is that of rounding to the code's steps, before the smoothing.
+        left, right: captures of each eye; sigma is the rounding to the code's steps, before the smoothing.
         monitor: (4,) left and right camera with the rig down, then up.
-        stated_baseline_m: distance between the cameras by the rig's own calibration; None where it states none.
+        stated_baseline_m: distance between the cameras in the rig's own calibration; None if it states none.
     """
 
     left: DisplayCaptures
@@ -149,7 +149,7 @@ def _stated_baseline_m(path: Path) -> float | None:
 
 
 def _rig(path: Path) -> Table:
-    """The two cameras; the first that a calibration file has."""
+    """Return the two cameras, the first ones of a calibration file."""
     rigs = read_json(path, "a calibration of two cameras").tables("deviceCalibrations")
     if not rigs:
         raise BadInputError(f"{path}: 'deviceCalibrations' is empty; calibrate the rig again.")
@@ -157,7 +157,7 @@ def _rig(path: Path) -> Table:
 
 
 def _map(root: Path, name: str) -> FloatArray:
-    """(2 eyes, height, width, 2) fractions, u right and v as the map has it; NaN where there is no data."""
+    """Read a map (2 eyes, height, width, 2) of fractions, u right and v as stored; NaN marks missing data."""
     axes = []
     for axis in ("Width", "Height"):
         path = root / f"{name}_{axis}Calibration.png"

@@ -35,7 +35,7 @@ class OpencvCodes:
 
 
 def has_opencv_decoder() -> bool:
-    """Whether this OpenCV was built with the module."""
+    """Return whether this OpenCV was built with the module."""
     return hasattr(cv2, "structured_light")
 
 

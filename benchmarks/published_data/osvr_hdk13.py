@@ -50,12 +50,11 @@ def read_osvr_hdk13(path: str | Path) -> LensTable:
 def read_osvr_captures(folder: str | Path) -> DisplayCaptures:
     """Read all tables N_mm_Eye_Relief*.txt of a folder as captures of one display from N mm behind the lens.
 
-    The device frame has its origin at the middle eye relief on the lens axis. Sigma is that of the rounding of angles
-    and millimetres to the digits printed; the trace itself is exact. Field angles at which the picture folds over are
-    left out.
+    The device frame has its origin at the middle eye relief on the lens axis. Sigma is the rounding of angles and
+    millimetres to the printed digits; the trace itself is exact. Field angles where the picture folds over are omitted.
 
     Raises:
-        BadInputError: there are no two such tables, or a table is faulty.
+        BadInputError: the folder has fewer than two tables, or a table is faulty.
     """
     named = [(match, path) for path in sorted(Path(folder).glob("*.txt")) if (match := _NAME.match(path.name))]
     tables = sorted((float(match[1]), path) for match, path in named)
@@ -86,13 +85,13 @@ def read_osvr_captures(folder: str | Path) -> DisplayCaptures:
 
 
 def _rounding(values: FloatArray) -> FloatArray:
-    """Standard deviation of rounding to three significant digits; below 1, that of 1, lest 0 be infinitely sharp."""
+    """Return the standard deviation of rounding to three digits; values below 1 count as 1, so that it is never 0."""
     exponent = np.floor(np.log10(np.maximum(np.abs(values), 1.0)))
     return np.asarray(10.0 ** (exponent - 2) / np.sqrt(12.0))
 
 
 def _unfolded(path: Path, table: LensTable) -> LensTable:
-    """The table without points next to which the picture is turned over."""
+    """Return the table without points next to a fold of the picture."""
     with as_bad_input(path, "field angles that cover an area"):
         corners = Delaunay(table.field_deg).simplices
     folded = _areas(table.screen_mm[corners]) * _areas(table.field_deg[corners]) <= 0.0

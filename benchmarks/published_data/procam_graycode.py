@@ -1,9 +1,9 @@
 """Reads Gray-code photographs of a projector: github.com/kamino410/procam-calibration (MIT), folder `sample_data`.
 
-One capture is a folder of 42 photographs `graycode_00.png` to `graycode_41.png`. The order is that of the project's
+One capture is a folder of 42 photographs `graycode_00.png` to `graycode_41.png`, in the order of the project's
 `gen_graycode_imgs.py`: OpenCV's `GrayCodePattern` (bits of u from coarse to fine, each followed by its inverse, then
-those of v), white, black. The stripe width is 1, as its README has it; in the photographs decoded v ends sharply at
-767. Beside the captures lies `calibration_result.xml` with camera and projector. `camera_config.json` is not read: it
+bits of v), white, black. The stripe width is 1, as in its README; in the photographs decoded v ends sharply at 767. The
+folder of the captures also has `calibration_result.xml` with camera and projector. `camera_config.json` is not read: it
 is an example for another camera (1280 x 960).
 """
 
@@ -105,7 +105,7 @@ def _read_calibration(file: Path) -> tuple[LensCamera, LensCamera]:
 
 
 def _lens_camera(size_px: tuple[int, int], matrix: FloatArray, distortion: FloatArray) -> LensCamera:
-    """From OpenCV's matrix (9,) and coefficients (5,)."""
+    """Convert OpenCV's matrix (9,) and coefficients (5,)."""
     (fx, _, cx), (_, fy, cy), _ = matrix.reshape(3, 3)
     centre = np.array([cx, cy]) - OPENCV_PIXEL_SHIFT
     return LensCamera(size_px, np.array([fx, fy]), centre, distortion.reshape(len(DISTORTION_TERMS)))

@@ -9,13 +9,13 @@ from wlr_render.report.blocks import Cell, ReportTable
 
 
 def tables(evidence: ViewpointEvidence) -> tuple[ReportTable, ...]:
-    """The models by their held-out error, whether rays meet, and what the bundle leaves."""
+    """Tabulate the models by their held-out error, the misclosure of rays, and the residual of the bundle."""
     eyes, split = evidence.eyes, evidence.split
     return (_model_table(eyes), _misclosure_table(eyes, split), _rest_table(eyes, split))
 
 
 def verdict(evidence: ViewpointEvidence) -> str:
-    """The most probable model of each eye, and the share of the rig in what keeps two rays of a pixel from meeting."""
+    """State the most probable model of each eye, and the rig's share in the misclosure of rays."""
     best = {eye.eye: max(eye.models, key=lambda model: model.log_evidence) for eye in evidence.eyes}
     sentence = " ".join(
         f"{eye.capitalize()} eye: {model.name}, wrong by {model.held_out_arcmin:.2f}' in held-out cells."

@@ -1,16 +1,16 @@
-"""Which display model do captures from two viewpoints support, and is what a model misses due to the optics or the rig?
+"""Which display model captures from two viewpoints support, and whether optics or rig cause its residual.
 
-Three accounts of one panel, each a set of polynomials over its pixels and nested in the next:
+Three models of one panel, each a set of polynomials over its pixels and nested in the next:
 
 - the viewpoint is ignored: one direction per pixel (2 polynomials);
 - one 3-D point per pixel: a direction and an inverse distance (3);
 - a bundle of rays: a direction from each viewpoint (4).
 
-Two viewpoints can refute the first two. They cannot test what the bundle adds, that a direction does not change along
+Two viewpoints can refute the first two. They cannot test the bundle's assumption that a direction does not change along
 its own ray; that takes viewpoints at different depths.
 
-The two rays of a pixel meet if the pixel has one 3-D point. The angle by which they pass each other (the misclosure) is
-a pseudo-scalar: in eyes that mirror each other the optics make it opposite, an error of the rig makes it equal.
+The two rays of a pixel meet if the pixel has one 3-D point. The angle between them where they pass (the misclosure) is
+a pseudo-scalar: in mirror-symmetric eyes, optics give it opposite signs and an error of the rig gives it equal signs.
 """
 
 from collections.abc import Sequence
@@ -32,18 +32,18 @@ IGNORED, POINT, BUNDLE = "viewpoint ignored", "one 3-D point per pixel", "bundle
 
 _LIMITS = Limits(12, 0, 12)
 _FOLDS = 8
-_CELLS = 16  # per axis of the panel: what is held out together, and where the noise is judged
+_CELLS = 16  # cells per axis of the panel; cells are held out as a whole, and noise is estimated in each
 _ROWS_PER_CELL = 12  # twice the terms of the quadratic that judges the noise
 
 
 @dataclass(frozen=True)
 class ModelEvidence:
-    """How one account predicts pixels that were not fitted.
+    """Prediction of left-out pixels by one model.
 
     Attributes:
-        name: of the account.
-        polynomials: how many it fits.
-        log_evidence: natural logarithm; the account with the largest is most probable.
+        name: name of the model.
+        polynomials: number of its polynomials.
+        log_evidence: natural logarithm; the model with the largest is most probable.
         held_out_arcmin, standard_error: rms of the angle in held-out cells, and its uncertainty.
     """
 
@@ -56,17 +56,17 @@ class ModelEvidence:
 
 @dataclass(frozen=True)
 class EyeEvidence:
-    """What one eye's captures say. Fields are given in the cells of the panel that both viewpoints see.
+    """Evidence from one eye's captures; fields refer to the cells of the panel that both viewpoints see.
 
     Attributes:
         eye: "left" or "right".
         rows: measured directions of pixels that both viewpoints see.
         baseline_m: distance between the viewpoints.
-        noise_arcmin: rms angle about a local quadratic in each cell and viewpoint: what no smooth model can explain.
+        noise_arcmin: rms angle about a local quadratic in each cell and viewpoint, which no smooth model can explain.
         models: in the order of the module's docstring.
         cell: (n,) row * 16 + column.
-        misclosure_arcmin: (n,) there.
-        misclosure_sigma_arcmin: rms uncertainty of it, from fits to two halves of the cells.
+        misclosure_arcmin: (n,) misclosure in the cells.
+        misclosure_sigma_arcmin: rms uncertainty of the misclosure, from fits to two halves of the cells.
         image_dioptre: (n,) inverse distance, along the first ray, at which the two rays pass each other.
         rest_arcmin: (2, n, 2) per viewpoint, mean of measured minus bundle in x and y.
     """
@@ -85,11 +85,11 @@ class EyeEvidence:
 
 @dataclass(frozen=True)
 class MirrorSplit:
-    """Fields of two eyes in cells that mirror each other, rms: the part with the optics' symmetry and the other.
+    """Rms fields of two eyes in mirrored cells, split into the part with the optics' symmetry and the rest.
 
     Attributes:
-        optics_arcmin, rig_arcmin: of the misclosure.
-        optics_rest_arcmin, rig_rest_arcmin: (2,) per viewpoint, of what the bundle leaves.
+        optics_arcmin, rig_arcmin: parts of the misclosure.
+        optics_rest_arcmin, rig_rest_arcmin: (2,) parts of the bundle's residual, per viewpoint.
     """
 
     optics_arcmin: float
@@ -100,7 +100,7 @@ class MirrorSplit:
 
 @dataclass(frozen=True)
 class ViewpointEvidence:
-    """What captures of one or both eyes say; `split` needs both."""
+    """Evidence from the captures of one or both eyes; `split` needs both."""
 
     eyes: tuple[EyeEvidence, ...]
     split: MirrorSplit | None
@@ -137,7 +137,11 @@ class Survey:
 
     @classmethod
     def of(cls, captures: DisplayCaptures) -> "Survey":
-        """Raises BadInputError where there are not two viewpoints, or too few pixels are seen from both."""
+        """Collect the pixels that both viewpoints see.
+
+        Raises:
+            BadInputError: there are not two viewpoints, or both see too few pixels.
+        """
         names, first_row = np.unique(captures.capture, return_index=True)
         if len(names) != 2:
             raise BadInputError(
@@ -243,7 +247,7 @@ class Survey:
         return 0.5 * rms(first - second)
 
     def judged(self, name: str, fitted: SmoothFit) -> ModelEvidence:
-        """An account by its evidence and by held-out cells."""
+        """Rate a model by its evidence and by held-out cells."""
         fold = self.fold
         squares = np.array([fitted.left_out(fold == number)[0] ** 2 for number in range(_FOLDS)])
         rms = float(np.sqrt(np.average(squares, weights=np.bincount(fold))))
@@ -264,7 +268,7 @@ class Survey:
 
 
 def _mean_and_difference(bundle: SmoothFit, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) tangents: their mean over both viewpoints, and by how much the second one's differ from the first's."""
+    """Return tangents (n, 2): their mean over both viewpoints, and those of the second less those of the first."""
     mean, difference = np.split(bundle.polynomial(pixel), 2, axis=1)
     return mean, difference
 

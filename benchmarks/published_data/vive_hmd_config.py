@@ -42,7 +42,7 @@ class RadialColour:
 
 
 def read_vive_hmd_config(path: str | Path) -> tuple[RadialColour, ...]:
-    """The lenses of the left and the right eye.
+    """Read the lenses of the left and the right eye.
 
     Raises:
         BadInputError: the file cannot be read, is not JSON or lacks a colour of an eye.

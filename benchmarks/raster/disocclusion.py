@@ -44,7 +44,7 @@ def hidden_from(
     direction: NDArray[np.floating],
     position: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
-    """As `disoccluded`, for any rays: their world directions (..., 3) and hit points (..., 3)."""
+    """Like `disoccluded`, for any rays: their world directions (..., 3) and hit points (..., 3)."""
     met = np.isfinite(position[..., 0])
     towards = np.array(direction)
     towards[met] = position[met] - camera_in_world

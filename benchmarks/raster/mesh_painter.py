@@ -19,8 +19,8 @@ from wlr_render.rendering.view import View
 class MeshWarpedPainter:
     """Like `WarpedPainter`, but the warp map comes from intersecting each world ray with the mesh.
 
-    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, its colour
-    is that of what hides it. Colours are bilinear in linear light, without the filter of `WarpedPainter`.
+    The paper's map (section 4.2). The map is right everywhere; where the intermediate image hides a point, the point
+    gets its occluder's colour. Colours are bilinear in linear light, without the filter of `WarpedPainter`.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class MeshWarpedPainter:
         self._background = renderer.scene.background
 
     def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
-        """See `Painter`."""
+        """Draw a frame, see `Painter`."""
         traced = self._traced.paint(viewpoint, world_from_device, with_geometry=True)
         view = self._plan.view(viewpoint, world_from_device)
         image = self._raster.draw(view)

@@ -201,7 +201,7 @@ class _Compared:
         return [*written, self._draw(folder / "compare.png", title)]
 
     def plot(self, eye: str) -> Plot:
-        """The error map."""
+        """Plot the error map."""
         title, angle = f"Registration error, {eye} eye", self.error.raster.registration_arcmin
         caption = f"Error on the panel ({self.rows[0][0]}), disoccluded pixels included; empty without content."
         return heat_map(title, angle, "arcmin", limits=ERROR_LIMITS_ARCMIN, log=True, caption=caption)

@@ -42,7 +42,7 @@ class Library:
 
     @property
     def is_installed(self) -> bool:
-        """Whether Python finds it; it is not imported."""
+        """True if Python finds the library, which is not imported."""
         return find_spec(self.module) is not None
 
     @property
@@ -69,11 +69,11 @@ BESIDE_M = 1e-6
 
 
 def right_distances(scene: Scene, origin: Float32Array, direction: Float32Array) -> FloatArray:
-    """Distances (5, n), in 64 bits, of the surfaces that rays (n, 3) may meet; infinite for a miss.
+    """Return distances (5, n), in 64 bits, of the surfaces that rays (n, 3) may hit; infinite for a miss.
 
-    They are those of the plane of the triangle that Embree hits, and of the planes of the triangles that it hits from
-    `BESIDE_M` beside the ray, to four sides, all along the ray itself. The five differ only for a ray that passes an
-    edge so near that the rounding of 32 bits decides which side it sees.
+    They are distances along the ray itself to the plane of the triangle that Embree hits, and to the planes of the
+    triangles that it hits from four points `BESIDE_M` to the sides of the ray. The five differ only for a ray that
+    passes an edge so closely that 32-bit rounding decides which side it hits.
     """
     tracer = SceneTracer(scene)
     placed = [(scene.mesh_of(instance), instance) for instance in scene.instances]
@@ -125,7 +125,7 @@ bpy.ops.render.render(write_still=True)
 
 
 def blender_positions(rays: RayMap, world_from_device: FloatArray, scene: str) -> Float32Array:
-    """World points (n, 3) that the rays meet in Blender's Cycles, in a process of its own; 0 for a miss.
+    """Return world points (n, 3) that the rays hit in Blender's Cycles, in its own process; 0 for a miss.
 
     Raises:
         BadInputError: Blender ends with an error.

@@ -1,4 +1,4 @@
-"""Rays of a headset in other renderers: what they meet, and how fast, beside Embree."""
+"""Rays of a headset in other renderers: their hit points and speed, compared with Embree."""
 
 import time
 from dataclasses import KW_ONLY, dataclass
@@ -102,7 +102,7 @@ _NOTES = [
 
 
 def differences(distance: Float32Array, expected: FloatArray) -> list[Cell]:
-    """Figures of a renderer's distances (n,) beside `right_distances` (5, n).
+    """Tabulate a renderer's distances (n,) against `right_distances` (5, n).
 
     Returns:
         Rays on the other side of an edge than Embree's; rays that hit, or miss, on no side; median, 99.9 % and maximum
@@ -122,7 +122,7 @@ def differences(distance: Float32Array, expected: FloatArray) -> list[Cell]:
 
 
 def along_ray(position: Float32Array, origin: Float32Array, direction: Float32Array) -> Float32Array:
-    """Distances (n,) of points along unit rays; infinite for the origin of the world, which stands for a miss."""
+    """Return distances (n,) of points along unit rays; the origin of the world marks a miss and gives infinity."""
     along = ((position.astype(np.float64) - origin) * direction).sum(axis=1)
     return np.where((position != 0).any(axis=1), along, np.inf).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Errors of models from a calibrated bench, beside models from the same readings with exact poses, lenses and board."""
+"""Errors of models from a calibrated bench, and of models from the same readings with exact poses, lenses and board."""
 
 from dataclasses import replace
 
@@ -28,11 +28,11 @@ CALIBRATED, EXACT, NOMINAL = "calibrated", "exact", "exact, stage's random motio
 
 
 def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int) -> dict[str, dict[str, float]]:
-    """Rms errors against the traced headset, by source of the captures and name of the error.
+    """Return rms errors against the traced headset, by source of the captures and name of the error.
 
-    Captures of all sources have the same readings. Exact ones have the true lenses, board and target poses; and the
-    true camera poses, or those of the stage without its random errors. The calibrated model is compared in the frame
-    of the tracking camera: an error of the stated extrinsics moves display, world and eye alike.
+    Captures of all sources have the same readings. Exact captures have the true lenses, board and target poses, and
+    either the true camera poses or the poses of the stage without its random errors. The calibrated model is compared
+    in the frame of the tracking camera: an error of the stated extrinsics moves display, world and eye together.
     """
     truth = traced_eye(simulated.truth.bench.device, simulated.truth.bench.eye)
     tests = TruthTests.of(truth, seed_of(seed, truth.eye, 1))
@@ -58,7 +58,7 @@ def _nominal(simulated: SimulatedReadings) -> tuple[FloatArray, FloatArray]:
 
 
 def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: FloatArray) -> Captures:
-    """Captures by true lenses, board and targets, and the camera poses (n, 4, 4) given."""
+    """Return captures with the true lenses, board and targets, and the given camera poses (n, 4, 4)."""
     session, truth, reading = simulated.session, simulated.truth, simulated.reading
     headset = Headset(session.device, session.eye, session.eye_box)
     panels = [
@@ -81,7 +81,7 @@ def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: Float
 
 
 def _moved(tests: TruthTests, motion: FloatArray) -> TruthTests:
-    """The same observations in another device frame: `motion` (4, 4) leads there from the true one."""
+    """Return the same observations in another device frame; `motion` (4, 4) transforms the true frame to it."""
     shown, seen = tests.display, tests.see_through
     ray = np.concatenate(
         [transforms.apply(motion, seen.real_ray[:, :3]), transforms.rotate(motion, seen.real_ray[:, 3:])], axis=1

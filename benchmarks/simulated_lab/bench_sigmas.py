@@ -13,10 +13,10 @@ from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
 _GRID = (9, 7)  # pixels across and down, at which directions are compared
-_EDGE = 0.04  # of the picture, where no features are
-_FEATURES = 40  # of the board that are compared
-_EVERY = 4  # of the panel's camera places, at which directions are compared
-_LEAST_SIZE = 1e-6  # of an eigenvalue over the largest: combinations known a thousand times better do not matter
+_EDGE = 0.04  # share of the picture along its edge without features
+_FEATURES = 40  # features of the board in the comparison
+_EVERY = 4  # step between the panel's camera positions in the comparison of directions
+_LEAST_SIZE = 1e-6  # smallest eigenvalue over the largest; combinations known a thousand times better do not matter
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class SquaredErrors:
 
     @classmethod
     def of(cls, error: FloatArray, covariance: FloatArray) -> "SquaredErrors":
-        """Of errors (n,) with a covariance (n, n)."""
+        """Compute the squared errors of errors (n,) with a covariance (n, n)."""
         sigma = np.sqrt(np.diag(covariance))
         scaled = error / sigma
         size, vectors = np.linalg.eigh(covariance / np.outer(sigma, sigma))
@@ -117,7 +117,7 @@ class _Compared:
         return rows
 
     def _from_tracking(self, pose: _Pose) -> _Pose:
-        """The pose in the tracking camera's frame."""
+        """Return the pose in the tracking camera's frame."""
         tracking = self._adjustment.state.device_from_tracking
         assert tracking is not None
         back = transforms.inverse(tracking)
@@ -198,7 +198,7 @@ class _Compared:
         return SquaredErrors.of(np.concatenate(errors).ravel(), covariance)
 
     def _travel(self) -> list[_Pose]:
-        """Expected motion from one end of each stage axis to the other, in the camera's frame at the first."""
+        """Return the expected motion from one end of each stage axis to the other, in the camera frame at the start."""
         state = self._adjustment.state
         middle, half = state.observations.travel
         poses = []
@@ -231,7 +231,7 @@ def _pixels(lens: Lens) -> FloatArray:
 
 
 def _tangent_errors(lens: Lens, true: Lens) -> tuple[FloatArray, FloatArray]:
-    """True tangents less those found (n, 2), and the derivative (n, 2, P) of those found by the lens' values."""
+    """Return true less fitted tangents (n, 2), and the derivative (n, 2, P) of the fitted ones by lens parameters."""
     pixel = _pixels(lens)
     tangents = lens.tangents_of_pixel(pixel)
     seen = lens.project(np.concatenate([tangents, np.ones((len(pixel), 1))], axis=1))

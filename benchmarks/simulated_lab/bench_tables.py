@@ -15,7 +15,7 @@ _SHORT = 160  # characters of a sentence
 
 
 def bench_tables(outcomes: Sequence[BenchOutcome]) -> list[ReportTable]:
-    """All tables; those of what has not been tried are left out."""
+    """Return all tables, except tables without trials."""
     makers = (_accepted, _alarms, _sigmas, _components, _faults, _unnamed, _models)
     return [table for table in (make(outcomes) for make in makers) if table.rows]
 
@@ -85,7 +85,7 @@ def _interval(squares: FloatArray) -> tuple[float, float]:
 
 
 def _components(outcomes: Sequence[BenchOutcome]) -> ReportTable:
-    """Variance components found, beside the true ones."""
+    """Tabulate the estimated variance components and the true ones."""
     clean = [each for each in _clean(outcomes) if each.sizes]
     true: dict[str, tuple[float, float | None, str]] = {
         "turn": (1e6, 10.0, "random rotation of the stage, urad"),

@@ -1,4 +1,4 @@
-"""One trial: simulate what a session's photographs say, calibrate the bench, and compare with the truth."""
+"""One trial: simulate the readings of a session, calibrate the bench, and compare it with the truth."""
 
 import time
 import zlib
@@ -26,7 +26,7 @@ _APART_M = 1e-3  # readings that are exchanged differ by more
 
 
 class BenchTrialKind(StrEnum):
-    """What a session is simulated for."""
+    """Purpose of a simulated session."""
 
     CLEAN = "clean"
     MODELS = "models"
@@ -46,8 +46,8 @@ class BenchTrial:
     """A simulated session.
 
     Attributes:
-        kind: what is wrong, or what is measured.
-        number: of the session; devices take turns.
+        kind: the fault, or the measurement.
+        number: number of the session; devices alternate.
     """
 
     kind: BenchTrialKind
@@ -76,19 +76,19 @@ class FailedCheck:
 
 @dataclass(frozen=True)
 class BenchOutcome:
-    """What became of a trial.
+    """Outcome of a trial.
 
     Attributes:
-        trial: what was simulated.
-        truth: what was wrong, in words.
+        trial: the simulated trial.
+        truth: description of the fault.
         failed: checks that are not ok.
-        excluded: photographs among the captures.
-        refused: an error that stopped the calibration; "" if none.
-        named: whether what was wrong is named. first: whether nothing else is said beside it.
+        excluded: photographs excluded from the captures.
+        refused: error that stopped the calibration; "" if there was none.
+        named: True if the fault is named. first: True if it is the only fault named.
         sigmas: errors over stated sigmas, by kind of unknown.
         sizes: variance components of the stage, by name.
-        errors: of the models, rms by side and source.
-        seconds: of the bench's calibration, of one processor.
+        errors: rms errors of the models, by side and source.
+        seconds: time of the bench calibration on one processor.
     """
 
     trial: BenchTrial
@@ -105,12 +105,12 @@ class BenchOutcome:
 
     @property
     def accepted(self) -> bool:
-        """Whether the calibration goes on."""
+        """True if the calibration continues."""
         return not self.refused and not any(check.contradictory for check in self.failed)
 
 
 def loaded_outcome(trial: BenchTrial, content: dict[str, Any]) -> BenchOutcome:
-    """The outcome of a trial from its fields as JSON has them."""
+    """Return the outcome of a trial from its JSON fields."""
     content["trial"] = trial
     for name in ("failed", "excluded"):
         content[name] = [FailedCheck(**each) for each in content[name]]
@@ -162,7 +162,7 @@ def _excluded(bench: CalibratedBench, simulated: SimulatedReadings) -> list[Fail
 
 
 def _judged(outcome: BenchOutcome, said: list[FailedCheck], wanted: tuple[tuple[str, ...], ...]) -> BenchOutcome:
-    """Whether for each of `wanted` some sentence has all its words, and whether no other sentence is there."""
+    """Record whether each of `wanted` matches some sentence with all its words, and whether other sentences exist."""
     if outcome.trial.kind not in FAULTY:
         return outcome
     texts = [f"{each.step}: {each.sentence}" for each in said]
@@ -175,7 +175,7 @@ def _judged(outcome: BenchOutcome, said: list[FailedCheck], wanted: tuple[tuple[
 def _fault(
     kind: BenchTrialKind, clean: SimulatedReadings, rng: np.random.Generator
 ) -> tuple[Faults, str, tuple[tuple[str, ...], ...]]:
-    """The fault, what it is in words, and the words by which it must be named."""
+    """Draw a fault; return it, its description, and the words that must name it."""
     session = clean.session
     poses = sorted({each.target_pose for each in session.see_through})
     sweep = len(session.see_through) // len(poses)
@@ -214,7 +214,7 @@ def _fault(
 
 
 def _shift(rng: np.random.Generator) -> Shift:
-    """In a random direction, about a random axis."""
+    """Draw a shift in a random direction and a rotation about a random axis."""
     direction, axis = rng.standard_normal((2, 3))
     mm = rng.uniform(*_SHIFT_MM) * direction / np.linalg.norm(direction)
     deg = rng.uniform(*_TURN_DEG) * axis / np.linalg.norm(axis)

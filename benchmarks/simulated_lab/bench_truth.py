@@ -17,14 +17,14 @@ from wlr_render.simulation.photographs.photo_plan import SessionVisits, Visit
 
 @dataclass(frozen=True, eq=False)
 class BenchTruth:
-    """True values behind a simulated session. Device frame, metres; lists are in the order of those of the session.
+    """True values behind a simulated session, in the device frame, metres; lists have the order of the session's.
 
     Attributes:
-        bench: the bench, with the stage axes that it had and the target's poses before any fault. Its eyeball lens is
-            at its middle focus, as of the panel and of the photographs for the intrinsics.
+        bench: the bench, with the true stage axes and the target's poses before any fault. Its eyeball lens has its
+            middle focus, as for the panel and the photographs for the intrinsics.
         eyeball_at_target: the eyeball lens at each target pose.
         bare, see_through, display: (n, 4, 4) device_from_camera of each photograph or panel set; photographs past the
-            optics have the poses of those through them.
+            optics have the poses of the photographs through them.
         bare_targets, see_through_targets, tracking_targets: (n, 4, 4) device_from_target at each photograph.
     """
 
@@ -39,10 +39,10 @@ class BenchTruth:
 
 
 def true_values(session: PhotoSession, bench: PhotoBench, visits: SessionVisits, faults: Faults) -> BenchTruth:
-    """Where cameras and target stand at each photograph: the frame is the headset's, also after it slipped.
+    """Return the true poses of cameras and target at each photograph, in the headset's frame, also after it slipped.
 
     Raises:
-        BadInputError: a fault of a photograph that there is not.
+        BadInputError: a fault names a missing photograph.
     """
     poses = range(len(bench.device_from_target))
     sweep = len(session.see_through) // len(poses)

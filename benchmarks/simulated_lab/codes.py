@@ -20,7 +20,7 @@ from wlr_render.simulation.photographs.camera_view import CameraView
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 
 _EVERY = 3  # along each side: every ninth pixel is compared, enough to see one in ten thousand that is wrong
-_RIM_PX = 4.0  # panel pixels from the panel's edge, within which blur mixes in what is dark
+_RIM_PX = 4.0  # width of the rim of the panel where blur mixes in the dark surroundings, panel pixels
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,15 @@ class CodeTrial:
     """One code, one signal-to-noise ratio.
 
     Attributes:
-        name: of the code.
-        pictures: how many it has.
-        compared: how many accepted pixels were compared with exact positions.
-        rms_px: of accepted pixels about the exact position, per axis, less the mean error.
-        mean_px: of the errors, both axes together: what the finite pupil does to aberrated light.
-        wrong: accepted pixels that are off by more than one panel pixel.
-        accepted: share of the camera pixels that see the panel, its rim left out.
-        decode_s: from files to positions.
-        read_s: reading the files alone.
+        name: name of the code.
+        pictures: number of its pictures.
+        compared: number of accepted pixels compared with exact positions.
+        rms_px: rms of accepted pixels about the exact position, per axis, less the mean error.
+        mean_px: mean of the errors of both axes, caused by aberrations over the finite pupil.
+        wrong: number of accepted pixels with an error of more than one panel pixel.
+        accepted: share of the camera pixels that see the panel without its rim.
+        decode_s: time from files to positions.
+        read_s: time to read the files.
     """
 
     name: str

@@ -16,7 +16,7 @@ from wlr_render.rendering.srgb import encode_srgb
 
 _TEXELS_PER_PITCH = 64
 _LARGEST_TEXTURE_PX = 8192
-_AROUND = 1.3  # of a dot's radius: some white has to be seen around it
+_AROUND = 1.3  # radius of the white surroundings of a dot, in radii of the dot
 _RING = 12
 _EDGE_PX = 2.0  # panel pixels
 
@@ -36,7 +36,7 @@ def target_scene(board: DotBoard, shape: BoardShape | None, world_from_target: F
 
 
 def _mesh(board: DotBoard, shape: BoardShape | None) -> Mesh:
-    """The board upright as seen from the front: x right, y up, facing +z. Vertices are dots' centres and the edge."""
+    """Return the upright board: x right, y up, facing +z. Its vertices are the dots' centres and the edge."""
     width, height = board.size_m
     texel = max(board.pitch_m / _TEXELS_PER_PITCH, float(max(width, height)) / _LARGEST_TEXTURE_PX)
     columns, rows = (int(np.ceil(length / texel)) for length in (width, height))

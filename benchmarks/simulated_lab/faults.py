@@ -72,15 +72,15 @@ class Exchange:
 
 @dataclass(frozen=True)
 class Faults:
-    """What went wrong in a session; nothing by default.
+    """Faults of a session; none by default.
 
     Attributes:
-        board_moved: the target moved between its bare photographs and those with the headset mounted.
-        board_moved_in_sweep: the target moved during a sweep; the tracking photograph after it sees it moved.
+        board_moved: the target moved between its bare photographs and the photographs with the headset mounted.
+        board_moved_in_sweep: the target moved during a sweep, before its tracking photograph.
         headset_slipped: the headset moved during a sweep. Everything after it, also at later target poses, is seen from
-            the moved headset; bare photographs are not.
+            the moved headset, except bare photographs.
         exchanged: readings exchanged in session.toml.
-        axis_off_deg: the stage's y axis is off its right angle to x by this much.
+        axis_off_deg: deviation of the stage's y axis from its right angle to x.
     """
 
     board_moved: BoardMove | None = None

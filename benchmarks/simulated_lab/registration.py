@@ -1,10 +1,9 @@
 """Registration of calibrations on the simulated bench of their session, measured as on a real one.
 
-The target is drawn over itself and photographed with the display off and on. It is drawn by the fitted models, for the
-camera position that the stage's reading gives and the target pose that the tracking camera sees. Photographs show the
-true bench: each visit of the stage has its own random errors, and photographs are blurred, hazy and noisy as those of
-the session. Nothing of the truth goes into the result. Several calibrations are compared on the same visits, targets,
-photographs with the display off, and dots.
+The target is drawn over itself and photographed with the display off and on. The fitted models draw it, for the camera
+position that the stage reads and the target pose that the tracking camera sees. Photographs show the true bench: each
+visit of the stage has its own random errors, and blur, haze and noise are as in the session. The result does not use
+the truth. All calibrations are compared on the same visits, targets, photographs with the display off, and dots.
 """
 
 import contextlib
@@ -61,7 +60,7 @@ METHODS = ("raster + warp", "ray traced")
 """Without OpenGL the second alone."""
 _FRONTAL: tuple[TargetPose, ...] = ("frontal",)
 _ALL_POSES: tuple[TargetPose, ...] = ("frontal", "tilted", "shifted")
-_TILT_DEG, _SHIFT_M = 20.0, 0.06  # of the target: about the vertical; to the right, and half as much down
+_TILT_DEG, _SHIFT_M = 20.0, 0.06  # motions of the target: about the vertical; to the right, and half as much down
 _SUPERSAMPLE = 3  # rays per display pixel and axis: the target's dots must not be jagged
 
 
@@ -116,10 +115,10 @@ class _Calibration:
     """A calibration that is verified.
 
     Attributes:
-        label: its name in tables; "" where it is the only one.
-        prefix: of the names of what the panel shows.
-        models: of the eye.
-        station: of the bench.
+        label: its name in tables; "" for a single calibration.
+        prefix: prefix of the names of panel pictures.
+        models: models of the eye.
+        station: station of the bench.
     """
 
     label: str
@@ -188,7 +187,7 @@ def _calibrations(options: SimulatedLabOptions, bench: PhotoBench) -> list[_Cali
         if folder in folders[:number]:
             raise BadInputError(f"--calibration names {folder} twice; name each calibration once.")
     several = len(folders) > 1
-    # Folders of one name, e.g. a/out and b/out, are told apart by their paths.
+    # Paths distinguish folders of equal name, e.g. a/out and b/out.
     stems = [
         folder.name if [each.name for each in folders].count(folder.name) == 1 else str(folder) for folder in folders
     ]
@@ -254,10 +253,10 @@ def _draw(
     options: SimulatedLabOptions,
     warnings: list[str],
 ) -> Iterator[dict[str, NDArray[np.uint8]]]:
-    """Yield what the panel must show of a target at device_from_target (4, 4) by each method, per viewpoint (n, 3).
+    """Yield the panel pictures of a target at device_from_target (4, 4) by each method, per viewpoint (n, 3).
 
-    The target has the shape that calibration found. `warnings` receives a sentence if frames are ray traced for want of
-    OpenGL.
+    The target has the shape of the calibration. `warnings` receives a sentence if frames are ray traced because OpenGL
+    is missing.
     """
     scene, models = target_scene(bench.board, calibration.station.shape, target), calibration.models
     raster, renderer = open_scene_raster(scene, options.backend), RayRenderer(scene)

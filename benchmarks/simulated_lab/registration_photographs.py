@@ -1,4 +1,4 @@
-"""Photographs of a registration on a simulated bench: the target alone, by both cameras, and what the panel shows."""
+"""Photographs of a registration on a simulated bench: the target alone, by both cameras, and with the display on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,7 +49,7 @@ class TargetPlace:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What the panel shows, as `take_photographs.Pictures`."""
+    """Panel pictures, in the form of `take_photographs.Pictures`."""
 
     shown: tuple[str, ...]
     images: tuple[NDArray[np.uint8], ...]
@@ -59,7 +59,7 @@ class Frames:
         return self.shown
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """The picture that is shown as number `index`."""
+        """Return the picture with number `index`."""
         return self.images[index]
 
 

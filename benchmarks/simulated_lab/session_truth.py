@@ -39,13 +39,13 @@ from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_
 
 @dataclass(frozen=True, eq=False)
 class SessionTruth:
-    """What a session's calibration was worth.
+    """Comparison of a session's calibration with the truth.
 
     Attributes:
-        truth: of the bench, at each photograph.
+        truth: true values of the bench at each photograph.
         found: the calibration from photographs.
-        measured: the fit to its captures, moved to the true device frame: the tracking camera's stated pose is off,
-            and displaces everything alike.
+        measured: the fit to its captures, moved to the true device frame: the error of the tracking camera's stated
+            pose moves everything together.
         ideal: the fit from exact correspondences with the same noise.
     """
 
@@ -82,7 +82,7 @@ def _in_true_frame(captures: Captures, truth: BenchTruth) -> Captures:
         }
 
     display, see_through = captures.display, captures.see_through
-    assert display is not None  # of a simulated session
+    assert display is not None  # simulated sessions have a display
     assert see_through is not None
     point = transforms.apply(true_from_stated, see_through.point)
     return Captures(

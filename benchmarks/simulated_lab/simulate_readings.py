@@ -1,7 +1,7 @@
-"""Simulate what is read from a session's photographs, without the photographs.
+"""Simulate the readings of a session's photographs, without the photographs.
 
-Camera poses, lenses, board and optics are those of the photographs that `simulate_photo_session` would take. Dots and
-panel positions are computed exactly and given white noise; errors of finding dots and of decoding are not simulated.
+Camera poses, lenses, board and optics are the same as in `simulate_photo_session`. Dots and panel positions are exact
+plus white noise; errors of dot detection and of decoding are not simulated.
 """
 
 import zlib
@@ -28,9 +28,9 @@ from wlr_render.simulation.photographs.photo_bench import passes_optics
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
-_EDGE_PX = 6.0  # from the edge of the picture to the centre of a dot that is seen whole
-_NEAR = 1.1  # of the picture: beyond, optics do not bring a point into it
-_FROM_OPTICS = 0.93  # of a direction's tangents: a point past the optics is not seen by them there either
+_EDGE_PX = 6.0  # smallest distance from the edge of the picture to the centre of a dot
+_NEAR = 1.1  # range in sizes of the picture; the optics bring no point beyond it into the picture
+_FROM_OPTICS = 0.93  # factor on a direction's tangents: also there, a point past the optics must miss the optics
 _LEAST_BESIDE = 20
 _USUAL = ReadingOptions()
 _COARSE = 24  # camera pixels across, at which the panel is looked for
@@ -38,11 +38,11 @@ _COARSE = 24  # camera pixels across, at which the panel is looked for
 
 @dataclass(frozen=True, eq=False)
 class SimulatedReadings:
-    """A session, what its photographs say, and the truth.
+    """A session, its readings and the truth.
 
     Attributes:
-        session: as session.toml would state it, with the faults of its readings.
-        reading: as `read_session` would return it.
+        session: content of session.toml, with the faults of its readings.
+        reading: result of `read_session`.
         truth: the true values.
     """
 
@@ -63,12 +63,12 @@ def simulate_readings(
     Args:
         recipe: device, eye, number of camera positions, bench and seed.
         options: noise and number of readings.
-        faults: what goes wrong.
-        folder: by which photographs are named; nothing is read or written there.
+        faults: faults of the session.
+        folder: folder in the names of photographs; nothing is read or written there.
 
-    Raises:
-        BadInputError: an unknown device, eye or pattern, a fault of a photograph that there is not, or a target too far
-            to be seen past the optics by a camera in the hand.
+        Raises:
+        BadInputError: an unknown device, eye or pattern, a fault of a missing photograph, or a target that is too far
+            away to be seen past the optics by a hand-held camera.
     """
     bench = recipe.build()
     off = np.deg2rad(faults.axis_off_deg)
@@ -216,7 +216,7 @@ class _Reader:
 
 
 def _inside(pixel: FloatArray, size_px: tuple[int, int], edge_px: float) -> BoolArray:
-    """Return which pixels (..., 2) lie in a picture, by more than `edge_px` from its edge; not those that are NaN."""
+    """Return True for pixels (..., 2) more than `edge_px` inside a picture, and False for NaN."""
     return np.asarray(np.all((pixel > edge_px) & (pixel < np.array(size_px) - edge_px), axis=-1))
 
 
