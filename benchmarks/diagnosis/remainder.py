@@ -16,7 +16,7 @@ _WORTH_A_FIT = 0.3  # share of the truth's gain; a smaller first-order gain leav
 
 
 def remainder(readings: WeighedReadings, scatter: Scatter, hidden: Sequence[str], name: str) -> float:
-    """Return the chi-squared, above the truth's, of the best other cause in place of a hidden one; 25 is 5 sigma.
+    """Return the chi-squared of the best other cause in place of a hidden one, less the truth's; 25 is 5 sigma.
 
     "No cause" competes as well. All readings count, including those that a diagnosis excludes: a slip before the last
     captures must not pass for captures that moved.
@@ -25,7 +25,7 @@ def remainder(readings: WeighedReadings, scatter: Scatter, hidden: Sequence[str]
         readings: readings with only the hidden causes and the true noise.
         scatter: true scatter of the captures.
         hidden: all active causes.
-        name: the cause to be replaced; the others stay active.
+        name: the cause to replace; the others stay active.
     """
     rest = fit(readings, Explanation(), scatter, vary_scatter=False)
     assert rest is not None

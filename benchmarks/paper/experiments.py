@@ -113,9 +113,9 @@ def structure(study: Study) -> Findings:
         pair = [_dense(side, study, eye, kind, DEGREE) for kind in KINDS]
         for query, measure, unit in side.queries:
             rows.append([str(eye), query, unit, *(_p95(outcome, measure) for outcome in pair)])
-    title = f"Difference of the answers at two points of one ray, the eye box's depth apart: p95, N={DEGREE}, dense"
+    title = f"Difference between two points of one ray, one eye box depth from each other: p95, N={DEGREE}, dense"
     notes = (
-        "A planar model answers alike along a ray by construction, up to rounding and the solver's tolerance.",
+        "A planar model gives equal answers along a ray by construction, up to rounding and the solver's tolerance.",
         "The place of a world ray is compared at the depth of the real point.",
     )
     return Findings((ReportTable(title, ["eye", "query", "unit", *KINDS], rows, notes),))

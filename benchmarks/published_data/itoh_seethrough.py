@@ -81,7 +81,7 @@ def read_itoh_seethrough(folder: str | Path) -> SeeThroughPairs:
     views = [_ViewFolder.read(root / name) for name in names]
     for name, view in zip(names, views, strict=True):
         if not np.array_equal(view.dot_in_target, views[0].dot_in_target):
-            raise BadInputError(f"{root / name}: its grid is not that of view {names[0]}; leave this view out.")
+            raise BadInputError(f"{root / name}: its grid differs from view {names[0]}; leave this view out.")
     bare_ns, through_ns = (np.array([view.time_ns[i] for view in views]) for i in range(2))
     first_ns = min(bare_ns.min(), through_ns.min())
     return SeeThroughPairs(

@@ -268,7 +268,7 @@ class Survey:
 
 
 def _mean_and_difference(bundle: SmoothFit, pixel: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return tangents (n, 2): their mean over both viewpoints, and those of the second less those of the first."""
+    """Return tangents (n, 2): their mean over both viewpoints, and the second viewpoint's less the first's."""
     mean, difference = np.split(bundle.polynomial(pixel), 2, axis=1)
     return mean, difference
 

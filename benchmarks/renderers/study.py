@@ -92,7 +92,7 @@ _COLUMNS = [
     "speed over Embree's",
 ]
 _NOTES = [
-    "Differences to the distance, in 64 bits, of the plane of the triangle that Embree hits (embreex, robust). Of a "
+    "Differences to the distance, in 64 bits, of the plane of the triangle that Embree hits (embreex, robust). For a "
     f"ray that passes an edge within {1e6 * BESIDE_M:g} um, to the nearer of the distances on its two sides; 'other "
     "side of an edge' counts rays that took another side than Embree, and the sides are more than 1 um apart.",
     "In 32 bits neighbouring numbers are 0.06 um apart near 0.7 m, and 0.24 um near 3 m. Cycles shades each pixel: its "

@@ -1,1 +1,1 @@
-"""Published methods beside ours on measurements of others, each judged by data that it was not fitted to."""
+"""Published methods and ours on published measurements, each judged by left-out data."""

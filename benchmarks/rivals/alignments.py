@@ -77,8 +77,8 @@ def recycled(sitting: Sitting, screen: Screen, eye_box: EyeBox, eye: FloatArray 
     inverse = np.asarray(np.linalg.inv(projection[:, :3]), np.float64)
     own = -inverse @ projection[:, 3]
     scale = np.linalg.norm(projection[2, :3])
-    axis = projection[2, :3] / scale  # unit, towards what is seen
-    # The authors add two coordinates along the view that are told in the frames of SPAAM and of the screen.
+    axis = projection[2, :3] / scale  # unit vector of the view direction
+    # The authors add two coordinates along the view direction, one in SPAAM's frame, one in the screen's frame.
     distance = screen.translation[2] - own @ axis
     depth = np.array([0.0, 0.0, 1.0 / (distance * scale)])
     box = Box(np.zeros(2), np.array([screen.panel.width_px, screen.panel.height_px], np.float64))
@@ -122,7 +122,7 @@ def _judged(found: Alignments) -> list[HeldOut]:
         return display.pixel_of_view_dir(towards, sittings[at].eye).value
 
     def from_others(method: str, predicted: Callable[[int, int], FloatArray], sources: int = len(sittings)) -> HeldOut:
-        """From some first sittings to each other one: (source, target) -> pixels."""
+        """Predict every other sitting from each of the first `sources`; `predicted` maps (source, target) to pixels."""
         pairs = [(s, t) for t in range(len(sittings)) for s in range(sources) if s != t]
         errors = [error(target, predicted(source, target)) for source, target in pairs]
         groups = [np.full(len(sittings[target].pixel), target) for _, target in pairs]
@@ -187,7 +187,7 @@ def _noise_table(sittings: Sequence[Sitting], px: float) -> ReportTable:
 
 
 def _noise_px(sitting: Sitting) -> float:
-    """Standard deviation per axis about SPAAM of the sitting itself."""
+    """Return the standard deviation per axis about SPAAM of the sitting itself, pixels."""
     projection = fit_projection(sitting.pixel, sitting.point, f"sitting {sitting.name}")
     rest = _project(projection, sitting.point) - sitting.pixel
     return float(np.sqrt(np.sum(rest**2) / (rest.size - _FREE)))
@@ -199,7 +199,7 @@ def _project(projection: FloatArray, point: FloatArray) -> FloatArray:
 
 
 def _arcmin_per_px(found: Alignments) -> float:
-    """Of the calibrated screen, in its middle and from the first sitting's eye."""
+    """Return arcminutes per pixel in the middle of the calibrated screen, from the first sitting's eye."""
     eye, screen = found.sittings[0].eye, found.screen
     centre = 0.5 * np.array([screen.panel.width_px, screen.panel.height_px], np.float64)
     display = full_setup(screen, EyeBox(eye, np.full(3, _LEAST_SIZE)))

@@ -45,7 +45,7 @@ EVERYWHERE = frozenset(DEFAULT_METHODS) | {
     "indica-recycle",
     "plane-and-polynomial-planar",
 }
-"""Of all methods, those that are run in every condition; the others with exact captures and at `_NOISY` only."""
+"""Methods that are run in every condition; the others run with exact captures and at `_NOISY` only."""
 COSTLY = frozenset(
     {
         "volumetric",
@@ -61,7 +61,7 @@ COSTLY = frozenset(
         "plane-and-polynomial-volumetric",
     }
 )
-"""Of all methods, those that are repeated `_FEW` times at most."""
+"""Methods with at most `_FEW` repetitions."""
 _FEW = 3
 POSITIONS = 25
 COUNTS = (9, 16, 25, 49, 84)
@@ -78,7 +78,7 @@ _NOISY, _USUAL = "1 px", "0.25 px"
 _LEAST_DRAWN = 1e-4  # arcminutes, in the plot of methods
 _LEADERS = 12  # curves in the plot of camera positions
 _TIES, _ONE_DRAW = 2.0, 0.1
-"""Within so many standard errors two methods are as good; with one draw, within this share of the error."""
+"""Standard errors within which two methods are equally good; with one draw, the share of the error."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +94,12 @@ class _Table:
     by_count: Mapping[int, Mapping[str, Outcome]]
 
     def rms(self, condition: str, method: str, measure: str) -> float:
-        """Mean over repetitions of the rms of an error; NaN where there is none."""
+        """Return the mean over repetitions of the rms of an error; NaN without data."""
         values = [outcome.rms(measure) for outcome in self.outcomes[condition].get(method, ())]
         return float(np.mean(values)) if values else float("nan")
 
     def standard_error(self, condition: str, method: str, measure: str) -> float | None:
-        """Of `rms`; None for a single repetition."""
+        """Return the standard error of `rms`; None for a single repetition."""
         values = [outcome.rms(measure) for outcome in self.outcomes[condition].get(method, ())]
         return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else None
 
@@ -120,7 +120,7 @@ class _Table:
 
 
 def chosen_methods(names: Sequence[str]) -> Sequence[str]:
-    """Return the methods of these names; "all" stands for all of them.
+    """Return the methods of these names; "all" selects all methods.
 
     Raises:
         BadInputError: a name is unknown, or "all" is not alone.
@@ -283,7 +283,7 @@ def _beyond_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
 
 
 def _structures_table(eye: EvaluatedEye, found: _Table) -> list[ReportTable]:
-    """None without a regressor in all structures."""
+    """Compare regressors across structures; empty unless one ran in all structures."""
     own = {"polynomials by evidence": dict(zip(STRUCTURES, STRUCTURES, strict=True))}
     regressors = own | {name: {each: f"{name}-{each}" for each in STRUCTURES} for name in REGRESSORS}
     rows: list[list[Cell]] = []
@@ -347,7 +347,7 @@ def _positions_plot(eye: EvaluatedEye, found: _Table) -> Plot:
 
 
 def _what_wins(eye: EvaluatedEye, found: _Table, condition: str) -> str:
-    """The best method in a condition, and where our planar model stands."""
+    """Name the best method in a condition, and the rank of our planar model."""
     ranked = found.ranked(condition)
     if not ranked:
         return f"{eye}, {condition}: no method could use the captures."
@@ -361,7 +361,7 @@ def _what_wins(eye: EvaluatedEye, found: _Table, condition: str) -> str:
 
 
 def _clearly(found: _Table, condition: str, method: str) -> bool:
-    """Whether a method is better than planar by more than the repetitions scatter."""
+    """Return whether a method is better than planar by more than the scatter of the repetitions."""
     measure = MethodMeasure.COMPOSITE
     gain = found.rms(condition, "planar", measure) - found.rms(condition, method, measure)
     own, other = (found.standard_error(condition, name, measure) for name in ("planar", method))

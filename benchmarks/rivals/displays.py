@@ -19,11 +19,11 @@ from wlr_render.numerics.regressor import Regressor
 
 FitDisplay = Callable[[DisplayCaptures], DisplayMapping]
 
-_STRAIGHT = 0.02  # of the distance between the outermost positions: what others may lie off their line
+_STRAIGHT = 0.02  # largest distance of a position from the line of all, over the distance of the outermost positions
 
 
 def line_table(samples: Samples) -> Regressor:
-    """A map for each position of a line, linear in the place along the line, also beyond its ends.
+    """Fit a map at each position of a line, interpolated and extrapolated linearly along the line.
 
     Raises:
         BadInputError: the positions do not lie on one line.

@@ -41,13 +41,13 @@ _START_DEGREE = 3
 
 @dataclass(frozen=True, eq=False)
 class RayLayers:
-    """Hidden layers whose last values (n, units) are the weighted sum of the values at points along rays.
+    """Hidden layers whose last values (n, units) are weighted sums of values at points along rays.
 
-    These are `network_training.Layers`. The flat weights are those of `hidden`, then of the occupancy (units,).
+    They implement `network_training.Layers`. The flat weights are the weights of `hidden`, then the occupancy (units,).
 
     Attributes:
         units: number of units of each layer.
-        box: of (x, y, z, tx, ty): viewpoints in metres, and view tangents.
+        box: bounds of (x, y, z, tx, ty): viewpoints in metres, and view tangents.
         centre: (3,) metres, origin of the points' tangents and inverse depths.
         dioptres: (k,) inverse depths of the points of a ray from the viewpoint, 1/m.
     """
@@ -101,7 +101,7 @@ class RayLayers:
         return [*found, shares, np.asarray((shares[:, None] @ by_point)[:, 0])]
 
     def gradient(self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray) -> FloatArray:
-        """Derivative (numbers,) of a loss by the weights, from that by the weighted sum (n, units)."""
+        """Return the derivative (numbers,) of a loss by the weights, from its derivative by the sums (n, units)."""
         *layers, shares, _ = values
         points = layers[-1].reshape(*shares.shape, -1)
         by_share = (points @ by_last[:, :, None])[..., 0]

@@ -17,13 +17,13 @@ COLUMNS = ("rms (arcmin)", "95 % interval", "median (arcmin)", "over {}", "95 % 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How a method predicts what it was not fitted to.
+    """Errors of a method at left-out data.
 
     Attributes:
-        method: words.
+        method: name of the method.
         error: (n,) angles in arcminutes; empty if it refused.
-        group: (n,) what is drawn as a whole: the capture, view or sitting.
-        refusal: why the method cannot use the captures; None if it can.
+        group: (n,) unit of the bootstrap: the capture, view or sitting.
+        refusal: reason why the method cannot use the captures; None if it can.
     """
 
     method: str
@@ -36,9 +36,9 @@ def held_out(method: str, group: IntArray, error_without: Callable[[int], FloatA
     """Fit without each group in turn and judge that group.
 
     Args:
-        method: words.
-        group: (n,) of the rows.
-        error_without: group -> errors in arcminutes of its rows, of a fit to all others; NaN where there is no answer.
+        method: name of the method.
+        group: (n,) group of each row.
+        error_without: group -> errors in arcminutes of its rows for a fit to all other groups; NaN without a result.
     """
     error = np.full(len(group), np.nan)
     try:
@@ -50,7 +50,7 @@ def held_out(method: str, group: IntArray, error_without: Callable[[int], FloatA
 
 
 def cells(found: HeldOut, reference: HeldOut) -> list[Cell]:
-    """Of `COLUMNS`: rms, its interval, median, and the ratio of the rms to a reference's, drawn together with it."""
+    """Return the cells of `COLUMNS`: rms, its interval, median, ratio to a reference's rms and its interval."""
     if (failed := remark(found)) is not None:
         return [None, failed, None, None, None]
     groups = np.unique(np.concatenate([found.group, reference.group]))
@@ -72,7 +72,7 @@ def cells(found: HeldOut, reference: HeldOut) -> list[Cell]:
 
 
 def remark(found: HeldOut) -> str | None:
-    """Why there is no rms: what the method refused, or how many readings it has no answer for; None if there is."""
+    """Return the reason for a missing rms: the refusal, or the number of readings without a result; else None."""
     if found.refusal is not None:
         return f"refused: {found.refusal}"
     missing = ~np.isfinite(found.error)
@@ -80,7 +80,7 @@ def remark(found: HeldOut) -> str | None:
 
 
 def rms_of(found: HeldOut) -> float:
-    """Root mean square in arcminutes; infinite where `remark` says why there is none."""
+    """Return the root mean square in arcminutes; infinite if `remark` gives a reason."""
     return float(np.sqrt(np.mean(found.error**2))) if remark(found) is None else np.inf
 
 

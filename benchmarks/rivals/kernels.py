@@ -19,13 +19,13 @@ from wlr_render.extras import installed_by
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
-_WIDTHS = (0.5, 0.67, 1.0, 1.5, 2.0, 5.0, 10.0)  # of a Gaussian, in median distances between readings and centres
-_RIDGES = np.logspace(-9, -1, 6)  # as in the published code
+_WIDTHS = (0.5, 0.67, 1.0, 1.5, 2.0, 5.0, 10.0)  # widths of a Gaussian in median distances of readings and centres
+_RIDGES = np.logspace(-9, -1, 6)  # ridges of the published code
 _SMALL_RIDGES = np.logspace(-13, -3, 6)
 _TUNED = 4_000  # readings by which width and ridge are chosen
 _TUNING_CENTRES = 200
 _LIKELY = 400  # readings whose likelihood gives the hyperparameters of the Gaussian process
-_START_LENGTH = 3.0  # of the search for the likeliest; from shorter ones it may take the function for noise
+_START_LENGTH = 3.0  # start of the likelihood search; shorter ones may end where the function counts as noise
 _JITTER = 1e-9
 _RIDGE_ROUNDING = 1e-14
 
@@ -78,10 +78,10 @@ def _ridge(samples: Samples, centres: int, ridges: FloatArray, trend: Polynomial
 def _solved(
     samples: Samples, features: Callable[[FloatArray], FloatArray], prior: FloatArray, trend: Polynomial, centres: int
 ) -> NumericRegressor:
-    """Fit weights of features to what a trend leaves, with least squares of the rest and of prior @ weights.
+    """Fit weights of features to the residual of a trend, with a quadratic penalty on prior @ weights.
 
     Args:
-        samples: what to fit.
+        samples: samples to fit.
         features: inputs (n, variables) -> (n, k).
         prior: (m, columns), with the columns of `Samples.design`.
         trend: subtracted from the observed values first.
@@ -138,7 +138,7 @@ def gaussian_process(samples: Samples) -> NumericRegressor:
 def _most_likely(samples: Samples, trend: Polynomial) -> tuple[FloatArray, float]:
     """Return the lengths (variables,) of a process in scaled inputs, and its noise over the size of the function.
 
-    The noise is that of a weighted reading: a factor on the stated sigma.
+    The noise refers to a weighted reading: a factor on the stated sigma.
     """
     with installed_by("bench", "gaussian_process"):
         from sklearn.exceptions import ConvergenceWarning

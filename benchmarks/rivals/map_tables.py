@@ -1,8 +1,8 @@
 """One map for each camera position, interpolated between the positions: tables, and principal components.
 
-Tables with interpolation are what headsets ship (US 10,373,297; US 10,241,545). Principal components of the maps, with
-scores that depend on the eye's position, are Guan et al., "Perceptual requirements for eye-tracked distortion
-correction in VR", SIGGRAPH 2022, as far as its abstract goes: there the maps are traced through a prescription.
+Headsets ship tables with interpolation (US 10,373,297; US 10,241,545). Principal components of the maps, with scores
+that depend on the eye's position, are from Guan et al., "Perceptual requirements for eye-tracked distortion correction
+in VR", SIGGRAPH 2022; according to its abstract, their maps are traced through a prescription.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,13 +21,13 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, term_count, total_degree
 
-_MAP_DEGREES = (4, 6, 8)  # of the polynomial of one position's map; held-out readings choose
-_CONSTANT = 1e-6  # of the extent of the places: what a place of one position may vary by
-_DEPTHS_APART = 0.3  # of the nearest point's inverse depth: a tilted target reaches 0.2
+_MAP_DEGREES = (4, 6, 8)  # degrees of one position's polynomial map; held-out readings choose
+_CONSTANT = 1e-6  # largest variation of a constant place, as a share of the extent of all places
+_DEPTHS_APART = 0.3  # smallest spread of inverse depths over the nearest point's; a tilted target reaches 0.2
 _COMPONENTS = (2, 3, 4, 6, 8, 10, 14, 18)
 _SCORE_DEGREES = (2, 3, 4, 5, 6)
 _STEPS_INWARD = 60
-_INWARD = 0.97  # of the distance from the centre, a step
+_INWARD = 0.97  # factor on the distance from the centre, per step
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class PositionMaps:
         return np.asarray(np.linalg.qr(samples.design(phi) / np.sqrt(len(samples)), mode="r"))
 
     def regressor(self, weights: Callable[[FloatArray], FloatArray], coefficients: FloatArray) -> NumericRegressor:
-        """The sum over c of weights (n, c) at scaled places (n, place variables) times maps (c, terms, outputs)."""
+        """Sum weights (n, c) at scaled places (n, place variables) times maps (c, terms, outputs) over c."""
         samples, flat = self.samples, coefficients.reshape(len(coefficients), -1)
         box, is_place = samples.readings.box, samples.is_place
 
@@ -106,7 +106,7 @@ class PositionMaps:
     def table(
         self, fewest: int, interpolate: Callable[[FloatArray], Callable[[FloatArray], FloatArray]]
     ) -> NumericRegressor:
-        """The maps interpolated between their places; a single map, or one without places, serves all viewpoints.
+        """Interpolate the maps between their places; a single map, or a map without places, serves all viewpoints.
 
         Args:
             fewest: number of positions that the interpolation needs.
@@ -194,7 +194,7 @@ def components_with_scores(
         return linear_table(samples)
     root = maps.metric_root()
     by_column = np.stack([samples.by_column(each) for each in maps.coefficients])
-    size = np.einsum("ij,kjo->kio", root, by_column).reshape(len(maps.place), -1)  # as seen in the readings
+    size = np.einsum("ij,kjo->kio", root, by_column).reshape(len(maps.place), -1)  # size in the readings
     fold = np.random.default_rng(0).permutation(len(size)) % FOLDS
 
     def error(count: int, setting: Any) -> float:
@@ -244,7 +244,7 @@ class _Components:
         return cls(mean, axes[:count], *fit(place, (left * size)[:, :count], setting))
 
     def weights(self, place: FloatArray) -> FloatArray:
-        """Of the mean and the axes, (n, 1 + count)."""
+        """Return the weights of the mean and the axes, (n, 1 + count)."""
         return np.hstack([np.ones((len(place), 1)), self.scores(place)])
 
     def maps(self, place: FloatArray) -> FloatArray:
@@ -275,7 +275,7 @@ def _require_places(place: FloatArray, fewest: int) -> None:
 
 
 def _linear_weights(place: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """(m, place variables) -> (m, k) weights of k places; outside their hull, those of a point drawn in to it."""
+    """Return a function of places (m, place variables): weights (m, k) of k places, clamped to their hull."""
     simplices, centre, variables = Delaunay(place), place.mean(axis=0), place.shape[1]
 
     def weights(wanted: FloatArray) -> FloatArray:

@@ -22,16 +22,16 @@ DataSet = Literal["alignments", "views", "viewpoints", "reliefs"]
 
 
 def compare_on_measurements(folder: Path, sets: Sequence[DataSet], out: Path, progress: Progress) -> Report:
-    """Fit every method to each measured set and judge it by what was left out.
+    """Fit every method to each measured set and judge it by left-out data.
 
     Args:
-        folder: holds the sets; missing ones are left out.
-        sets: those to judge by; all of them if empty.
+        folder: folder of the sets; missing sets are skipped.
+        sets: sets to use; all if empty.
         out: output folder of rivals.html, .md and .json.
-        progress: told which set is fitted.
+        progress: shows the set that is fitted.
 
     Raises:
-        BadInputError: there is no such folder, or none of the sets in it, or a set is faulty, or the output folder
+        BadInputError: the folder does not exist or has no set, a set is faulty, or the output folder
             cannot be written.
     """
     if not folder.is_dir():
@@ -79,4 +79,4 @@ SETS: dict[DataSet, tuple[str, Callable[[Path], list[ReportTable]]]] = {
     "viewpoints": ("northstar_vcam_graycode/session2_head", _viewpoints),
     "reliefs": ("osvr_hdk13", _reliefs),
 }
-"""Folder below that of the sets, and its tables."""
+"""Subfolder of a set, and its tables."""

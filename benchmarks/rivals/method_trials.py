@@ -52,16 +52,16 @@ TRACKING_MM = 0.05
 FRAME_NODES = 17
 """Along each axis of the panel, at which a frame's rays are solved."""
 EVERY = 4
-"""One in so many of the observations is used."""
+"""Step between the observations that are used."""
 _FRAMES = 5
 
 
 class MethodMeasure(StrEnum):
-    """Errors beside those of `trials.Measure`.
+    """Errors in addition to those of `trials.Measure`.
 
-    COMPOSITE: angle at the eye between a real point and the pixel that the method shows for it. TRACKED: the same with
-    an error of eye tracking. MOVED_BACK: direction of a pixel from farther back on its own ray. ALONG_RAY: the two
-    directions of a pixel at two points of one of its own rays. FRAME_MS: time of a frame's rays.
+    COMPOSITE: angle at the eye between a real point and the pixel that the method shows for it. TRACKED: COMPOSITE with
+    an error of eye tracking. MOVED_BACK: direction of a pixel from farther back on its ray. ALONG_RAY: the two
+    directions of a pixel at two points of one of its rays. FRAME_MS: time of a frame's rays.
     """
 
     COMPOSITE = "composite (arcmin)"
@@ -93,7 +93,7 @@ class MethodTrial(Trial):
 
     @property
     def has_random_errors(self) -> bool:
-        """Whether repetitions differ. With exact captures only prescriptions as drawn do, of which one is taken."""
+        """True if repetitions differ. With exact captures only drawn prescriptions do, and one of them is taken."""
         return super().has_random_errors or self.outliers > 0
 
     @property
@@ -128,7 +128,7 @@ class MethodTrial(Trial):
 
 @lru_cache(maxsize=1)
 def _data(trial: MethodTrial, seed: int) -> MethodData:
-    """Captures with their errors, and prescriptions with other ones, that all methods of a trial share."""
+    """Simulate captures with errors and prescriptions with other errors, which all methods of a trial share."""
     rng = trial.rng(seed)
     eyes = {kind: _captures(trial, kind, rng) for kind in ("planar", "volumetric")}
     drawn = partial(_drawn, trial.at, (seed, trial.repeat))
@@ -136,13 +136,13 @@ def _data(trial: MethodTrial, seed: int) -> MethodData:
 
 
 def _drawn(at: EvaluatedEye, seeds: tuple[int, int], shape: float) -> EyeOptics:
-    """A prescription from which the headset differs: by assembly errors, and by an error of the shape."""
+    """Return a prescription from which the headset differs by assembly errors and by an error of the shape."""
     optics = load_device(at.device).eyes[at.eye]
     return wrong_headset(optics, np.random.default_rng(seeds), TURN_DEG, SHIFT_MM, shape)
 
 
 def _bench_of(at: EvaluatedEye, optics: EyeOptics) -> CaptureSetup:
-    """A bench on which a prescription stands in place of the headset."""
+    """Return a bench on which a prescription replaces the headset."""
     device, here = load_device(at.device), truth(at)
     eye = traced_eye(replace(device, eyes={at.eye: optics}), at.eye)
     return CaptureSetup(replace(eye, eye_box=here.eye_box, field=here.field), camera_field=here.field)

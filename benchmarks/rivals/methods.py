@@ -34,19 +34,19 @@ SHAPE = 0.002
 TRACED_POSITIONS = 100
 """From which rays are traced through a prescription."""
 _WAVELENGTH_UM = 0.55
-_NETWORK_S = 1.0  # of process time, for each side
+_NETWORK_S = 1.0  # process time for each side
 
 
 @dataclass(frozen=True, eq=False)
 class MethodData:
-    """What the methods are given.
+    """Inputs of the methods.
 
     Attributes:
         planar: captures from camera positions in a plane.
-        volumetric: from as many positions in the eye box.
-        drawn: relative error of the shape -> the prescription as drawn. The parts of the real headset stand elsewhere,
+        volumetric: captures from as many positions in the eye box.
+        drawn: relative error of the shape -> the prescription as drawn. The parts of the real headset are displaced,
             and its surfaces differ by that error. Raises BadInputError for surfaces without such an error.
-        bench_of: prescription -> a bench on which it stands in place of the headset, for methods that fit traced rays.
+        bench_of: prescription -> a bench on which it replaces the headset, for methods that fit traced rays.
     """
 
     planar: Captures
@@ -55,7 +55,7 @@ class MethodData:
     bench_of: Callable[[Prescription], CaptureSetup]
 
     def of(self, structure: str) -> Captures:
-        """The captures that a structure is fitted to."""
+        """Return the captures that a structure is fitted to."""
         return self.volumetric if structure == "volumetric" else self.planar
 
     @cached_property
@@ -63,9 +63,9 @@ class MethodData:
         return {}
 
     def assembly(self, shape: float) -> tuple[FittedAssembly, float]:
-        """The prescription of an error of the shape with assembly errors fitted to the planar captures, once.
+        """Fit assembly errors of the prescription with an error of the shape to the planar captures, once.
 
-        Also the process time in seconds that it took if another method paid for it, else 0.
+        Also return the process time in seconds if another method spent it, else 0.
         """
         if shape in self._assemblies:
             return self._assemblies[shape]
@@ -114,7 +114,7 @@ def _numbers(*mappings: Any) -> int:
 
 
 def _kind(kind: str, data: MethodData) -> Rival:
-    """A kind of model of this package, by maximum evidence."""
+    """Fit a model type of this package, by maximum evidence."""
     captures = data.of(kind)
     shown = fit_display(captures.both[0], kind).mapping
     seen = fit_see_through(captures.both[1], "static" if kind == "point-per-pixel" else kind).mapping
@@ -134,7 +134,7 @@ def _pinhole(fit: Callable[[Captures], tuple[PinholeDisplay, FixedEyeSeeThrough]
 
 
 def _screen(fit: Callable[[Captures], PinholeDisplay], data: MethodData) -> Rival:
-    """A flat virtual screen, and the world as if there were no combiner."""
+    """Fit a flat virtual screen, with a see-through that does not refract."""
     shown = fit(data.planar)
     return Rival(shown, undeviated(shown.eye_box), shown.numbers)
 
@@ -146,7 +146,7 @@ def _point_table(data: MethodData) -> Rival:
 
 
 def _distortion_field(data: MethodData) -> Rival:
-    """A display's alone; the world is that of one static map."""
+    """Fit the field to the display; the see-through is a static map."""
     display, see_through = data.volumetric.both
     shown = distortion_field(display, seconds=2.0 * _NETWORK_S)
     seen = fit_see_through(see_through, "static").mapping

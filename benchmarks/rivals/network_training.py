@@ -24,10 +24,10 @@ from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
 
 _ROUNDING = 1e-10  # the units of the last layer cancel: its weights reach 100 times the values
 _RIDGE = 1e-9  # on the last layer, of the mean square of its multipliers
-_TREND_RIDGE = 1e-13  # so that terms which the readings do not determine stay small
+_TREND_RIDGE = 1e-13  # ridge that keeps terms small that the readings do not determine
 _FIRST_ROWS = 3_000
 _MORE_ROWS = 4  # factor by which the readings grow after each search that ends before the deadline
-_PLACE_SIZES = (0.1, 0.1, 0.3)  # of first weights, against those of the pixel: maps change slowly with the place
+_PLACE_SIZES = (0.1, 0.1, 0.3)  # size of the first weights, relative to the pixel's: maps change slowly with the place
 _TRIAL = 0.12  # share of the process time for each size; the best one at held-out positions is continued
 _CHECK_EVERY, _PATIENCE = 8, 5  # iterations between checks; checks without a better one
 
@@ -40,13 +40,13 @@ class Layers(Protocol):
         """Number of inputs, then of the units of each layer; the linear layer takes the values of the last."""
 
     def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
-        """Random weights; `size` (variables,) multiplies those of each input."""
+        """Draw random weights; `size` (variables,) multiplies the weights of each input."""
 
     def values(self, weights: FloatArray, inputs: FloatArray) -> list[FloatArray]:
-        """The values (n, sizes[-1]) for inputs (n, variables) are the last; `gradient` needs the others."""
+        """Return all layers' values for inputs (n, variables), the last (n, sizes[-1]); `gradient` needs them all."""
 
     def gradient(self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray) -> FloatArray:
-        """Derivative (weights,) of a loss by the weights, from that by the last values (n, sizes[-1])."""
+        """Return the derivative (weights,) of a loss by the weights, from that by the last values (n, sizes[-1])."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class TanhLayers:
         return sum((before + 1) * after for before, after in pairwise(self.sizes))
 
     def start(self, rng: np.random.Generator, size: FloatArray) -> FloatArray:
-        """Random weights (numbers,) for inputs within -1..1; `size` (sizes[0],) multiplies those of each input."""
+        """Draw random weights (numbers,) for inputs within -1..1; `size` (sizes[0],) has a factor for each input."""
         parts = []
         for before, after in pairwise(self.sizes):
             parts += [rng.normal(0.0, before**-0.5, (before, after)), rng.uniform(-1.0, 1.0, after)]
@@ -73,17 +73,17 @@ class TanhLayers:
         return np.concatenate([np.ravel(part) for part in parts])
 
     def values(self, weights: FloatArray, inputs: FloatArray) -> list[FloatArray]:
-        """The inputs (n, sizes[0]), then the values (n, size) of each layer."""
+        """Return the inputs (n, sizes[0]), then the values (n, size) of each layer."""
         found = [inputs]
         for matrix, bias in self._parts(weights):
             found.append(np.tanh(found[-1] @ matrix + bias))
         return found
 
     def gradient(self, weights: FloatArray, values: list[FloatArray], by_last: FloatArray) -> FloatArray:
-        """Derivative (numbers,) of a loss by the weights.
+        """Return the derivative (numbers,) of a loss by the weights.
 
         Args:
-            weights: (numbers,). values: of `values`.
+            weights: (numbers,). values: result of `values`.
             by_last: (n, sizes[-1]) derivative of the loss by the last layer's values.
         """
         found: list[FloatArray] = []
@@ -163,13 +163,13 @@ class ProjectedLoss:
         return np.asarray((self.multiplier[:, :, None] * features[:, None]).reshape(len(features), -1))
 
     def solve(self, design: FloatArray) -> FloatArray:
-        """The best last layer, (blocks * (units + terms), outputs)."""
+        """Solve the best last layer, (blocks * (units + terms), outputs)."""
         gram = design.T @ design / len(design)
         gram.flat[:: len(gram) + 1] += self._penalty()
         return np.asarray(cho_solve(cho_factor(gram), design.T @ self.target / len(design)))
 
     def solved(self, weights: FloatArray) -> FloatArray:
-        """The best last layer (blocks * (units + terms), outputs) for hidden weights (numbers,)."""
+        """Solve the best last layer (blocks * (units + terms), outputs) for hidden weights (numbers,)."""
         return self.solve(self.design(self.layers.values(weights, self.inputs)[-1]))
 
     def error(self, weights: FloatArray, solution: FloatArray) -> float:
@@ -189,12 +189,12 @@ class _StopSearchError(Exception):
 
 @dataclass
 class TimedSearch:
-    """A search by L-BFGS-B that ends at a process time, or when several checks in a row are no better than the best.
+    """An L-BFGS-B search that ends at a process time, or after several checks in a row without improvement.
 
     Attributes:
         deadline: `time.process_time` at which it ends.
         best: weights of the least error so far.
-        error: of `best`, from the check.
+        error: error of `best`, as checked.
     """
 
     deadline: float
@@ -203,7 +203,7 @@ class TimedSearch:
 
     @property
     def is_over(self) -> bool:
-        """Whether the deadline has passed."""
+        """True after the deadline."""
         return time.process_time() >= self.deadline
 
     def run(self, loss: Callable[[FloatArray], tuple[float, FloatArray]], check: Callable[[FloatArray], float]) -> None:
@@ -245,17 +245,17 @@ def trained(
 ) -> NumericRegressor:
     """Train hidden layers, and solve the last layer and a polynomial trend.
 
-    A fold of the camera positions is held out and stops the training of the hidden layers, which starts on a random
-    part of the readings; the last layer is then solved on all of them.
+    A fold of the camera positions is left out; its error stops the training of the hidden layers, which starts on a
+    random part of the readings. The last layer is then solved on all readings.
 
     Args:
-        samples: what to fit.
+        samples: samples to fit.
         hidden: layers that take the samples' inputs, scaled to -1..1.
         seconds: process time of the training.
-        trend_degree: of the polynomial that is fitted together with the last layer.
-        known: polynomial of the same inputs; the network is fitted to what it leaves.
-        first_rows: readings that are trained on first.
-        rounding: of the values, see `NumericRegressor`.
+        trend_degree: degree of the polynomial that is fitted together with the last layer.
+        known: polynomial of the same inputs; the network is fitted to its residual.
+        first_rows: number of readings in the first training.
+        rounding: rounding of the values, see `NumericRegressor`.
     """
     deadline = time.process_time() + seconds
     rng = np.random.default_rng(0)

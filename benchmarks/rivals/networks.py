@@ -1,9 +1,9 @@
 """Small neural networks of tanh units: as a regressor, as an offset from a static map, and as a decoder of maps.
 
 As a regressor in the structure "planar" this is the ray bundle's form of the neural distortion field (NDF; see
-`distortion_field`): what a pixel shows is the same along a ray, so that the field's sum along the ray is not needed.
-`network_training` has the layers and their training. It stops by process time, so the results of `network` and
-`offset_network` depend on the speed of the machine.
+`distortion_field`): the content of a pixel is constant along a ray, so that the field's sum along the ray is not
+needed. `network_training` has the layers and their training. Process time stops it, so that the results of `network`
+and `offset_network` depend on the speed of the machine.
 """
 
 from collections.abc import Callable
@@ -31,19 +31,19 @@ def network(
     """Fit tanh layers and a polynomial trend.
 
     Args:
-        samples: what to fit.
-        seconds: process time of the training; see `network_training` for what depends on it.
-        trend_degree: of the polynomial that is fitted together with the last layer.
-        known: polynomial of the same inputs; the network is fitted to what it leaves.
+        samples: samples to fit.
+        seconds: process time of the training; see `network_training` for its effects.
+        trend_degree: degree of the polynomial that is fitted together with the last layer.
+        known: polynomial of the same inputs; the network is fitted to its residual.
     """
     return trained(samples, TanhLayers((len(samples.is_place), *_UNITS)), seconds, trend_degree, known)
 
 
 def offset_network(samples: Samples, seconds: float) -> NumericRegressor:
-    """Fit a network to the offset from a static map: that of the camera position nearest to the centre of all.
+    """Fit a network to the offset from a static map, the map of the camera position nearest to the centre of all.
 
-    As HUDNet (Displays, 2023) and direct distortion prediction (Yu et al., Applied Optics 62(21) 5720, 2023) do for
-    head-up displays in the structure "volumetric", as far as their abstracts go; their layers and losses differ.
+    HUDNet (Displays, 2023) and direct distortion prediction (Yu et al., Applied Optics 62(21) 5720, 2023) do so for
+    head-up displays in the structure "volumetric", according to their abstracts; their layers and losses differ.
     """
     positions = range(int(samples.position.max()) + 1)
     place = samples.scaled[:, samples.is_place]

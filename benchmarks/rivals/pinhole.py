@@ -26,7 +26,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 
 _FEWEST_ALIGNMENTS = 6
-_FLAT = 1e-3  # of the widest extent: what points on a line, or in a plane, may have across it
+_FLAT = 1e-3  # largest thickness of points on a line or in a plane, over their widest extent
 _UNDETERMINED = 1e-7  # least singular value of a fit's scaled derivatives, of the largest
 _SPAAM_NUMBERS = 11
 
@@ -35,14 +35,14 @@ def spaam(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
     """Single Point Active Alignment Method (Tuceryan and Navab 2000): one 3 x 4 projection, for one eye position.
 
     The world-to-pixel matrix comes from a direct linear transform with Hartley's normalisation, refined by least
-    squares of the reprojection. Adapted: no user aligns; the points are those that the see-through captures give in
-    the directions of the decoded pixels.
+    squares of the reprojection. Adapted: no user aligns; the see-through captures supply the points in the directions
+    of the decoded pixels.
 
     Args:
         captures: both parts, display and see-through, taken from the same positions.
 
     Returns:
-        Display and see-through, which have a meaning together only: display backward after see-through backward is the
+        Display and see-through, which are meaningful together only: display backward after see-through backward is the
         projection of a point to its pixel, for all viewpoints.
 
     Raises:
@@ -58,7 +58,7 @@ def spaam(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
 def spaam_redone(captures: Captures) -> tuple[PinholeDisplay, FixedEyeSeeThrough]:
     """SPAAM at each camera position, used with the position nearest to the viewpoint; see `spaam`.
 
-    An upper bound of what a user who aligns again after each motion of the headset reaches.
+    An upper bound for a user who aligns again after each motion of the headset.
 
     Raises:
         BadInputError: as `spaam`, for any camera position.
@@ -71,8 +71,8 @@ def direct_plane(captures: DisplayCaptures) -> PinholeDisplay:
     """Display Relative Calibration (Owen et al. 2004): a flat virtual image in space, 11 numbers.
 
     Adapted: the image is stored in homogeneous coordinates, so that it may lie at or beyond infinity; its axes need not
-    be perpendicular; the fit minimises angles. The eye's position is that of the captures. The method looks straight
-    through the combiner: combine it with `models.static.undeviated`, or with a static see-through model.
+    be perpendicular; the fit minimises angles. The captures give the eye's position. The method ignores refraction in
+    the combiner: combine it with `models.static.undeviated`, or with a static see-through model.
 
     Raises:
         BadInputError: the captures do not determine the image.
@@ -292,7 +292,7 @@ def _image_display(
     *,
     numbers: int,
 ) -> PinholeDisplay:
-    """The display of a flat image. Without an origin, the matrix is of the eye box's centre and of scaled pixels."""
+    """Return a flat image's display. Without an origin, the matrix is for the eye box's centre, in scaled pixels."""
     if origin is None:
         origin = captures.eye_box.centre
         per_pixel = np.diag(np.append(box.per_unit, 1.0))
@@ -308,7 +308,7 @@ def _pixel_box(captures: DisplayCaptures) -> Box:
 
 
 def _spans(points: FloatArray, dimensions: int) -> bool:
-    """Whether points (n, any) have extent in so many dimensions."""
+    """Return whether points (n, any) extend in at least this many dimensions."""
     if len(points) <= dimensions:
         return False
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

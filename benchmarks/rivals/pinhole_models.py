@@ -57,7 +57,7 @@ class PinholeDisplay(FittedDisplay):
 
     def _backward(self, tangents: FloatArray, viewpoint: FloatArray, _: FloatArray | None) -> Answer:
         first, second, third = np.moveaxis(self._matrices(viewpoint), -1, 0)
-        # The inverse but for its determinant, which is zero where the viewpoint lies in the image.
+        # The inverse without its determinant, which is zero where the viewpoint lies in the image.
         adjugate = np.stack([np.cross(second, third), np.cross(third, first), np.cross(first, second)], axis=1)
         determinant = np.sum(first * adjugate[:, 0], axis=1, keepdims=True)
         seen = np.einsum("nij,nj->ni", adjugate, joined(tangents, -np.ones((len(tangents), 1))))

@@ -22,7 +22,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import basis
 
 _COLUMNS, _ROWS = 25, 21
-_SLACK = 0.05  # of the size of the decoded region at a position: about the distance between its pixels
+_SLACK = 0.05  # margin around the decoded region at a position, over its size: about the distance between its pixels
 _BASELINE_M = 0.5e-3  # rms distance of the positions of a pixel from their mean, at least
 
 
@@ -70,7 +70,7 @@ def klemm_grid(captures: DisplayCaptures, columns: int = _COLUMNS, rows: int = _
 
 
 def _within(nodes: FloatArray, pixel: FloatArray) -> FloatArray:
-    """Whether nodes (n, 2) lie in the hull of pixels (m, 2), grown a little: (n,) 1 or 0."""
+    """Return 1 for nodes (n, 2) in the slightly grown hull of pixels (m, 2), else 0: (n,)."""
     centre = 0.5 * (pixel.min(axis=0) + pixel.max(axis=0))
     try:
         hull = Delaunay(pixel)

@@ -11,7 +11,7 @@ from wlr_render.report.blocks import Cell, ReportTable
 
 FIELD_DEG = 30.0
 """Half angle of the field that is tested."""
-_FITTED_DEG = 35.0  # beyond the tested field: no method is judged at the edge of what it was fitted to
+_FITTED_DEG = 35.0  # field of the fit, larger than the tested field, so that no method is judged at the fit's edge
 
 
 def relief_table(captures: DisplayCaptures) -> ReportTable:

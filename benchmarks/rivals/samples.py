@@ -1,6 +1,6 @@
-"""Readings in the form that any regressor takes, and the three structures that it can have.
+"""Readings in the form that all regressors take, and the three structures of a regressor.
 
-A regressor is a function of the pixel (or view direction) and of a place. The structure says what the place is: nothing
+A regressor is a function of the pixel (or view direction) and of a place. The structure defines the place: nothing
 ("static"), the viewpoint ("volumetric"), or the point on the base plane where the ray crosses it ("planar", the ray
 bundle of the paper's sections 3.3 and 3.4). Each regressor can be fitted in each structure.
 """
@@ -22,7 +22,7 @@ from wlr_render.numerics.regressor import Regressor
 
 FOLDS = 5
 """Parts of the camera positions, each of which is left out once to choose hyperparameters."""
-_MOST_COLUMNS = 520  # of a polynomial's equations: degree 5 or 6 in five variables, 6 to 8 in four
+_MOST_COLUMNS = 520  # most columns of a polynomial's equations: degree 5 or 6 in five variables, 6 to 8 in four
 
 Solutions = Callable[[FloatArray, FloatArray], Iterable[FloatArray]]
 """Design (m, columns), target (m, outputs) -> solutions (columns, outputs), one for each setting."""
@@ -85,21 +85,21 @@ class Samples:
         return coefficients.reshape(blocks, -1, 2).transpose(1, 0, 2).reshape(-1, 2 * blocks)
 
     def by_column(self, coefficients: FloatArray) -> FloatArray:
-        """The inverse of `by_block`: (k, outputs) as (blocks * k, 2)."""
+        """Invert `by_block`: return (k, outputs) as (blocks * k, 2)."""
         blocks = self.readings.blocks
         return coefficients.reshape(-1, blocks, 2).transpose(1, 0, 2).reshape(-1, 2)
 
     def solve(
         self, features: FloatArray, rows: slice | IntArray = slice(None), trend: Regressor | None = None
     ) -> FloatArray:
-        """Least-squares coefficients (k, outputs) of features (m, k) at some rows, for what a trend leaves."""
+        """Solve least-squares coefficients (k, outputs) of features (m, k) at some rows for the residual of a trend."""
         return self.by_block(least_squares(self.design(features, rows), self.target(trend, rows)))
 
     def polynomial(self, degree: int | None = None, trend: Regressor | None = None) -> Polynomial:
-        """Least-squares polynomial in all inputs, of a total degree, for what a trend leaves.
+        """Fit a polynomial in all inputs, of a total degree, to the residual of a trend by least squares.
 
-        `trend` may be any function of the same inputs. Without a degree, the least error at held-out camera positions
-        chooses it.
+        `trend` may be any function of the same inputs. By default, the smallest error at left-out camera positions
+        chooses the degree.
         """
         if degree is None:
             degree = self._held_out_degree(trend)
@@ -109,13 +109,13 @@ class Samples:
     def held_out_errors(
         self, features: FloatArray, target: FloatArray, solutions: Solutions, rows: IntArray
     ) -> FloatArray:
-        """Sums of squares (settings,) that solutions leave at held-out camera positions.
+        """Return the sums of squares (settings,) that solutions leave at left-out camera positions.
 
         Args:
             features: (m, k).
             target: (m, 2), weighted.
             solutions: fits the other folds, in each setting; it takes their design and target in triangular form.
-            rows: (m,) of the samples.
+            rows: (m,) rows of the samples.
         """
         folds = [self.fold[rows] == number for number in range(FOLDS)]
         # The sums of squares of a fold need only the products of its columns.

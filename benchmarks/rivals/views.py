@@ -136,7 +136,7 @@ def _ours(structure: str, degree: int | None) -> FitView:
 
 
 def _captures(bench: Bench, session: Session, used: BoolArray) -> SeeThroughCaptures:
-    """Some rows, meant for an eye box around all camera positions."""
+    """Return the captures of some rows, for an eye box around all camera positions."""
     assert session.plan.see_through is not None
     assert session.readings.dot_pixel is not None
     every = see_through_captures(bench, session.plan.see_through, session.readings.dot_pixel)

@@ -70,9 +70,9 @@ def _sigmas(outcomes: Sequence[BenchOutcome]) -> ReportTable:
         "Rms of all components, each over its own stated sigma; and the root of chi-squared by their joint covariance "
         "over their number. Wanted: 0.8 to 1.3. Intervals: 95 %, bootstrap over sessions, since errors of one session "
         "are dependent.",
-        "In the device frame nearly all of the error of a pose is that of the stated pose of the tracking camera, one "
+        "In the device frame nearly all of a pose's error comes from the stated pose of the tracking camera, one "
         "draw a session.",
-        "Poses of targets are those of the features of the board; the shape is what is left of their errors. "
+        "Poses of targets are fitted to the features of the board; the shape is the residual of the features. "
         "Directions are those of pixels over the whole picture.",
     )
     columns = ["unknown", "error / sigma, rms", "95 % interval", "by joint covariance", "95 % interval, joint"]
@@ -150,4 +150,4 @@ def _models(outcomes: Sequence[BenchOutcome]) -> ReportTable:
         "against the traced headset, of calibrated models in the frame of the tracking camera. Wanted: calibrated / "
         "exact at most 1.5.",
     )
-    return ReportTable("Models beside those from exact numbers with the same noise", columns, rows, notes)
+    return ReportTable("Models, compared with models from exact numbers with the same noise", columns, rows, notes)

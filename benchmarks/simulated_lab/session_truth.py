@@ -140,11 +140,11 @@ def _model_table(compared: SessionTruth, truth: Eye, seed: int) -> ReportTable:
         for (name, from_photographs), (_, from_numbers) in zip(measured.items(), ideal.items(), strict=True)
     ]
     title = (
-        "Models from photographs beside models from exact correspondences with the same noise, "
+        "Models from photographs, and models from exact correspondences with the same noise, "
         f"{compared.measured.both[0].report.viewpoints} places"
     )
     columns = ["error", "from photographs, rms", "from exact numbers, rms", "ratio", "from photographs, median"]
-    notes = ("Without the error of the tracking camera's stated pose, which displaces display and world alike.",)
+    notes = ("Without the error of the tracking camera's stated pose, which moves display and world together.",)
     return ReportTable(title, columns, rows, notes)
 
 
@@ -170,4 +170,4 @@ def _station_table(compared: SessionTruth) -> ReportTable:
             ]
         )
     columns = ["pose", "off by (mm)", "stated sigma (mm)", "turned by (arcmin)", "stated sigma (arcmin)"]
-    return ReportTable("The bench beside the truth", columns, rows, ("Lengths of vectors; sigma likewise.",))
+    return ReportTable("Calibrated and true bench", columns, rows, ("Lengths of vectors; sigma likewise.",))

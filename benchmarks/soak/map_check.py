@@ -23,7 +23,7 @@ Fields = Mapping[str, Sequence[RayMap]]
 
 
 def frames_to_check(moments: Sequence[StreamFrame]) -> list[int]:
-    """Numbers of the frames with the farthest jumps, and of as many others, evenly spread; never the first."""
+    """Return numbers of the frames with the farthest jumps, and as many others, evenly spread; never the first."""
     jumps = [number for number, moment in enumerate(moments) if number and moment.jumped]
     rest = [number for number, moment in enumerate(moments) if number and not moment.jumped]
     jumps.sort(key=lambda number: -max(eye.moved_mm for eye in moments[number].eyes.values()))
@@ -73,10 +73,10 @@ def _checked(
 
 
 def arcmin_apart(field: RayMap, truth: RayMap) -> float:
-    """The largest angle between a field's rays and those of the truth, as the truth's viewpoint sees it.
+    """Return the largest angle between the rays of a field and the true rays, seen from the true viewpoint.
 
-    Between the nearest depth and infinity: the difference in tangents is linear in 1/depth, hence largest at an end.
-    NaN where no point has both rays.
+    It covers distances from the nearest depth to infinity: the difference in tangents is linear in 1/depth, hence
+    largest at an end. NaN if no point has both rays.
     """
     seen, true = (_tangents(_from_viewpoint(each, truth)) for each in (field, truth))
     apart = arcmin_between(dir_of_tangents(seen), dir_of_tangents(true))

@@ -47,7 +47,7 @@ def draw_stream(path: Path, stream: Stream) -> Path:
 
 
 def _draw_viewpoint(row: "Axes", time_s: FloatArray, moments: Sequence[EyeMoment]) -> None:
-    """Where the viewpoint was, shaded where no sample was good, with ticks at jumps."""
+    """Plot the viewpoint over time, with shading without a good sample and ticks at jumps."""
     viewpoint = np.stack([moment.viewpoint for moment in moments])
     state = np.array([moment.state for moment in moments])
     for (name, colour), mm in zip(_AXIS_COLOURS.items(), 1e3 * (viewpoint - viewpoint[0]).T, strict=True):

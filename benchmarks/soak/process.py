@@ -12,7 +12,7 @@ _STATM = Path("/proc/self/statm")
 
 
 class CollectorTime:
-    """How long the garbage collector has run so far, within a `with` block."""
+    """Total time of the garbage collector within a `with` block."""
 
     def __init__(self) -> None:
         self.total_s = 0.0
@@ -35,7 +35,7 @@ class CollectorTime:
 
 
 def preemptions() -> int:
-    """How often the system took a processor away from this process so far."""
+    """Return the number of involuntary context switches of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw
 
 

@@ -33,20 +33,20 @@ class EyeMoment:
 
     @property
     def jumped(self) -> bool:
-        """Whether it moved as in a saccade."""
+        """True if the viewpoint moved as in a saccade."""
         return self.moved_mm > SACCADE_MM
 
 
 @dataclass(frozen=True, eq=False)
 class StreamFrame:
-    """What a frame is drawn for.
+    """Trackers' state for one frame.
 
     Attributes:
-        time_s: of the trajectories.
+        time_s: time of the trajectories.
         world_from_device: (4, 4) head pose when the frame begins.
         at_scan_out: (4, 4) head pose when the panels light up.
-        eyes: by name.
-        head_lost: whether the head's tracker has nothing, and the poses are its last one.
+        eyes: viewpoint of each eye, by name.
+        head_lost: True while the head tracker has lost the head; the poses are then its last good one.
     """
 
     time_s: float
@@ -62,21 +62,21 @@ class StreamFrame:
 
     @property
     def jumped(self) -> bool:
-        """Whether any eye did."""
+        """True if any eye jumped."""
         return any(eye.jumped for eye in self.eyes.values())
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a frame took.
+    """Time and memory of a frame.
 
     Attributes:
         draw_ms: `begin_frame`, the scene for all eyes, `submit`.
         compose_ms: `compose`: the maps for the new viewpoints, and the warp.
-        cpu_ms: of all threads of the process.
-        collecting_ms: Python's garbage collector, in the thread that draws.
-        preempted: how often the system took a processor away from the process.
-        resident_mb: memory of the process afterwards.
+        cpu_ms: CPU time of all threads of the process.
+        collecting_ms: time of Python's garbage collector in the thread that draws.
+        preempted: number of involuntary context switches of the process.
+        resident_mb: memory of the process after the frame.
     """
 
     draw_ms: float
@@ -97,9 +97,9 @@ class FrameNote:
     """One frame.
 
     Attributes:
-        moment: what it was drawn for.
-        cost: what it took.
-        unsolved: by eye, points of the field without a proper answer, by what is the matter.
+        moment: state of the trackers for the frame.
+        cost: time and memory of the frame.
+        unsolved: points of the field without a valid solution, by eye and reason.
     """
 
     moment: StreamFrame
@@ -115,14 +115,14 @@ class FrameNote:
 class MapCheck:
     """One eye's map in one frame against the exact solve for the same viewpoint.
 
-    Rays are apart by the largest angle under which the viewpoint sees points of both, from 0.25 m away to infinity.
+    The error is the largest angle, at the viewpoint, between points on both rays from 0.25 m away to infinity.
 
     Attributes:
-        time_s: which frame.
-        eye: whose map.
-        moved_mm: the viewpoint, since the frame before.
-        kept_arcmin: how far off the map of the frame before would be.
-        own_arcmin: how far off the frame's own map is.
+        time_s: time of the frame.
+        eye: name of the eye.
+        moved_mm: motion of the viewpoint since the previous frame.
+        kept_arcmin: error of the previous frame's map.
+        own_arcmin: error of the frame's own map.
         one_sided: points at which only one of the frame's own map and the exact one has a ray.
     """
 

@@ -27,7 +27,7 @@ _TIMED = ("scene drawn (ms)", "maps and warp (ms)", "whole frame (ms)", "process
 
 
 def tables_of(stream: Stream) -> tuple[ReportTable, ...]:
-    """In the order of telling."""
+    """Return the tables in the order of the report."""
     tables = [_times(stream), _slowest(stream), _tracking(stream), _jumps(stream), _rest(stream)]
     return (*tables, _dropped(stream)) if stream.dropped() else tuple(tables)
 
@@ -38,7 +38,7 @@ def costs(frames: Iterable[FrameNote], name: str) -> FloatArray:
 
 
 def gaps(moments: Sequence[EyeMoment]) -> Iterator[slice]:
-    """Runs of moments without a good sample."""
+    """Yield runs of frames without a good sample."""
     for tracked, run in groupby(range(len(moments)), lambda k: moments[k].state == TrackingState.TRACKED):
         numbers = list(run)
         if not tracked:
@@ -60,7 +60,7 @@ def _times(stream: Stream) -> ReportTable:
         f"{period_ms:.1f} ms; {within} of {len(timed)} took no more."
     ]
     if stream.late_ms:
-        notes.append(f"Each frame was drawn for one head pose, and composed for that of {stream.late_ms:g} ms later.")
+        notes.append(f"Each frame was drawn for one head pose, and composed for the pose {stream.late_ms:g} ms later.")
     return ReportTable(title, ("stage", *(f"{p} %" for p in _PERCENTILES), "most"), rows, notes)
 
 
@@ -114,7 +114,7 @@ def _jumps(stream: Stream) -> ReportTable:
         "Errors are the largest of any point, in arcminutes, against the exact solve for the frame's own "
         "viewpoint; the old map is that of the frame before. For this, these frames are drawn again after the stream.",
     )
-    return ReportTable("Saccades: is the map that of the viewpoint it was drawn for?", columns, rows, notes)
+    return ReportTable("Saccades: does the map match the viewpoint of its frame?", columns, rows, notes)
 
 
 def _check_row(what: str, check: MapCheck) -> list[Cell]:
@@ -142,9 +142,9 @@ def _rest(stream: Stream) -> ReportTable:
     outside = sum("outside fit" in counts for frame in stream.frames for counts in frame.unsolved.values())
     rows: list[list[Cell]] = [
         ["frames with the head's last pose, because its tracker had none", head_lost],
-        ["maps kept, because the viewpoint was that of the frame before", at_rest],
+        ["maps kept, because the viewpoint did not change", at_rest],
         ["maps with points that did not converge", len(stream.dropped())],
-        ["maps with points outside what the model was fitted on", outside],
+        ["maps with points outside the model's fitted range", outside],
         ["viewpoints beyond the model's reach, brought back", brought_back],
         ["memory in the second tenth of the frames (MB)", f"{early:.1f}"],
         ["memory in the last tenth (MB)", f"{late:.1f}"],
@@ -155,7 +155,7 @@ def _rest(stream: Stream) -> ReportTable:
 
 
 def frames_csv(stream: Stream) -> str:
-    """A row for each frame: time, costs, and the state of each eye."""
+    """Return a CSV table with a row for each frame: time, costs, and the state of each eye."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     of_eye = ("tracking", "x_m", "y_m", "z_m", "moved_mm", "brought_back", "not_converged", "otherwise_unsolved")

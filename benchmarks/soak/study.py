@@ -1,4 +1,4 @@
-"""A stream: head and eyes move, tracking is lost and found again, and every frame gets a map of its own."""
+"""A stream of frames: head and eyes move, tracking is lost and regained, and every frame has its own map."""
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass

@@ -17,20 +17,19 @@ _DROPOUT_S = (0.005, 0.05)  # ours
 
 
 def tracker_samples(eyes: EyeTrajectory, time_s: FloatArray, seed: int) -> dict[str, list[FloatArray | None]]:
-    """What a tracker says at moments (n,), per eye: the entrance pupil (3,), device frame, metres, or None.
+    """Return a tracker's samples at times (n,), per eye: the entrance pupil (3,), device frame, metres, or None.
 
-    Both eyes blink together. A lid that comes down or goes up across the pupil at a constant speed shifts the centre of
-    what is seen of it down (-y), by the pupil's radius when all is covered; then there is no sample. Each eye has short
-    dropouts of its own besides. Blinks and dropouts follow from the seed and the first moment, not from the other
-    moments.
+    Both eyes blink together. A lid that moves down or up across the pupil at a constant speed shifts the centre of its
+    visible part down (-y), by the pupil's radius when all is covered; then there is no sample. In addition, each eye
+    has its own short dropouts. Blinks and dropouts depend on the seed and the first time only.
 
     Args:
         eyes: the true movement.
-        time_s: (n,) ascending moments within the trajectory, n >= 2.
-        seed: of blinks and dropouts.
+        time_s: (n,) ascending times within the trajectory, n >= 2.
+        seed: seed of blinks and dropouts.
 
     Raises:
-        BadInputError: moments that do not ascend, fewer than two, or outside the trajectory.
+        BadInputError: times that do not ascend, fewer than two, or outside the trajectory.
     """
     require_ascending(time_s, "moments of the eye tracker")
     truth = {eye: eyes.viewpoint_at(eye, time_s) for eye in eyes.tracks}
@@ -50,9 +49,9 @@ def tracker_samples(eyes: EyeTrajectory, time_s: FloatArray, seed: int) -> dict[
 def _spells(
     rng: Generator, span_s: float, interval_s: tuple[float, float], length_s: tuple[float, float]
 ) -> FloatArray:
-    """Starts and ends (m, 2) of what befalls at random: exponential intervals over a shortest one."""
+    """Draw starts and ends (m, 2) of random events; intervals are a shortest one plus an exponential part."""
     shortest_s, mean_s = interval_s
-    uniform = rng.random((int(span_s / shortest_s) + 1, 2))  # row by row, so that a longer span begins alike
+    uniform = rng.random((int(span_s / shortest_s) + 1, 2))  # row by row: a longer span starts with the same events
     start_s = np.cumsum(shortest_s - (mean_s - shortest_s) * np.log1p(-uniform[:, 0]))
     return np.stack([start_s, start_s + length_s[0] + uniform[:, 1] * (length_s[1] - length_s[0])], axis=1)
 
@@ -68,7 +67,7 @@ def _start_after(time_s: FloatArray, spells: FloatArray) -> FloatArray:
 
 
 def _covered_share(time_s: FloatArray, blinks: FloatArray) -> FloatArray:
-    """How much of the pupil's height the lid covers, (n,): 1 from the start to the end of a blink."""
+    """Return the share (n,) of the pupil's height that the lid covers: 1 from the start to the end of a blink."""
     closing = 1.0 - (_start_after(time_s, blinks) - time_s) / _CLOSING_S
     opening = 1.0 - (time_s - _end_before(time_s, blinks)) / _OPENING_S
     return np.clip(np.maximum(closing, opening), 0.0, 1.0)

@@ -29,12 +29,12 @@ Samples = Sequence[FloatArray | None]
 
 @dataclass(frozen=True)
 class Wearer:
-    """Where head and eyes are.
+    """Motion of head and eyes.
 
     Attributes:
-        head: trajectory file (TUM or EuRoC); None for a made-up head.
-        eyes: eye trajectory file; None for made-up eyes that jump, and a tracker that jitters, blinks and drops out.
-        seed: of what is made up.
+        head: trajectory file (TUM or EuRoC); None for a synthetic head.
+        eyes: eye trajectory file; None for synthetic eyes that jump, with a tracker that jitters, blinks and drops out.
+        seed: seed of the synthetic motions.
     """
 
     head: Path | None = None
@@ -44,13 +44,13 @@ class Wearer:
     def moments(
         self, boxes: Mapping[str, EyeBox], count: int, frames_per_second: float, late_s: float = 0.0
     ) -> list[StreamFrame]:
-        """What each frame is drawn for, from the first moment that all trajectories cover.
+        """Return the trackers' state for each frame, starting when all trajectories have started.
 
         Args:
             boxes: eye boxes by eye.
-            count: frames, 2 or more.
+            count: number of frames, 2 or more.
             frames_per_second: positive.
-            late_s: from the beginning of a frame to its scan-out.
+            late_s: time from the beginning of a frame to its scan-out.
 
         Raises:
             BadInputError: faulty files, an eye that a file does not have, or trajectories that are too short.
@@ -102,7 +102,7 @@ class Wearer:
         return start, end
 
     def _files(self) -> str:
-        """The files, or what stands for them: made-up tracks begin at 0 s and are as long as was asked for."""
+        """Describe the sources of motion; synthetic tracks begin at 0 s and last as long as requested."""
         return " and ".join(str(path) for path in (self.head, self.eyes) if path)
 
 

@@ -1,6 +1,6 @@
 """Accuracy of composed frames against ray-traced frames: registration, disocclusion, late correction.
 
-A fitted model stands for the truth here: the question is what the compositor adds to it.
+Here a fitted model is the truth: the benchmark measures the errors that the compositor adds to it.
 """
 
 from dataclasses import dataclass, replace
@@ -68,7 +68,7 @@ class ScanOutPose:
 
     @property
     def at_once(self) -> "ScanOutPose":
-        """With all rows at the time of the first."""
+        """Return the pose with all rows at the time of the first."""
         return replace(self, pose_at_last_row=None)
 
     def row_poses(self, rows: int) -> FloatArray:
@@ -79,14 +79,14 @@ class ScanOutPose:
 
 @dataclass(frozen=True)
 class Landing:
-    """A composed frame beside the ray-traced one.
+    """Comparison of a composed frame with the ray-traced one.
 
     Attributes:
         rms_arcmin, worst_arcmin: angles at the eye between the world points that both show at a pixel, SILHOUETTE_PX
-            away from silhouettes and from what is disoccluded.
-        pixels: that these are of.
-        disoccluded: pixels that the picture drawn cannot show right.
-        one_sided: pixels as far from silhouettes where just one of the two shows anything.
+            away from silhouettes and from disoccluded pixels.
+        pixels: number of these pixels.
+        disoccluded: pixels that the drawn picture cannot show correctly.
+        one_sided: pixels as far from silhouettes where only one of the two shows anything.
     """
 
     rms_arcmin: float
@@ -98,12 +98,12 @@ class Landing:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What should be seen at one scan-out, by its rays.
+    """Correct view at one scan-out, as rays.
 
     Attributes:
         scan_out: viewpoint and head pose of that scan-out.
-        direction: (height, width, 3) of each pixel's ray, world frame.
-        position: (height, width, 3) world points that the rays meet, NaN where nothing.
+        direction: (height, width, 3) direction of each pixel's ray, world frame.
+        position: (height, width, 3) world points that the rays hit; NaN for a miss.
     """
 
     scan_out: ScanOutPose

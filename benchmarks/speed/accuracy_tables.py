@@ -33,7 +33,7 @@ _ROW_BY_ROW = "all, row by row"
 
 
 def ray_map_table(models: Mapping[str, Eye], context: str) -> ReportTable:
-    """The shader's rays of planar models between a warp grid's points; needs OpenGL."""
+    """Tabulate the shader's rays of planar models between a warp grid's points; needs OpenGL."""
     rows = [_ray_map_row(device, mappings, context) for device, mappings in models.items()]
     notes = (
         f"Against the float64 solve at {_PIXELS} pixels from each of {len(JUDGED_PLACES)} places in the eye box: the "
@@ -57,7 +57,7 @@ def _ray_map_row(device: str, mappings: Eye, context: str) -> list[Cell]:
 
 
 def ray_map_error_arcmin(solve: GlPlanarSolver, mappings: Eye, warp_grid: WarpGrid) -> FloatArray:
-    """Errors at pixel centres, (places, pixels), of a solve on that warp grid; NaN where there is no ray."""
+    """Return errors at pixel centres, (places, pixels), of a solve on that warp grid; NaN without a ray."""
     pixel = np.floor(np.random.default_rng(4).uniform(0, mappings.display.panel.size_px, (_PIXELS, 2))) + 0.5
     errors = []
     for viewpoint in mappings.eye_box.at(JUDGED_PLACES):
@@ -69,7 +69,7 @@ def ray_map_error_arcmin(solve: GlPlanarSolver, mappings: Eye, warp_grid: WarpGr
 
 
 def landing_part(models: Mapping[str, Eye], scenes: Sequence[str], context: str) -> Part:
-    """Composed frames beside ray-traced ones, and what the place of the raster camera saves."""
+    """Compare composed frames with ray-traced ones, and show the benefit of the raster camera's position."""
     rows = [landing_row(device, models[device], scene, context) for device in models for scene in scenes]
     columns = (
         "headset, scene",
@@ -125,7 +125,7 @@ def landing_row(device: str, mappings: Eye, scene: str, context: str) -> list[Ce
 
 
 def late_table(device: str, mappings: Eye, scene: str, context: str) -> ReportTable:
-    """What 10 ms cost, and what is left after late correction."""
+    """Tabulate the error of 10 ms latency, and its residual after late correction."""
     on = subject(mappings, load_scene(scene), context)
     try:
         rows = late_rows(on)

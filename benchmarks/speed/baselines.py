@@ -92,10 +92,10 @@ def raw_embree(scene: Scene, origin: Float32Array, direction: Float32Array) -> C
 
 
 def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> Callable[[], object]:
-    """A plain textured pass at the display's size, warped by a map (height, width, 2) uploaded once, and read back.
+    """Draw a plain textured pass at the display's size, warped by a map (height, width, 2) uploaded once; read it back.
 
-    No depth is kept, no head or eye moves: the least that a fixed distortion correction does per frame. Colours are
-    filtered as they are stored.
+    It keeps no depth, and neither head nor eye moves: the minimal work of a fixed distortion correction per frame.
+    Colours are filtered as stored.
     """
     context = _context()
     mesh = in_world(scene)
@@ -119,7 +119,7 @@ def bare_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> C
 
 
 def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) -> Callable[[], object]:
-    """The same pass with our shaders' lights and colours, filtered in linear light and encoded once.
+    """Draw the same pass with our shaders' lights and colours, filtered in linear light and encoded once.
 
     For a scene of one textured mesh under directional lights.
     """
@@ -167,7 +167,7 @@ def shaded_gl_frame(scene: Scene, view: View, source_uv: NDArray[np.float32]) ->
 
 
 def in_world(scene: Scene) -> Mesh:
-    """The scene's one mesh, placed."""
+    """Return the scene's only mesh in world coordinates."""
     (instance,) = scene.instances
     mesh = scene.mesh_of(instance)
     return replace(

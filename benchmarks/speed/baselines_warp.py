@@ -1,11 +1,10 @@
 """Baseline warps by a fixed map, as in today's runtimes: Monado's two schemes in OpenGL, and cv2.remap.
 
-For the benchmark only, straight on their libraries, as `baselines.py`. Both schemes read red, green and blue at places
-of their own. Monado (src/xrt/compositor/shaders: mesh.vert and mesh.frag; distortion_timewarp.comp) carries them to
-pixels as three texture coordinates of a mesh's vertices, or as three small textures, read with linear filtering between
-texel centres, whose answers are then turned by the head's newer rotation. Where a scheme's map comes from is in
-`frozen_map.py`. The 8-bit picture is filtered as it is stored: nothing is decoded or encoded, which makes these a
-little cheaper than a runtime.
+For the benchmark only, straight on their libraries, as `baselines.py`. Both schemes read red, green and blue at
+separate places. Monado (src/xrt/compositor/shaders: mesh.vert and mesh.frag; distortion_timewarp.comp) stores them as
+three texture coordinates of a mesh's vertices, or as three small textures, which are read with linear filtering between
+texel centres and then rotated by the head's newer rotation. `frozen_map.py` computes a scheme's map. The 8-bit picture
+is filtered as stored, without decoding and encoding, which makes these schemes a little cheaper than a runtime.
 """
 
 from collections.abc import Callable
@@ -74,13 +73,13 @@ void main() {{
 
 @dataclass(frozen=True, eq=False)
 class GlWarpBaseline:
-    """One warp in an OpenGL context of its own.
+    """One warp in its own OpenGL context.
 
     Attributes:
-        draw: one frame into the target; returns before the GPU is done.
-        finish: waits until it is.
-        read: fetches the target, (height, width, 4) uint8, top row first.
-        release: destroys the context and all in it.
+        draw: draws one frame into the target; returns before the GPU has finished.
+        finish: waits for the GPU.
+        read: reads the target, (height, width, 4) uint8, top row first.
+        release: destroys the context and all its objects.
     """
 
     draw: Callable[[], None]
@@ -128,13 +127,13 @@ def _triangles(rows: int, columns: int) -> NDArray[np.uint32]:
 def image_maps_warp(
     picture: Uint8Array, channel_uv: Float32Array, size: tuple[int, int], drawn_from_newer: NDArray[np.float64]
 ) -> GlWarpBaseline:
-    """Scheme 2: a compute shader reads three small maps and turns what they say by a rotation of the head.
+    """Scheme 2: a compute shader reads three small maps and rotates their coordinates by a rotation of the head.
 
     Args:
         picture: (height, width, 3) intermediate image, uploaded once.
         channel_uv: (3, rows, columns, 2) as in `mesh_warp`; the outermost texel centres lie on the display's edges.
         size: (width, height) of the display.
-        drawn_from_newer: (3, 3) on texture coordinates (u, v, 1), from `timewarp`; set anew in every frame.
+        drawn_from_newer: (3, 3) on texture coordinates (u, v, 1), from `timewarp`; set in every frame.
     """
     context = _context()
     shader = context.compute_shader(_IMAGE_MAPS)
@@ -156,15 +155,15 @@ def image_maps_warp(
 
 
 def timewarp(camera: Pinhole, drawn_from_newer: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A rotation (3, 3) between the frames of two cameras, as it acts on texture coordinates (u, v, 1): (3, 3).
+    """Convert a rotation (3, 3) between the frames of two cameras to a matrix (3, 3) on texture coordinates (u, v, 1).
 
-    Where the newer frame would look up texture coordinates, the picture drawn with the older frame has them turned.
+    The matrix converts texture coordinates in the newer frame to those of the picture drawn in the older frame.
     """
     scale, offset = camera.focal_px * [1, -1], camera.centre_px
     size = np.array([camera.width_px, camera.height_px])
     uv_of_tangents = np.eye(3)
     uv_of_tangents[[0, 1], [0, 1]], uv_of_tangents[:2, 2] = scale / size, offset / size
-    # Tangents stand for the direction (tx, ty, -1).
+    # Tangents represent the direction (tx, ty, -1).
     forward = np.diag([1.0, 1.0, -1.0])
     return np.asarray(uv_of_tangents @ forward @ drawn_from_newer @ forward @ np.linalg.inv(uv_of_tangents))
 
@@ -189,7 +188,7 @@ def _context() -> Any:
 
 
 def _texture(context: Any, content: Uint8Array | Float32Array) -> Any:
-    """A texture that is filtered linearly and repeats its border: a picture, padded to four bytes a texel, or a map."""
+    """Create a linearly filtered texture that repeats its border: a picture, padded to four bytes a texel, or a map."""
     height, width, components = content.shape
     if content.dtype == np.uint8:
         padded = np.concatenate([content, np.full((height, width, 1), 255, np.uint8)], axis=-1)

@@ -13,13 +13,13 @@ PRICE_GOAL = 1.02
 
 
 def price(work: Workload, context: str) -> Part:
-    """A frame with a ray map for a new viewpoint against the same frame with the map that is there already."""
+    """Compare a frame with a ray map for a new viewpoint with the same frame with the existing map."""
     with Running.of(work, context) as on:
         return Part([price_figure(on.frame, work.rounds)])
 
 
 def price_figure(frame: Callable[[int], object], rounds: int) -> Figure:
-    """The figure of a frame that solves its ray map only when it is called with another round."""
+    """Return the figure of a frame that solves its ray map only when it is called with another round."""
     times = times_ms(frame, frame, rounds=rounds)
     tracked, kept = np.median(times, axis=0)
     return ratio_figure(

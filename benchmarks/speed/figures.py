@@ -1,4 +1,4 @@
-"""Figures of the summary: what we measure, what it is compared with, and whether the goal is reached."""
+"""Figures of the summary: our value, the value to compare it with, and whether the goal is reached."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ class Figure:
     """One row of the summary.
 
     Attributes:
-        quantity: what is measured.
-        ours, compared_with: with units; `compared_with` says what it is.
-        ratio: ours to the other; empty where there is none.
-        goal: in words and numbers; empty where there is none.
-        is_reached: whether the goal is; None without a goal, or where this machine cannot tell.
+        quantity: the measured quantity.
+        ours, compared_with: values with units; `compared_with` includes its description.
+        ratio: our value over the other; empty without another value.
+        goal: in words and numbers; empty without a goal.
+        is_reached: True if the goal is reached; None without a goal, or if this machine cannot measure it.
     """
 
     quantity: str
@@ -27,7 +27,7 @@ class Figure:
     is_reached: bool | None = None
 
     def row(self) -> list[Cell]:
-        """The row of the table."""
+        """Return the row of the table."""
         verdict = {True: ": reached", False: ": missed", None: ""}[self.is_reached]
         return [self.quantity, self.ours, self.compared_with or None, self.ratio or None, self.goal + verdict or None]
 
@@ -50,6 +50,6 @@ def ratio_figure(quantity: str, ours: str, compared_with: str, found: Estimate, 
 
 
 def summary_table(figures: Iterable[Figure], notes: Sequence[str]) -> ReportTable:
-    """The first table of the report."""
+    """Return the first table of the report."""
     columns = "quantity", "ours", "compared with", "ratio", "goal"
     return ReportTable("Summary", columns, [each.row() for each in figures], notes)

@@ -21,7 +21,7 @@ OURS, WARP_GOAL = "ours", 0.9
 
 
 def warps(work: Workload, context: str) -> Part:
-    """Times of warps of one picture; those of Monado where there is EGL."""
+    """Time warps of one picture; Monado's, too, if there is EGL."""
     work = work.one_eye
     with ExitStack() as opened:
         on = opened.enter_context(Running.of(work, context))
@@ -51,20 +51,20 @@ def warps(work: Workload, context: str) -> Part:
 
 
 def warp_figure(ours: FloatArray, maps: FloatArray) -> Figure:
-    """Times (rounds,) of our warp and of Monado's maps."""
+    """Compare the times (rounds,) of our warp and of Monado's maps."""
     compared_with = f"{in_ms(np.median(maps))} (Monado's three maps of {IMAGE_MAPS.points} x {IMAGE_MAPS.points})"
     found = ratio(ours, maps)
     return ratio_figure("warp that follows depth", in_ms(np.median(ours)), compared_with, found, WARP_GOAL)
 
 
 def warp_rows(times: Mapping[str, FloatArray]) -> list[list[Cell]]:
-    """Times of all, (rounds,) by name, and how many times longer `OURS` takes."""
+    """Tabulate all times, (rounds,) by name, and the ratio of `OURS` to each."""
     return [[name, in_ms(np.median(each)), str(ratio(times[OURS], each))] for name, each in times.items()]
 
 
 @contextmanager
 def _monado(on: Running, scheme: Scheme, picture: NDArray[np.uint8], camera: Pinhole) -> Iterator[Run]:
-    """A scheme with the map for the eye box's centre, the same for all colours."""
+    """Open a scheme with the map for the eye box's centre, the same for all colours."""
     mappings = on.work.mappings
     shown = frozen_map(mappings, scheme, mappings.eye_box.centre, middle_axes(mappings))
     channel_uv = np.stack([shown.texture_uv(camera)] * 3)

@@ -37,25 +37,25 @@ Interpolation = Callable[[FloatArray, FloatArray], FloatArray]
 """(values (rows, columns, k), place (..., 2) in cells from the first point) -> (..., k)."""
 
 DEPTHS_M = (0.5, 2.0, np.inf)
-_FAR_M = 1e6  # stands in for infinity: a centimetre beside the line of sight is 3e-5 arcminutes there
+_FAR_M = 1e6  # distance used for infinity: a centimetre off the line of sight is 3e-5 arcminutes there
 _PIXELS, _VIEWPOINTS = 2000, 8
 
 
 def on_triangles(values: FloatArray, place: FloatArray) -> FloatArray:
-    """As a mesh of triangles interpolates: each cell is cut from its upper right to its lower left corner."""
+    """Interpolate as a mesh of triangles: each cell is cut from its upper right to its lower left corner."""
     (first, right, lower, last), (x, y) = _corners(values, place)
     upper = first + x * (right - first) + y * (lower - first)
     return np.where(x + y <= 1.0, upper, last + (1.0 - x) * (lower - last) + (1.0 - y) * (right - last))
 
 
 def bilinear(values: FloatArray, place: FloatArray) -> FloatArray:
-    """As a texture is filtered, with exact weights."""
+    """Interpolate as a texture filter, with exact weights."""
     (first, right, lower, last), (x, y) = _corners(values, place)
     return np.asarray((1 - y) * ((1 - x) * first + x * right) + y * ((1 - x) * lower + x * last))
 
 
 def _corners(values: FloatArray, place: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """The four values around each place, first, right, lower, last, and how far it lies right and down, (..., 1)."""
+    """Return the four values around each place, first, right, lower, last, and its offset right and down, (..., 1)."""
     rows, columns = values.shape[:2]
     cell = np.clip(np.floor(place).astype(int), 0, [columns - 2, rows - 2])
     column, row = cell[..., 0], cell[..., 1]
@@ -65,7 +65,7 @@ def _corners(values: FloatArray, place: FloatArray) -> tuple[list[FloatArray], l
 
 @dataclass(frozen=True)
 class Scheme:
-    """How a runtime carries its map from points to pixels: so many points each way, edge to edge, and in between."""
+    """A runtime's map scheme: the number of its points each way, edge to edge, and the interpolation between them."""
 
     name: str
     points: int
@@ -95,12 +95,12 @@ class FrozenMap:
     tangents: FloatArray
 
     def tangents_of_pixel(self, pixel: FloatArray) -> FloatArray:
-        """Where the scheme reads the picture for pixels (..., 2), tangents (..., 2)."""
+        """Return the tangents (..., 2) at which the scheme reads the picture for pixels (..., 2)."""
         place = (pixel - self.warp_grid.first_px) / self.warp_grid.step_px
         return self.scheme.between(self.tangents, place)
 
     def texture_uv(self, camera: Pinhole) -> NDArray[np.float32]:
-        """The points' texture coordinates in a picture of that camera, top row first: (points, points, 2)."""
+        """Return the points' texture coordinates in a picture of that camera, top row first: (points, points, 2)."""
         return (camera.pixel_of_tangents(self.tangents) / [camera.width_px, camera.height_px]).astype(np.float32)
 
 
@@ -111,7 +111,7 @@ def frozen_map(
     device_from_camera: FloatArray,
     depth_m: float = np.inf,
 ) -> FrozenMap:
-    """The map for a viewpoint (3,), exact at its points for what stands at `depth_m` before it.
+    """Return the map for a viewpoint (3,), exact at its points for objects at `depth_m` in front of it.
 
     Raises:
         BadInputError: the eye does not see the world through some point of the panel.
@@ -131,17 +131,17 @@ def frozen_map(
 def frozen_map_error_arcmin(
     truth: Eye, shown: FrozenMap, viewpoint: FloatArray, pixel: FloatArray, depth_m: float
 ) -> FloatArray:
-    """The angle between where the eye sees what a pixel shows and where it sees the real thing: see the module.
+    """Return the angle between the apparent directions of a pixel's content and of the real thing: see the module.
 
     Args:
-        truth: what the eye looks through.
+        truth: the true mappings of the eye.
         shown: the scheme's map.
-        viewpoint: (..., 3) where the eye is.
+        viewpoint: (..., 3) position of the eye.
         pixel: (..., 2).
-        depth_m: at which the world stands, along the picture's axis from where it is drawn; may be infinite.
+        depth_m: depth of the world along the picture's axis, from the viewpoint of the picture; may be infinite.
 
     Returns:
-        (...) arcminutes; NaN where the eye sees the pixel or the point not at all.
+        (...) arcminutes; NaN where the eye does not see the pixel or the point.
     """
     tangents = shown.tangents_of_pixel(pixel)
     in_camera = np.concatenate([tangents, -np.ones((*tangents.shape[:-1], 1))], axis=-1) * min(depth_m, _FAR_M)
@@ -150,7 +150,7 @@ def frozen_map_error_arcmin(
 
 
 def frozen_map_table(mappings: Eye) -> ReportTable:
-    """What both schemes get wrong on a headset whose exact mappings are `mappings`: rms and largest, in arcminutes."""
+    """Tabulate the errors of both schemes on a headset with exact `mappings`: rms and largest, in arcminutes."""
     rows = [row for scheme in (MESH, IMAGE_MAPS) for row in (_interpolation(mappings, scheme), _swim(mappings, scheme))]
     rows.append(_followed(mappings))
     columns = ("map", *(f"{what} at {depth:g} m" for depth in DEPTHS_M for what in ("rms", "max")))
@@ -177,7 +177,7 @@ def _swim(mappings: Eye, scheme: Scheme) -> list[Cell]:
 
 
 def _followed(mappings: Eye) -> list[Cell]:
-    """What is left where the map follows the eye: the reading between the points of the compositor's warp grid."""
+    """Return the residual if the map follows the eye: the interpolation error of the compositor's warp grid."""
     axes, pixel = middle_axes(mappings), _judged_pixels(mappings)
     warp_grid = choose_warp_grid(mappings, axes).grid
     viewpoints = _other_viewpoints(mappings)
@@ -195,7 +195,7 @@ def _followed(mappings: Eye) -> list[Cell]:
 def _on_rays(
     slope_offset: FloatArray, depth_m: float, device_from_camera: FloatArray, viewpoint: FloatArray
 ) -> FloatArray:
-    """Where rays (n, 4) of a viewpoint pass a depth, (n, 3) in the device frame."""
+    """Return the points (n, 3), device frame, at which rays (n, 4) of a viewpoint pass a depth."""
     depth = min(depth_m, _FAR_M)
     xy = slope_offset[:, :2] * depth + slope_offset[:, 2:]
     in_camera = np.concatenate([xy, np.full((len(slope_offset), 1), -depth)], axis=-1)

@@ -23,7 +23,7 @@ _TIME, _CALLS = "CPU time to submit a frame of both eyes, drawing stubbed out", 
 
 
 def submission(work: Workload, frames: int = FRAMES) -> Part:
-    """A frame in an adopted context whose host is clean, beside one whose state is kept; see `bench submission`."""
+    """Time a frame in an adopted context with a clean host and with a preserved state; see `bench submission`."""
     panel = work.mappings.display.panel
     size, ways = (panel.width_px, panel.height_px), ("kept", "clean")
     try:
@@ -56,14 +56,14 @@ def submission(work: Workload, frames: int = FRAMES) -> Part:
 
 
 def memory(work: Workload, context: str) -> Part:
-    """GPU memory of one eye beside the picture, which is not copied, and the host's target."""
+    """Measure the GPU memory of one eye without the picture, which is not copied, and the host's target."""
     found_mb = eye_bytes(work, context) / 1e6
     text = f"{found_mb:.1f} MB"
     goal = f"<= {MEMORY_GOAL_MB:g} MB"
     return Part(
         [
             Figure(
-                "GPU memory of an eye, beside the picture and the target",
+                "GPU memory of an eye, without the picture and the target",
                 text,
                 "",
                 "",

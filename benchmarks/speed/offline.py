@@ -1,6 +1,6 @@
 """Times of the stages of an offline frame: rays, raster and warp with read-back, map of a new viewpoint; memory.
 
-Each pair is timed alternately, so that a busy machine slows both sides alike; figures are medians.
+Both sides of a comparison are timed alternately, so that a busy machine slows both equally; figures are medians.
 """
 
 import multiprocessing
@@ -57,7 +57,7 @@ def ray_rows(work: Workload) -> list[list[Cell]]:
 
 
 def raster_part(work: Workload, backend: str) -> Part:
-    """The whole raster frame, against bare OpenGL passes with a fixed map."""
+    """Time the whole raster frame, against bare OpenGL passes with a fixed map."""
     raster = open_scene_raster(work.scene, backend)
     if raster is None:
         return Part()
@@ -101,7 +101,7 @@ def _at_display_size(camera: Pinhole, panel: Panel) -> Pinhole:
 
 
 def map_rows(work: Workload) -> list[list[Cell]]:
-    """The map for a new viewpoint: its time and its error."""
+    """Tabulate time and error of the map for a new viewpoint."""
     plan = choose_plan(work.mappings)
     (map_ms,) = alternately(lambda turn: ray_map(work.mappings, work.viewpoints[turn], plan), rounds=work.rounds)
     error = map_error_px(work.mappings, work.viewpoints[1])
@@ -130,7 +130,7 @@ def memory_rows(backend: str) -> list[list[Cell]]:
     """Peak memory of one frame, by both ways of drawing."""
     rows: list[list[Cell]] = []
     for method in ("raster", "raytrace") if backend != "cpu" else ("raytrace",):
-        # A process of its own, so that nothing else counts; spawned, because forking after OpenGL hangs.
+        # A separate process counts only its own memory; it is spawned, because forking after OpenGL hangs.
         with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
             peak = pool.submit(peak_memory_gb, method, backend).result()
         rows.append([f"peak memory, one 2048 x 2048 frame ({method})", f"{peak:.2f} GB", None, None, "< 1.5 GB"])
@@ -150,7 +150,7 @@ def peak_memory_gb(method: str, backend: str) -> float:
 
 
 def _peak_resident_gb() -> float:
-    """Of this process. On Linux not by getrusage, whose peak begins with the size of the process that started it."""
+    """Return the peak of this process. On Linux, the peak of getrusage starts with the size of the parent process."""
     if sys.platform == "darwin":
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e9
     status = Path("/proc/self/status").read_text(encoding="utf-8")

@@ -25,7 +25,7 @@ _INVERSE = StoredDepth(DepthKind.INVERSE)
 
 
 def near_object(work: Workload, context: str) -> Part:
-    """The warp of a picture with something near, beside that of the same picture with nothing near."""
+    """Compare the warp of a picture with a near object with the warp of the same picture without it."""
     work = work.one_eye
     moved = HEAD_POSE @ transforms.rigid(np.eye(3), np.array([MOVED_M, 0.0, 0.0]))
     with ExitStack() as opened:
@@ -57,7 +57,7 @@ def near_object(work: Workload, context: str) -> Part:
 
 
 def near_pixels(camera: Pinhole, width_m: float) -> tuple[slice, slice]:
-    """A square of that width at `NEAR_M`, near the upper left corner of a camera's picture."""
+    """Return a square of that width at `NEAR_M`, near the upper left corner of a camera's picture."""
     across, down = (max(1, round(float(focal) * width_m / NEAR_M)) if width_m else 0 for focal in camera.focal_px)
     return slice(down // 2, down // 2 + down), slice(across // 2, across // 2 + across)
 

@@ -11,12 +11,12 @@ from wlr_render.report.save import markdown
 
 
 def record(tables: Sequence[ReportTable], folder: str | Path, renderer: str) -> Path:
-    """Write the tables as `folder`/RENDERER.md, over what an earlier run on the same renderer has left there.
+    """Write the tables as `folder`/RENDERER.md, replacing the file of an earlier run on the same renderer.
 
     Args:
         tables: in the order of the file.
-        folder: made if it is not there.
-        renderer: OpenGL's name of what draws, `GlContext.renderer`; in the file's name only its letters and digits.
+        folder: created if it does not exist.
+        renderer: OpenGL's name of the renderer, `GlContext.renderer`; the file's name has only its letters and digits.
 
     Raises:
         BadInputError: the name has neither letters nor digits, or the folder cannot be written.

@@ -24,7 +24,7 @@ TURN_DEG_PER_S, WALK_M_PER_S, PUPIL_M_PER_S = 100.0, 0.5, 0.05
 
 
 def later_pose(pose: FloatArray, seconds: float = LATE_S) -> FloatArray:
-    """A head pose (4, 4) some time on: the head turns about its vertical and moves sideways and ahead."""
+    """Return a head pose (4, 4) some time later: the head turns about its vertical and moves sideways and ahead."""
     turned = transforms.rotation_about("y", np.deg2rad(TURN_DEG_PER_S) * seconds)
     step = WALK_M_PER_S * seconds * np.array([0.6, 0.0, -0.8])
     return np.asarray(pose @ transforms.rigid(turned, step))
@@ -49,9 +49,9 @@ class Running:
         """Start.
 
         Args:
-            work: whose eyes are composed.
+            work: workload with the eyes to compose.
             context: as `Compositor`.
-            size: (width, height) of the display; that of the panel if None.
+            size: (width, height) of the display; the panel's if None.
             channels: 3 for a field for each colour, of the same mappings.
 
         Raises:
@@ -72,7 +72,7 @@ class Running:
 
     @property
     def gl_context(self) -> gl.GlContext:
-        """Of the compositor, which has one."""
+        """The compositor's OpenGL context."""
         context = self.compositor.context
         assert isinstance(context, gl.GlContext), "the caller has seen to it that there is OpenGL"
         return context
@@ -82,7 +82,7 @@ class Running:
         return self.compositor.begin_frame(HEAD_POSE, self.work.viewpoint_of_eyes(turn))
 
     def frame(self, turn: int) -> ComposedFrame:
-        """The whole frame of a round; a second one in the same round does all but solve the field."""
+        """Draw the whole frame of a round; a second frame in the same round does not solve the field again."""
         for camera in self.begin(turn).values():
             self.source.submit(camera)
         frame = self.compositor.compose()
@@ -106,7 +106,7 @@ class Running:
         return run
 
     def then_finished(self, job: Run) -> Run:
-        """A job with the wait for its end."""
+        """Return a job that waits for its end."""
 
         def run(turn: int) -> None:
             job(turn)
@@ -115,5 +115,5 @@ class Running:
         return run
 
     def finished(self, job: Callable[[], object]) -> Run:
-        """The same of a job that is alike in all rounds."""
+        """Return a job that waits for its end and is the same in all rounds."""
         return self.then_finished(lambda _: job())

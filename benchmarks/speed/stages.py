@@ -16,7 +16,7 @@ FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS = 2.0, 4.0
 
 
 def one_eye(work: Workload, context: str) -> Part:
-    """The stages of one eye's frame; needs OpenGL."""
+    """Time the stages of one eye's frame; needs OpenGL."""
     return Part(tables=[_one_eye(work.one_eye, context)])
 
 
@@ -39,7 +39,7 @@ def _one_eye(work: Workload, context: str) -> ReportTable:
 
 
 def _pictures(on: Running) -> dict[str, Run]:
-    """What an engine does, by two engines."""
+    """Return the engine's drawing, by two engines."""
     raster = GlRaster(on.gl_context, on.work.scene)
     pyrender = PyrenderView(on.gl_context, on.work.scene)
     (camera,) = on.begin(0).values()
@@ -52,7 +52,7 @@ def _pictures(on: Running) -> dict[str, Run]:
 
 
 def _ray_maps(on: Running) -> dict[str, Run]:
-    """The ray map of a new viewpoint, in two ways."""
+    """Return two ways to make the ray map of a new viewpoint."""
     context, mappings, plan = on.gl_context, on.work.mappings, on.compositor.plan("right")
     axes, coarse, viewpoints = plan.device_from_camera, plan.warp_grid.grid, on.work.viewpoints
     count = choose_plan(mappings).node_count
@@ -67,7 +67,7 @@ def _ray_maps(on: Running) -> dict[str, Run]:
 
 
 def _composing(on: Running) -> dict[str, Run]:
-    """The whole frame, and what is made of it again; in this order, because a pupil that moves costs a ray map."""
+    """Return the whole frame and its repetitions; in this order, because a pupil that moves costs a ray map."""
     compositor, work, later = on.compositor, on.work, later_pose(HEAD_POSE)
     return {
         "whole frame": on.frame,

@@ -31,14 +31,14 @@ _RAY_NOTE = "Baseline of the rays: embreex's own query of the same rays, shared 
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """How much is measured.
+    """Extent of the measurements.
 
     Attributes:
         panel: pixels of one eye.
-        large_px: of the larger display in real time.
-        rounds: of a timing; `gpu_rounds` of one in real time on a GPU.
-        submissions: frames whose CPU time is measured.
-        devices, scenes: of which accuracy is measured.
+        large_px: pixels of the larger display in real time.
+        rounds: rounds of a timing; `gpu_rounds` of a real-time timing on a GPU.
+        submissions: number of frames whose CPU time is measured.
+        devices, scenes: devices and scenes whose accuracy is measured.
         judged_panel: pixels of those devices; their own if None.
     """
 
@@ -104,14 +104,14 @@ def run(
 
 @dataclass(frozen=True)
 class Renderer:
-    """What draws, by OpenGL's name, and whether it is a program on the CPU."""
+    """OpenGL's name of the renderer, and whether it is a program on the CPU."""
 
     name: str
     is_software: bool
 
 
 def _renderer(backend: str) -> Renderer | None:
-    """None where there is no OpenGL, or none is asked for."""
+    """Return the renderer; None without OpenGL, or if the CPU backend is requested."""
     if backend == "cpu":
         return None
     try:

@@ -22,9 +22,9 @@ _SIGMA_OF_MAD, _OF_MEDIAN = 1.4826, 1.2533
 
 
 def times_ms(*runs: Run, rounds: int = ROUNDS) -> FloatArray:
-    """(rounds, runs) milliseconds.
+    """Time runs in milliseconds, (rounds, runs).
 
-    The runs take turns, so that a busy machine slows all alike; the first round is dropped.
+    The runs alternate, so that a busy machine slows all equally; the first round is dropped.
     """
     times = np.empty((rounds + 1, len(runs)))
     for turn in range(rounds + 1):
@@ -41,7 +41,7 @@ def alternately(*runs: Run, rounds: int = ROUNDS) -> list[float]:
 
 
 def in_ms(milliseconds: float) -> str:
-    """As tables write it."""
+    """Format milliseconds for tables."""
     return f"{cell_text(float(milliseconds))} ms"
 
 
@@ -51,7 +51,7 @@ class Estimate:
 
     Attributes:
         value: the figure.
-        standard_error: of it, from the scatter of what it was taken from.
+        standard_error: its standard error, from the scatter of the times.
     """
 
     value: float
@@ -62,10 +62,10 @@ class Estimate:
 
 
 def ratio(first_ms: FloatArray, second_ms: FloatArray) -> Estimate:
-    """How many times longer the first takes, from times (rounds,) of both: the median of the rounds' ratios.
+    """Return how many times longer the first takes, from times (rounds,) of both: the median of the rounds' ratios.
 
-    The standard error is that of a median of normally distributed ratios whose spread is their median absolute
-    deviation's, so that a single interrupted round does not count.
+    The standard error assumes normally distributed ratios and takes their spread from the median absolute deviation, so
+    that a single interrupted round does not count.
     """
     ratios = np.asarray(first_ms, np.float64) / second_ms
     middle = float(np.median(ratios))

@@ -59,7 +59,7 @@ class Workload:
         return replace(self, eyes={"right": self.mappings})
 
     def with_rounds(self, rounds: int) -> "Workload":
-        """Of another length."""
+        """Return this workload with another number of rounds."""
         return replace(self, places=_places(rounds))
 
     def viewpoint_of_eyes(self, turn: int) -> dict[str, FloatArray]:
@@ -68,7 +68,7 @@ class Workload:
 
 
 def workload(panel: Panel = PANEL, rounds: int = ROUNDS) -> Workload:
-    """The usual one, for both eyes."""
+    """Return the usual workload, for both eyes."""
     eyes = {eye: bench_model(panel, eye) for eye in ("left", "right")}
     return Workload(eyes, bench_scene(), _places(rounds))
 
@@ -80,7 +80,7 @@ def _places(rounds: int) -> FloatArray:
 def bench_model(
     panel: Panel | None = None, eye: str = "right", device: str = DEVICE, display_degree: int | None = None
 ) -> Eye:
-    """A planar model of a shipped device, whose panel may be given another number of pixels.
+    """Return a planar model of a shipped device, whose panel may be given another number of pixels.
 
     As `calibrate` fits it, unless the degree of the display is limited.
     """
@@ -89,7 +89,7 @@ def bench_model(
 
 
 def _planar(truth: Eye, panel: Panel, seed: int, display_degree: int | None) -> Eye:
-    """What a simulated calibration with camera noise makes of an eye, its panel in other pixels."""
+    """Fit an eye by a simulated calibration with camera noise, with its panel in other pixels."""
     captures = simulated_captures(truth, seed)
     display, see_through = captures.both
     pixel = display.pixel / display.panel.size_px * panel.size_px
@@ -98,7 +98,7 @@ def _planar(truth: Eye, panel: Panel, seed: int, display_degree: int | None) -> 
 
 
 def bench_scene(triangles: int = TRIANGLES) -> Scene:
-    """The sculpture alone, of about so many triangles, large in the field, one directional light."""
+    """Return the sculpture alone, with about `triangles` triangles, large in the field, one directional light."""
     mesh = sculpture(height_m=0.5, around=_AROUND, along=max(8, round(triangles / (2 * _AROUND))))
     placed = np.eye(4)
     placed[:3, 3] = [0.03, -0.45, -0.8]

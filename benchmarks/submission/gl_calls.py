@@ -1,7 +1,7 @@
-"""Counts of OpenGL calls, by ctypes and by ModernGL alike, and drawing calls that do nothing.
+"""Counts of OpenGL calls, whether through ctypes or ModernGL, and drawing calls that do nothing.
 
-Each OpenGL function is loaded by its address. In its place the loader gets the address of a few bytes of machine code
-that count the call and jump on: to the function, or, for drawing, to a return.
+OpenGL functions are loaded by address. In place of each function, the loader gets the address of a few bytes of machine
+code that count the call and jump on: to the function, or, for drawing, to a return.
 """
 
 import contextlib
@@ -31,15 +31,15 @@ _IS_DRAWING = re.compile(
 
 
 def is_get(name: str) -> bool:
-    """Whether a function only reads state, for which threaded drivers wait."""
+    """Return whether a function only reads state, for which threaded drivers wait."""
     return bool(_IS_GET.match(name))
 
 
 class GlCalls:
-    """Counts the calls of OpenGL functions that are looked up inside `counted`.
+    """Counter of the calls of OpenGL functions that are looked up inside `counted`.
 
     Raises:
-        BadInputError: the processor is no x86-64.
+        BadInputError: the processor is not an x86-64.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class GlCalls:
             counter.value = 0
 
     def found(self) -> dict[str, int]:
-        """Calls since `start`, by name of the function, without those that were not called."""
+        """Return calls since `start`, by name of the function, without functions that were not called."""
         counts = {name: sum(each[0].value for each in found) for name, found in self._functions.items()}
         return {name: count for name, count in counts.items() if count}
 

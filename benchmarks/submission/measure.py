@@ -31,12 +31,12 @@ _STORED = StoredDepth(DepthKind.WINDOW, 0.05, np.inf)
 
 @dataclass(frozen=True)
 class Submission:
-    """What a frame of all eyes costs the CPU without drawing.
+    """CPU cost of a frame of all eyes without drawing.
 
     Attributes:
-        calls, gets: OpenGL calls, and those of them that read state, of one frame.
+        calls, gets: OpenGL calls of one frame, and the number of these that read state.
         begin_ms, submit_ms, compose_ms, frame_ms: medians of the CPU time of this thread.
-        peak_bytes: median of the memory that Python allocates at most during a frame.
+        peak_bytes: median over frames of the peak of the memory that Python allocates during a frame.
         kept_bytes: memory that Python keeps after the frames, per frame.
         by_name: calls by function.
     """
@@ -53,7 +53,7 @@ class Submission:
 
 
 class Host:
-    """A program that draws both eyes into framebuffers of its own and composes into one of twice the width."""
+    """A program that draws both eyes into its own framebuffers and composes into one of twice the width."""
 
     def __init__(self, models: Mapping[str, Eye], size: tuple[int, int], way: str) -> None:
         settings: Any = {"standalone": True, "require": 410, "backend": "egl"}
@@ -72,7 +72,7 @@ class Host:
             self._screen = ctx.simple_framebuffer((len(models) * size[0], size[1]))
 
     def frame(self, number: int) -> list[float]:
-        """Times at the start of a frame and after each of its steps, CPU seconds of this thread."""
+        """Return times at the start of a frame and after each of its steps, CPU seconds of this thread."""
         unit = np.array([0.3 * np.sin(0.1 * number), 0.2 * np.cos(0.07 * number), 0.0])
         viewpoints = {eye: mappings.eye_box.at(unit) for eye, mappings in self._models.items()}
         pose, late = np.eye(4), np.eye(4)
@@ -101,7 +101,7 @@ def measure(models: Mapping[str, Eye], size: tuple[int, int], way: str, frames: 
     """Measure one of `WAYS` over some frames of displays of (width, height).
 
     Raises:
-        BadInputError: the processor is no x86-64, or as `Compositor`.
+        BadInputError: the processor is not an x86-64, or as `Compositor`.
         MissingGlError: no EGL.
     """
     calls = GlCalls()

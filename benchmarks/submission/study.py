@@ -38,10 +38,10 @@ def run(
     progress: ProgressArgument = SILENT,
     models: Annotated[Mapping[str, Eye] | None, Parameter(parse=False)] = None,
 ) -> Report:
-    """Measure; writes submission.html, .md and .json into `options.out`.
+    """Measure and write submission.html, .md and .json into `options.out`.
 
     Raises:
-        BadInputError: a folder that cannot be written, or a processor that is no x86-64.
+        BadInputError: a folder that cannot be written, or a processor other than x86-64.
         MissingGlError: EGL does not open.
     """
     folder = output_folder(options.out)

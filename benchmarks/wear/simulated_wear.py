@@ -1,8 +1,8 @@
-"""Half an hour of wear, simulated: slips, warmth, an eye tracker with errors of its own, and a wearer who clicks.
+"""Half an hour of simulated wear: slips, warming, an eye tracker with errors, and a wearer who clicks.
 
-The truth is the traced headset. What the estimator does not model: the tracker's error depends on the gaze, its drift
-and the panel's are no random walks, a slip changes it by a share of its own size, the wearer's clicks have heavy tails,
-and the models are fitted to captures with noise and a stage that errs.
+The truth is the traced headset. The simulation has effects that the estimator does not model: the tracker's error
+depends on the gaze, its drift and the panel's are not random walks, a slip changes it by a share of its own size, the
+wearer's clicks have heavy tails, and the models are fitted to captures with noise and errors of the stage.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ _CAPTURES = 25
 _DEPTHS_M = 0.4, 1.0, 3.0
 _CLICK_DEPTHS_M = 0.4, 2.0, 0.6, 4.0, 1.0
 _FIELD_SHARE = 0.85
-_MOST_TURN = np.sin(np.deg2rad(15.0))  # of the eye: beyond it wearers turn the head
+_MOST_TURN = np.sin(np.deg2rad(15.0))  # largest turn of the eye; beyond it wearers turn the head
 _LEAST_BETWEEN_MIN = 4.0
 _WARM_MIN = 10.0
 
@@ -107,7 +107,7 @@ class WearResult:
 
 
 def worn_eye(device: str) -> Eye:
-    """The traced right eye of a shipped device, with the larger eye box."""
+    """Return the traced right eye of a shipped device, with the larger eye box."""
     truth = traced_eye(load_device(device), "right")
     return replace(truth, eye_box=EyeBox(truth.eye_box.centre, EYE_BOX_M))
 
@@ -154,7 +154,7 @@ class Wearer:
         )
 
     def _seen(self, direction: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """True pupils, tracked ones without noise, and points, (n, 3), for a wearer who looks at dots."""
+        """Return true pupils, tracked ones without noise, and points, (n, 3), for a wearer who looks at dots."""
         ahead = self._truth.eye_box.centre
         eye = RotatingEye.looking_ahead_from(ahead + self._position_m)
         sine = np.linalg.norm(direction[:, :2], axis=1, keepdims=True)

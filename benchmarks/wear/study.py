@@ -31,7 +31,7 @@ from wlr_render.report.save import save_report
 CLICKS = 5
 WANTED = 1.5
 """Misalignment after `CLICKS` clicks over that before the slip."""
-_DRAWS = 2000  # of the bootstrap
+_DRAWS = 2000  # number of bootstrap draws
 
 
 @dataclass(frozen=True)

@@ -115,7 +115,7 @@ def test_a_grid_unlike_the_others_and_an_empty_folder_are_refused(tmp_path):
         read_itoh_seethrough(tmp_path)
     write_view(tmp_path / "1")
     write_view(tmp_path / "2", **{"3dPointsOnGrid": archive(TIME_NS, points(DOTS * 1.01))})
-    with pytest.raises(BadInputError, match="its grid is not that of view 1"):
+    with pytest.raises(BadInputError, match="its grid differs from view 1"):
         read_itoh_seethrough(tmp_path)
 
 
