@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from given_lenses import with_stated_lenses
 
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.calibrate_session import calibrate_session
@@ -27,21 +28,12 @@ from wlr_render.simulation.viewpoints import random_in_eye_box
 
 pytestmark = pytest.mark.slow  # a session takes some ten seconds
 
-FIT = FitOptions(degree=4, see_through_degree=2)
-FEW = ReadingOptions(most_dots=120, panel_samples=300)
+FIT = FitOptions(degree=3, see_through_degree=2)
+FEW = ReadingOptions(most_dots=80, panel_samples=150)
 
 
 def simulated(**bench):
     return simulate_readings(SimulationRecipe("birdbath28", viewpoints=9, bench=PhotoBenchOptions(**bench)), FEW)
-
-
-def with_stated_lenses(session):
-    """The session, which says of which kind its lenses are, with six photographs of each: choosing takes long."""
-    kind, cameras = BenchImperfections().lens, {}
-    for name in ("eyeball_camera", "tracking_camera"):
-        camera = getattr(session, name)
-        cameras[name] = replace(camera, lens=kind, intrinsics=camera.intrinsics[2:8])
-    return replace(session, **cameras)
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +163,9 @@ def test_every_primary_has_its_display_model(usual, tmp_path):
 def test_a_stage_of_one_axis(tmp_path):
     """No kind of lens is stated, so that it is chosen."""
     made = simulated(stage="x")
-    found, report = calibrated(made.session, made.reading, tmp_path)
+    session = with_stated_lenses(made.session)
+    session = replace(session, eyeball_camera=replace(session.eyeball_camera, lens="auto"))
+    found, report = calibrated(session, made.reading, tmp_path)
     assert_poses(found, made.session.display, made.truth.display)
     assert any("one more row or column" in warning for warning in report.warnings)
 
@@ -188,7 +182,7 @@ def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path
     sizes = replace(BenchImperfections(), extrinsics_mm=0.02, extrinsics_deg=0.005)
     bench = PhotoBenchOptions(camera_px=(640, 512), sampling="volumetric", imperfections=sizes)
     recipe = SimulationRecipe("birdbath28", viewpoints=12, bench=bench)
-    made = simulate_readings(recipe, ReadingOptions(most_dots=150, panel_samples=300))
+    made = simulate_readings(recipe, ReadingOptions(most_dots=100, panel_samples=200))
     session = with_stated_lenses(made.session)
     found = calibrate_session(session, made.reading, tmp_path, FitOptions(kind="volumetric").fit).eyes["right"]
     assert np.ptp(found.captures.display.viewpoint[:, 2]) > 0.9 * session.eye_box.size[2]
