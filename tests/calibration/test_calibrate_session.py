@@ -24,7 +24,7 @@ MOVED = Excluded("display/03", "its points lie off", fault=True, off_arcmin=9.0)
 @pytest.mark.slow
 def test_photographs_that_the_bench_rejected_are_named_where_a_later_camera_is_refused(tmp_path):
     recipe = SimulationRecipe("birdbath28", viewpoints=4, bench=LENS_STATED)
-    made = simulate_readings(recipe, ReadingOptions(most_dots=60, panel_samples=50))
+    made = simulate_readings(recipe, ReadingOptions(most_dots=40, panel_samples=50))
     eyeball = replace(made.session.eyeball_camera, lens="brown", intrinsics=made.session.eyeball_camera.intrinsics[2:8])
     tracking = replace(made.session.tracking_camera, intrinsics=made.session.tracking_camera.intrinsics[:1])
     session = replace(

@@ -19,7 +19,7 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 SIGMA_ARCMIN = 1.0
 CAPTURES = 25
 PIXELS = PANEL.grid(8, 6).reshape(-1, 2)
-DRAWS = 24
+DRAWS = 12
 
 
 def clean(seed, sigma=SIGMA_ARCMIN):

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from given_lenses import with_stated_lenses
 from scipy.linalg import block_diag
 
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
@@ -27,9 +28,7 @@ STATED_DEG = 0.2
 def simulated(seed, sampling="volumetric"):
     bench = PhotoBenchOptions(camera_px=(640, 512), seed=seed, sampling=sampling, stated_axes_deg=STATED_DEG)
     made = simulate_readings(SimulationRecipe("birdbath28", viewpoints=9, bench=bench), FEW)
-    lens = bench.imperfections.lens  # choosing it takes longer than the rest
-    cameras = {name: replace(getattr(made.session, name), lens=lens) for name in ("eyeball_camera", "tracking_camera")}
-    return replace(made, session=replace(made.session, **cameras))
+    return replace(made, session=with_stated_lenses(made.session))
 
 
 def with_axes(session, **changes):
