@@ -42,7 +42,7 @@ def _strong(outcomes: Sequence[DiagnosisOutcome]) -> list[DiagnosisOutcome]:
 
 
 def _right(outcome: DiagnosisOutcome) -> bool:
-    """True if the first named cause is the hidden one."""
+    """Return whether the first named cause is the hidden one."""
     return outcome.first == outcome.trial.effects[0]
 
 

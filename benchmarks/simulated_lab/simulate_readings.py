@@ -66,7 +66,7 @@ def simulate_readings(
         faults: faults of the session.
         folder: folder in the names of photographs; nothing is read or written there.
 
-        Raises:
+    Raises:
         BadInputError: an unknown device, eye or pattern, a fault of a missing photograph, or a target that is too far
             away to be seen past the optics by a hand-held camera.
     """
