@@ -128,5 +128,5 @@ with wlr.Compositor(eye, SIZE) as compositor:
     assert wanted.size_px == camera.size_px
     compositor.submit(read(picture, np.uint8), read(depth, np.float32)[..., 0], stored=STORED)
     difference = np.abs(compositor.compose(pose=newest_pose).read().astype(int) - shown).max(axis=-1)
-print(f"sRGB codes: 99 % of the pixels within {np.percentile(difference, 99):.0f} of the compositor's,", end=" ")
-print(f"{(difference > 8).mean():.2%} differ by more than 8")
+print(f"sRGB codes: 99 % of the pixels within {np.percentile(difference, 99):.0f},", end=" ")
+print(f"{(difference > 8).mean():.2%} differ by more than 8 from the compositor's")

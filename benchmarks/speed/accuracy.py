@@ -68,7 +68,7 @@ class ScanOutPose:
 
     @property
     def at_once(self) -> "ScanOutPose":
-        """Return the pose with all rows at the time of the first."""
+        """Pose with all rows at the time of the first."""
         return replace(self, pose_at_last_row=None)
 
     def row_poses(self, rows: int) -> FloatArray:

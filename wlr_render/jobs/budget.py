@@ -29,22 +29,22 @@ from wlr_render.simulation.viewpoints import volumetric
 _COLUMNS = 24  # cells across the panel
 _VIEWPOINTS = 16
 _ADVISED = 3  # sources that are named as worth improving
-_LEAST_SHARE = 0.005  # of the variance, of an owner that is named
-_LEAST_GAIN = 0.02  # of the radius: halving a source that gives less is not advised
+_LEAST_SHARE = 0.005  # smallest share of the variance for which an owner is named
+_LEAST_GAIN = 0.02  # smallest gain in radius for which the report advises to halve a source
 
 
 @dataclass(frozen=True, eq=False)
 class EyeBudget:
-    """The budget of one eye.
+    """Error budget of one eye.
 
     Attributes:
-        eye: which. region: over what it is stated, in words.
-        radius_arcmin: within which 95 % of the errors lie. rms_arcmin, worst_arcmin: of their length, over all
-            and where it is largest.
+        eye: "left" or "right". region: region of the budget, in words.
+        radius_arcmin: radius that contains 95 % of the errors. rms_arcmin, worst_arcmin: rms length over all errors,
+            and largest rms length.
         owners, sources: contributions, largest first.
         regions: radius by region of the panel.
-        sizes: of the errors beside the models' own.
-        left_out: share of pixels and viewpoints, of the field, that a model answers by extrapolation or not at all.
+        sizes: sizes of the errors, except model errors.
+        left_out: share of the field's pixels and viewpoints that need extrapolation or have no answer.
         radius_map: (rows, columns) radius by panel cell. rms_maps: rms of each source by panel cell.
     """
 
@@ -100,7 +100,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
 
 
 def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[Eye, ErrorSizes]:
-    """Both mappings of an eye, and the sizes of all errors but those of the models.
+    """Open both mappings of an eye, and return them with the sizes of all errors except model errors.
 
     Raises:
         BadInputError: a faulty device or model, or one without that eye.
@@ -116,12 +116,12 @@ def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[Eye, ErrorSizes
 
 
 def eye_budget(eye: Eye, depth_m: float, sizes: ErrorSizes, in_camera_frame: bool = False) -> EyeBudget:
-    """Budget of an eye over its eye box and nominal field, or panel if it states no field.
+    """Compute the budget of an eye over its eye box and nominal field, or its panel if it states no field.
 
     Args:
-        eye: both mappings.
-        depth_m: of the real points.
-        sizes: of all errors but those of the models.
+        eye: display and see-through mappings.
+        depth_m: depth of the real points.
+        sizes: sizes of the errors, except model errors.
         in_camera_frame: see `RegistrationCovariance.in_camera_frame`.
 
     Raises:
@@ -180,7 +180,7 @@ class DisparityShare:
 
 
 def _disparity(eyes: Sequence[Eye], sizes: Sequence[ErrorSizes], depth_m: float) -> list[DisparityShare]:
-    """By source, over points that cover the panel of the first eye and viewpoints all over the eye boxes."""
+    """Return the disparity error by source, averaged over the first eye's panel and both eye boxes."""
     viewpoints = [volumetric(eye.eye_box, _VIEWPOINTS)[:, None] for eye in eyes]
     first = registration_covariance(
         eyes[0], eyes[0].display.panel.grid(12, 8).reshape(-1, 2), eyes[0].eye_box.centre, depth_m, ErrorSizes()

@@ -147,7 +147,7 @@ def _camera_format(options: DecodeVerbOptions) -> PhotographFormat:
 
 
 def _rejection_table(decoded: Decoded) -> ReportTable:
-    """Number of camera pixels by the result of decoding."""
+    """Tabulate the number of camera pixels by the result of decoding."""
     rows: list[list[Cell]] = [
         [reason.sentence, count, 100.0 * count / decoded.rejection.size] for reason, count in decoded.counts().items()
     ]
@@ -200,7 +200,7 @@ def flatness_table(survey: PlaneSurvey, title: str = "Homographies of flat surfa
 
 
 def _draw_positions(path: Path, decoded: Decoded) -> Path:
-    """Decoded u and v, side by side."""
+    """Draw decoded u and v, side by side."""
     figure, places = _side_by_side(decoded.rejection.shape)
     for axis, (place, name) in enumerate(zip(places, "uv", strict=True)):
         drawn = place.imshow(decoded.pixel[..., axis], cmap="turbo", interpolation="nearest")
@@ -209,7 +209,7 @@ def _draw_positions(path: Path, decoded: Decoded) -> Path:
 
 
 def _draw_rejections(path: Path, decoded: Decoded) -> Path:
-    """The result of decoding for each camera pixel."""
+    """Draw the result of decoding for each camera pixel."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
@@ -235,7 +235,7 @@ def rejection_colours() -> NDArray[np.float64]:
 
 
 def _draw_residuals(path: Path, survey: PlaneSurvey) -> Path:
-    """Decoded minus predicted by the surfaces' homographies, in u and v, averaged over small blocks."""
+    """Draw decoded minus predicted by the surfaces' homographies, in u and v, averaged over small blocks."""
     figure, places = _side_by_side(survey.label.shape)
     means = _block_means(survey.residual)
     for axis, (place, name) in enumerate(zip(places, "uv", strict=True)):
@@ -257,7 +257,7 @@ def _side_by_side(shape: tuple[int, ...]) -> tuple["Figure", list["Axes"]]:
 
 
 def _block_means(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Means (h / block, w / block, 2) of what is not NaN; a rest at the right and the bottom is left out."""
+    """Return block means (h / block, w / block, 2) without NaN, omitting incomplete blocks at the right and bottom."""
     rows, columns = (size // _BLOCK_PX for size in values.shape[:2])
     blocks = values[: rows * _BLOCK_PX, : columns * _BLOCK_PX].reshape(rows, _BLOCK_PX, columns, _BLOCK_PX, 2)
     valid = np.isfinite(blocks)

@@ -1,15 +1,15 @@
-"""The main job: one scene drawn four ways for one headset, seen through its true optics, judged in arcminutes.
+"""The main job: draw one scene four ways for one headset, look through its true optics, and measure arcminutes.
 
-    naive        the panel taken as a flat picture in space (a linear map), the combiner as not there
-    static       the best map for one viewpoint, used at all of them
+    naive        the panel as a flat picture in space (a linear map), without refraction in the combiner
+    static       the best map for one viewpoint, used at all viewpoints
     raster+warp  planar models, intermediate image from the raster camera, which is not at the viewpoint, per-frame
                  warp map
     ray traced   planar models, world rays as primary rays
 
 Without OpenGL there is no raster+warp.
 
-The models are fitted to a simulated calibration of the device; the judge is the device's own exact optics. The error of
-the planar models is also predicted, by what their fit and its left-out camera positions say, without those optics.
+The models are fitted to a simulated calibration of the device; the device's exact optics are the truth. The error of
+the planar models is also predicted, from their fit and its left-out camera positions, without these optics.
 """
 
 import contextlib
@@ -76,7 +76,7 @@ from wlr_render.simulation import viewpoints as stage
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 
 METHODS = ("naive", "static", "raster + warp", "ray traced")
-"""Without OpenGL all but the third."""
+"""Methods without OpenGL: all except the third."""
 CAMERA_POSITIONS = 49
 CAMERA_NOISE_ARCMIN = 0.25
 HEAD_POSE = np.eye(4)
@@ -187,7 +187,7 @@ def _verdict(overall: ReportTable, what: str) -> str:
 
 
 def judged_viewpoints(truth: Eye, count: int) -> FloatArray:
-    """The eye box's centre, then fixed pseudo-random viewpoints, the first of them near a corner: (count, 3)."""
+    """Return the eye box's centre, then fixed pseudo-random viewpoints, the first of them near a corner: (count, 3)."""
     rng = np.random.default_rng(5)
     unit = np.concatenate([np.zeros((1, 3)), [[0.8, 0.8, -0.8]], rng.uniform(-1, 1, (count - 2, 3))])
     return truth.eye_box.at(unit)
@@ -209,12 +209,12 @@ def _painters(
 
 
 def _planar_of(methods: Collection[str]) -> str:
-    """The method whose figures stand for the planar models."""
+    """Return the method whose figures represent the planar models."""
     return METHODS[2] if METHODS[2] in methods else METHODS[3]
 
 
 def simulated_captures(truth: Eye, seed: int) -> Captures:
-    """A planar calibration with camera noise, plus one position at the centre for the static map."""
+    """Simulate a planar calibration with camera noise, plus one position at the centre for the static map."""
     rng = np.random.default_rng(seed_of(seed, truth.eye))
     setup = CaptureSetup(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN)
     planar = stage.planar(truth.eye_box, setup.field.reach, CAMERA_POSITIONS)
@@ -355,7 +355,7 @@ def _content_tangents(truth: Eye, scene: Scene, viewpoint: FloatArray) -> FloatA
 
 
 def _blended(view: EyeView, shown: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The virtual twin glows over the real object in one colour, so that the two can be told apart."""
+    """Draw the virtual twin over the real object as a glow in one colour, which distinguishes the two."""
     luminance = decode_srgb(shown) @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     tint = decode_srgb(np.array([38, 255, 115], np.uint8))
     return view.with_display(encode_srgb(luminance[..., None] * tint), gain=0.6, see_through=0.5)

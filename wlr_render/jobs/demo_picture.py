@@ -28,7 +28,7 @@ _NOTE = (
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """What the eye sees in one state of the display: overview, close-up, and the line under them."""
+    """View of the eye in one state of the display: overview, close-up, and the line under them."""
 
     title: str
     overview: NDArray[np.uint8]
@@ -37,7 +37,7 @@ class Panorama:
 
 
 def misalignment_caption(s: Summary, prediction: tuple[float, float] | None = None) -> str:
-    """The figures under a panorama; `prediction` is the predicted and the true rms."""
+    """Return the figures under a panorama; `prediction` is the predicted and the true rms."""
     median, p95, maximum = (cell_text(x) for x in (s.median, s.p95, s.maximum))
     lines = [f"off by {median}' median", f"{p95}' at 95 %, {maximum}' at most"]
     if prediction is not None:
@@ -47,13 +47,13 @@ def misalignment_caption(s: Summary, prediction: tuple[float, float] | None = No
 
 
 def overview_camera(tangents: FloatArray) -> Pinhole:
-    """An eyeball camera that holds all `tangents` (n, 2)."""
+    """Return an eyeball camera whose picture contains all `tangents` (n, 2)."""
     width = float(np.ptp(tangents[:, 0]))
     return Pinhole.covering(tangents, OVERVIEW_WIDTH_PX / width)
 
 
 def close_up_camera(overview: Pinhole, centre: FloatArray) -> Pinhole:
-    """A square window of the overview around `centre` (2,) tangents, enlarged."""
+    """Return a camera of a square window of the overview around `centre` (2,) tangents, enlarged."""
     half = 0.5 * CLOSE_UP_SHARE * (overview.tangent_max - overview.tangent_min)[0]
     centre = np.clip(centre, overview.tangent_min + half, overview.tangent_max - half)
     return Pinhole(CLOSE_UP_WIDTH_PX, CLOSE_UP_WIDTH_PX, centre - half, centre + half)

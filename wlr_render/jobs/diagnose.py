@@ -79,7 +79,7 @@ class DiagnoseOptions(Options):
     out: Annotated[Path, described("Output folder.")] = Path("out/diagnose")
 
     def measurements(self) -> tuple[Bench, Session]:
-        """The bench to compare with, and the session.
+        """Load the bench to compare with, and the session.
 
         Raises:
             BadInputError: see `load_measurements`.
@@ -88,7 +88,7 @@ class DiagnoseOptions(Options):
             return load_measurements(self.session, self.bench, self.device)
 
     def candidates(self, nominal: Bench) -> Mapping[str, Cause]:
-        """The causes to consider, by name.
+        """Return the causes to consider, by name.
 
         Raises:
             BadInputError: see `causes_for`.
@@ -96,7 +96,7 @@ class DiagnoseOptions(Options):
         return causes_for(nominal, self.add_causes, self.causes, self.exclude)
 
     def inputs(self) -> tuple[Path, ...]:
-        """The files and folders that the options name."""
+        """Return the files and folders that the options name."""
         device = [Path(self.device)] if self.device and Path(self.device).is_file() else []
         return (self.session, *([self.bench] if self.bench else []), *device)
 
@@ -149,10 +149,10 @@ def _with_held_out(report: Report, found: Diagnosis) -> Report:
 
 
 def _check_enough_readings(session: Session) -> None:
-    """Refuse a session of whose readings every one may be due to a small motion of the camera.
+    """Reject a session in which a small motion of the camera could explain every capture.
 
     Raises:
-        BadInputError: there is no run-time recording, and no capture has `_FEWEST_READINGS` points.
+        BadInputError: there is no run-time recording, and all captures have fewer than `_FEWEST_READINGS` points.
     """
     plan = session.plan
     tables = [
@@ -168,11 +168,11 @@ def _check_enough_readings(session: Session) -> None:
         )
 
 
-_FEWEST_READINGS = 4  # of two values each, against the six of a camera pose
+_FEWEST_READINGS = 4  # readings of two values each; a camera pose has six parameters
 
 
 def _not_considered(options: DiagnoseOptions) -> list[str]:
-    """A warning if the options restrict the causes that are considered."""
+    """Return a warning if the options restrict the causes to consider."""
     only = [name for name in options.causes if name not in options.exclude]
     if only:
         return [f"Only {', '.join(only)} {'was' if len(only) == 1 else 'were'} considered (--causes)."]
@@ -180,7 +180,7 @@ def _not_considered(options: DiagnoseOptions) -> list[str]:
 
 
 def _not_recorded(session: Session) -> list[str]:
-    """A warning if the session states no times."""
+    """Return a warning if the session states no times."""
     times = [part.time_s for part in session.plan.parts if part is not None]
     if any(np.any(time_s) for time_s in times):
         return []

@@ -54,10 +54,10 @@ _WITHOUT_EFFECT = ("out", "headset", "red_model", "blue_model", "eye_track")
 
 @job
 def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Write the maps that `options.out` does not hold yet, and their page; files of another export there are removed.
+    """Write the missing maps of `options.out`, and their page; files of another export there are removed.
 
     Raises:
-        BadInputError: faulty files, a pupil outside the eye box, or what the format does not hold.
+        BadInputError: faulty files, a pupil outside the eye box, or content that the format does not support.
         MissingExtraError: a library that the format needs is not installed.
     """
     form = format_of(options.format)
@@ -95,16 +95,16 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
 
 
 def _stated(options: ExportOptions) -> dict[str, str]:
-    """The options that decide what the files hold; input files count by their content."""
+    """Return the options that determine the files' content; input files count by their content."""
     return {name: str(value) for name, value in vars(options).items() if name not in _WITHOUT_EFFECT}
 
 
 def _solved(
     shown: Iterable[ExportedView], first_of_eye: Mapping[str, ExportedView], lost: list[str]
 ) -> Iterator[ExportedView]:
-    """Views to write; appends a line to `lost` for each map that serves some panel pixels nothing.
+    """Yield the views to write; append a line to `lost` for each map that leaves some panel pixels without a source.
 
-    The page needs the maps of the first view of each eye. The others are copied, so that their maps go with the copy.
+    The page needs the maps of each eye's first view. The other views are copies, whose maps are freed with the copy.
     """
     for planned in shown:
         view = planned if planned is first_of_eye[planned.eye] else replace(planned)
@@ -118,7 +118,7 @@ def _solved(
 
 
 def _lost_pixels(lines: Sequence[str]) -> list[str]:
-    """A sentence for each kind of line that `_solved` has made: of the only map, or of how many and of the worst."""
+    """Return a sentence per kind of line from `_solved`: about its only map, or the number of maps and the worst."""
     found = []
     for kind in (_NO_RAY, _OUTSIDE):
         own = [line.split(" ", 2)[:2] for line in lines if line.endswith(kind)]
@@ -135,7 +135,7 @@ def _open_channels(options: ExportOptions) -> dict[str, EyeChannels]:
 
 
 def _headset_files(options: ExportOptions) -> dict[str, Path]:
-    """Files of the headset by the names that the facts give them: those of three models with their colours."""
+    """Return the headset's files by their names in the facts; three models of the colours have three names."""
     middle = headset_path(options.headset)
     if options.red_model is None or options.blue_model is None:
         return {middle.name: middle}
@@ -165,12 +165,11 @@ def _planned(
 def views_from_centres(
     options: ExportOptions, channels: dict[str, EyeChannels] | None = None, inputs: Mapping[str, str] | None = None
 ) -> dict[str, ExportedView]:
-    """The view of each eye from the centre of its eye box, without writing anything: for scripts.
+    """Return the view of each eye from the centre of its eye box, without writing files: for scripts.
 
     Args:
-        options: of the export.
-        channels, inputs: mappings of each eye, and hashes of the files that they were read from by path; read if not
-            given.
+        options: options of the export.
+        channels, inputs: mappings of each eye, and hashes of their files by path; read by default.
 
     Raises:
         BadInputError: faulty files, or an eye that the headset does not have.
@@ -209,7 +208,7 @@ def _view_from_centre(options: ExportOptions, channels: EyeChannels, origin: Ori
 
 
 def _other_light(options: ExportOptions, eye: str) -> dict[str, Eye]:
-    """Mappings of a device in red and blue light, for which one map is used too; empty if each colour has a map."""
+    """Return a device's mappings in red and blue light if one map serves all colours, else an empty mapping."""
     if options.has_colours or is_model(options.headset):
         return {}
     red, _, blue = open_colours(options.headset, eye)

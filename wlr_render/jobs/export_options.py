@@ -17,7 +17,7 @@ _COLOURS = option_group("Colours", 2)
 _SOURCE = option_group("Source picture", 3)
 _FRAMES_PER_SECOND = 30.0
 _POSITION, _POSITIONS = 3, 6
-"""Numbers of a pupil position, and of those of both eyes."""
+"""Numbers of one pupil position, and of two."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class ExportOptions(Options):
     out: Annotated[Path, described("Output folder.")] = Path("out/export")
 
     def __post_init__(self) -> None:
-        """Check that the options go together, and that the format holds what they ask for."""
+        """Check that the options are compatible and that the format supports them."""
         super().__post_init__()
         moving = [
             flag
@@ -146,15 +146,15 @@ class ExportOptions(Options):
 
     @property
     def has_colours(self) -> bool:
-        """Whether red, green and blue have maps of their own."""
+        """True if red, green and blue have separate maps."""
         return self.per_colour or self.red_model is not None
 
 
 def _require_held(options: ExportOptions) -> None:
-    """Refuse what the format would lose.
+    """Reject options that the format cannot store.
 
     Raises:
-        BadInputError: the sentence names the option.
+        BadInputError: the message names the option.
     """
     holds = format_of(options.format).holds
     if holds.every_depth and options.depth_m is not None:

@@ -1,4 +1,4 @@
-"""The page beside an export: all that a reader of its files must know."""
+"""Page of an export, with everything that a reader of its files must know."""
 
 from pathlib import Path
 
@@ -18,14 +18,14 @@ _LISTED = 30
 def export_page(
     options: ExportOptions, form: Format, views: list[ExportedView], files: list[Path], inputs: list[Path], kept: int
 ) -> Report:
-    """The page of views that are written in a format, with its check pictures.
+    """Return the page of views written in a format, with its check pictures.
 
     Args:
-        options: of the job.
-        form: of the files.
-        views: all of them.
-        files: written, the first one for the check pictures.
-        inputs: read.
+        options: options of the job.
+        form: format of the files.
+        views: all views.
+        files: written files; the check pictures use the first one.
+        inputs: input files.
         kept: number of views whose files an earlier run has written.
     """
     first = views[0]
@@ -93,7 +93,7 @@ _POSE = (
 
 
 def _filled(step: str, view: ExportedView) -> str:
-    """A step with the names of a view's files and the size of its panel."""
+    """Fill the names of a view's files and the size of its panel into a step."""
     return step.replace("NAME", view.stem).replace("WxH", "{}x{}".format(*view.panel_size_px))
 
 

@@ -1,7 +1,7 @@
 """Drawing of frames and writing of their files, in the process of the job or in its workers.
 
 `FrameDrawing.frames` draws in both cases, and `FrameDrawing.draw` one frame. A worker opens the headset, the scene and
-OpenGL by itself, and keeps them for its next frames of this job or another one that draws the same from elsewhere.
+OpenGL by itself, and keeps them for its next frames of this or another job that draws the same from elsewhere.
 """
 
 import contextlib
@@ -47,18 +47,18 @@ from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.rendering.view import write_view
 
-_FRAMES_OF_A_BLOCK = 8  # at most: so many may be lost with each worker of a run that is interrupted
-_BLOCKS = 64  # at least, where there are so many frames: else workers wait for the last block
+_FRAMES_OF_A_BLOCK = 8  # most frames per block; an interrupted run may lose as many with each worker
+_BLOCKS = 64  # fewest blocks if there are as many frames; with fewer, workers wait for the last block
 
 
 @dataclass(frozen=True, eq=False)
 class OpenedFiles:
-    """What a job has read.
+    """Files of a job, opened.
 
     Attributes:
-        channels: mappings by eye, that the frames are drawn with.
-        truths: exact mappings by eye, that misalignment is computed with; empty without.
-        scene: what is drawn.
+        channels: mappings for drawing, by eye.
+        truths: exact mappings for misalignment, by eye; empty without misalignment.
+        scene: the scene.
         inputs: hashes of the files read, by path.
     """
 
@@ -97,15 +97,15 @@ class OpenedFiles:
         return {"headset": first.name.removesuffix(TRACED), "scene": self.scene.name}
 
     def middle(self) -> dict[str, Eye]:
-        """The only or the green channel of each eye."""
+        """Return the only or the green channel of each eye."""
         return {eye: middle_channel(of_eye) for eye, of_eye in self.channels.items()}
 
 
 def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) -> dict[str, Eye]:
-    """Exact mappings of each eye, if misalignment is asked for.
+    """Open the exact mappings of each eye, if misalignment is requested.
 
     Raises:
-        BadInputError: it is no device, or has another panel than the headset.
+        BadInputError: the truth is not a device, or its panel differs from the headset's.
     """
     device = options.misalignment
     if device is None:
@@ -126,7 +126,7 @@ def _open_truths(options: RenderOptions, channels: Mapping[str, EyeChannels]) ->
 
 
 def open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
-    """None where every frame is ray traced.
+    """Open the rasteriser; None if frames are ray traced.
 
     Raises:
         BadInputError: warp maps without OpenGL.
@@ -156,7 +156,7 @@ def map_files(folder: Path, planned: PlannedFrame, options: RenderOptions) -> li
 
 
 def picture_file(folder: Path, planned: PlannedFrame) -> Path:
-    """The image on the panel."""
+    """Return the path of the panel image."""
     return folder / f"{planned.stem}.png"
 
 
@@ -179,7 +179,7 @@ def files_of(folder: Path, planned: PlannedFrame, options: RenderOptions) -> lis
 
 
 def _needs_labels(options: RenderOptions) -> bool:
-    """Whether each frame has a file of labels."""
+    """Return whether each frame has a file of labels."""
     return "instance" in options.layers or bool(options.misalignment) or bool(options.predicted_error)
 
 
@@ -193,14 +193,14 @@ class DrawnFrame:
 
 @dataclass(frozen=True, eq=False)
 class FrameDrawing:
-    """Draws frames and writes their files.
+    """Drawing of frames and writing of their files.
 
-    What it needs for that is made when the first frame is drawn: a process whose workers draw needs none of it.
+    It opens the painters at the first frame, because a process whose workers draw does not need them.
 
     Attributes:
-        options: of the job.
-        opened: what it has read.
-        raster: None where frames are not rasterised.
+        options: options of the job.
+        opened: its opened files.
+        raster: None if frames are not rasterised.
     """
 
     options: RenderOptions
@@ -235,7 +235,7 @@ class FrameDrawing:
 
     @cached_property
     def _painters(self) -> Mapping[str, Painter]:
-        """By eye."""
+        """Painter of each eye."""
         options, channels, raster = self.options, self.opened.channels, self.raster
         if options.method == "pathtrace":
             tracer = PathTracer(self.opened.scene, options.bounces)
@@ -336,7 +336,7 @@ _NOT_OPENED: dict[str, Any] = {
     "scheduler": None,
     "out": Path(),
 }
-"""Options that decide which frames there are, and where, but not what a worker opens, with one value for all."""
+"""Options that select the frames and their folder, with one common value: workers do not depend on them."""
 
 
 def _kept_drawing(block: FrameBlock) -> FrameDrawing:

@@ -65,7 +65,7 @@ def labels_file(folder: Path, stem: str) -> Path:
 def write_layers(
     path: Path, planned: PlannedFrame, channels: Mapping[str, NDArray[Any]], layers: Sequence[Layer]
 ) -> Path:
-    """Write the layers of a frame; the header says what they are, and from where they are seen."""
+    """Write the layers of a frame; the header states their meaning and viewpoint."""
     texts = {
         "format": "wlr-frame-layers 1",
         "frame": "openxr (x right, y up, looking along -z); 0 in every channel where the pixel shows nothing",
@@ -83,10 +83,10 @@ def write_labels(path: Path, labels: Labels) -> Path:
 
 
 def read_labels(path: Path, kind: str) -> Any:
-    """Labels of one kind, "annotations", "misalignment" or "predicted_error", from what `write_labels` wrote.
+    """Read labels of one kind, "annotations", "misalignment" or "predicted_error", from a file of `write_labels`.
 
     Raises:
-        BadInputError: the file is missing, is no such file, or lacks these labels.
+        BadInputError: the file is missing, is not a file of labels, or lacks these labels.
     """
     remedy = "draw the frames again"
     labels = parse_json(path, read_text(path, _KIND, LIMITS.data_bytes, remedy), _KIND, remedy)
@@ -104,14 +104,14 @@ def _has_types(labels: Labels, types: Mapping[str, Any]) -> bool:
 
 
 def instance_annotations(instance: NDArray[np.uint32]) -> list[dict[str, Any]]:
-    """Box, area and mask of each instance that a picture shows, in the terms of COCO.
+    """Return box, area and mask of each instance in a picture, in COCO's terms.
 
     Args:
-        instance: (height, width) numbers of instances, 0 where there is none.
+        instance: (height, width) numbers of instances, 0 for background.
 
     Returns:
-        By instance: `bbox` [x, y, width, height] and `area` in pixels, and the mask as run lengths that count down
-        each column, from the left column on, first those of pixels without.
+        By instance: `bbox` [x, y, width, height] and `area` in pixels, and the mask as COCO's run lengths along columns
+        from left to right; the first run counts pixels outside the mask.
     """
     height, width = instance.shape
     flat = instance.T.ravel()
@@ -141,15 +141,16 @@ def instance_annotations(instance: NDArray[np.uint32]) -> list[dict[str, Any]]:
 
 
 def frame_misalignment(truth: Eye, planned: PlannedFrame, frame: Frame) -> dict[str, Any]:
-    """Angles at the eye between what a frame shows and the real points, through other mappings than it is drawn with.
+    """Return the angles at the eye between a frame's content and the real points, through the true mappings.
 
     Args:
-        truth: the mappings that the eye looks through.
+        truth: the true mappings of the eye.
         planned: viewpoint and head pose.
-        frame: drawn with its geometry.
+        frame: frame drawn with its geometry.
 
     Returns:
-        Number of judged pixels that show something, and rms, median, 95 % and maximum in arcminutes, None without any.
+        Number of evaluated pixels with content, and rms, median, 95 % and maximum in arcminutes; None without such
+        pixels.
     """
     assert frame.position is not None
     pixel = (np.floor(truth.display.panel.grid(*_GRID)) + 0.5).reshape(-1, 2)
@@ -179,10 +180,10 @@ def named_annotations(instance: NDArray[np.uint32], scene: Scene) -> list[dict[s
 
 
 def write_instances(folder: Path, scene: Scene, panels: Mapping[str, Panel], plan: Sequence[PlannedFrame]) -> Path:
-    """Write `instances.json`, the instances that each frame shows in the layout of COCO, from the frames' labels.
+    """Write `instances.json`, the instances of all frames in the layout of COCO, from the frames' labels.
 
-    A category is the name of a mesh. `instances` lists the placements that `instance_id`, and the values of the layer,
-    count. Annotations are written one by one: those of a long sequence need not fit into memory.
+    A category is the name of a mesh. `instances` lists the placements with the numbers of `instance_id` and of the
+    layer's values. Annotations are written one by one, because those of a long sequence may not fit into memory.
     """
     kinds = list(dict.fromkeys(mesh.name for mesh in scene.meshes))
     category = [1 + kinds.index(scene.mesh_of(instance).name) for instance in scene.instances]

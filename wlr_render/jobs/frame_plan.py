@@ -72,7 +72,7 @@ def read_trajectories(options: MotionOptions) -> tuple[HeadTrajectory | None, Ey
 def planned_frames(
     options: MotionOptions, mappings: dict[str, Eye], head: HeadTrajectory | None, eyes: EyeTrajectory | None
 ) -> list[PlannedFrame]:
-    """When and from where each frame is drawn, in time order.
+    """Return the time, viewpoint and head pose of each frame, in time order.
 
     Raises:
         BadInputError: trajectories that do not overlap in time, or an eye whose viewpoints are all outside the eye box.
@@ -144,7 +144,7 @@ def _sample_times(
 
 
 def gap_warnings(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeTrajectory | None) -> list[str]:
-    """A sentence for each file with neighbouring samples farther apart than `LONGEST_GAP_S`."""
+    """Return a sentence for each file with a gap between samples longer than `LONGEST_GAP_S`."""
     gaps: dict[Path | None, float] = {}
     for file, time_s in _sample_times(options, head, eyes):
         gaps[file] = max(gaps.get(file, 0.0), float(np.diff(time_s).max()))
@@ -156,7 +156,7 @@ def gap_warnings(options: MotionOptions, head: HeadTrajectory | None, eyes: EyeT
 
 
 def column_warnings(*trajectories: HeadTrajectory | EyeTrajectory | None) -> list[str]:
-    """A sentence for each file with columns that are not read."""
+    """Return a sentence for each file with columns that are not read."""
     return [
         f"{each.name}: not read: {', '.join(map(shown, each.unread))}; docs/files.md has the columns that are."
         for each in trajectories
@@ -165,7 +165,7 @@ def column_warnings(*trajectories: HeadTrajectory | EyeTrajectory | None) -> lis
 
 
 def held_warnings(options: MotionOptions, plan: list[PlannedFrame]) -> list[str]:
-    """A sentence for each eye whose pupil was held in some frames, and one for gaps of the head."""
+    """Return a sentence for each eye whose pupil was held in some frames, and one for gaps of the head."""
     warnings = []
     for eye in eyes_of(options.eye):
         own = [planned for planned in plan if planned.eye == eye]

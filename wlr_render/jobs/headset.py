@@ -21,15 +21,15 @@ tens of nanometres wide, of which one map serves the middle.
 
 
 def is_model(spec: str | Path) -> bool:
-    """Whether a headset is named by its model file rather than as a device."""
+    """Return whether a headset is named by its model file instead of a device."""
     return Path(spec).suffix.lower() == ".json"
 
 
 def headset_path(spec: str | Path) -> Path:
-    """Path of the device file or model file of a headset.
+    """Return the path of the device file or model file of a headset.
 
     Raises:
-        BadInputError: there is no such device.
+        BadInputError: the device does not exist.
     """
     return Path(spec) if is_model(spec) else device_path(spec)
 
@@ -65,10 +65,10 @@ def open_channels(
     red_model: Path | None = None,
     blue_model: Path | None = None,
 ) -> dict[str, EyeChannels]:
-    """Mappings of some eyes: those of `open_colours` with `per_colour`, else those of `open_eye`.
+    """Open the mappings of some eyes with `open_colours` if `per_colour`, else with `open_eye`.
 
     Raises:
-        BadInputError: as these.
+        BadInputError: as `open_colours` and `open_eye`.
     """
     if per_colour:
         return {eye: open_colours(spec, eye, red_model, blue_model) for eye in eyes}
@@ -78,7 +78,7 @@ def open_channels(
 def open_colours(
     spec: str | Path, eye: str = "right", red_model: Path | None = None, blue_model: Path | None = None
 ) -> EyeChannels:
-    """Mappings of one eye in red, green and blue light.
+    """Open the mappings of one eye in red, green and blue light.
 
     Args:
         spec: a device, which is traced at `PRIMARIES_UM`, or the file of the models fitted in green light.

@@ -179,7 +179,7 @@ def _not_the_lens(headset: ImportedHeadset) -> str:
 
 
 def _unread(headset: ImportedHeadset) -> list[Ignored]:
-    """Notes on the surfaces of types that are not read and bend rays."""
+    """Return notes on surfaces that bend rays and whose types are not supported."""
     return [note for note in headset.ignored if note.part == "shape" and note.bends_rays]
 
 

@@ -18,9 +18,9 @@ _LISTING = ("render", "export", "simulate", "pattern")
 
 
 def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
-    """Decorator of a job: no other job writes into its output folder, `options.out`, at the same time.
+    """Lock a job's output folder, `options.out`, against other jobs; a decorator.
 
-    Two jobs in one folder would replace each other's files, one after the other the pages that explain them.
+    Concurrent jobs in one folder would replace each other's files.
     """
     signature = inspect.signature(function)
 

@@ -37,7 +37,7 @@ TRACKING_DEG = Range(at_least=0, at_most=30, least_size=1e-3, unit="degrees")
 LATENCY_MS = Range(at_least=0, at_most=1000, least_size=0.1, unit="milliseconds")
 """Latency of a tracker in ms: up to a second."""
 HEAD_M_S = Range(at_least=0, at_most=10, least_size=1e-3, unit="metres per second")
-"""Speed of a head: up to that of a runner."""
+"""Speed of a head, up to a runner's."""
 PUPIL_MM_S = Range(at_least=0, at_most=200, least_size=0.01, unit="millimetres per second")
 """Speed of a pupil in the device frame, in mm/s: saccades reach some 150."""
 HEAD_DEG_S = Range(at_least=0, at_most=1000, least_size=0.1, unit="degrees per second")

@@ -41,11 +41,11 @@ class Range:
     unit: str = ""
 
     def sentence(self) -> str:
-        """The limits in words, with a question where the unit may have been missed."""
+        """Return the limits in words, with a question if the unit may have been missed."""
         return self.short() + (" (is it in another unit?)" if self.unit else "")
 
     def short(self) -> str:
-        """The limits in words, as --help states them, e.g. "between 5 and 1000"."""
+        """Return the limits in words as --help states them, e.g. "between 5 and 1000"."""
         unit = f" {self.unit}" if self.unit else ""
         most = f"{self.at_most:.12g}{unit}"
         if self.above > -math.inf:
@@ -58,7 +58,7 @@ class Range:
         return f"a finite number of {self.at_least:g} or more{unit}" if self.at_least > -math.inf else "a finite number"
 
     def admits(self, value: float) -> bool:
-        """Whether a number lies within the limits."""
+        """Return whether a number lies within the limits."""
         # Infinity is compared as well: a whole number may be too large for `math.isfinite`.
         is_within = -math.inf < value < math.inf and self.at_least <= value <= self.at_most and value > self.above
         return is_within and not 0 < value < self.least_size
@@ -82,7 +82,7 @@ def described(
 ) -> Parameter:
     """Return the help text of an option, under the heading `group`.
 
-    `name` (or several) replaces that of the field, `many` takes several values.
+    `name` (or several) replaces the field's, `many` takes several values.
     """
     listed = (lambda values: " ".join(map(str, values))) if many else None
     stated = Parameter(help=text, name=name, show_default=False if flag else listed, consume_multiple=many or None)
@@ -177,10 +177,10 @@ def flag_of(options: type[Options], field: str) -> str:
 
 
 def _as_type(value: Any, hint: object) -> object:
-    """A value as one of the type of an option; NumPy's numbers become Python's, text a path.
+    """Convert a value to the type of an option; NumPy's numbers become Python's, text a path.
 
     Raises:
-        TypeError: with the words for that type; True is no number, although Python adds it.
+        TypeError: with the words for that type; True is not a number, although Python adds it.
     """
     kind, parts = typing.get_origin(hint), typing.get_args(hint)
     if getattr(value, "shape", None) == ():  # a NumPy number
@@ -217,7 +217,7 @@ _PLAIN_TYPES: tuple[tuple[type, Any, str], ...] = (
 
 
 def _with_range(hint: Any) -> Any:
-    """A type whose help text, if it has one, also states its range."""
+    """Return a type whose help text, if it has one, also states its range."""
     notes = _notes(hint)
     ranges = [note.short() for note in notes if isinstance(note, Range)]
     for number, note in enumerate(notes):
@@ -245,7 +245,7 @@ def _default(field: "dataclasses.Field[object]") -> object:
 
 
 ProgressArgument = Annotated[Progress, Parameter(parse=False)]
-"""Type of a job's `progress` argument, which is no option of the command line."""
+"""Type of a job's `progress` argument, which the command line does not offer."""
 Code = Literal["gray", "fringes", "gray-fringes"]
 EyeName = Literal["left", "right"]
 Eyes = Literal["left", "right", "both"]
@@ -330,18 +330,18 @@ def described_size(text: str, *, optional: bool = False, in_mm: bool = False, gr
 
 
 def eyes_of(eye: Eyes) -> tuple[EyeName, ...]:
-    """The eyes that an `--eye` option names."""
+    """Return the eyes that an `--eye` option names."""
     return ("left", "right") if eye == "both" else (eye,)
 
 
 def seed_of(seed: int, eye: str, stream: int = 0) -> list[int]:
-    """Seed of the random numbers of one eye and purpose, so that both eyes do not get mirrored noise.
+    """Return the seed of the random numbers of one eye and purpose, so that both eyes do not get mirrored noise.
 
-    numpy ignores zeros at the end of a seed: the right eye's numbers of stream 0 are those of `default_rng(seed)`.
+    numpy ignores zeros at the end of a seed: the right eye's numbers of stream 0 equal those of `default_rng(seed)`.
     """
     return [seed, stream, ("right", "left").index(eye)]
 
 
 def folder_of_eye(folder: Path, eye: EyeName, eyes: Eyes) -> Path:
-    """Where the files of one eye go: into the output folder, or its subfolders "left" and "right" for both eyes."""
+    """Return the folder of one eye's files: the output folder, or its subfolder "left" or "right" for both eyes."""
     return folder / eye if eyes == "both" else folder

@@ -41,26 +41,26 @@ class _Sample:
 def pack_frames(
     folder: Path, record: Mapping[str, Any], layout: Layout, frames_per_shard: int, progress: Progress
 ) -> list[Path]:
-    """Write finished frames as a data set into the subfolder of the layout's name, in place of an earlier one.
+    """Write finished frames as a data set into the subfolder with the layout's name, replacing an earlier one.
 
     Args:
-        folder: of the frames.
-        record: of the sequence, as `sequence_record` returns it.
+        folder: folder of the frames.
+        record: record of the sequence, as `sequence_record` returns it.
         layout: "webdataset" or "huggingface".
         frames_per_shard: frames in each tar file of "webdataset".
-        progress: is told of each frame.
+        progress: counts the frames.
 
     Returns:
-        The tar files, or the metadata beside the pictures.
+        The tar files, or the metadata file.
 
     Raises:
-        BadInputError: the subfolder holds other files, a file of a frame is faulty, or the disk is full.
+        BadInputError: the subfolder has other files, a file of a frame is faulty, or the disk is full.
     """
     final, temporary = folder / layout, output_folder(folder) / _TEMPORARY
     _refuse_others(final)
     frames = record["frames"]
     samples = progress(_samples(folder, record), len(frames), "frames of the data set")
-    shutil.rmtree(temporary, ignore_errors=True)  # of a killed run: no other one may write into this folder now
+    shutil.rmtree(temporary, ignore_errors=True)  # left by a killed run; the lock keeps other runs out of this folder
     try:
         with disk_errors(temporary):
             temporary.mkdir()
@@ -78,7 +78,7 @@ def pack_frames(
 
 
 def _refuse_others(folder: Path) -> None:
-    """Refuse a folder of files that are no data set of `render`, as it is replaced."""
+    """Reject a folder with files outside a data set of `render`, because the data set would replace them."""
     if not folder.exists():
         return
     with disk_errors(folder):
@@ -137,7 +137,7 @@ def _add(shard: tarfile.TarFile, sample: _Sample) -> None:
 
 
 def _write_image_folder(folder: Path, samples: Iterator[_Sample]) -> Path:
-    """Copies of all files and, last, their metadata."""
+    """Copy all files and, last, write their metadata."""
     path = output_folder(folder) / METADATA
     with written_whole(path) as temporary, disk_errors(path), temporary.open("w", encoding="utf-8") as file:
         for sample in samples:

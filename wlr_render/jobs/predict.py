@@ -77,10 +77,10 @@ def predict(options: PredictOptions, *, progress: ProgressArgument = SILENT) -> 
 
 
 def _bench_file(given: Path) -> Path:
-    """The bench file that an argument names.
+    """Return the bench file that an argument names.
 
     Raises:
-        BadInputError: there is none; of the report folder of `diagnose`, the folder to name instead.
+        BadInputError: it does not exist; for the report folder of `diagnose`, the message says which folder to name.
     """
     path = given / "bench.toml" if given.is_dir() else given
     if path.is_file():
@@ -92,7 +92,7 @@ def _bench_file(given: Path) -> Path:
 
 
 def _other_poses(stated: Bench, own: Bench, path: Path) -> list[str]:
-    """A note if the bench file states other target poses than the session."""
+    """Return a note if the bench file states other target poses than the session."""
     poses, used = stated.target.device_from_target, own.target.device_from_target
     if len(poses) == 0 or len(used) == 0:
         return []
@@ -102,7 +102,7 @@ def _other_poses(stated: Bench, own: Bench, path: Path) -> list[str]:
 
 
 def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
-    """Whether the bench predicts the session to noise and repeatability, and a sentence on each part."""
+    """Yield whether the bench predicts the session to noise and repeatability, and a sentence on each part."""
     count = len(found.captures)
     captures = f"the {count} captures of {found.session}" if count > 1 else f"the only capture of {found.session}"
     good, bad = ([part.name for part in found.parts if part.is_noise is wanted] for wanted in (True, False))
@@ -137,7 +137,7 @@ def _part_sentence(part: PredictedPart, session: str) -> str:
 
 
 def _is_better(part: PredictedPart) -> bool:
-    """Whether a part is clearly better predicted than by the session's own bench."""
+    """Return whether a part is clearly better predicted than by the session's own bench."""
     own = part.by_own_bench
     return own is not None and own > (1.0 + DEFAULT.material_variance) * part.reduced_chi_squared
 

@@ -58,7 +58,7 @@ def board(options: BoardOptions = BoardOptions(), *, progress: ProgressArgument 
 
 
 def _designed(options: BoardOptions) -> Board:
-    """The board with the usual proportions of its kind."""
+    """Return the board with the usual proportions of its kind."""
     columns, rows, pitch = options.columns, options.rows, options.pitch_mm
     if options.kind == "dots":
         return design_board(columns, rows, 1e-3 * pitch, seed=options.seed)

@@ -1,9 +1,9 @@
 """Draw frames for a still or moving wearer, one PNG per eye and time stamp.
 
 Frames are written atomically and listed when they are finished, so that an interrupted sequence resumes where it
-stopped; `sequence.json` beside them holds the options of the job, the hashes of the files that the frames show, and the
-time stamp, viewpoint and head pose of each frame. A frame does not depend on which frames were drawn before it.
-Layers and labels of a frame are in `frame_labels.py`.
+stopped; `sequence.json` in the same folder has the options of the job, the hashes of the input files, and the time
+stamp, viewpoint and head pose of each frame. A frame does not depend on previously drawn frames. Layers and labels of a
+frame are in `frame_labels.py`.
 """
 
 import contextlib
@@ -62,7 +62,7 @@ from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportT
 from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
 
-_MOST_NAMES = 10  # of changed frames in a warning
+_MOST_NAMES = 10  # largest number of changed frames in a warning
 _BLANK = "blank"
 """Remark in the list of finished files on the files of a frame that shows nothing."""
 _MOST_PLOTTED = 1000  # frames of an eye in a plot, about
@@ -83,7 +83,7 @@ def render(options: RenderOptions, *, progress: ProgressArgument = SILENT) -> Re
 
 
 def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None, progress: Progress) -> Report:
-    """Draw what is missing; `raster` is None where frames are ray traced."""
+    """Draw missing frames; `raster` is None if frames are ray traced."""
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, opened.middle(), head, eyes)
     frames = [_frame_record(planned) for planned in plan]
@@ -224,7 +224,7 @@ def _redrawn_warnings(folder: Path, changed: list[PlannedFrame]) -> list[str]:
 
 
 def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:
-    """The options that change what a frame shows."""
+    """Return the options that change the content of a frame."""
     job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
     if raster is None and options.method == "raster":
         job["method"] = "raytrace"
@@ -262,7 +262,7 @@ def _joined(
 
 
 def _videos(folder: Path, plan: list[PlannedFrame], options: RenderOptions) -> list[Path]:
-    """A video of each eye, and one of both side by side."""
+    """Write a video of each eye, and one of both side by side."""
     pictures = {eye: [picture_file(folder, each) for each in plan if each.eye == eye] for eye in eyes_of(options.eye)}
     rate = options.frames_per_second
     videos = [write_video(folder / f"{eye}.mp4", map(read_png, own), rate) for eye, own in pictures.items()]

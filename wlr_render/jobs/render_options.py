@@ -196,5 +196,5 @@ class RenderOptions(SpreadOptions):
 
     @property
     def has_colours(self) -> bool:
-        """Whether red, green and blue have rays of their own."""
+        """True if red, green and blue have separate rays."""
         return self.per_colour or self.red_model is not None

@@ -26,13 +26,13 @@ def sequence_record(
     inputs: Mapping[str, str],
     frames: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """Record as plain JSON.
+    """Return the record of a sequence as plain JSON.
 
     Args:
-        job: the options that change what a frame shows.
-        names: of the headset and the scene, by option; the options themselves may be paths.
+        job: the options that change the content of a frame.
+        names: names of the headset and the scene, by option; the options themselves may be paths.
         files: SHA-256 of the files that options name, by option.
-        inputs: SHA-256 of every file that the frames show, by its path.
+        inputs: SHA-256 of every file that affects the frames, by its path.
         frames: file, time stamp, viewpoint and head pose of each frame.
     """
     record = {
@@ -95,10 +95,10 @@ def _refusal(folder: Path, reason: str) -> BadInputError:
 
 
 def _changed(earlier: Mapping[str, Any], record: Mapping[str, Any], options: type[Options]) -> str:
-    """The first difference between the records of two jobs in words, "" if there is none.
+    """Describe the first difference between the records of two jobs; "" if they are equal.
 
-    Files are compared by content alone: the same device may have another path in another folder or installation. What
-    frames show of a trajectory is in their own times, viewpoints and poses: a longer recording continues a sequence.
+    Files are compared by content alone: the same device may have another path in another folder or installation.
+    Trajectories are compared by the frames' times, viewpoints and poses: a longer recording continues a sequence.
     """
     was, now = earlier["job"], record["job"]
     for key, value in now.items():
@@ -119,7 +119,7 @@ def _changed(earlier: Mapping[str, Any], record: Mapping[str, Any], options: typ
 
 
 def _is_same(earlier: Mapping[str, Any], record: Mapping[str, Any], key: str) -> bool:
-    """Whether an option draws the same frames in both jobs."""
+    """Return whether an option draws the same frames in both jobs."""
     was, now = earlier["job"][key], record["job"][key]
     if key in _TRAJECTORIES:
         return bool(was) == bool(now)

@@ -174,7 +174,7 @@ def _refuse_unlisted(finished: FinishedFiles, paths: list[Path]) -> None:
 
 
 def words_of(command: str) -> list[str]:
-    """Split a command as a shell does; `{path}` stands for the photograph's file.
+    """Split a command as a shell does; `{path}` is replaced by the photograph's file.
 
     Raises:
         BadInputError: it has no `{path}`, or a quote that is not closed.
@@ -192,10 +192,10 @@ def words_of(command: str) -> list[str]:
 
 
 def take_photograph(command: str, path: Path, timeout_s: float) -> None:
-    """Run a command and wait until it has written a file; its name has a dot in front until it is complete.
+    """Run a command and wait until it has written a file, whose name starts with a dot until it is complete.
 
     Raises:
-        BadInputError: the command cannot be run or fails, or there is no complete file within `timeout_s`.
+        BadInputError: the command cannot be run or fails, or no complete file exists after `timeout_s`.
     """
     ends = time.monotonic() + timeout_s
     partial = path.with_name(f".{path.name}")

@@ -156,7 +156,7 @@ class SimulateOptions(SpreadOptions):
 
     @property
     def _imperfections(self) -> BenchImperfections:
-        """Those of ordinary equipment or none, with the sizes that were given."""
+        """Imperfections of ordinary equipment or none, with the given sizes."""
         given: dict[str, Any] = {
             "repeatability_um": self.repeatability_um,
             "turn_urad": self.turn_urad,

@@ -28,7 +28,7 @@ from wlr_render.report.save import save_report
 MIN_PANEL_SHARE = 0.5
 """A prescription that shows less of its nominal field than this most likely has a wrong sign."""
 
-_MANY_LOST = 0.2  # of all rays: a surface that loses so many is named
+_MANY_LOST = 0.2  # share of all rays that a surface must lose to be named
 _FAR_PER_M = 1e-3  # an image farther than a kilometre is at infinity
 _TOO_NEAR_PER_M = 8.0  # dioptres; few adults focus nearer
 _BEHIND_THE_EYE_PER_M = 0.25  # a quarter of a dioptre beyond infinity is within what eyes and designs tolerate
@@ -123,7 +123,7 @@ def _trace_eye(spec: str, device: Device, eye: EyeName, folder: Path) -> _Traced
 
 
 def _figures(spec: str, device: Device, eye: EyeName) -> tuple[DeviceFigures, list[Block]]:
-    """The figures of one eye, and their tables.
+    """Return the figures of one eye, and their tables.
 
     Raises:
         BadInputError: no direction of the nominal field reaches the panel, or the mappings cannot be computed.
@@ -139,7 +139,7 @@ def _figures(spec: str, device: Device, eye: EyeName) -> tuple[DeviceFigures, li
 
 
 def _bends_nothing_yet(optics: EyeOptics, losses: tuple[SurfaceLosses, ...]) -> bool:
-    """Whether a description has no display path yet: no surface, and a panel that is not looked at directly."""
+    """Return whether a device has no display path yet: no surface, and a panel that is not viewed directly."""
     if optics.display.steps:
         return False
     ahead = optics.panel.pixel_of_ray(optics.eye_box.centre, np.array([0.0, 0.0, -1.0]))
@@ -183,12 +183,12 @@ def _place_of(vergence: float) -> str:
 
 @dataclass(frozen=True)
 class _Appearance:
-    """How a picture on the panel appears to the wearer.
+    """Appearance of the panel's picture to the wearer.
 
     Attributes:
-        short: in two words.
-        sentence: in which directions u and v grow, and the consequence; without a full stop.
-        remedy: what to change in the device file if the panel is mounted otherwise; empty for an upright picture.
+        short: description in two words.
+        sentence: directions in which u and v grow, and the consequence; without a full stop.
+        remedy: change of the device file if the panel is mounted otherwise; empty for an upright picture.
     """
 
     short: str
@@ -197,7 +197,7 @@ class _Appearance:
 
 
 def _appearance(imaging: FirstOrder) -> _Appearance:
-    """By the directions in which u and v grow at the middle of the field."""
+    """Describe the appearance of the picture from the directions of u and v at the middle of the field."""
     (u_right, u_up), (v_right, v_up) = imaging.u_direction, imaging.v_direction
     if abs(u_right) + abs(v_up) < abs(u_up) + abs(v_right):
         u, v = "upwards" if u_up > 0 else "downwards", "right" if v_right > 0 else "left"
@@ -220,7 +220,7 @@ def _appearance(imaging: FirstOrder) -> _Appearance:
 
 
 def orientation_warnings(eye: EyeName, imaging: FirstOrder | None) -> list[str]:
-    """Whether a picture on the panel does not appear upright: right for some devices, and a mistake in others."""
+    """Warn of a picture that is not upright, which is right for some devices and a mistake in others."""
     if imaging is None or not (appearance := _appearance(imaging)).remedy:
         return []
     return [
@@ -230,7 +230,7 @@ def orientation_warnings(eye: EyeName, imaging: FirstOrder | None) -> list[str]:
 
 
 def _losses_table(optics: EyeOptics, losses: tuple[SurfaceLosses, ...]) -> ReportTable:
-    """How many rays reach each surface of the display path."""
+    """Tabulate the number of rays that reach each surface of the display path."""
     over = "the nominal field" if optics.field else "22 degrees to each side of straight ahead; no field_deg is stated"
     rows: list[list[Cell]] = [
         [each.name, each.interaction, each.reached, each.passed, each.sentence() or None] for each in losses
@@ -262,7 +262,7 @@ def _imaging_table(imaging: FirstOrder) -> ReportTable:
 
 
 def loss_warnings(optics: EyeOptics, eye: str, losses: tuple[SurfaceLosses, ...]) -> list[str]:
-    """Which surface loses the rays first, and which single changes of the description would let them arrive."""
+    """Name the surface that first loses rays, and single changes of the device that would let them arrive."""
     total, arriving = losses[0].reached, losses[-1].passed
     if arriving >= (MIN_PANEL_SHARE * total if optics.field else 1):
         return []
@@ -283,7 +283,7 @@ def loss_warnings(optics: EyeOptics, eye: str, losses: tuple[SurfaceLosses, ...]
 
 
 def imaging_warnings(optics: EyeOptics, eye: str, imaging: FirstOrder | None) -> list[str]:
-    """Whether the virtual image lies where no eye can focus, and the surfaces that would put it elsewhere."""
+    """Warn of a virtual image where no eye can focus, and name the surfaces that could move it."""
     if imaging is None or _can_focus(imaging):
         return []
     vergence = min(imaging.vergence_per_m)

@@ -73,10 +73,11 @@ class JudgedPair:
 
 @job
 def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Measure how far drawn dots lie from real ones; writes pictures and the report into `options.out`.
+    """Measure the distance between drawn and real dots; write pictures and the report into `options.out`.
 
     Raises:
-        BadInputError: there is no pair, a photograph with the display on has none with it off, or a file is missing.
+        BadInputError: there is no pair, a photograph with the display on has no partner with it off, or a file is
+            missing.
     """
     progress.say("finding dots")
     station = options.calibration / f"station-{options.eye}.json"
@@ -97,7 +98,7 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
 
 
 def _judge_pairs(folder: Path, board_file: Path, station: Path) -> list[JudgedPair]:
-    """Judge NAME_off.png with every NAME_on.png or NAME_on_METHOD.png beside it."""
+    """Compare NAME_off.png with every NAME_on.png or NAME_on_METHOD.png in the same folder."""
     photographs = photographs_in(folder)
     board, camera = load_board(board_file), load_station(station).eyeball_camera
     off = {match["name"]: path for path in photographs if (match := _OFF.fullmatch(path.stem))}

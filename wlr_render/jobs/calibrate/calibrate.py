@@ -9,14 +9,14 @@ from wlr_render.report.blocks import Report
 
 @job
 def calibrate(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Calibrate what `options.path` is; writes model.json and the report into `options.out`.
+    """Calibrate the headset of `options.path`; write model.json and the report into `options.out`.
 
-    Of photographs it also writes station-EYE.json and captures-EYE.npz, of a device captures-EYE.npz.
+    Photographs also give station-EYE.json and captures-EYE.npz, a device gives captures-EYE.npz.
 
     Raises:
-        BadInputError: the path is nothing that can be calibrated, an option does not apply to it, the input is faulty,
-            or it does not determine the models. Of photographs, what was read is kept then, and the report says how
-            far the calibration came.
+        BadInputError: the path cannot be calibrated, an option does not apply to it, the input is faulty, or it does
+            not determine the models. In the last case the readings of photographs are kept, and the report says how far
+            the calibration came.
     """
     subject = options.subject
     options.require_for(subject)

@@ -80,7 +80,7 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
 
 
 def simulate_captures(truth: Eye, options: CalibrateOptions) -> Captures:
-    """Captures of both sides of an eye, taken where the type of model needs them."""
+    """Simulate captures of display and see-through of an eye, from the positions that the type of model needs."""
     return simulate(
         truth,
         options.viewpoints,
@@ -102,7 +102,7 @@ def _of_each(fits: Sequence[Calibration], sentences: Callable[[Calibration], lis
 
 
 def predicted_errors(tests: TruthTests, fit: Calibration) -> dict[str, float]:
-    """Rms errors that a fit expects of itself in these tests, of those that it predicts."""
+    """Return the rms errors that a fit predicts for these tests."""
     shown, seen = tests.display, tests.see_through
     display, see_through = fit.both
     return {

@@ -100,7 +100,7 @@ class FitOptions(Options):
         return [] if self.prescription is None else [device_path(self.prescription)]
 
     def prescription_of(self, eye: str) -> EyeOptics | None:
-        """The prescription of an eye, if one is named; long jobs read it first.
+        """Return the prescription of an eye, if one is named; long jobs read it first.
 
         Raises:
             BadInputError: it cannot be read, or has no such eye.
@@ -137,7 +137,7 @@ DEFAULT_FIT = FitOptions()
 
 
 class Subject(StrEnum):
-    """What is calibrated."""
+    """Kind of input of a calibration."""
 
     PHOTOGRAPHS = "a session of photographs"
     BENCH = "a bench session"
@@ -203,10 +203,10 @@ class CalibrateOptions(SpreadOptions):
 
     @property
     def subject(self) -> Subject:
-        """What `path` is.
+        """Kind of input at `path`.
 
         Raises:
-            BadInputError: a folder that is no session, or a model file.
+            BadInputError: a folder without a session, or a model file.
         """
         path = Path(self.path)
         if not path.is_dir():
@@ -222,10 +222,10 @@ class CalibrateOptions(SpreadOptions):
         )
 
     def require_for(self, subject: Subject) -> None:
-        """Refuse options of another group than that of what is calibrated.
+        """Reject options that do not apply to this kind of input.
 
         Raises:
-            BadInputError: an option is given that has no effect on it.
+            BadInputError: an option has no effect on it.
         """
         hints = typing.get_type_hints(type(self), include_extras=True)
         for field in dataclasses.fields(self):
@@ -251,7 +251,7 @@ def require_readable_models(folder: Path, name: str = MODEL_FILE) -> None:
 
 
 def save_models(folder: Path, fits: Sequence[Calibration], name: str = MODEL_FILE) -> tuple[Path, tuple[str, ...]]:
-    """Write a model file; returns its path, and sentences about what was in it before."""
+    """Write a model file; return its path, and sentences about its previous content."""
     path = folder / name
     before = {model.device for model in load_eye_models(path).values()} if path.exists() else set()
     kept = add_eye_models(path, [fit.model() for fit in fits])
@@ -261,9 +261,9 @@ def save_models(folder: Path, fits: Sequence[Calibration], name: str = MODEL_FIL
 
 
 def remove_results(folder: Path, eyes: Sequence[str], keep_captures: bool = False) -> None:
-    """Remove what an earlier calibration wrote beside the models of some eyes: it does not belong to new models.
+    """Remove an earlier calibration's files of some eyes, except the models: they do not belong to new models.
 
-    With `keep_captures`, the files of `RESULTS` stay: the new models are of these captures.
+    With `keep_captures`, the files of `RESULTS` stay, because the new models are fitted to these captures.
 
     Raises:
         BadInputError: a model file of a primary is damaged.

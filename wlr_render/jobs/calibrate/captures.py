@@ -21,10 +21,10 @@ from wlr_render.report.save import save_report
 
 
 def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> Report:
-    """Fit the models of one eye; writes model.json and the report into `options.out`.
+    """Fit the models of one eye; write model.json and the report into `options.out`.
 
-    What an earlier calibration wrote there of this eye is removed: models of primaries, pictures, and the station and
-    captures if they are not those of `options.path`.
+    Files of this eye from an earlier calibration are removed: models of primaries, pictures, and the station and
+    captures unless they are the input in `options.path`.
 
     Raises:
         BadInputError: captures, bench or prescription cannot be read, or the captures do not determine the models.

@@ -48,7 +48,7 @@ def binocular_table(found: SessionCalibration) -> ReportTable:
 
 
 def _middle_entry(each: EyeCalibration, found: SessionCalibration) -> BoardPhotograph | CodeSet:
-    """The entry whose camera is nearest to the middle of the eye box."""
+    """Return the entry whose camera is nearest to the middle of the eye box."""
     entries: list[BoardPhotograph | CodeSet] = [*each.session.display, *each.session.see_through]
     centre = each.session.eye_box.centre
     return min(entries, key=lambda entry: float(np.linalg.norm(found.bench.device_from_camera(entry)[:3, 3] - centre)))

@@ -26,10 +26,10 @@ AS_STATED = 1.5
 WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
 """Parts of the predicted error that one more row of positions takes away: to be advised, and to be warned of."""
 MOTIONS_DIFFER = 3.0
-"""Standard deviations between the motions found and those of the bench, from which a report warns."""
+"""Standard deviations between fitted motions and the bench's beyond which a report warns."""
 _NEAR_BOUND = 0.9
 _NO_MOTION = 0.05  # um, microradians
-_CELLS = 48  # of a map, across the panel
+_CELLS = 48  # cells of a map, across the panel
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -41,12 +41,12 @@ def _reports(fit: Calibration) -> list[tuple[str, FitReport]]:
 
 
 def fit_sentences(comparison: KindComparison) -> str:
-    """`fit_sentence` of the best kind, and what a prescription gained."""
+    """Return `fit_sentence` of the best type of model, and the gain by a prescription."""
     return f"{fit_sentence(comparison.chosen)} {comparison.sentence}".rstrip()
 
 
 def fit_sentence(fit: Calibration) -> str:
-    """Predicted error of both models, and what the fits found of noise and stage, in one sentence."""
+    """State the predicted error of both models and the estimated noise and stage errors, in one sentence."""
     parts = []
     for name, report in _reports(fit):
         found = [f"noise {_digits(report.noise_arcmin, 3)}' found"]
@@ -64,7 +64,7 @@ def fit_sentence(fit: Calibration) -> str:
 
 
 def _agreement(motions: MotionAgreement) -> str:
-    """What the bench states of the camera's motions, and whether the readings agree."""
+    """State the bench's sigmas of the camera's motions, and whether the readings agree."""
     stated = f"stage repeatability {_digits(1e6 * motions.shift_m)} um, {_digits(1e6 * motions.turn_rad)} urad"
     factors = f"factors {_digits(motions.shift_factor)} and {_digits(motions.turn_factor)}"
     agree = max(motions.shift_sigmas, motions.turn_sigmas) <= MOTIONS_DIFFER
@@ -72,12 +72,12 @@ def _agreement(motions: MotionAgreement) -> str:
 
 
 def fit_warnings(fit: Calibration, display_names: Sequence[str] = (), *, sigma_is_given: bool = True) -> list[str]:
-    """Differences from what the captures state, and what limits the models.
+    """Return warnings about disagreement with the captures' sigmas, and about limits of the models.
 
     Args:
         fit: the models.
         display_names: names of the display's camera positions; empty to number them.
-        sigma_is_given: whether the user states the noise of the captures, and can state another.
+        sigma_is_given: True if the user states the noise of the captures, and can correct it.
     """
     return [
         warning
@@ -161,7 +161,7 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
 
 
 def fit_advice(fit: Calibration) -> list[str]:
-    """The row of camera positions to add, where it would pay."""
+    """Return advice to add a row of camera positions, if it reduces the error."""
     steps = []
     for name, report in _reports(fit):
         if report.one_more is not None and _gain(report) > WORTH_A_ROW:
@@ -179,11 +179,11 @@ def _gain(report: FitReport) -> float:
 
 
 def fit_blocks(comparison: KindComparison, captures: Captures, display_names: Sequence[str] = ()) -> list[Block]:
-    """Tables, maps of the predicted error and plots of the residuals.
+    """Return tables, maps of the predicted error and plots of the residuals.
 
     Args:
-        comparison: the models of one or more kinds; the best is shown.
-        captures: what they were fitted to.
+        comparison: the models of one or more types; the best is shown.
+        captures: the fitted captures.
         display_names: names of the display's camera positions; empty to number them.
     """
     fit = comparison.chosen
@@ -256,7 +256,7 @@ def _held_out_table(fit: Calibration) -> ReportTable:
 
 
 def held_out_verdict(name: str, found: float, expected: float) -> str:
-    """Whether errors at held-out positions agree with the expected ones, and what the check can see."""
+    """State whether errors at left-out positions agree with the expected ones, and which errors this can detect."""
     low, high = AS_EXPECTED
     said = f"{name.capitalize()}: held-out positions are predicted to {_digits(found)}' ({_digits(expected)}' expected)"
     if found < low * expected:
@@ -372,6 +372,6 @@ def _position_names(captures: DisplayCaptures | SeeThroughCaptures, display_name
 
 
 def _digits(value: float, count: int = 2) -> str:
-    """A number with so many significant digits, e.g. 250, 9.1 or 1.00, and no exponent from 0.0001 on."""
+    """Format a number with `count` significant digits, e.g. 250, 9.1 or 1.00, without exponent from 0.0001 on."""
     rounded = float(f"{value:.{count}g}")
     return f"{rounded:#.{count}g}".rstrip(".") if 1e-4 <= abs(rounded) < 10.0**count else f"{rounded:g}"

@@ -1,4 +1,4 @@
-"""The report of a calibration from photographs: what was read, how certain the station is, how well the models fit."""
+"""Report of a calibration from photographs: readings, uncertainty of the station, and fit of the models."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ _ACROSS = 6  # small pictures side by side
 
 
 def headline(found: SessionCalibration) -> str:
-    """What was read, what came of it, and whether anything is off."""
+    """Summarise the readings, the result, and whether any check failed."""
     off = sum(not check.ok for check in found.bench.checks)
     checks = f"{off} check(s) of the bench failed" if off else "every check of the bench passed"
     fits = [fit_sentences(each.kinds) for each in found.eyes.values()]
@@ -37,7 +37,7 @@ def headline(found: SessionCalibration) -> str:
 
 
 def advice(found: SessionCalibration) -> list[str]:
-    """What to do next: about faults and failed checks, then about camera positions to add."""
+    """Return the next steps: faults and failed checks first, then camera positions to add."""
     steps = [
         "Compare the excluded photographs with their entries in session.toml; correct these, or take them again."
     ] * bool(found.faults)
@@ -75,7 +75,7 @@ def session_blocks(found: SessionCalibration, folder: Path) -> list[Block]:
 
 
 def reading_blocks(session: PhotoSession, reading: Reading, excluded: Iterable[Excluded]) -> list[Block]:
-    """Tables of what was read and of what was excluded."""
+    """Return tables of the readings and of the exclusions."""
     tables = [_read_table(session, reading), _excluded_table(excluded), _decoded_table(session, reading)]
     return [Section("Photographs"), *(table for table in tables if table.rows)]
 
@@ -202,7 +202,7 @@ def _poses_table(found: SessionCalibration) -> ReportTable:
 
 
 def _errors_table(found: SessionCalibration) -> ReportTable:
-    """What the photographs say of stage and board."""
+    """Tabulate the errors of stage and board that the photographs show."""
     adjustment = found.bench.adjustment
     sizes, state = adjustment.sizes, adjustment.state
     rows: list[list[Cell]] = []
@@ -298,7 +298,7 @@ def _draw_coverage(path: Path, found: EyeCalibration) -> Path:
 
 
 def _draw_rejections(path: Path, found: SessionCalibration) -> Path:
-    """Of every set of code photographs, what became of each camera pixel."""
+    """Draw the result of decoding for each camera pixel of every set of code photographs."""
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch

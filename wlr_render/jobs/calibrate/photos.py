@@ -35,15 +35,15 @@ from wlr_render.report.save import save_report
 
 _REPORT = ("report.html", "report.md", "report.json")
 READ = "read"
-"""Folder, in the output folder, of what was read from photographs, so that a later run reads only what is new."""
+"""Subfolder of the output folder for readings of photographs; a later run reads only new photographs."""
 
 
 def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> SessionCalibration:
-    """Read the photographs and calibrate; writes station-EYE.json and captures-EYE.npz.
+    """Read the photographs and calibrate; write station-EYE.json and captures-EYE.npz.
 
     Raises:
-        BadInputError: session.toml is faulty, too little could be read, or the steps contradict each other; what was
-            read is kept, and the report says how far the calibration came.
+        BadInputError: session.toml is faulty, too few photographs could be read, or the steps contradict each other.
+            The readings are kept, and the report says how far the calibration came.
     """
     session = load_photo_session(Path(options.path))
     for eye in session.eyes:  # a faulty prescription is refused before anything is read
@@ -61,7 +61,7 @@ def calibrated(options: CalibrateOptions, *, progress: ProgressArgument = SILENT
 
 
 def _remove_results(folder: Path, eyes: Sequence[str]) -> None:
-    """Results of an earlier run must not stand beside those of one that is refused."""
+    """Delete the results of an earlier run, so that a failed run leaves none."""
     require_readable_models(folder)
     remove_results(folder, eyes)
     remove_eye_models(folder / MODEL_FILE, eyes)

@@ -11,7 +11,7 @@ from wlr_render.simulation import viewpoints
 GRID, SPREAD, CHOSEN = "grid", "spread", "chosen"
 """Families of designs."""
 _LEVELS = range(3, 10)
-_OFFERED = 37  # places of each plane, beside a grid of 3 x 3
+_OFFERED = 37  # candidate places in each plane, in addition to a grid of 3 x 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ def spread(eye_box: EyeBox, reach: FloatArray, count: int) -> Design:
 
 
 def grids(reach: FloatArray, most: int) -> list[Design]:
-    """Grids of at most so many places, the smallest first: 3 x 3 to 9 x 9, and those of equal steps along both axes."""
+    """Return grids of at most `most` places, smallest first: 3 x 3 to 9 x 9, and with equal steps on both axes."""
     ratio = float(np.clip(np.sqrt(reach[0] / reach[1]), 0.5, 2.0))
     shapes = {(level, level) for level in _LEVELS}
     for level in np.arange(3.0, 9.01, 0.5):

@@ -23,9 +23,9 @@ from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Report, ReportTable
 
-_ROWS = 220  # of each capture, with smaller sigma: it tells as much, and costs less
+_ROWS = 220  # rows of each capture, with a smaller sigma for the same information at less cost
 _TESTS = 800
-_WORTH = 0.02  # of the error: fewer is no gain
+_WORTH = 0.02  # smallest gain, as a share of the error
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class _Step:
 def plan_next_places(
     bench: PlannedBench, folder: Path, accuracy_arcmin: float, most: int, say: Callable[[str], object]
 ) -> tuple[Report, FloatArray]:
-    """Plan the places to add to a calibration; returns the report and the places (m, 3) from the eye box's centre.
+    """Plan the places to add to a calibration; return the report and the places (m, 3) from the eye box's centre.
 
     Args:
         bench: the headset and the stage.
-        folder: with captures-EYE.npz.
-        accuracy_arcmin: wanted registration error of 95 % of the eye box.
-        most: places at most.
-        say: is told what is being done.
+        folder: folder with captures-EYE.npz.
+        accuracy_arcmin: goal for the registration error of 95 % of the eye box.
+        most: largest number of places.
+        say: shows the current step.
 
     Raises:
         BadInputError: there are no captures of this eye, or they lack the display or see-through.

@@ -19,12 +19,12 @@ from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import basis
 
-_READINGS = 110  # of a capture, with smaller sigma: they tell as much
-_DISTANCES_M = (0.3, 0.6, 1.5, 3.0)  # of a further target
+_READINGS = 110  # readings of a capture, with a smaller sigma for the same information
+_DISTANCES_M = (0.3, 0.6, 1.5, 3.0)  # candidate distances of one more target
 _APART = 0.1  # dioptres, of distances that differ
 _TESTS = 150
-_LEAST_INFORMATION = 0.3  # of a combination of readings that is kept, beside the prior
-_WORTH = 1e-3  # of the error: an exchange that gains less is not made
+_LEAST_INFORMATION = 0.3  # smallest information of a combination of readings, relative to the prior
+_WORTH = 1e-3  # smallest gain of an exchange, as a share of the error
 
 
 class _Posterior:
@@ -51,7 +51,7 @@ class _Posterior:
         self.variance -= float(np.sum(cross**2)) / cross.shape[1]
 
     def changes(self, places: IntArray, sign: float) -> FloatArray:
-        """By how much (n,) the variance falls with each place (sign 1), or grows without a taken one (sign -1)."""
+        """Return the decrease (n,) of the variance with each place added (sign 1), or its increase if removed (-1)."""
         cross = self._cross[places]
         solved = np.linalg.solve(np.eye(cross.shape[1]) + sign * self._own[places], cross)
         return np.asarray(np.sum(cross * solved, axis=(1, 2)) / cross.shape[2])
@@ -104,7 +104,7 @@ class PlaceChoice:
         return cls(places, (display, see_through))
 
     def one_by_one(self, count: int) -> tuple[list[int], list[float]]:
-        """Indices of places, each the best beside those before, and the rms error in arcminutes with each."""
+        """Choose the best next place repeatedly; return the indices and the rms error in arcminutes after each."""
         taken: list[int] = []
         errors: list[float] = []
         sides = self._with(taken)
@@ -114,18 +114,18 @@ class PlaceChoice:
         return taken, errors
 
     def chosen(self, count: int, start: Sequence[int] = ()) -> IntArray:
-        """Indices (count,) of places, exchanged one by one for others as long as the error falls.
+        """Return indices (count,) of places, exchanged one by one for others as long as the error falls.
 
         Args:
-            count: of places.
-            start: indices (count,) of a design to begin with, beside places taken one by one; the better one counts.
+            count: number of places.
+            start: indices (count,) of a first design; the better of it and of places chosen one by one counts.
         """
         found = [self._exchanged(taken) for taken in (self.one_by_one(count)[0], [*start]) if len(taken) == count]
         return np.array(min(found, key=self.error), np.int64)
 
     def _exchanged(self, taken: list[int]) -> list[int]:
         sides = self._with(taken)
-        for _ in taken:  # as many exchanges as places, at most
+        for _ in taken:  # at most as many exchanges as places
             spare = int(np.argmin(sum(side.changes(np.array(taken), -1.0) for side in sides)))
             rest = [*taken[:spare], *taken[spare + 1 :]]
             others = self._with(rest)
@@ -163,10 +163,10 @@ def _error(sides: tuple[_Posterior, _Posterior]) -> float:
 def further_distance(
     fit: PlannedFit, places: FloatArray, depths_m: Sequence[float], is_added: bool
 ) -> tuple[float, float]:
-    """The distance of one more target that lowers the registration error most, photographed from places (m, 3).
+    """Return the distance of one more target, photographed from places (m, 3), that lowers the registration error most.
 
     Returns:
-        The distance in metres, and the rms error with it over that without it. See `PlaceChoice.of`.
+        The distance in metres, and the ratio of the rms errors with and without it. See `PlaceChoice.of`.
     """
 
     def error(*further: float) -> float:
@@ -180,7 +180,7 @@ def further_distance(
 
 
 def _shown(fit: ModelFit[FittedDisplay], places: FloatArray, pixel: FloatArray) -> DisplayCaptures:
-    """Captures of pixels (n, k, 2) from places (n, 3), as the model predicts them."""
+    """Predict captures of pixels (n, k, 2) from places (n, 3) with the model."""
     found = fit.mapping.view_dir_of_pixel(pixel, places[:, None])
     place, column = np.nonzero(np.isfinite(found.value).all(axis=-1) & (found.value[..., 2] < 0))
     captures = fit.captures
@@ -201,7 +201,7 @@ def _shown(fit: ModelFit[FittedDisplay], places: FloatArray, pixel: FloatArray) 
 def _seen(
     fit: ModelFit[FittedSeeThrough], places: FloatArray, view_dir: FloatArray, depths_m: Sequence[FloatArray]
 ) -> SeeThroughCaptures:
-    """Captures of points in directions (n, k, 3) at depths (n,) of each target, as the model predicts them."""
+    """Predict captures of points in directions (n, k, 3) at depths (n,) of each target with the model."""
     captures = fit.captures
     assert isinstance(captures, SeeThroughCaptures)
     ray = fit.mapping.real_ray_of_view_dir(view_dir, places[:, None]).value
@@ -227,7 +227,7 @@ def _seen(
 
 
 def _sigma(captures: DisplayCaptures | SeeThroughCaptures, each: int, count: int) -> FloatArray:
-    """Sigma (count,) of captures with so many readings each, which tell as much as those."""
+    """Return the sigma (count,) of captures with `each` readings that carry the information of these captures."""
     usual = len(captures) / len(captures.visits[0])
     return np.full(count, float(np.median(captures.sigma_arcmin)) * np.sqrt(each / usual))
 

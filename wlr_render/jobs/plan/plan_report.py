@@ -14,13 +14,13 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
 from wlr_render.report.plots import axis, curves
 
-_CELLS = 25  # of the map, across the eye box
+_CELLS = 25  # cells of the map, across the eye box
 _FIGURES = ("median (arcmin)", "95 % (arcmin)")
 _WORTH = 0.05  # part of the error that a change takes away, to be named
 
 
 def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) -> Report:
-    """The report of a planned session; `seconds` each photograph takes."""
+    """Return the report of a planned session; each photograph takes `seconds`."""
     bench, design = search.predictor.bench, search.recommended.design
     photographs = bench.photographs(len(design))
     total = sum(photographs.values())

@@ -20,7 +20,7 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 
 GRID = (17, 13)
 """Directions of a simulated capture: fewer than are read, each with less noise, so that a capture tells as much."""
-_DEGREE = 3  # of the curve along an axis
+_DEGREE = 3  # degree of the curve along an axis
 _CURVE = 71  # stream of random numbers
 
 
@@ -43,15 +43,14 @@ class ReadingOptions:
 
 @dataclass(frozen=True, eq=False)
 class StageCurve:
-    """What the calibration of a bench leaves of the smooth errors of its stage.
+    """Smooth errors of a stage that remain after its calibration.
 
-    Cubic curves along the axes are fitted to photographs without the headset, each of which the stage's random errors
-    displace.
+    Cubic curves along the axes are fitted to photographs without the headset, which the stage's random errors displace.
 
     Attributes:
-        errors: the stage's own.
-        centre: (3,) of the stage's travel.
-        degrees: (3,) of the curve along each axis.
+        errors: the stage's true errors.
+        centre: (3,) centre of the stage's travel.
+        degrees: (3,) degree of the curve along each axis.
         found: (k, 6) coefficients of the curves.
     """
 
@@ -144,18 +143,17 @@ class PlannedBench:
         return places_of(unit, self.truth.eye_box, self.field_reach)
 
     def setup(self, depths_m: tuple[float, ...] | None = None) -> CaptureSetup:
-        """The bench without errors."""
+        """Return the bench without errors."""
         depths = depths_m or self.recipe.bench.target_depths_m
         return CaptureSetup(self.truth, grid=GRID, target_depths_m=depths)
 
     @cached_property
     def bare_steps(self) -> FloatArray:
-        """Stage positions (n, 3) of the photographs without the headset, between -1 and 1: before it is mounted, and
-        after it is taken off."""
+        """Stage positions (n, 3), -1 to 1, of the photographs without the headset: before it is mounted, and after."""
         return np.tile(bare_steps(stage_axis_count(self.bench), self.in_depth), (2, 1))
 
     def curve(self, draw: int) -> StageCurve:
-        """What calibration leaves of the smooth errors of one of many such stages."""
+        """Draw a stage and return its smooth errors after calibration."""
         rng = np.random.default_rng([self.recipe.bench.seed, _CURVE, draw])
         sizes, half = self.recipe.bench.imperfections, np.append(self.reach_m, 0.5 * self.truth.eye_box.size[2])
         errors = StageErrors.draw(sizes, half, rng)
@@ -184,7 +182,7 @@ class PlannedBench:
         return Captures(simulate_display(shown, places, rng), simulate_see_through(seen, places, rng))
 
     def photographs(self, places: int) -> dict[str, int]:
-        """Number of photographs of a session by what they show."""
+        """Return the number of photographs of a session by subject."""
         plan = plan_photographs(self.bench, places)
         poses = len(self.bench.device_from_target)
         code = make_pattern(self.recipe.pattern, self.bench.optics.panel.pixels)

@@ -24,7 +24,7 @@ _VIEWPOINTS, _EACH = 150, 8
 NEAR_M, FAR_M = 0.3, 5.0
 """Distances of real points, evenly in dioptres."""
 _CURVES = 4  # smooth errors of the stage that are averaged over
-_DRAWS = 8  # of the random part, of each
+_DRAWS = 8  # draws of the random part of each error
 _TESTS, _PILOT = 72, 73  # streams of random numbers
 
 
@@ -85,8 +85,8 @@ class DesignErrors:
     """Errors of a calibration over the eye box, arcminutes.
 
     Attributes:
-        display: of the direction of a pixel. see_through: of the direction of a real point.
-        registration: angle between a real point and what is drawn over it.
+        display: error of a pixel's direction. see_through: error of a real point's direction.
+        registration: angle between a real point and its virtual overlay.
     """
 
     display: Summary
@@ -132,7 +132,7 @@ class DesignPredictor:
         """Models with the covariance of a design with places (m, 3), see `Design.unit`."""
         display, see_through = self.bench.captures(self.bench.places(unit), [0, _PILOT], None, depths_m).both
         changes = {"noise": scales.noise, "shift": scales.random, "turn": scales.random}
-        # The stage as the pilot found it: a fit takes for random motions what it cannot follow, smooth errors included.
+        # The stage as the pilot estimates it: a fit counts unmodelled smooth errors as random motions.
         shown, seen = (
             {name: float(side.smooth.posterior.hyper[name] + np.log(scale)) for name, scale in changes.items()}
             for side in (self.pilot.display, self.pilot.see_through)
@@ -210,5 +210,5 @@ def _lengths(sigma: FloatArray, curve: FloatArray) -> Summary:
 
 
 def simulated_captures(bench: PlannedBench, unit: FloatArray, seed: int) -> Captures:
-    """Captures of one session with all errors of the bench; the smooth ones are none of those predicted with."""
+    """Simulate one session with all errors of the bench; its smooth errors differ from those of the prediction."""
     return bench.captures(bench.places(unit), [seed, _PILOT], bench.curve(_CURVES + 1 + seed))

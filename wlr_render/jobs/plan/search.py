@@ -22,10 +22,10 @@ LEAST_PLACES = 9
 PILOT_PLACES = 30
 """Camera places of the pilot session."""
 _GUESSES = 4  # numbers of places at which a chosen design is predicted, at most
-_FIRST_STEP = 16  # of so many parts of the designs; steps double until a design reaches the accuracy
+_FIRST_STEP = 16  # number of steps over all designs; steps double until a design reaches the accuracy
 _MORE = 1.25  # times as many places if the simulated session misses the accuracy
 _TRIALS = 3
-_AGREES = 1.1  # of the wanted accuracy: one session's own errors scatter by this
+_AGREES = 1.1  # tolerance on the goal: one session's errors scatter as much
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,14 @@ class PredictedDesign:
 
 @dataclass(frozen=True, eq=False)
 class DesignSearch:
-    """What was found.
+    """Result of a search.
 
     Attributes:
         predictor: predicts errors of designs like the recommended one, whose simulated session is its pilot.
         tried: designs of each family with their predicted errors, by number of places.
         recommended: the design to use. simulated: errors of a simulated session of it, against the traced headset.
         limits: predicted errors with one error of the bench changed, by its name.
-        reaches: whether prediction and simulation reach the accuracy.
+        reaches: True if prediction and simulation reach the accuracy.
     """
 
     predictor: DesignPredictor
@@ -66,9 +66,9 @@ def find_design(bench: PlannedBench, accuracy_arcmin: float, most: int, say: Cal
 
     Args:
         bench: the planned bench.
-        accuracy_arcmin: wanted registration error of 95 % of the eye box.
-        most: places at most.
-        say: is told what is being done.
+        accuracy_arcmin: goal for the registration error of 95 % of the eye box.
+        most: largest number of places.
+        say: shows the current step.
 
     Raises:
         BadInputError: the captures of a design do not determine a model.
@@ -134,7 +134,7 @@ def _bisected(
 
 
 def _smallest(by_family: Mapping[str, tuple[PredictedDesign, ...]], accuracy_arcmin: float) -> int:
-    """Number of places of the smallest design that reaches the accuracy, or of the largest."""
+    """Return the number of places of the smallest design that reaches the accuracy, or of the largest."""
     every = [each for tried in by_family.values() for each in tried]
     enough = [len(each.design) for each in every if each.p95 <= accuracy_arcmin]
     return min(enough) if enough else max(len(each.design) for each in every)
@@ -145,7 +145,7 @@ def _chosen(predictor: DesignPredictor, most: int, accuracy_arcmin: float) -> tu
     tried: dict[int, PredictedDesign] = {}
     tail, (_, errors) = 2.0, _choice(predictor, most)[0].one_by_one(most)
     for _ in range(_GUESSES):
-        # Errors of the choice are cheap; those of the design take a posterior and its low-rank factors.
+        # Errors of the choice are cheap; errors of the design need a posterior and its low-rank factors.
         enough = [count for count in range(LEAST_PLACES, most) if tail * errors[count - 1] <= accuracy_arcmin]
         count = enough[0] if enough else most
         if count in tried:
@@ -156,14 +156,14 @@ def _chosen(predictor: DesignPredictor, most: int, accuracy_arcmin: float) -> tu
 
 
 def chosen_design(predictor: DesignPredictor, count: int) -> Design:
-    """The design of so many places that the posterior of the pilot chooses; no worse than a spread of as many."""
+    """Return the design of `count` places that the pilot's posterior chooses, at least as good as a regular spread."""
     choice, unit = _choice(predictor, count)
     taken = choice.chosen(count, start=range(len(unit) - count, len(unit)))
     return Design(f"{CHOSEN} {count}", unit[taken])
 
 
 def _choice(predictor: DesignPredictor, count: int) -> tuple[PlaceChoice, FloatArray]:
-    """The choice, and its places (n, 3), see `Design.unit`; the last are a spread of `count`."""
+    """Return the choice, and its places (n, 3), see `Design.unit`; the last `count` are a regular spread."""
     bench = predictor.bench
     box, reach = bench.truth.eye_box, bench.field_reach
     unit = np.concatenate([offered(box, reach, bench.in_depth), spread(box, reach, count).unit])
