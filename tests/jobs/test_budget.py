@@ -69,7 +69,7 @@ def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(model_file, 
 def test_without_any_error_the_page_says_so(straight_device, tmp_path, monkeypatch):
     monkeypatch.setattr("wlr_render.jobs.budget.choose_warp_grid", lambda *_: SimpleNamespace(bound_arcmin=0.0))
     report = budget(BudgetOptions(straight_device, **NO_TRACKER_ERRORS, raster_arcmin=0.0, out=tmp_path))
-    assert report.verdict.startswith("There is no error")
+    assert report.verdict.startswith("The predicted error is zero")
     assert report.advice == []
 
 

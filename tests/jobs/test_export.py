@@ -288,7 +288,7 @@ def test_the_command_line_takes_a_pupil_position(small_northstar, tmp_path, caps
     place = ["--viewpoint-mm", "33.5", "-0.5", "-30", "--out", str(tmp_path)]
     assert main(["export", small_northstar, "--format", "stmap", *place]) == 0
     assert "33.500, -0.500, -30.000" in (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert "Misalignment of what a map shows" in capsys.readouterr().out
+    assert "Misalignment by a map" in capsys.readouterr().out
 
 
 def test_without_openexr_one_sentence_says_how_to_install_it(small_northstar, tmp_path, capsys, monkeypatch):

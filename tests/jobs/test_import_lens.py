@@ -149,7 +149,7 @@ def test_shapes_that_are_not_read_are_warned_of(tmp_path):
         "surface stands in its place. 2 surfaces of"
     )
     assert report.warnings == [
-        "Rays run otherwise than in the file, because of surface 3: the table of ignored keys says why."
+        "Rays differ from the file's because of surface 3: the table of ignored keys gives the reasons."
     ]
 
 

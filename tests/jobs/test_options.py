@@ -129,7 +129,7 @@ def test_every_number_of_every_verb_has_limits_at_both_ends(verb):
         ),
         (["plan", "northstar", "--camera", "1x1"], "--camera is 1; it must be between 64 and"),
         (["plan", "northstar", "--depths-m", *map(str, range(1, 22))], "--depths-m 21 are 21 distances"),
-        (["pattern", "--panel", "8x8", "--photograph", "nowhere {path}"], "there is no program 'nowhere'"),
+        (["pattern", "--panel", "8x8", "--photograph", "nowhere {path}"], "the program 'nowhere' is not installed"),
         (["decode", "s", "--panel", "8x8", "--bits", "12", "--camera", "c.toml"], "both state the bits"),
     ],
 )

@@ -219,6 +219,6 @@ def test_a_folder_of_other_files_is_not_replaced(frames_of):
     mine = drawn.out / "huggingface" / "notes.txt"
     mine.parent.mkdir()
     mine.touch()
-    with pytest.raises(BadInputError, match=r"notes\.txt: is no part of a data set, which would replace it"):
+    with pytest.raises(BadInputError, match=r"notes\.txt: does not belong to the data set that would replace it"):
         packed(drawn, "huggingface")
     assert mine.is_file()

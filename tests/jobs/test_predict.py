@@ -84,7 +84,7 @@ def test_a_corrected_bench_predicts_another_session_to_the_noise_and_the_nominal
     bench = corrected / "bench.toml"
     command = f"wlr-render calibrate {second} --bench {bench} --out {tmp_path / 'calibrate'}"
     assert command in json.loads((tmp_path / "report.json").read_text())["advice"][0]
-    assert "The target poses are those of the session" in printed.out
+    assert "The session's target poses are used" in printed.out
     record = json.loads((tmp_path / "report.json").read_text())
     assert {part["name"] for part in record["parts"]} == {"display", "see-through"}
     for part in record["parts"]:

@@ -82,7 +82,7 @@ def test_a_photograph_that_cannot_be_compared_is_named_before_anything_is_writte
 def test_what_is_no_pair_is_named(photo_session, pairs, tmp_path):
     given = options(photo_session, pairs, tmp_path)
     (pairs / "left_off.png").unlink()
-    with pytest.raises(BadInputError, match=r"left_on_traced\.png: has no photograph with the display off beside it"):
+    with pytest.raises(BadInputError, match=r"left_on_traced\.png: its photograph with the display off is missing"):
         verify(given)
     for path in pairs.glob("*_on_*"):
         path.unlink()

@@ -202,12 +202,12 @@ def _verdict(found: Sequence[EyeBudget], depth_m: float) -> str:
     worst = max(found, key=lambda each: each.radius_arcmin)
     owners = [each for each in worst.owners if each.share >= _LEAST_SHARE]
     if not owners:
-        return "There is no error: the mappings are exact, and all sizes are zero."
+        return "The predicted error is zero: the mappings are exact, and all error sizes are zero."
     first, *others = owners
     rest = f" ({', '.join(f'{each.name} {100 * each.share:.0f} %' for each in others)})" if others else ""
     return (
         f"95 % of pixels lie within {' and '.join(radii)} of their real points at {depth_m:g} m, over {worst.region}; "
-        f"the {first.name} owns {100 * first.share:.0f} % of the variance{rest}."
+        f"the {first.name} causes {100 * first.share:.0f} % of the variance{rest}."
     )
 
 
@@ -227,11 +227,11 @@ _HOW = {
     "eye tracker: bias": "the constant error of the eye tracker (calibrate it for each wearer)",
     "eye tracker: latency": "the latency of the eye tracker, or its prediction",
     "head tracker: noise": "the noise of the head tracker",
-    "head tracker: latency": "the latency that prediction and late warp of the head's pose leave",
+    "head tracker: latency": "the latency that remains after prediction and late warp of the head pose",
     "drawing: whole pixels": "the drawing, by a filter",
-    TRACKING_CAMERA: "the stated pose of the tracking camera (or let head poses and pupils be measured by that camera: "
+    TRACKING_CAMERA: "the stated pose of the tracking camera (or measure head poses and pupils with that camera: "
     "--camera-frame)",
-    "model: truncation": "what the models cannot follow (more camera positions, higher degrees)",
+    "model: truncation": "the truncation error of the models (more camera positions, higher degrees)",
     "model: noise and stage": "noise and stage of the calibration (more camera positions)",
     "model: prescription": "the assembly errors that the prescription leaves open (more camera positions)",
     "model: lens": "the calibration of the eyeball camera's lens (more photographs of the board)",
@@ -246,8 +246,8 @@ def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
     for each in found:
         if each.left_out > 0.01:
             warnings.append(
-                f"{100 * each.left_out:.0f} % of pixels and viewpoints of the {each.eye} eye lie outside of what was "
-                "calibrated, or of what the eye sees; they do not count."
+                f"{100 * each.left_out:.0f} % of pixels and viewpoints of the {each.eye} eye lie outside the "
+                "calibrated range or the eye's view; they do not count."
             )
     return warnings
 
@@ -272,8 +272,8 @@ def _eye_blocks(found: EyeBudget, eye: Eye, depth_m: float) -> list[Block]:
             ["source", "rms (arcmin)", "worst pixel (arcmin)", "share of variance (%)", halved],
             rows,
             [
-                "Rms lengths of the error, over both axes. Halved: the radius within which 95 % of all errors lie if "
-                "this source's standard deviation were half as large; in the last row, as they are."
+                "Rms lengths of the error, over both axes. If halved: the radius that contains 95 % of all errors if "
+                "this source's standard deviation were half as large; in the last row, the radius now."
             ],
         ),
         ReportTable(
@@ -304,15 +304,15 @@ def _disparity_table(found: Sequence[DisparityShare], depth_m: float) -> ReportT
         f"Errors of disparity at {depth_m:g} m",
         ["source", "horizontal, rms (arcmin)", "vertical, rms (arcmin)"],
         rows,
-        ["Registration of the right eye less that of the left. What moves both eyes alike cancels in part."],
+        ["Registration error of the right eye less the left eye's. Errors common to both eyes partly cancel."],
     )
 
 
 _METHOD = (
-    "Registration is the direction in which the display shows a pixel, less the direction in which the real point that "
-    "it should cover is seen. Each source has a covariance of it at every pixel and viewpoint: errors of the models "
-    "from their fit, errors of trackers through the derivatives of both mappings. Sources are independent, and their "
-    "covariances add up. Latency counts as random motion of the stated speed; saccades, during which vision is "
-    "suppressed, are not in that speed. Drawing counts its bound at every pixel. Truncation is what rows and columns "
-    "of camera positions that the fit left out show beyond the expected error."
+    "The registration error is the view direction of a pixel less the view direction of the real point that it should "
+    "cover. Each source has a covariance at every pixel and viewpoint: model errors from the fit, tracker errors "
+    "through the derivatives of both mappings. Sources are independent, and their covariances add up. Latency counts "
+    "as random motion of the stated speed; the speed excludes saccades, during which vision is suppressed. Drawing "
+    "errors count with their bound at every pixel. Truncation is the error beyond the expected one at rows and columns "
+    "of camera positions that the fit left out."
 )

@@ -278,8 +278,8 @@ def _predictions(seen: list[_View]) -> ReportTable:
         rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *_predicted_and_true([view])])
     rows.append(["all", *_predicted_and_true(seen)])
     note = (
-        f"Of '{planar}', at the same pixels. Predicted from the calibration alone: covariance of both models, what "
-        "they cannot follow, and the error of raster frames. True: through the device's exact optics."
+        f"For '{planar}', at the same pixels. Predicted from the calibration alone: covariance and truncation error of "
+        "both models, and the error of raster frames. True: through the device's exact optics."
     )
     columns = ["viewpoint (mm)", "predicted", "true"]
     return ReportTable("Predicted and true misalignment of the planar models, rms (arcmin)", columns, rows, [note])

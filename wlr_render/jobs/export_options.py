@@ -38,7 +38,7 @@ class ExportOptions(Options):
     viewpoint_mm: Annotated[
         tuple[float, ...] | None,
         described(
-            "Pupil position x y z in the device frame, in mm; with --eye both that of the left eye, then of the right "
+            "Pupil position x y z in the device frame, in mm; with --eye both, the left pupil, then the right one "
             "(default: centre of the eye box).",
             flag=True,
             many=True,

@@ -38,10 +38,10 @@ def export_page(
     check_depth = "at infinity" if form.holds.every_depth else depth_words(first.depth_m)
     blocks: list[Block] = [
         Text(
-            "An augmented-reality headset bends the light of its panel and of the world. For each pixel of the panel a "
-            "file says what of a picture of the virtual scene, drawn by an ordinary pinhole camera, this pixel must "
-            "show, so that the wearer sees the scene in its place in the world. The camera and the pupil for which "
-            "this is right stand below."
+            "An augmented-reality headset bends the light of its panel and of the world. An ordinary pinhole camera "
+            "draws a picture of the virtual scene; for each pixel of the panel a file states the position in this "
+            "picture that the pixel must show, so that the wearer sees the scene in its place in the world. The tables "
+            "below state the camera and the pupil for which this is correct."
         ),
         Section("What the numbers mean"),
         Text("In every file:", form.convention),
@@ -55,7 +55,7 @@ def export_page(
         Section("How to check your program"),
         Text(
             f"Take the first picture as the source picture of the {first.eye} eye and warp it with {checked} as above: "
-            f"the second one must come out, {exactness}. It was drawn by our own sampling, "
+            f"the result must equal the second picture, {exactness}. That one was drawn by wlr_render's sampling, "
             f"{'bilinear in linear light' if form.holds.between_pixels else 'nearest pixel'}, for points {check_depth}."
         ),
         Picture("Source picture", options.out / CHECK_SOURCE, "u to the right in red, v downwards in green"),
@@ -81,11 +81,11 @@ _AXES = (
     "table of source cameras."
 )
 _POSE = (
-    "The source camera is fixed in the device frame, that of the headset's own file. Its pose there is the matrix "
-    "`device_from_camera_4x4 = [[R, p], [0 0 0 1]]`, R being device_from_camera of the first table and p the position "
-    "of the source camera in the last table.",
+    "The source camera is fixed in the device frame, the frame of the headset's file. Its pose in this frame is the "
+    "matrix `device_from_camera_4x4 = [[R, p], [0 0 0 1]]`, with R = device_from_camera of the first table and p = the "
+    "position of the source camera in the last table.",
     "Draw the source picture with `camera_from_world = inverse(world_from_device @ device_from_camera_4x4)`, where "
-    "world_from_device is the head pose: that of this device frame, not of your tracker's own.",
+    "world_from_device is the pose of this device frame, not the pose of your tracker's frame.",
     "A world point is then at `camera_from_world @ (x, y, z, 1)`. The panel pixel that shows it is the one whose map "
     "holds its position (u, v): search the map for it.",
     "The eye's pupil must be at the viewpoint of the last table.",
@@ -133,10 +133,10 @@ def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView])
         ]
     columns = ["map", "used for", "rms (arcmin)", "max (arcmin)"]
     notes = [
-        "Against this headset's own mappings, over the panel, in green light where no other is named; pupils moved to "
-        "the right, left, up and down as far as the eye box allows. Of several pupils, the first of each eye."
+        "Against this headset's own mappings, over the panel, in green light unless another colour is named; pupils "
+        "moved to the right, left, top and bottom end of the eye box. Of several pupils, the first of each eye."
     ]
-    return ReportTable("Misalignment of what a map shows", columns, rows, notes)
+    return ReportTable("Misalignment by a map", columns, rows, notes)
 
 
 def _views_table(form: Format, views: list[ExportedView]) -> ReportTable:

@@ -92,8 +92,8 @@ def open_colours(
     if not is_model(spec):
         if red_model or blue_model:
             raise BadInputError(
-                f"{spec}: is a device, which is traced in all colours; give --per-colour without models, or the model "
-                "in green light beside --red-model and --blue-model."
+                f"{spec}: is a device, which is traced in all colours; give --per-colour without models, or name the "
+                "model in green light with --red-model and --blue-model."
             )
         device = load_device(spec)
         return tuple(traced_eye(device, eye, wavelength_um) for wavelength_um in PRIMARIES_UM)

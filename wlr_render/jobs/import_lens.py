@@ -189,7 +189,7 @@ def _warnings(headset: ImportedHeadset) -> list[str]:
     if changed:
         listed = ", ".join(map(str, changed))
         warnings.append(
-            f"Rays run otherwise than in the file, because of surface {listed}: the table of ignored keys says why."
+            f"Rays differ from the file's because of surface {listed}: the table of ignored keys gives the reasons."
         )
     warnings += [
         f"{note.key} {note.value}: {note.reason}."

@@ -84,7 +84,9 @@ def _refuse_others(folder: Path) -> None:
     with disk_errors(folder):
         others = sorted(path.name for path in folder.iterdir() if path.name != _SPLIT and not path.match(_SHARDS))
     if others:
-        raise BadInputError(f"{folder / others[0]}: is no part of a data set, which would replace it; move it away.")
+        raise BadInputError(
+            f"{folder / others[0]}: does not belong to the data set that would replace it; move it away."
+        )
 
 
 def _samples(folder: Path, record: Mapping[str, Any]) -> Iterator[_Sample]:

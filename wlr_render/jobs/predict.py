@@ -98,7 +98,7 @@ def _other_poses(stated: Bench, own: Bench, path: Path) -> list[str]:
         return []
     if poses.shape == used.shape and np.abs(poses - used).max() < _POSE_TOLERANCE_M:
         return []
-    return [f"The target poses are those of the session; {path} states others, which are not used."]
+    return [f"The session's target poses are used; the different ones in {path} are ignored."]
 
 
 def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
@@ -156,11 +156,11 @@ def _advice(found: BenchPrediction, bench: Path, session: Path, folder: Path) ->
         return f"Use this bench for such captures: {command('calibrate', True, 'calibrate')}"
     if known and not any(_is_better(part) for part in found.parts):
         return (
-            "This bench is no better than the session's own; diagnose the session by itself: "
+            "This bench predicts no better than the session's own; diagnose the session with its own bench: "
             f"{command('diagnose', False, 'diagnose')}"
         )
     return (
-        "See which captures and distances are predicted worst, and diagnose what is left: "
+        "Find the captures and distances with the largest residuals below, and diagnose the rest: "
         f"{command('diagnose', True, 'diagnose')}"
     )
 
@@ -168,20 +168,21 @@ def _advice(found: BenchPrediction, bench: Path, session: Path, folder: Path) ->
 def _warnings(found: BenchPrediction, bench: Bench) -> Iterator[str]:
     if found.without_slip is not None:
         yield (
-            f"The bench states a slip at {bench.mount.slip_time_s:g} s, which belongs to the session that it was found "
-            f"in. Without it, the reduced chi-squared is {found.without_slip:.3g}."
+            f"The bench states a slip at {bench.mount.slip_time_s:g} s, which belongs to the session of its diagnosis. "
+            f"Without the slip, the reduced chi-squared is {found.without_slip:.3g}."
         )
     if found.outliers:
-        yield f"{found.outliers} readings are far from their neighbours in the photograph; no figure contains them."
+        yield f"{found.outliers} readings are outliers among their neighbours in the photograph; all figures omit them."
     if found.unseen:
-        yield f"{found.unseen} readings are not predicted: by this bench, they cannot be seen."
+        yield f"{found.unseen} readings are not predicted: this bench predicts that they are not visible."
 
 
 def _tables(found: BenchPrediction) -> Iterator[Block]:
     """Parts, target distances and captures."""
     notes = (
-        "Residual: measured minus predicted, rms per axis. Reduced chi-squared: its mean square over that of the "
-        "stated noise (point_sigma_px, or sigma_px of each reading); 1 is noise alone. No value is fitted.",
+        "Residual: measured minus predicted, rms per axis. Reduced chi-squared: mean square of the residual over the "
+        "variance of the stated noise (point_sigma_px, or sigma_px of each reading); 1 is noise alone. No value is "
+        "fitted.",
         "With measured noise and repeatability: reduced chi-squared against the noise within the photographs, without "
         "the small motions of the camera from capture to capture, whose sizes are the repeatability.",
     )

@@ -157,7 +157,7 @@ def _report(
     if options.misalignment is not None:
         columns += ["median misalignment (arcmin)", "95 % misalignment (arcmin)", "max misalignment (arcmin)"]
         notes.append(
-            "Misalignment: angle at the eye between what the frame shows and the real points, through the exact optics "
+            "Misalignment: angle at the eye between the frame's content and the real points, through the exact optics "
             f"of {options.misalignment}, in the frame where each figure is largest."
         )
         blocks = [*_misalignment_plot(plan, misaligned), *blocks]

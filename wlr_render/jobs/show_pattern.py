@@ -152,7 +152,7 @@ def _require_program(name: str) -> None:
     """Refuse a command that cannot be run, before anybody opens the page."""
     if shutil.which(name) is None:
         raise BadInputError(
-            f"--photograph: there is no program {shown(name)} that can be run; install it, or correct it."
+            f"--photograph: the program {shown(name)} is not installed; install it, or correct its name."
         )
 
 
@@ -161,7 +161,9 @@ def _refuse_others(folder: Path, paths: list[Path]) -> None:
     found = (path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and not path.name.startswith("."))
     others = sorted(path.name for path in set(found) - set(paths))
     if others:
-        raise BadInputError(f"{folder}: holds {others[0]}, which is no photograph of this code; choose another folder.")
+        raise BadInputError(
+            f"{folder}: contains {others[0]}, which does not belong to this code; choose another folder."
+        )
 
 
 def _refuse_unlisted(finished: FinishedFiles, paths: list[Path]) -> None:
@@ -182,10 +184,10 @@ def words_of(command: str) -> list[str]:
     try:
         words = shlex.split(command)
     except ValueError as error:
-        raise BadInputError(f"--photograph {command!r} is no command ({error}); correct it.") from error
+        raise BadInputError(f"--photograph {command!r} is not a command ({error}); correct it.") from error
     if not any("{path}" in word for word in words):
         raise BadInputError(
-            f"--photograph {command!r} has no {{path}}, which stands for the name of the photograph's file; e.g. "
+            f"--photograph {command!r} lacks {{path}}, the placeholder for the photograph's file; e.g. "
             '"gphoto2 --capture-image-and-download --filename {path}".'
         )
     return words

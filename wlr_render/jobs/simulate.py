@@ -93,9 +93,7 @@ class SimulateOptions(SpreadOptions):
     ] = 0.0
     perfect: Annotated[
         bool,
-        described(
-            "A bench without imperfections, but for those that the options below give.", flag=True, group=_ERRORS
-        ),
+        described("A bench without imperfections, except the ones set by the options below.", flag=True, group=_ERRORS),
     ] = False
     repeatability_um: Annotated[
         float | None,

@@ -110,8 +110,8 @@ def _trace_eye(spec: str, device: Device, eye: EyeName, folder: Path) -> _Traced
     except BadInputError as error:
         warnings.append(str(error))
         verdict = (
-            f"{device.name}, {eye} eye: {losses[-1].passed} of {losses[0].reached} rays reach the panel; there are no "
-            "other figures until more do."
+            f"{device.name}, {eye} eye: {losses[-1].passed} of {losses[0].reached} rays reach the panel, too few for "
+            "other figures."
         )
     else:
         blocks += tables

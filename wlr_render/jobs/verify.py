@@ -109,7 +109,7 @@ def _judge_pairs(folder: Path, board_file: Path, station: Path) -> list[JudgedPa
             continue
         name, method = match["name"], match["method"] or "on"
         if name not in off:
-            raise BadInputError(f"{path}: has no photograph with the display off beside it; name that {name}_off.png.")
+            raise BadInputError(f"{path}: its photograph with the display off is missing; name it {name}_off.png.")
         judged.append(judge_pair(name, method, (off[name], path), board, camera))
     if not judged:
         raise BadInputError(
@@ -140,7 +140,9 @@ def judge_pair(name: str, method: str, photographs: tuple[Path, Path], board: Bo
                 f"{camera.size_px[1]}; take both photographs with the camera of the calibration."
             )
     if images[0].dtype != images[1].dtype:
-        raise BadInputError(f"{on}: is {describe_pixels(images[1])}, {off.name} has another depth; take both alike.")
+        raise BadInputError(
+            f"{on}: is {describe_pixels(images[1])}, {off.name} has another depth; take both in the same format."
+        )
     try:
         real, virtual = (board.find(image, path.name) for path, image in zip(photographs, images, strict=True))
     except BadInputError as error:

@@ -246,7 +246,7 @@ def test_the_verdict_on_held_out_positions(found, expected, verdict):
 
 def test_few_positions_are_fitted_and_the_report_says_what_one_more_row_brings(tmp_path):
     report = calibrate(replace(TWO_EYES, out=tmp_path))
-    rows = table(report, "What one more row of positions would bring")
+    rows = table(report, "Gain of one more row of positions")
     assert rows
     for row in rows:
         assert row["with them (arcmin)"] < row["predicted rms error now (arcmin)"]
@@ -394,7 +394,7 @@ def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_sa
     few = save_captures(tmp_path / "few.npz", Captures(*(thinned(each) for each in captures_of(calibrated).both)))
     fit = FitOptions(prescription="birdbath28")
     again = calibrate(CalibrateOptions(few, fit=fit, out=tmp_path))
-    kinds = {row["model"]: row for row in table(again, "What the prescription gains")}
+    kinds = {row["model"]: row for row in table(again, "Gain of the prescription")}
     assert kinds.keys() == {"planar", "grey-box", "prescription"}
     (saved,) = [kind for kind, row in kinds.items() if row[""] == "saved"]
     assert saved in ("grey-box", "prescription")

@@ -153,7 +153,7 @@ def test_the_report_tells_everything_in_the_order_of_the_procedure(report, photo
         assert (photo_session.out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     titles = [table.title for table in report.tables]
     assert "Excluded" not in titles  # nothing was, and an empty table says nothing
-    assert titles[0] == "What was read"
+    assert titles[0] == "Readings"
     sections = [block.title for block in report.blocks if isinstance(block, Section)]
     assert sections == ["Photographs", "The bench", "The models"]
     assert titles[titles.index("Lenses") : titles.index("Fit")] == [

@@ -326,4 +326,4 @@ def test_three_camera_positions_are_fitted_and_the_report_says_what_one_more_row
     photo_session.edit(lambda content: content.update(display=content["display"][:3]))
     status, out, _ = command_line(photo_session, capsys)
     assert status == 0
-    assert "What one more row of positions would bring" in out
+    assert "Gain of one more row of positions" in out

@@ -120,6 +120,6 @@ def _truth_table(where: str, errors: dict[str, Summary], predicted: dict[str, fl
     columns = ["error", "rms", "predicted rms", "median", "p95", "maximum", "tests", "no answer"]
     notes = (
         f"{count} random viewpoints in the eye box; real points at {near:g} to {far:g} m.",
-        "Predicted: what the fit expects of itself at the same viewpoints, pixels and points.",
+        "Predicted: the standard error of the fit at the same viewpoints, pixels and points.",
     )
     return ReportTable(f"Error against the traced device {where}", columns, rows, notes)

@@ -18,7 +18,7 @@ def primaries_table(each: EyeCalibration) -> ReportTable:
         if fit.display is not None
     ]
     columns = ["primary", "predicted rms error (arcmin)", "noise found (arcmin)", "samples"]
-    note = "Each is in a model file of its own, model-PRIMARY.json, with the see-through model of model.json."
+    note = "Each primary has its own model file, model-PRIMARY.json, with the see-through model of model.json."
     return ReportTable("Models of the other primaries", columns, rows, (note,))
 
 
@@ -41,8 +41,8 @@ def binocular_table(found: SessionCalibration) -> ReportTable:
     notes = (
         "Found: direction of the panel's middle from the middle of each eye box, and roll of its rows, left less "
         "right. The models correct them. The horizontal one contains the convergence that the headset is designed for.",
-        "Sigma: of the left camera's pose against the right one's, from their joint covariance; errors that both share "
-        "are not in it. A rotation by one sigma is a disparity of as many arcminutes between the eyes.",
+        "Sigma: of the left camera's pose against the right one's, from their joint covariance, without errors that "
+        "both share. A rotation by one sigma is an equal disparity between the eyes.",
     )
     return ReportTable("Binocular alignment", ["left against right eye", "found", "sigma"], rows, notes)
 

@@ -94,8 +94,8 @@ def _assembly_warnings(fit: Calibration) -> list[str]:
         return []
     name = ASSEMBLY_NAMES[int(np.argmax(sizes))]
     return [
-        f"The fitted assembly errors are larger than parts are displaced ({name} is {sizes.max():.0f} times what is "
-        "plausible): a surface may have another shape than the prescription. The models hold, these values do not."
+        f"The fitted assembly errors are implausibly large ({name} is {sizes.max():.0f} times a usual one): a surface "
+        "may have another shape than in the prescription. The models are valid, these values are not."
     ]
 
 
@@ -154,8 +154,8 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
         )
     if report.viewpoints == 1 and report.kind != "static":
         found.append(
-            f"{title}: one camera position says nothing of others; add positions over the whole eye box, to the left "
-            "and right, above and below."
+            f"{title}: the model is known at one camera position only; add positions over the whole eye box, to the "
+            "left and right, above and below."
         )
     return found
 
@@ -204,7 +204,7 @@ def _fit_table(fit: Calibration) -> ReportTable:
     columns = ["mapping", "model", "predicted rms error (arcmin)", "residual rms (arcmin)", "residual p95 (arcmin)"]
     columns += ["noise found (arcmin)", "noise stated (arcmin)", "repeatability (um)", "wobble (urad)"]
     notes = (
-        "Predicted error: what the fit expects of itself over the eye box. Residuals contain the noise.",
+        "Predicted error: the standard error of the fit over the eye box. Residuals include the noise.",
         "Noise, repeatability of the camera's positions and wobble of its turns are standard deviations per axis.",
     )
     return ReportTable("Fit", columns, rows, notes)
@@ -274,7 +274,7 @@ def _one_more_table(fit: Calibration) -> ReportTable:
         if report.one_more is not None
     ]
     columns = ["mapping", "positions to add", "predicted rms error now (arcmin)", "with them (arcmin)"]
-    return ReportTable("What one more row of positions would bring", columns, rows)
+    return ReportTable("Gain of one more row of positions", columns, rows)
 
 
 def _kinds_table(comparison: KindComparison) -> ReportTable:
@@ -289,7 +289,7 @@ def _kinds_table(comparison: KindComparison) -> ReportTable:
     columns = ["model", "", "log10 odds against planar", "display predicted (arcmin)", "see-through predicted (arcmin)"]
     columns += ["display held-out (arcmin)", "see-through held-out (arcmin)"]
     columns += ["display noise found (arcmin)", "see-through noise found (arcmin)"]
-    return ReportTable("What the prescription gains", columns, rows, (comparison.sentence,))
+    return ReportTable("Gain of the prescription", columns, rows, (comparison.sentence,))
 
 
 def _predicted_maps(display: FittedDisplay) -> list[Plot]:
@@ -306,7 +306,7 @@ def _predicted_maps(display: FittedDisplay) -> list[Plot]:
     known = np.concatenate([centre, corner])
     known = known[np.isfinite(known)]
     limits = (0.0, float(np.quantile(known, 0.98))) if known.size else None
-    caption = "Standard error of a pixel's direction that the fit expects of itself; blank outside the fit."
+    caption = "Standard error of a pixel's direction according to the fit; blank outside the fit."
     return [
         heat_map(
             f"Predicted error of the display at the eye box's {place}",
@@ -329,8 +329,8 @@ def _residual_plots(fit: Calibration, captures: Captures, display_names: Sequenc
     """Residual of each camera position (and target pose), and maps of the residuals."""
     parts = {"display": captures.display, "see-through": captures.see_through}
     caption = (
-        "A residual far above the others' is that of a camera or headset that moved, of a wrong entry, or of optics "
-        "that the model does not follow there."
+        "A residual far above the others means that the camera or the headset moved, that an entry is wrong, or that "
+        "the model cannot represent the optics there."
     )
     plots, maps = [], []
     for name, side in fit.sides.items():

@@ -90,7 +90,7 @@ def _decoding(folder: Path, found: SessionCalibration) -> list[Picture]:
 def _coverage(folder: Path, each: EyeCalibration, several: bool) -> Picture:
     name = f"coverage-{each.eye}" if several else "coverage"
     title = f"Coverage, {each.eye} eye" if several else "Coverage"
-    return Picture(title, _draw_coverage(folder / f"{name}.png", each), "Camera positions, and what they saw.")
+    return Picture(title, _draw_coverage(folder / f"{name}.png", each), "Camera positions and their views.")
 
 
 def _read_table(session: PhotoSession, reading: Reading) -> ReportTable:
@@ -112,7 +112,7 @@ def _read_table(session: PhotoSession, reading: Reading) -> ReportTable:
         "Features: camera pixels. Samples of the panel: panel pixels, each the mean of a window of camera pixels.",
         "Features beyond the panel's field, and features that lie off their position (outliers), are not fitted.",
     )
-    return ReportTable("What was read", columns, rows, notes)
+    return ReportTable("Readings", columns, rows, notes)
 
 
 def _excluded_table(excluded: Iterable[Excluded]) -> ReportTable:
@@ -136,7 +136,7 @@ def _decoded_table(session: PhotoSession, reading: Reading) -> ReportTable:
         most = [f"{name} {100 * part:.2g} %" for name, part in rejected.most_common(2) if part > 0]
         name = session.name_of(each.folder)
         rows.append([name, 100 * float(share[0]), 100 * covered, len(panel.samples), ", ".join(most) or "-"])
-    columns = ["set", "decoded (% of picture)", "panel's box seen (%)", "samples", "most rejected, but for dark"]
+    columns = ["set", "decoded (% of picture)", "panel's box seen (%)", "samples", "main rejections, except dark"]
     return ReportTable("Decoded sets", columns, rows)
 
 
@@ -182,9 +182,7 @@ def _pose_plots(found: SessionCalibration) -> list[Plot]:
         ("Uncertainty of rotations", "arcmin", [pose.sigma_arcmin for pose in poses.values()]),
     ):
         axes = dict(zip("xyz", np.transpose(sigmas), strict=True))
-        plots.append(
-            bars(title, list(poses), axes, f"sigma ({unit})", caption="Of poses in the device frame, per axis.")
-        )
+        plots.append(bars(title, list(poses), axes, f"sigma ({unit})", caption="Poses in the device frame, per axis."))
     return plots
 
 
@@ -222,7 +220,7 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
     for target, change in state.focus.items():
         sigma_change = float(np.sqrt(adjustment.covariance_of([("focus", target)])[0, 0]))
         rows.append([f"focal length at target pose {target} (parts per million)", 1e6 * change, 1e6 * sigma_change])
-    note = "Standard deviations per axis, found from the photographs; they are in the sigmas of all poses."
+    note = "Standard deviations per axis, estimated from the photographs; the sigmas of all poses include them."
     return ReportTable("Errors of stage, board and lens", ["error", "found", "its sigma"], rows, (note,))
 
 
@@ -233,7 +231,7 @@ def _chi_squared_table(found: SessionCalibration) -> ReportTable:
     notes = (
         "Features: against their stated sigma, which is known to a factor of two.",
         "Stage: against the repeatability found.",
-        "What was stated beforehand (poses, known lenses, the board's file): against its stated sigma.",
+        "Stated values (poses, known lenses, the board's file): against their stated sigma.",
     )
     return ReportTable("Reduced chi-squared", columns, rows, notes)
 

@@ -157,8 +157,8 @@ def _report(
         "registration, 95 % (arcmin)",
     ]
     notes = (
-        "Each place is the one that lowers the predicted error most beside those before. Errors that all captures "
-        "share do not count in that choice, but in the predictions, as far as the captures state them.",
+        "Each place lowers the predicted error most, given the places above it. The choice ignores errors that all "
+        "captures share; the predictions include them if the captures state them.",
     )
     blocks: list[Block] = [
         ReportTable("Places to add, one by one", columns, rows, notes),

@@ -114,7 +114,7 @@ def error_map(
     }
     caption = (
         "Rms predicted registration error at viewpoints in the middle plane of the eye box; circles: camera places. "
-        "Rays to viewpoints before and behind that plane pass it beside the eye box, so that places lie there, too."
+        "Rays to viewpoints in front of and behind that plane cross it outside the eye box; places lie there, too."
     )
     return Plot("Predicted error over the eye box", data, layout, caption, height_px=560)
 
