@@ -135,7 +135,7 @@ def test_what_cannot_be_captured_is_refused_first(tmp_path, camera):
     (given.out / "holiday.jpg").touch()
     with pytest.raises(BadInputError, match=r"contains holiday\.jpg, which does not belong to this code"):
         pattern(given)
-    with pytest.raises(BadInputError, match=r"has no \{path\}"):
+    with pytest.raises(BadInputError, match=r"lacks \{path\}"):
         pattern(options(tmp_path, "gphoto2"))
 
 

@@ -39,7 +39,7 @@ def test_what_an_interrupted_run_left_is_replaced(tmp_path):
 @pytest.mark.parametrize(
     ("command", "complaint"),
     [
-        ("gphoto2 --capture", r"has no \{path\}, which stands for"),
+        ("gphoto2 --capture", r"lacks \{path\}, the placeholder for"),
         ("gphoto2 '{path}", "is not a command \\(No closing quotation\\)"),
         ("no-such-program {path}", "`no-such-program .*x.png` cannot be run \\(No such file or directory\\)"),
         (python("import sys; print('a'); sys.exit('no camera found')"), r"failed with status 1 \(no camera found\)"),
