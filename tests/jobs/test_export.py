@@ -240,7 +240,7 @@ def test_panel_pixels_without_a_ray_are_counted(straight_device, tmp_path, monke
 
 def test_positions_beside_the_source_picture_are_counted(straight_device, tmp_path, monkeypatch):
     narrow = Pinhole(64, 36, np.array([-0.01, -1.0]), np.array([1.0, 1.0]))
-    monkeypatch.setattr("wlr_render.jobs.export.intermediate_camera", lambda *_: narrow)
+    monkeypatch.setattr("wlr_render.exports.export_view.intermediate_camera", lambda *_: narrow)
     warning = exported("stmap", straight_device, tmp_path).warnings[-1]
     assert warning.endswith("% of the panel pixels lie outside the source picture.")
 
