@@ -130,7 +130,7 @@ def _run(command: Sequence[str], out: Path) -> float:
     with _started(command, out) as process:
         _, errors = process.communicate()
     if process.returncode != 0:
-        raise BadInputError(f"{out}: status {process.returncode}, {errors.decode()[-500:]!r}; see what is wrong there.")
+        raise BadInputError(f"{out}: status {process.returncode}, {errors.decode()[-500:]!r}; correct the cause.")
     return time.monotonic() - started
 
 

@@ -66,8 +66,8 @@ def one_pixel(eye: EvaluatedEye) -> Plot:
         for view in (SIDE, ABOVE)
     ]
     caption = (
-        "The pixel shows what the see-through ray of the same direction meets. The object stands "
-        f"{1e3 * OBJECT_M:g} mm away in this drawing."
+        "The pixel must show the point that the see-through ray of the same direction hits. In this drawing the object "
+        f"is {1e3 * OBJECT_M:g} mm away."
     )
     return drawing(f"Figure 2: one pixel's ray, {eye}", diagrams, caption)
 
@@ -150,7 +150,7 @@ def _bundle_drawing(
     diagrams[0].optics(optics)
     caption = (
         f"Traced viewpoints on one line see {subject} in directions that differ by at most {differs:.0e} arcmin. The "
-        "crossing of the base plane stands for all of them."
+        "crossing of the base plane represents all of them."
     )
     return drawing(f"{title}, {eye}", diagrams, caption)
 

@@ -88,7 +88,7 @@ def _capture_of(folder: Path) -> Path:
 
 def _read_calibration(file: Path) -> tuple[LensCamera, LensCamera]:
     """Camera and projector."""
-    text = read_text(file, "a calibration", remedy="copy it from the set, beside its captures")
+    text = read_text(file, "a calibration", remedy="copy it from the set, next to its captures")
     check_nesting(file, text)
     with as_bad_input(file, "a calibration", "copy it from the set again"):
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)

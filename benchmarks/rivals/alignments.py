@@ -180,10 +180,10 @@ def _noise_table(sittings: Sequence[Sitting], px: float) -> ReportTable:
     rows.append(["all", sum(len(each.pixel) for each in sittings), both, both * px, None])
     columns = ["sitting", "alignments", "scatter (px)", "scatter (arcmin)", "scatter of the tracked eye (mm)"]
     notes = (
-        "Scatter of the alignments: both axes, about SPAAM of the same sitting, less the numbers that it fits. "
-        "It holds the wearer's aim, the marker's tracking and what a pinhole cannot follow: at most this is noise.",
+        "Scatter of the alignments: both axes, about SPAAM of the same sitting, corrected for the number of its "
+        "parameters. It includes the wearer's aim, the marker's tracking and errors of the pinhole model.",
     )
-    return ReportTable("How well the wearer repeats alignments", columns, rows, notes)
+    return ReportTable("Repeatability of the wearer's alignments", columns, rows, notes)
 
 
 def _noise_px(sitting: Sitting) -> float:

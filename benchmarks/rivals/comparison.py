@@ -129,7 +129,7 @@ def chosen_methods(names: Sequence[str]) -> Sequence[str]:
         return tuple(METHODS)
     for name in names:
         if name == "all":
-            raise BadInputError("--methods has all beside other names; give all alone.")
+            raise BadInputError("--methods has 'all' and other names; give 'all' alone.")
         if name not in METHODS:
             close = get_close_matches(name, METHODS, 1)
             meant = f"did you mean {close[0]}? Choose" if close else "choose"
@@ -188,8 +188,8 @@ def _outcomes(chosen: Sequence[str], study: Study, eye: EvaluatedEye) -> _Table:
 def _sources(chosen: Sequence[str]) -> ReportTable:
     rows: list[list[Cell]] = [[name, METHODS[name].source, METHODS[name].structure] for name in chosen]
     notes = (
-        "Structure: what the method takes from the eye's position. static: nothing; volumetric: three coordinates; "
-        "planar: where the ray crosses the base plane; a point, a flat screen: from where it sees an image in space.",
+        "Structure: the method's use of the eye's position. static: none; volumetric: three coordinates; planar: the "
+        "point where the ray crosses the base plane; a point, a flat screen: the viewpoint of an image in space.",
         "Methods of the structure volumetric are fitted to camera positions in the eye box, others to as many in "
         f"a plane. Traced components take {TRACED_POSITIONS} positions on the prescription; drawn needs nothing else.",
     )
@@ -217,8 +217,8 @@ def _conditions_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
         f"{_USUAL}.",
         "+- is the standard error over repetitions. Exact captures are fitted once, so that methods which know a "
         "prescription have one draw of its errors there.",
-        "No answer: points for which the method has no pixel, or one beside the panel; first of those repetitions. "
-        "They do not count in the errors.",
+        "No answer: points for which the method has no pixel, or a pixel outside the panel, in the first of those "
+        "repetitions. They do not count in the errors.",
     )
     return ReportTable(f"{eye}: composite error", columns, rows, notes)
 
@@ -263,7 +263,7 @@ def _separate_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
         "All are rms; p95 and max are of forward in the first repetition.",
         "Methods that map the world to pixels in one are left out.",
     )
-    return ReportTable(f"{eye}: display and see-through apart", columns, rows, notes)
+    return ReportTable(f"{eye}: display and see-through separately", columns, rows, notes)
 
 
 def _beyond_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
@@ -277,7 +277,7 @@ def _beyond_table(eye: EvaluatedEye, found: _Table) -> ReportTable:
     notes = (
         "Exact captures, of targets at 0.4 and 3 m. Eye tracking and points: the composite error.",
         f"Moved back: the direction of a pixel from {1e3 * BACK_M:g} mm behind on its ray. Self-contradiction: the "
-        "angle between a pixel's directions at two points of one of the model's rays, the eye box's depth apart.",
+        "angle between a pixel's directions at two points of one of the model's rays, one eye box depth between them.",
     )
     return ReportTable(f"{eye}: beyond the captures", columns, rows, notes)
 

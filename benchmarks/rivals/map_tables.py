@@ -70,7 +70,7 @@ class PositionMaps:
             _require_two_depths(samples, rows, position)
             if len(rows) < columns:
                 raise BadInputError(
-                    f"camera position {position} has {len(rows)} readings, too few for a map of its own; "
+                    f"camera position {position} has {len(rows)} readings, too few for its own map; "
                     f"a table needs {columns} or more at each."
                 )
             coefficients.append(samples.solve(phi[rows], rows))
@@ -260,7 +260,7 @@ def _require_two_depths(samples: Samples, rows: IntArray, position: int) -> None
     if np.ptp(inverse) < _DEPTHS_APART * np.abs(inverse).max():
         near, far = np.sort(1.0 / inverse[[np.argmax(inverse), np.argmin(inverse)]])
         raise BadInputError(
-            f"camera position {position} saw real points from {near:.2f} to {far:.2f} m only, so a map of its own for "
+            f"camera position {position} saw real points from {near:.2f} to {far:.2f} m only, so its own map for "
             "near and far points is not determined; a table needs a nearer and a farther target at each position."
         )
 

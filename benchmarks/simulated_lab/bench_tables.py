@@ -73,7 +73,7 @@ def _sigmas(outcomes: Sequence[BenchOutcome]) -> ReportTable:
         "In the device frame nearly all of a pose's error comes from the stated pose of the tracking camera, one "
         "draw a session.",
         "Poses of targets are fitted to the features of the board; the shape is the residual of the features. "
-        "Directions are those of pixels over the whole picture.",
+        "Directions cover pixels over the whole picture.",
     )
     columns = ["unknown", "error / sigma, rms", "95 % interval", "by joint covariance", "95 % interval, joint"]
     return ReportTable(f"Errors over stated sigmas, {len(clean)} sessions", columns, rows, notes)

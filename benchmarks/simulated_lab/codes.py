@@ -107,8 +107,8 @@ def code_table(trials: list[CodeTrial], bench: PhotoBench, snr: float) -> Report
     ]
     columns += ["accepted (%)", "decoded in (s)", "by reading the files alone"]
     notes = (
-        "Against exact traces through the middle of the pupil. The mean is no fault of decoding: a pupil of some size "
-        "sees the middle of an aberrated spot. Accepted: of the camera pixels that see the panel, but for its rim.",
+        "Against exact traces through the middle of the pupil. Decoding does not cause the mean error: a finite pupil "
+        "sees the middle of an aberrated spot. Accepted: of the camera pixels that see the panel without its rim.",
     )
     return ReportTable(title, columns, rows, notes)
 

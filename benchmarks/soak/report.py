@@ -111,8 +111,8 @@ def _jumps(stream: Stream) -> ReportTable:
     notes = (
         f"Of {len(jumps)} jumps by more than {SACCADE_MM:g} mm, {whole} have every point converged in the same frame; "
         "the farthest are above.",
-        "Errors are the largest of any point, in arcminutes, against the exact solve for the frame's own "
-        "viewpoint; the old map is that of the frame before. For this, these frames are drawn again after the stream.",
+        "Errors are the largest of any point, in arcminutes, against the exact solve for the frame's viewpoint. The "
+        "old map is the previous frame's. For this check, these frames are drawn again after the stream.",
     )
     return ReportTable("Saccades: does the map match the viewpoint of its frame?", columns, rows, notes)
 

@@ -38,7 +38,7 @@ def ray_map_table(models: Mapping[str, Eye], context: str) -> ReportTable:
     notes = (
         f"Against the float64 solve at {_PIXELS} pixels from each of {len(JUDGED_PLACES)} places in the eye box: the "
         "angle at infinity plus the offset's angle at 0.25 m. Between points of a warp grid rays are interpolated "
-        "as the warp does it. A warp grid's bound is without what the shader's float32 adds.",
+        "as in the warp. A warp grid's bound excludes the shader's float32 errors.",
     )
     columns = "ray map", "bound when chosen (arcmin)", "rms (arcmin)", "max (arcmin)", "goal"
     return ReportTable("Rays of the shader", columns, rows, notes)
@@ -80,9 +80,9 @@ def landing_part(models: Mapping[str, Eye], scenes: Sequence[str], context: str)
         "cut (%)",
     )
     notes = (
-        f"From {len(PLACES)} places in the eye box; the fitted model stands for the truth. Angles are of points that "
-        "both frames show, 2 pixels away from silhouettes and disocclusion. Disoccluded: hidden from where the picture "
-        "is drawn, found exactly by rays; the paper draws from the pupil.",
+        f"From {len(PLACES)} places in the eye box; the fitted model is the truth. Angles are measured at points that "
+        "both frames show, 2 pixels away from silhouettes and disocclusion. Disoccluded: hidden from the raster "
+        "camera, determined exactly by rays; the paper draws from the pupil.",
     )
     return Part(landing_figures(rows), [ReportTable("Composed frames against ray-traced ones", columns, rows, notes)])
 

@@ -20,7 +20,7 @@ from wlr_render.report.blocks import Text
 NAMES = ("planar", "linear-table-planar", "spaam")
 TITLES = (
     "composite error",
-    "display and see-through apart",
+    "display and see-through separately",
     "beyond the captures",
     "cost",
 )
