@@ -9,7 +9,6 @@ import pytest
 from small_session import SIGMA_PX, diagnosed, measured, with_motions, with_moved_capture
 
 from wlr_render.bench.bench_file import load_bench, save_bench
-from wlr_render.calibration.fit_report import HeldOut
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
@@ -280,8 +279,7 @@ def test_causes_of_one_part_share_the_line_to_type(explained):
 
 
 def test_improvement_in_use_is_tabulated_where_there_is_some():
-    own = HeldOut("one capture in four", 9, 0.4, 0.4)
-    refitted = Refitted(own, own, 1.06, 0.347, HeldOutImprovement(67.2, 0.7, 30.0))
+    refitted = Refitted(1.06, 0.347, HeldOutImprovement(67.2, 0.7, 30.0))
     before, after = (Summary(rms, 0.1, 0.2, 0.3, 9, 0) for rms in (0.99, 0.169))
     table = tables.in_use_table(
         ImprovementInUse(None, refitted, Rendered(before, after), None, ("s: no display table.",))
