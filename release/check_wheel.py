@@ -69,7 +69,7 @@ def build(folder: Path) -> Path:
 
 
 def lower_bounds() -> list[str]:
-    """Requirements for the oldest version of each dependency that pyproject.toml allows."""
+    """Return requirements for the oldest version of each dependency that pyproject.toml allows."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     return [requirement.replace(">=", "==") for requirement in project["dependencies"]]
 
@@ -109,25 +109,25 @@ def agree(found: list[str], expected: list[str]) -> bool:
 
 
 def demo_figures(report: Path) -> dict[str, list[str]]:
-    """Median, 95 % and maximum in arcminutes of each method that the demo drew with."""
+    """Return median, 95 % and maximum in arcminutes of each method that the demo drew with."""
     text = report.read_text(encoding="utf-8")
     return {method: cells for method in METHODS if (cells := row_of(method, text))}
 
 
 def readme_figures() -> dict[str, list[str]]:
-    """The same of README's table."""
+    """Return median, 95 % and maximum in arcminutes of each method in README's table."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     return {method: row_of(name, text) for method, name in METHODS.items()}
 
 
 def row_of(name: str, text: str) -> list[str]:
-    """The first three cells behind `name` in a Markdown table, without units; none if no table has the row."""
+    """Return the first three cells behind `name` in a Markdown table, without units; none if no table has the row."""
     match = re.search(rf"^\| {re.escape(name)} \|(.+)\|$", text, re.MULTILINE)
     return [cell.strip().rstrip("'") for cell in match[1].split("|")[:3]] if match else []
 
 
 def check_pipx(python: str, wheel: Path, folder: Path) -> Iterator[str]:
-    """Run the demo by pipx from an empty folder; yields what is wrong."""
+    """Run the demo by pipx from an empty folder, and yield the errors."""
     pipx = Path(make_venv(python, folder / "venv", "pipx")).with_name("pipx")
     place = folder / "empty"
     place.mkdir()
@@ -137,7 +137,7 @@ def check_pipx(python: str, wheel: Path, folder: Path) -> Iterator[str]:
 
 
 def all_extras() -> list[str]:
-    """The extras of the package."""
+    """Return the extras of the package."""
     return list(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"])
 
 
@@ -171,7 +171,7 @@ def installed_bytes(python: str) -> int:
 
 
 def run(command: list[str], place: Path, environment: dict[str, str] | None = None) -> str:
-    """Standard output of a command, run in a folder without the checkout on Python's path."""
+    """Return the standard output of a command, run in a folder without the checkout on Python's path."""
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | (environment or {})
     return subprocess.run(command, cwd=place, env=clean, check=True, text=True, stdout=subprocess.PIPE).stdout
 
