@@ -332,7 +332,7 @@ def test_without_dask_the_sentence_says_how_to_install_it(monkeypatch):
 
 
 def test_workers_and_scheduler_exclude_each_other():
-    with pytest.raises(BadInputError, match="--workers has no use with --scheduler"):
+    with pytest.raises(BadInputError, match="--workers has no effect with --scheduler"):
         AccuracyOptions(workers=2, scheduler="tcp://host:8786")
 
 

@@ -63,7 +63,7 @@ class InputLimits:
     picture_bytes: int = 1_000_000_000
     """A photograph or texture as it is stored."""
     picture_pixels: int = 1 << 27
-    """Pixels of a photograph, texture, panel or image to draw: 134 million, above the 100 of the largest cameras."""
+    """Pixels of a photograph, texture, panel or image to draw: 134 million; the largest cameras have 100 million."""
     picture_side: int = 32_766
     """Width or height in pixels: OpenCV samples longer sides wrongly."""
     eye_box_m: float = 0.2

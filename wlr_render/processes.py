@@ -54,10 +54,10 @@ def as_finished(
 ) -> Iterator[Result]:
     """Yield the results of all tasks, in the order of completion.
 
-    A scheduler has answered when this returns; tasks begin when the first result is requested. Every process computes
-    with one thread, so that the order of sums does not depend on the number of workers. Workers exit with this process,
-    or when the caller stops iterating or is interrupted; running tasks are abandoned. The workers of a cluster finish
-    them.
+    This returns only once the scheduler has answered; tasks begin when the first result is requested. Every process
+    computes with one thread, so that the order of sums does not depend on the number of workers. Workers exit with this
+    process, or when the caller stops iterating or is interrupted; running tasks are abandoned. The workers of a cluster
+    finish theirs.
 
     Args:
         run: function of a task; it and its results must be picklable.

@@ -143,7 +143,7 @@ def test_targets_alone_come_back_with_the_panel_if_it_is_known(tmp_path, panel):
     read = load_captures(path)
     assert read.display is None
     assert len(read.see_through) == 20
-    with pytest.raises(BadInputError, match="neither of the panel nor of a target"):
+    with pytest.raises(BadInputError, match="none of the panel or of a target"):
         observation_table(None, None)
 
 

@@ -14,6 +14,8 @@ from wlr_render.rendering.image_files import read_png
 from wlr_render.report.blocks import Picture, Plot
 
 FIT = "wlr_render.jobs.demo.calibrate"
+POSITIONS = "wlr_render.jobs.demo.CAMERA_POSITIONS"
+FEW = 25
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +30,7 @@ def finished(opened_gl_context, tmp_path_factory, small_northstar, fit_with_memo
     folder = tmp_path_factory.mktemp("demo")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(FIT, fit_with_memo)
+        patch.setattr(POSITIONS, FEW)
         return demo(DemoOptions(device=small_northstar, viewpoints=5, out=folder)), folder
 
 
@@ -57,6 +60,7 @@ def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
 @pytest.mark.slow
 def test_without_opengl_no_row_says_that_frames_were_rasterised(small_northstar, tmp_path, fit_with_memo, monkeypatch):
     monkeypatch.setattr(FIT, fit_with_memo)
+    monkeypatch.setattr(POSITIONS, FEW)
     report = demo(DemoOptions(device=small_northstar, viewpoints=5, backend="cpu", out=tmp_path))
     assert list(overall(report)) == ["naive", "static", "ray traced"]
     assert report.tables[1].columns == ["viewpoint (mm)", "naive", "static", "ray traced"]
@@ -146,8 +150,9 @@ def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_tables(finished, small_northstar, tmp_path):
+def test_the_same_seed_gives_the_same_tables(finished, small_northstar, tmp_path, monkeypatch):
     """Without the memo: its models are fitted anew."""
+    monkeypatch.setattr(POSITIONS, FEW)
     again = demo(DemoOptions(device=small_northstar, viewpoints=5, out=tmp_path))
     assert again.tables == finished[0].tables
     for name in ("panel-raster-warp.png", "eye-static.png"):
@@ -179,7 +184,7 @@ def test_each_eye_has_captures_of_its_own(straight_device):
 
 @pytest.mark.slow
 def test_both_eyes_have_folders_of_their_own(tmp_path, straight_device, monkeypatch):
-    monkeypatch.setattr("wlr_render.jobs.demo.CAMERA_POSITIONS", 9)
+    monkeypatch.setattr(POSITIONS, 9)
     report = demo(DemoOptions(device=straight_device, eye="both", viewpoints=5, out=tmp_path))
     assert {path.name for path in tmp_path.iterdir()} == {"left", "right", "report.html", "report.md", "report.json"}
     assert all((tmp_path / eye / "alignment.png").is_file() for eye in ("left", "right"))

@@ -256,7 +256,7 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
     ("options", "words"),
     [
         ({"fps": 30.0}, "--fps is used with --eye-track only"),
-        ({"format": "rays", "depth_m": 1.0}, "--depth-m has no use with rays"),
+        ({"format": "rays", "depth_m": 1.0}, "--depth-m has no effect with rays"),
         ({"viewpoint_mm": (32.0, 0.0, -30.0), "pupils": 3}, "--viewpoint-mm and --pupils exclude each other"),
         ({"pupils": 3, "eye_track": Path("eyes.txt")}, "--pupils and --eye-track exclude each other"),
         ({"viewpoint_mm": (0.0, 0.0, 0.0), "eye": "both"}, "--viewpoint-mm has 3 numbers; give 6: x y z of the left"),
@@ -265,7 +265,7 @@ def test_pupil_aside_costs_what_parallax_costs(straight_device, tmp_path):
         ({"format": "monado", "eye": "both", "source_axes": "field"}, "leave out --source-axes"),
         ({"frame_limit": 3}, "--frames is used with --eye-track only"),
         ({"red_model": Path("red.json")}, "--red-model and --blue-model go together"),
-        ({"source_size": (100, 100), "resolution": 2.0}, "--resolution has no use with --source-size"),
+        ({"source_size": (100, 100), "resolution": 2.0}, "--resolution has no effect with --source-size"),
         ({"source_size": (LIMITS.picture_side + 1, 1)}, "--source-size"),
         ({"format": "openfx"}, "choose from stmap"),
         ({"pupils": 1}, "--pupils is 1"),

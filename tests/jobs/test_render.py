@@ -477,7 +477,7 @@ def test_a_second_job_in_the_same_folder_is_refused_at_once(options):
         ({"scene": "dosts"}, "Did you mean dots"),
         ({"eye": "both", "headset": "no_optics"}, "no left eye"),
         ({"materials": "gltf", "backend": "cpu"}, "glTF materials need OpenGL"),
-        ({"maps": "tiff", "backend": "cpu"}, "--maps has no use with --backend cpu"),
+        ({"maps": "tiff", "backend": "cpu"}, "--maps has no effect with --backend cpu"),
     ],
     ids=str,
 )

@@ -41,7 +41,7 @@ _SAME_PITCH = 1e-4  # relative; smaller differences mean the same target
 
 
 def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tuple[Bench, Session]:
-    """Read a session, named after its folder, and the nominal bench of its makers.
+    """Read a session, named after its folder, and the nominal bench, as bench.toml describes it.
 
     Args:
         folder: folder with bench.toml and the tables.

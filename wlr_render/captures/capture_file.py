@@ -108,7 +108,7 @@ def save_captures(path: str | Path, captures: Captures | ObservationTable) -> Pa
 
 
 def load_captures(path: str | Path) -> Captures:
-    """Read the captures of a fit from a capture file: the panel in one colour, and see-through.
+    """Read a capture file for fitting: display captures in one colour, and see-through captures.
 
     Raises:
         BadInputError: as `load_observations`.

@@ -445,9 +445,7 @@ class Captures:
     def __post_init__(self) -> None:
         other = self.see_through
         if self.display is None and other is None:
-            raise BadInputError(
-                "captures: there are neither of the panel nor of a target; there must be one of the two."
-            )
+            raise BadInputError("captures: there are none of the panel or of a target; give at least one.")
         if self.display is None:
             return
         if other is not None and (other.device, other.eye) != (self.display.device, self.display.eye):

@@ -100,7 +100,7 @@ class Compositor:
                 that you submit: the paper's map from the mesh is not possible here.
             late_margin_deg: how far the head may turn between drawing and scan-out before the borders go black, 0 to
                 20.
-            background: sRGB of pixels that see nothing of the picture.
+            background: sRGB of pixels that fall outside the picture.
             panel: encoding, uniformity, sub-pixels and bits of the panels' light; one for all eyes, or by eye.
 
         Raises:
@@ -167,7 +167,7 @@ class Compositor:
             viewpoint: (3,) entrance pupil in the device frame, metres; by eye if there are two. Only the eyes that are
                 named have a camera in this frame.
             time_s: when pose and viewpoint were measured, in seconds of any clock; for `predict_s`.
-            predict_s: draw for the pose and viewpoint so much later, 0 to 0.1 s, predicted at constant velocity from
+            predict_s: draw for the pose and viewpoint this much later, 0 to 0.1 s, predicted at constant velocity from
                 this and the last call with a time (`geometry/pose_prediction.py`).
 
         Returns:
@@ -288,7 +288,7 @@ class Compositor:
         stored_colour: StoredColour = PREMULTIPLIED,
         rows: Rows | None = None,
     ) -> None:
-        """Show a flat picture over all else, from the next `compose` on, until its layer gets another or None.
+        """Show a flat picture over all else, from the next `compose` on, until its layer is replaced or removed.
 
         Args:
             picture: an array (height, width, 3 or 4), or a texture (ModernGL's, its OpenGL name, or a
@@ -332,9 +332,9 @@ class Compositor:
 
         Args:
             into: a framebuffer, ModernGL's or its OpenGL number, of the display's size, or by eye; for two eyes also
-                one of twice the width, the left eye to the left. Its first colour is drawn to, upright as OpenGL shows
-                it, with the panel's codes whatever its format. 0 is the window's, whose size is not checked. Textures
-                of our own if None.
+                one of twice the width, the left eye to the left. Its first colour attachment is drawn to, upright
+                as OpenGL shows it, with the panel's codes whatever its format. 0 is the window's framebuffer, whose
+                size is not checked. Textures of the compositor if None.
             eyes: which eyes to compose, all if None.
             pose: (4, 4) newest world_from_device, when the first row lights up; that of the newest `begin_frame` if
                 None.

@@ -65,7 +65,7 @@ def diagnose(
     """Compare a measured session with its bench model, and find the physical causes of any difference.
 
     Args:
-        nominal: the bench as its makers believe it to be, from `load_session`.
+        nominal: the nominal bench, as bench.toml describes it, from `load_session`.
         session: the measured readings, from `load_session`.
         progress: called with a sentence at each step.
         causes: the candidates.

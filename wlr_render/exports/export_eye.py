@@ -30,7 +30,7 @@ def export(
         folder: of the files; made if it is not there.
         format: "stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh" or "mrcal"; docs/exports.md describes them.
         viewpoint: (3,) centre of the entrance pupil in the device frame, metres; the centre of the eye box by default.
-        depth_m: depth from the source camera for which the maps are right; infinite by default. The files of "rays"
+        depth_m: depth from the source camera at which the maps are correct; infinite by default. The files of "rays"
             serve every depth.
 
     Returns:

@@ -26,9 +26,9 @@ _DRAWING = option_group("Drawing", 3)
 class BudgetOptions(Options):
     """Options of `budget`. Where the default sizes come from: docs/budget.md."""
 
-    headset: Annotated[str, described("A model file; of a device, the budget of its trackers alone.")]
+    headset: Annotated[str, described("A model file, or a device, whose models have no errors.")]
     _: KW_ONLY
-    eye: Annotated[Eyes, described("Eyes; both: disparity, too.")] = "right"
+    eye: Annotated[Eyes, described("Eyes to analyse; both also gives the disparity error.")] = "right"
     depth_m: Annotated[float, described("Depth of the real points in metres."), limits.DEPTH_M] = 1.0
     eye_noise_mm: Annotated[
         PerAxisMm,
@@ -75,7 +75,10 @@ class BudgetOptions(Options):
         limits.ANGLE_ARCMIN,
     ] = 0.004
     whole_pixels: Annotated[
-        bool, described("Count edges that lie on whole pixels, as drawn without filter.", flag=True, group=_DRAWING)
+        bool,
+        described(
+            "Include the rounding of edges to whole pixels (drawing without a filter).", flag=True, group=_DRAWING
+        ),
     ] = False
     camera_frame: Annotated[
         bool,

@@ -57,7 +57,7 @@ class DiagnoseOptions(Options):
     add_causes: Annotated[
         tuple[str, ...],
         described(
-            "Python files or modules that define CAUSES, further causes to consider.",
+            "Python files or modules that define CAUSES, a list of additional causes.",
             flag=True,
             many=True,
             group=_CAUSES,
@@ -65,7 +65,7 @@ class DiagnoseOptions(Options):
     ] = ()
     max_causes: Annotated[
         int,
-        described("Most causes that are named; 0 measures the noise only.", group=_CAUSES),
+        described("Maximum number of causes to report; 0 only measures the noise.", group=_CAUSES),
         Range(at_least=0, at_most=100),
     ] = DEFAULT.max_causes
     hold_out: Annotated[

@@ -75,7 +75,7 @@ class ExportOptions(Options):
     blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.", group=_COLOURS)] = None
     resolution: Annotated[
         float,
-        described("Resolution of the source picture; 1: about the panel's.", group=_SOURCE),
+        described("Resolution of the source picture; 1: about as fine as the panel.", group=_SOURCE),
         Range(above=0, at_most=4),
     ] = 1.0
     source_size: Annotated[
@@ -125,7 +125,7 @@ class ExportOptions(Options):
         if (self.red_model is None) != (self.blue_model is None):
             raise BadInputError("--red-model and --blue-model go together; give both or neither.")
         if self.source_size is not None and self.resolution != 1.0:
-            raise BadInputError("--resolution has no use with --source-size; leave out one of them.")
+            raise BadInputError("--resolution has no effect with --source-size; leave out one of them.")
         _require_held(self)
 
     @property
@@ -159,7 +159,7 @@ def _require_held(options: ExportOptions) -> None:
     holds = format_of(options.format).holds
     if holds.every_depth and options.depth_m is not None:
         raise BadInputError(
-            f"--depth-m has no use with {options.format}: its files hold rays, which serve every depth; leave it out."
+            f"--depth-m has no effect with {options.format}: its files hold rays, which fit every depth; leave it out."
         )
     if options.has_colours and not holds.colours:
         raise BadInputError(

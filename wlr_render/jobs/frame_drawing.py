@@ -138,7 +138,7 @@ def open_raster(options: RenderOptions, scene: Scene) -> SceneRaster | None:
     if raster is None and options.maps is not None:
         if options.backend == "cpu":
             raise BadInputError(
-                "--maps has no use with --backend cpu: ray-traced frames have no warp map; leave out one."
+                "--maps has no effect with --backend cpu: ray-traced frames have no warp map; leave out one."
             )
         raise BadInputError(
             "--maps needs OpenGL, because ray-traced frames have no warp map; leave it out, or install libegl1 and "

@@ -53,7 +53,7 @@ class PlannedFrame:
     held: bool = False
     """Whether the pupil is held: in a gap of the eye track, or outside the eye box."""
     eye_gap_s: float = 0.0
-    """Length of the gap between samples of the eye in which it lies; 0 in none."""
+    """Length of the gap in the eye track that contains this frame, seconds; 0 if none."""
     head_gap_s: float = 0.0
     """Length of the gap between samples of the head in which it lies; 0 in none."""
 

@@ -29,7 +29,7 @@ Length = TypeVar("Length", int, float)
 class Range:
     """Limits of a number, or of each number of a sequence, and of the product of the numbers of a size.
 
-    Both ends are stated for every option: beyond them a value is a slip of the pen, or fills the disk or the memory.
+    Both ends are stated for every option: beyond them a value is a typo, or would fill the disk or the memory.
     A value other than 0 and below `least_size` is most likely in another unit than `unit`.
     """
 
@@ -66,7 +66,7 @@ class Range:
 
 @dataclass(frozen=True)
 class OnlyWith:
-    """The option has a meaning only if another option has one of these values, or if it is given at all."""
+    """The option applies only if another option has one of these values, or if it is given at all."""
 
     option: str
     values: tuple[object, ...] = ()
@@ -254,7 +254,8 @@ WORK = option_group("Work", 99)
 Backend = Annotated[
     Literal["auto", "egl", "osmesa", "cpu"],
     described(
-        "OpenGL through EGL or OSMesa (auto: the first that opens); cpu, or no OpenGL: frames are ray traced.",
+        "OpenGL through EGL or OSMesa (auto: the first that opens). With cpu, or without OpenGL, frames are ray "
+        "traced.",
         group=WORK,
     ),
 ]
@@ -286,7 +287,7 @@ class SpreadOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.workers is not None and self.scheduler is not None:
-            raise BadInputError("--workers has no use with --scheduler, which has its own workers; leave out one.")
+            raise BadInputError("--workers has no effect with --scheduler, which has its own workers; leave out one.")
 
     @property
     def worker_pool(self) -> WorkerPool:

@@ -54,7 +54,9 @@ class RenderOptions(SpreadOptions):
     ] = None
     frames_per_second: Annotated[
         float,
-        described("Frames per second, over the time that both trajectories cover.", name="--fps", group=_MOTION),
+        described(
+            "Frames per second; frames cover the time span that both trajectories share.", name="--fps", group=_MOTION
+        ),
         Range(above=0, at_most=1000),
     ] = 30.0
     frame_limit: Annotated[
@@ -67,7 +69,7 @@ class RenderOptions(SpreadOptions):
     method: Annotated[
         Literal["raster", "raytrace", "pathtrace"],
         described(
-            "Rendering method: an intermediate image that is warped, a ray for each pixel, or paths of light, by "
+            "Rendering method: an intermediate image that is warped, a ray for each pixel, or path tracing with "
             "Mitsuba (docs/renderers.md).",
             group=_DRAWING,
         ),
@@ -80,7 +82,7 @@ class RenderOptions(SpreadOptions):
     ] = 1
     shadows: Annotated[
         bool,
-        described("Surfaces cast shadows (raytrace only).", flag=True, group=_DRAWING),
+        described("Draw shadows (raytrace only).", flag=True, group=_DRAWING),
         OnlyWith("method", ("raytrace",)),
     ] = False
     samples: Annotated[
@@ -99,14 +101,14 @@ class RenderOptions(SpreadOptions):
     materials: Annotated[
         Literal["own", "gltf"],
         described(
-            "Shading of the raster: the ray tracer's, or pyrender's of matt glTF materials (needs OpenGL).",
+            "Raster shading: that of the ray tracer, or pyrender's for matte glTF materials (needs OpenGL).",
             group=_DRAWING,
         ),
         OnlyWith("method", ("raster",)),
     ] = "own"
     resolution: Annotated[
         float,
-        described("Resolution of the intermediate image; 1: about the panel's (raster only).", group=_DRAWING),
+        described("Resolution of the intermediate image; 1: about as fine as the panel (raster only).", group=_DRAWING),
         Range(above=0, at_most=4),
         OnlyWith("method", ("raster",)),
     ] = 1.0
@@ -181,7 +183,7 @@ class RenderOptions(SpreadOptions):
         WORKERS,
     ] = None
     scheduler: Scheduler = None
-    out: Annotated[Path, described("Output folder; frames that are there already are kept.")] = Path("out/render")
+    out: Annotated[Path, described("Output folder; existing frames are kept.")] = Path("out/render")
 
     def __post_init__(self) -> None:
         """Check that the models of red and blue light come together, and that several frames have a trajectory."""

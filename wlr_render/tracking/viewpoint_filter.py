@@ -43,7 +43,7 @@ LID_S = 0.05
 """How long before and after a blink the lid may drag the samples."""
 
 MEMORY_S = 0.05
-"""How much time the trusted viewpoint is the median of: a part of one fixation, which lasts 200 ms and longer."""
+"""Length of the window whose median is the trusted viewpoint: a part of one fixation, which lasts 200 ms and longer."""
 
 _Point = tuple[float, float, float]
 
@@ -115,7 +115,7 @@ class ViewpointFilter:
             fade_s: duration of the subsequent move to the last trusted viewpoint.
             reach_m: samples farther than this from the nominal viewpoint are implausible. A pupil 10.5 mm in front of
                 the eye's centre moves 9 mm when the eye turns by 50 deg; the rest is for headsets that are not aligned.
-            min_confidence: samples with less are not used.
+            min_confidence: samples below this are ignored.
 
         Raises:
             BadInputError: a nominal viewpoint that is not three finite numbers, a negative or infinite hold_s, a fade_s

@@ -40,7 +40,7 @@ RESULTS = (("captures", ".npz"), ("station", ".json"))
 _FIT = option_group("Fit", 1)
 _PHOTOGRAPHS = option_group("Session of photographs", 2)
 _BENCH = option_group("Bench session", 3)
-_DEVICE = option_group("Device, whose captures are simulated", 4)
+_DEVICE = option_group("Simulated captures (only if PATH is a device)", 4)
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class FitOptions(Options):
     kind: Annotated[
         Literal["planar", "volumetric", "static", "point-per-pixel", "grey-box", "prescription"] | None,
         described(
-            "Model type (default: planar; with a prescription the most probable of planar, grey-box and prescription).",
+            "Model type (default: planar; with --prescription the most probable of planar, grey-box and prescription).",
             group=_FIT,
         ),
     ] = None
@@ -76,7 +76,7 @@ class FitOptions(Options):
     prescription: Annotated[
         str | None,
         described(
-            "Prescription of the headset, whose assembly errors are fitted: a shipped device or a device file.",
+            "Optical prescription of the headset (a shipped device or a device file); its assembly errors are fitted.",
             group=_FIT,
         ),
     ] = None
@@ -196,7 +196,7 @@ class CalibrateOptions(SpreadOptions):
     ] = 0.0
     turn_jitter_urad: Annotated[
         float,
-        described("Random rotation of each visit in urad, standard deviation per axis.", group=_DEVICE),
+        described("Random camera rotation at each stop in urad, standard deviation per axis.", group=_DEVICE),
         limits.ROTATION_URAD,
     ] = 0.0
     seed: Annotated[int, described("Seed of all random numbers.", group=_DEVICE), SEEDS] = 1
