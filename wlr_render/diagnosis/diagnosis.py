@@ -304,14 +304,14 @@ class Diagnosis:
     @property
     def advice(self) -> list[str]:
         """Next steps, most urgent first; each a sentence."""
-        from wlr_render.diagnosis.explain import advice  # imports this module
+        from wlr_render.diagnosis.verdict_sentences import advice  # imports this module
 
         return advice(self)
 
     @property
     def values_to_type(self) -> list[str]:
         """Lines that make bench.toml describe the corrected bench, all but changes of the device's prescription."""
-        from wlr_render.diagnosis.explain import values_to_type  # imports this module
+        from wlr_render.diagnosis.verdict_sentences import values_to_type  # imports this module
 
         return values_to_type(self)
 
@@ -323,14 +323,14 @@ class Diagnosis:
         return part_views(self)
 
     def __str__(self) -> str:
-        from wlr_render.diagnosis.explain import verdict_sentence  # imports this module
+        from wlr_render.diagnosis.verdict_sentences import verdict_sentence  # imports this module
 
         return "\n".join([verdict_sentence(self), *(f"{n}. {step}" for n, step in enumerate(self.advice, 1))])
 
     def _repr_html_(self) -> str:
         # Both import this module.
-        from wlr_render.diagnosis.explain import verdict_sentence
         from wlr_render.diagnosis.tables import causes_table, residuals_table
+        from wlr_render.diagnosis.verdict_sentences import verdict_sentence
 
         steps = [f"{number}. {step}" for number, step in enumerate(self.advice, 1)]
         tables = [each.summary for each in (residuals_table(self), causes_table(self)) if each.rows]

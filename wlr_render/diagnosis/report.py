@@ -9,7 +9,7 @@ from typing import Any
 from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_folder import remove_session, save_session
 from wlr_render.diagnosis import diagnosis_plots as plots
-from wlr_render.diagnosis import explain, tables
+from wlr_render.diagnosis import tables, verdict_sentences
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.noise_sentences import bench_sentence
@@ -99,8 +99,8 @@ def diagnosis_report(
     blocks += [plots.normality_plot(diagnosis)]
     return Report(
         f"Diagnosis of {diagnosis.session} ({diagnosis.device}, {diagnosis.eye} eye)",
-        f"{explain.verdict_sentence(diagnosis)} {bench_sentence(diagnosis)}",
-        explain.advice(diagnosis),
+        f"{verdict_sentences.verdict_sentence(diagnosis)} {bench_sentence(diagnosis)}",
+        verdict_sentences.advice(diagnosis),
         warnings(diagnosis),
         [block for block in blocks if not isinstance(block, ReportTable) or block.rows],
         inputs,
@@ -109,9 +109,11 @@ def diagnosis_report(
 
 
 def _values(diagnosis: Diagnosis) -> list[Block]:
-    lines = explain.values_to_type(diagnosis)
+    lines = verdict_sentences.values_to_type(diagnosis)
     return (
-        [Text(f"Values for bench.toml, as the corrected bench has them. {explain.FRAME_NOTE}", lines)] if lines else []
+        [Text(f"Values for bench.toml, as the corrected bench has them. {verdict_sentences.FRAME_NOTE}", lines)]
+        if lines
+        else []
     )
 
 

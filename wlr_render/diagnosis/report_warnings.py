@@ -5,11 +5,11 @@ from collections import Counter
 import numpy as np
 
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ParameterValue
-from wlr_render.diagnosis.explain import undecided, value_text
 from wlr_render.diagnosis.fit import times_between_captures
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.scatter import FEWEST_TO_STAND_OUT, USUAL_SHIFT, USUAL_TURN
 from wlr_render.diagnosis.settings import Settings
+from wlr_render.diagnosis.verdict_sentences import undecided, value_text
 
 _SAME_STATED = 1e-3  # relative difference of two stated sigmas that is rounding
 _NEARLY_ONE = 1.1  # ratio of the parts' noise up to which one number states both

@@ -3,7 +3,12 @@
 import numpy as np
 
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.explain import (
+from wlr_render.diagnosis.held_out import HeldOutImprovement
+from wlr_render.diagnosis.improvement import ImprovementInUse
+from wlr_render.diagnosis.noise_sentences import undetermined_parts
+from wlr_render.diagnosis.outliers import MovedCapture
+from wlr_render.diagnosis.report_warnings import stated_prior
+from wlr_render.diagnosis.verdict_sentences import (
     AXES_NOTE,
     RESIDUALS,
     odds_text,
@@ -11,11 +16,6 @@ from wlr_render.diagnosis.explain import (
     value_and_sigma,
     value_text,
 )
-from wlr_render.diagnosis.held_out import HeldOutImprovement
-from wlr_render.diagnosis.improvement import ImprovementInUse
-from wlr_render.diagnosis.noise_sentences import undetermined_parts
-from wlr_render.diagnosis.outliers import MovedCapture
-from wlr_render.diagnosis.report_warnings import stated_prior
 from wlr_render.report.blocks import Cell, ReportTable
 
 _UNITS = {" panel px": "panel px", "'": "arcmin"}

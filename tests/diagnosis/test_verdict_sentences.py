@@ -12,13 +12,13 @@ from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
-from wlr_render.diagnosis.explain import advice, value_text, values_to_type, verdict_sentence
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
 from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.noise_tables import noise_table, repeatability_table
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
+from wlr_render.diagnosis.verdict_sentences import advice, value_text, values_to_type, verdict_sentence
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text
