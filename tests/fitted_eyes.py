@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.correspondences import Captures
-from wlr_render.numerics.polynomial import Polynomial, basis, total_degree
+from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
@@ -24,11 +24,6 @@ def captures(device, kind="planar"):
 @lru_cache
 def fitted_eye(device, degree):
     return calibrate(captures(device), "planar", degree, DEGREES[degree]).mappings
-
-
-def fitted_polynomial(function, box, degree):
-    """Least squares to a function (n, variables) -> (n, outputs); exact where it is a polynomial of that degree."""
-    return fitted_terms(function, box, total_degree(len(box.low), degree))
 
 
 def fitted_terms(function, box, orders):

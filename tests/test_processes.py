@@ -105,15 +105,6 @@ def until(reached):
     return reached()
 
 
-def is_running(process_id):
-    try:
-        os.kill(process_id, 0)
-    except ProcessLookupError:
-        return False
-    with open(f"/proc/{process_id}/stat") as stat:
-        return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
-
-
 def session_of(process):
     """Ids of the running processes of a session."""
     found = set()

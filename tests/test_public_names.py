@@ -56,6 +56,12 @@ def test_the_package_has_the_names_of_the_plan():
     assert set(NAMES) <= set(dir(wlr))
 
 
+@pytest.mark.parametrize("module", MODULES[1:])
+def test_the_other_public_modules_are_attributes_of_the_package(module):
+    """Also in a process that has not imported them."""
+    assert wlr.__getattr__(module.partition(".")[2]) is import_module(module)
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_editors_see_the_names_that_load(module):
     public, static = import_module(module), names_of_static_imports(module)

@@ -72,4 +72,5 @@ else:
             "tracking.eye_model": ["RotatingEye"],
             "errors": ["BadInputError"],
         },
+        ("engine", "files", "geometry"),
     )

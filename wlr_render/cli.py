@@ -129,9 +129,9 @@ RENAMED = {
     "import-optics": "import-lens FILE",
     "pack": "render HEADSET SCENE --pack webdataset|huggingface",
     "verify pairs": "verify PHOTOGRAPHS BOARD",
-    "verify session": "bench simulated-lab",
+    "verify session": "bench simulated-lab --part registration --session SESSION",
 }
-"""Verbs of version 0.2 and their names now; `bench` is a command of a checkout's ./wlr."""
+"""Earlier names of verbs, and their names now; `bench` is a command of a checkout's ./wlr."""
 
 OUTSIDE = "--outside-references"
 DEBUG_NOTE = (
@@ -191,10 +191,9 @@ def _refuse_empty(tokens: Sequence[str]) -> None:
 
 def _refuse_renamed(tokens: Sequence[str]) -> None:
     """Reject a verb of an earlier version, with a message that names its replacement."""
-    verbs = {verb.words for verb in VERBS}
     for words in (tokens[:2], tokens[:1]):
         new = RENAMED.get(" ".join(words))
-        if new is None or " ".join(words) in verbs or (len(words) > 1 and Path(words[1]).exists()):
+        if new is None or (len(words) > 1 and Path(words[1]).exists()):
             continue
         command = f"./wlr {new}, in a checkout of the source" if new.startswith("bench ") else f"{PROGRAM} {new}"
         raise BadInputError(f"'{' '.join(words)}' has another name now: {command}.")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # `typing` is large, and every start of the program imports t
 
 
 def lazy_names(
-    module: str, places: "Mapping[str, Sequence[str]]"
+    module: str, places: "Mapping[str, Sequence[str]]", submodules: "Sequence[str]" = ()
 ) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
     """Return `__getattr__`, `__dir__` and `__all__` of a module.
 
@@ -21,10 +21,13 @@ def lazy_names(
         module: `__name__` of the module.
         places: names by the module that defines them, without "wlr_render.". The last part of a module's path is a name
             for the module, unless the module defines that name.
+        submodules: public modules of the package, imported when they are first used as attributes.
     """
     place_of = {name: place for place, names in places.items() for name in names}
 
     def load(name: str) -> "Any":
+        if name in submodules:
+            return import_module(f"{module}.{name}")
         if name not in place_of:
             raise AttributeError(f"module '{module}' has no attribute '{name}'")
         place = import_module(f"wlr_render.{place_of[name]}")

@@ -1,4 +1,4 @@
-"""Monado's compositor as the reader of `export monado`: its window against our own map."""
+"""Monado's compositor as the reader of `export --format monado`: its window against our own map."""
 
 import os
 import shutil

@@ -37,7 +37,7 @@ class Run(NamedTuple):
 
 RUNS = (
     *(
-        Run(f"Four ways to draw for {device}", f"demo --device {device}", f"demo-{device}", "alignment.png")
+        Run(f"Four ways to draw for {device}", f"demo {device}", f"demo-{device}", "alignment.png")
         for device in ("northstar", "freeform40", "birdbath28", "prism5701202")
     ),
     Run("A calibration", "calibrate northstar", "calibrate", 1),

@@ -77,21 +77,6 @@ def replaced(name: str, old: str, new: str) -> Change:
     return edited(name, lambda content: content.replace(old.encode(), new.encode(), 1))
 
 
-def cut(name: str, part: float = 0.5) -> Change:
-    """A change that keeps the first part of a file."""
-    return edited(name, lambda content: content[: int(part * len(content))])
-
-
-def removed(name: str) -> Change:
-    """A change that removes a file or folder."""
-
-    def change(folder: Path) -> None:
-        path = folder / name
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-    return change
-
-
 def several(changes: Iterable[Change]) -> Change:
     """Changes one after the other."""
     listed = tuple(changes)

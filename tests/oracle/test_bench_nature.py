@@ -14,7 +14,6 @@ from oracle.session import observe
 
 PLAN = Plan(grid=(12, 9), dots=(9, 6), sigma_px=0.1)
 QUIET = replace(PLAN, sigma_px=0.0)
-GAP_PX = 0.72 * CAMERA_FOCAL_PX / 8  # between the dots of every target
 
 
 @cache

@@ -31,7 +31,7 @@ def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
         out, name = bound.arguments["options"].out, function.__name__
         if name not in _LISTING:
             require_unlisted(out)
-        with locked_folder(out, name.replace("_", " ")):
+        with locked_folder(out, name.replace("_", "-")):
             return function(*args, **kwargs)
 
     return run

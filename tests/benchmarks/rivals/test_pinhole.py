@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rival_headsets import EYE_BOX, IN_VOLUME, PIXELS, display_captures, rms, see_through_captures, traced
+from rival_headsets import EYE_BOX, IN_VOLUME, PIXELS, display_captures, see_through_captures
 from scipy.spatial.transform import Rotation
 
 from benchmarks.rivals.pinhole import direct_plane, indica_full, indica_recycle, spaam, spaam_redone
@@ -144,12 +144,3 @@ def test_captures_that_do_not_serve_are_refused():
             fit(alone)
     with pytest.raises(BadInputError, match="two or more camera positions"):
         indica_recycle(Captures(alone, see_through))
-
-
-def composite_arcmin(display, see_through):
-    """Angle at the eye between the real point and the pixel drawn for it, on the traced headset."""
-    truth, _, _, _, observed = traced()
-    seen = see_through.view_dir_of_real_point(observed.point, observed.viewpoint).value
-    pixel = display.pixel_of_view_dir(seen, observed.viewpoint).value
-    shown = truth.display.view_dir_of_pixel(pixel, observed.viewpoint).value
-    return rms(arcmin_between(shown, observed.view_dir))
