@@ -79,14 +79,18 @@ def _surroundings(folder: Path, environment: Mapping[str, str]) -> Iterator[None
 
 @contextlib.contextmanager
 def limits() -> Iterator[Callable[[], float]]:
-    """Limits of memory and of the size of files; yields a function of the largest resident size so far, MB."""
+    """Limits of memory and of the size of files; yields a function of the largest growth so far, MB.
+
+    Growth of the resident size: earlier tests have left their share in this process.
+    """
     Path("/proc/self/clear_refs").write_text("5")  # the largest size so far is that of now
+    began = _sizes()["VmHWM"]
     sizes = {resource.RLIMIT_AS: (_sizes()["VmSize"] << 10) + ADDRESS_SPACE, resource.RLIMIT_FSIZE: FILE_SIZE}
     before = {limit: resource.getrlimit(limit) for limit in sizes}
     for limit, most in sizes.items():
         resource.setrlimit(limit, (most, before[limit][1]))
     try:
-        yield lambda: _sizes()["VmHWM"] / 1024
+        yield lambda: (_sizes()["VmHWM"] - began) / 1024
     finally:
         for limit, pair in before.items():
             resource.setrlimit(limit, pair)
