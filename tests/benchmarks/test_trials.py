@@ -121,13 +121,16 @@ def test_a_study_does_not_depend_on_workers_and_is_resumed(tmp_path):
 
 
 def test_the_eye_box_is_that_of_the_device_unless_another_is_given(tmp_path):
-    small = changed_device(tmp_path, "tilted_plate", ("[10.0, 8.0, 6.0]", "[6.0, 4.0, 4.0]"))
-    stated, given = (
-        run(AccuracyOptions((device,), box=box, **EXACT, out=tmp_path / "out"))
-        for device, box in ((small, None), ("tilted_plate", (6.0, 4.0, 4.0)))
+    small = changed_device(tmp_path, "northstar", ("[10.0, 8.0, 6.0]", "[6.0, 4.0, 4.0]"))
+    own, overridden = (
+        run(AccuracyOptions((device,), box=box, eye=eye, **EXACT, out=tmp_path / "out"))
+        for device, box, eye in ((small, None, "both"), ("northstar", (6.0, 4.0, 4.0), "right"))
     )
-    assert [row[:2] for row in stated.tables[0].rows] == [["tilted_plate (right)", "6 x 4 x 4 mm"]]
-    assert stated.tables[1].rows == given.tables[1].rows
+    assert [row[:2] for row in own.tables[0].rows] == [
+        ["northstar (left)", "6 x 4 x 4 mm"],
+        ["northstar (right)", "6 x 4 x 4 mm"],
+    ]
+    assert own.tables[1].rows[-2:] == overridden.tables[1].rows
 
 
 @pytest.mark.parametrize(
