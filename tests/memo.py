@@ -1,8 +1,8 @@
 """Results of slow functions in files, so that all workers of a run of tests compute each of them once."""
 
+import fcntl
 import os
 import pickle
-import time
 from functools import wraps
 from hashlib import sha256
 from pathlib import Path
@@ -16,25 +16,23 @@ def shared_folder(tmp_path_factory):
     return base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
 
-def memoised(function, folder, key=lambda *arguments: arguments):
-    """Return the function with its results in files of a folder, by the bytes of what `key` returns for the arguments.
+def memoised(function, folder):
+    """Return the function with its results in files of a folder, by the bytes of the arguments.
 
-    Who asks while another process computes waits; an error is a result, which is raised in each of them.
+    A process that needs a result waits while another one computes it. An error is a result, which is raised in each of
+    them. The lock ends with its process: after a killed one, the next process computes.
     """
 
     @wraps(function)
     def with_memo(*arguments, **options):
-        asked = (function.__module__, function.__qualname__, key(*arguments, **options))
-        path = Path(folder) / f"{sha256(pickle.dumps(asked)).hexdigest()}.pickle"
-        try:
-            path.with_suffix(".begun").touch(exist_ok=False)
-        except FileExistsError:
-            while not path.exists():
-                time.sleep(0.1)
-        else:
-            unfinished = path.with_suffix(".unfinished")
-            unfinished.write_bytes(cloudpickle.dumps(_outcome(function, arguments, options)))
-            unfinished.rename(path)
+        key = (function.__module__, function.__qualname__, arguments, options)
+        path = Path(folder) / f"{sha256(pickle.dumps(key)).hexdigest()}.pickle"
+        with open(path.with_suffix(".lock"), "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                unfinished = path.with_suffix(".unfinished")
+                unfinished.write_bytes(cloudpickle.dumps(_outcome(function, arguments, options)))
+                unfinished.rename(path)
         result, error = pickle.loads(path.read_bytes())
         if error is not None:
             raise error

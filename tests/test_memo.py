@@ -19,3 +19,17 @@ def test_an_error_is_raised_for_everybody_who_asks(tmp_path):
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             divided(0)
+
+
+def test_an_interrupted_computation_is_begun_again(tmp_path):
+    """As by a time limit of a test: who asks next does not wait for a result that nobody computes."""
+    interrupts = [KeyboardInterrupt]
+
+    def computed():
+        if interrupts:
+            raise interrupts.pop()
+        return 5
+
+    with pytest.raises(KeyboardInterrupt):
+        memoised(computed, tmp_path)()
+    assert memoised(computed, tmp_path)() == 5

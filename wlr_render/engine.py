@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from wlr_render.compositing.composed_frame import ComposedFrame as ComposedFrame
     from wlr_render.compositing.eye_camera import EyeCamera as EyeCamera
     from wlr_render.compositing.frame_handle import FrameHandle as FrameHandle
+    from wlr_render.evaluation.misalignment import misalignment_arcmin as misalignment_arcmin
     from wlr_render.extras import script_needs as script_needs
     from wlr_render.rendering.framebuffers import TextureLayer as TextureLayer
     from wlr_render.rendering.panel_light import PanelLight as PanelLight
@@ -67,6 +68,7 @@ else:
             "budget.error_sizes": ["Drawing", "EyeTracker", "HeadTracker", "Truncation"],
             "budget.error_map": ["PredictedError"],
             "budget.registration_budget": ["RegistrationCovariance", "disparity_covariance", "registration_covariance"],
+            "evaluation.misalignment": ["misalignment_arcmin"],
             "extras": ["script_needs"],
         },
     )

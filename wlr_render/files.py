@@ -8,15 +8,18 @@ from wlr_render.lazy_names import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from wlr_render.atomic_files import resource as resource
+    from wlr_render.bench.bench import Bench as Bench
     from wlr_render.bench.session_folder import save_session as save_session
     from wlr_render.captures.boards.board_file import load_board as load_board
     from wlr_render.captures.boards.board_file import save_board as save_board
+    from wlr_render.captures.camera_lens_file import load_lens as load_lens
     from wlr_render.captures.patterns.gray_fringes import GrayFringes as GrayFringes
     from wlr_render.captures.photographs import read_photograph as read_photograph
     from wlr_render.captures.photographs import write_photograph as write_photograph
     from wlr_render.diagnosis.cause import Parameter as Parameter
     from wlr_render.diagnosis.cause import Role as Role
     from wlr_render.diagnosis.cause import changed as changed
+    from wlr_render.diagnosis.causes.user_causes import causes_for as causes_for
     from wlr_render.rendering.exr_file import read_exr as read_exr
     from wlr_render.rendering.exr_file import write_exr as write_exr
     from wlr_render.rendering.image_files import read_map as read_map
@@ -39,8 +42,11 @@ else:
             "captures.patterns.gray_fringes": ["GrayFringes"],
             "captures.photographs": ["read_photograph", "write_photograph"],
             "captures.boards.board_file": ["load_board", "save_board"],
+            "captures.camera_lens_file": ["load_lens"],
             "bench.session_folder": ["save_session"],
+            "bench.bench": ["Bench"],
             "diagnosis.cause": ["Parameter", "Role", "changed"],
+            "diagnosis.causes.user_causes": ["causes_for"],
             "atomic_files": ["resource"],
         },
     )

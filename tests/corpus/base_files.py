@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,8 +50,10 @@ from wlr_render.models.model_file import EyeModel, save_eye_models
 GRAY_PANEL = Panel(64, 48)
 
 
-def make_bases(folder: Path) -> None:
-    """Write one valid file or folder of each kind."""
+def make_bases(folder: Path) -> Path:
+    """Write one valid file or folder of each kind into a new folder, which is returned."""
+    shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
+    folder.mkdir()
     device = Path(changed_device(folder, "no_optics", ("[1280, 720]", "[32, 18]"))).rename(folder / "device.toml")
     for name in DEVICES:
         text = resource("devices", f"{name}.toml").read_text(encoding="utf-8")
@@ -63,6 +66,7 @@ def make_bases(folder: Path) -> None:
     fitted = calibrate(seen, "planar", 3, 2).mappings
     save_eye_models(folder / "model.json", [EyeModel(replace(fitted, name="fitted"), "no_optics")])
     _write_bench_session(folder / "bench")
+    return folder
 
 
 def _write_texts(folder: Path) -> None:

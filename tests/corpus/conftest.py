@@ -1,12 +1,12 @@
 """The valid files that cases spoil, written once in a run of the tests."""
 
 import pytest
+from memo import memoised, shared_folder
 
 from corpus.base_files import make_bases
-from corpus.running import made_once
 
 
 @pytest.fixture(scope="session")
-def bases(tmp_path_factory, worker_id):
-    root = tmp_path_factory.getbasetemp()
-    return made_once((root if worker_id == "master" else root.parent) / "corpus", make_bases)
+def bases(tmp_path_factory):
+    shared = shared_folder(tmp_path_factory)
+    return memoised(make_bases, shared)(shared / "corpus")

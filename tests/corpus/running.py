@@ -1,7 +1,6 @@
 """Run a case from its files to its verdict."""
 
 import contextlib
-import fcntl
 import tempfile
 import time
 from collections.abc import Callable
@@ -42,15 +41,3 @@ def _reading(case: Case, folder: Path) -> Outcome | None:
     if status == 0 and case.expected != "read":
         return None
     return Outcome(status, "", sentence, False, time.process_time() - began_s, largest_mb())
-
-
-def made_once(folder: Path, make: Callable[[Path], object]) -> Path:
-    """The folder of valid files, which the first of several processes makes."""
-    with open(folder.with_suffix(".lock"), "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not folder.exists():
-            making = folder.with_suffix(".making")
-            making.mkdir()
-            make(making)
-            making.rename(folder)
-    return folder

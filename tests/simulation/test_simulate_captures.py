@@ -10,7 +10,7 @@ from wlr_render.mappings import Eye, FieldOfView, Panel
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
-from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.simulation.simulate_captures import CaptureSetup, simulate, simulate_display, simulate_see_through
 
 
 @pytest.fixture
@@ -24,6 +24,18 @@ def planar(setup, count=9):
 
 def rng():
     return np.random.default_rng(11)
+
+
+def test_the_camera_stands_as_the_sampling_says(flat_image_headset):
+    """A plane, the eye box and its centre; another word is refused, not taken for one of them."""
+    depths = {
+        sampling: np.unique(simulate(flat_image_headset, 4, sampling=sampling, grid=(3, 3)).display.viewpoint, axis=0)
+        for sampling in ("planar", "volumetric", "static")
+    }
+    assert [len(each) for each in depths.values()] == [4, 4, 1]
+    assert [np.ptp(each[:, 2]) > 0 for each in depths.values()] == [False, True, False]
+    with pytest.raises(BadInputError, match="sampling is 'plannar'; choose from planar, volumetric, static"):
+        simulate(flat_image_headset, 4, sampling="plannar")
 
 
 def test_field_bounds_every_pixel_from_everywhere_in_the_eye_box(setup):
@@ -174,9 +186,7 @@ def _turn(exact, measured):
 def test_captures_of_a_stage_with_errors_never_state_that_they_are_exact(setup):
     for errors, sigma in (({}, 0.0), ({"stage_error_m": 1e-5}, 1e-3), ({"stage_turn_rad": 1e-5}, 1e-3)):
         with_errors = replace(setup, **errors)
-        for captures in (
-            simulate(with_errors, planar(setup), rng()) for simulate in (simulate_display, simulate_see_through)
-        ):
+        for captures in (take(with_errors, planar(setup), rng()) for take in (simulate_display, simulate_see_through)):
             np.testing.assert_array_equal(captures.sigma_arcmin, sigma)
 
 

@@ -72,7 +72,7 @@ class PredictedError:
 
 
 class ErrorMap:
-    """Predictor of the registration error of an eye's frames; `at` takes 0.1 ms, the constructor some seconds.
+    """Predictor of the registration error of an eye's frames; the constructor takes a few seconds, `at` 0.1 ms.
 
     The model's covariance rises at the borders of the panel and the eye box, where interpolation is least accurate.
     docs/budget.md states the interpolation errors against `registration_covariance`.

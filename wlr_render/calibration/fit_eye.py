@@ -167,8 +167,7 @@ def calibrate(
         kind: type of model: "planar" (rays change with the pupil's place in a plane), "volumetric", "static" (one map
             for all pupil positions), or "point-per-pixel"; "grey-box" and "prescription" need a prescription, whose
             assembly errors are fitted.
-        display_degree, see_through_degree: limits of the total orders; as high as the captures lead to expect by
-            default.
+        display_degree, see_through_degree: highest total degree; by default chosen from the captures.
         base_plane: of planar models, device frame; None for the planes of `choose_base_plane`.
         prescription: of the eye, device frame.
 

@@ -382,7 +382,7 @@ class Compositor:
         return ComposedFrame(composed, {eye: viewpoints[eye] for eye in chosen}, newest, check_readable)
 
     def prepare(self, overlays: int = 1, insets: bool = False) -> None:
-        """Compile all shaders, so that no frame has to: draws once in every way, which takes up to some seconds.
+        """Compile all shaders, so that no frame has to: draws once in every mode, which can take a few seconds.
 
         Args:
             overlays: the most overlays that an eye will show at once, 0 to 4; each number has shaders of its own.

@@ -48,8 +48,8 @@ def render(
         world_from_device: (4, 4) head pose; the identity by default.
         method: "raytrace" follows the world ray of every panel pixel. "raster" draws an intermediate image with OpenGL
             and warps it; without OpenGL the frame is ray traced.
-        shadows: whether surfaces cast shadows; of ray-traced frames.
-        supersample: rays per pixel along each axis; of ray-traced frames.
+        shadows: whether to draw shadows (ray-traced frames only).
+        supersample: rays per pixel along each axis (ray-traced frames only).
         with_geometry: also give the world point of each pixel, `Frame.position`, and of rasterised frames the warp map.
 
     Returns:

@@ -46,8 +46,8 @@ _WEIGHTS = np.array([[0, 0.5, 0.5], [0.5, 0.5, 0], [0.5, 0, 0.5], [1 / 3, 1 / 3,
 class WarpMesh:
     """One eye's panel as a triangle mesh whose vertices hold world rays.
 
-    Inside a triangle rays are linear, and so are the six numbers that the vertex shader makes of them: the mesh's error
-    is that of the rays, which is measured here.
+    Inside a triangle rays are linear, and so are the six numbers that the vertex shader makes of them: the mesh's
+    error equals the error of the rays, which is measured here.
 
     Attributes:
         eye: "left" or "right".

@@ -56,7 +56,7 @@ class Parameter:
         role: see `Role`.
         starts: first values of a SHAPE parameter; the first one is its null value, and what is expected.
         minimum: values below are not physical.
-        prior_mean: expected value of a SIZE parameter; its null value, 0, is that of no effect whatever is expected.
+        prior_mean: expected value of a SIZE parameter; 0 still means no effect, whatever value is expected.
         in_bench: the whole quantity in a bench, in the unit, where a bench file may state some of it already; then this
             must not be below `minimum`. None where the value is the whole.
     """

@@ -29,7 +29,7 @@ def compare(
 
     Returns:
         A summary (rms, median, 95 % and maximum) of each kind of error, by its name with the unit: direction of a pixel
-        and of a real point, pixel of a direction, direction of a ray in the world. A query without a result counts as
+        and of a real point, pixel of a direction, direction of a real ray. A query without a result counts as
         missing.
 
     Example:

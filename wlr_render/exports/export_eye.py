@@ -27,7 +27,7 @@ def export(
 
     Args:
         eye: an eye of a headset, from `open_eye` or `calibrate`.
-        folder: of the files; made if it is not there.
+        folder: output folder; created if missing.
         format: "stmap", "rays", "pfm", "tiff", "ffmpeg", "npz", "mesh" or "mrcal"; docs/exports.md describes them.
         viewpoint: (3,) centre of the entrance pupil in the device frame, metres; the centre of the eye box by default.
         depth_m: depth from the source camera at which the maps are correct; infinite by default. The files of "rays"
@@ -37,8 +37,8 @@ def export(
         The files, named after the eye.
 
     Raises:
-        BadInputError: an unknown format, or one of both eyes ("monado"); a viewpoint that is not three finite numbers;
-            or a folder that cannot be written.
+        BadInputError: an unknown format, or one that needs both eyes ("monado"); a viewpoint that is not three finite
+            numbers; or a folder that cannot be written.
         MissingExtraError: a library that the format needs is not installed.
 
     Example:

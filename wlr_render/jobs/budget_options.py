@@ -26,25 +26,32 @@ _DRAWING = option_group("Drawing", 3)
 class BudgetOptions(Options):
     """Options of `budget`. Where the default sizes come from: docs/budget.md."""
 
-    headset: Annotated[str, described("A model file, or a device, whose models have no errors.")]
+    headset: Annotated[str, described("A model file, or a device (then without model errors).")]
     _: KW_ONLY
     eye: Annotated[Eyes, described("Eyes to analyse; both also gives the disparity error.")] = "right"
     depth_m: Annotated[float, described("Depth of the real points in metres."), limits.DEPTH_M] = 1.0
     eye_noise_mm: Annotated[
         PerAxisMm,
-        described("Noise of the tracked eye position in mm, one sigma per axis, or x y z.", many=True, group=_EYE),
+        described(
+            "Noise of the tracked eye position in mm, one standard deviation for all axes, or x y z.",
+            many=True,
+            group=_EYE,
+        ),
         limits.TRACKING_MM,
     ] = (round(_GAZE_SCATTER_DEG * _PUPIL_MM_PER_DEG, 2),)
     eye_bias_mm: Annotated[
         PerAxisMm,
         described(
-            "Constant error of the tracked eye position in mm, one sigma over wearers, or x y z.", many=True, group=_EYE
+            "Constant error of the tracked eye position in mm, one standard deviation over wearers for all axes, "
+            "or x y z.",
+            many=True,
+            group=_EYE,
         ),
         limits.TRACKING_MM,
     ] = (round(_GAZE_MEDIAN_DEG / _MEDIAN_OF_RAYLEIGH * _PUPIL_MM_PER_DEG, 2),)
     eye_latency_ms: Annotated[
         float,
-        described("Latency of eye tracking in ms, less what prediction makes up for.", group=_EYE),
+        described("Latency of eye tracking in ms that remains after prediction.", group=_EYE),
         limits.LATENCY_MS,
     ] = 45.0
     eye_speed_mm_s: Annotated[
@@ -60,7 +67,7 @@ class BudgetOptions(Options):
     ] = 0.5
     head_latency_ms: Annotated[
         float,
-        described("Latency of head tracking in ms, less what prediction and late warp make up for.", group=_HEAD),
+        described("Latency of head tracking in ms that remains after prediction and late warp.", group=_HEAD),
         limits.LATENCY_MS,
     ] = 2.0
     head_speed_deg_s: Annotated[
@@ -83,8 +90,8 @@ class BudgetOptions(Options):
     camera_frame: Annotated[
         bool,
         described(
-            "Head poses and pupils come in the frame of the tracking camera of the calibration, with its stated pose: "
-            "an error of that pose then cancels.",
+            "Head poses and pupils are measured by the tracking camera of the calibration, with the same stated "
+            "pose: an error of that pose then cancels.",
             flag=True,
             group=_HEAD,
         ),

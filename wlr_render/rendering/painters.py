@@ -34,7 +34,7 @@ class Frame:
         colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
         solve_ray_maps: returns the ray map of each channel; see `ray_maps`.
         traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
-            where none; on request, empty for a frame that was not met with the mesh.
+            where none; on request, empty for a warped frame.
         sources: of each channel (height, width, 3) float32, the pull map of a warped frame: position (u, v) in the
             intermediate image and the inverse depth found there (1/m), NaN where none; on request, empty for a
             ray-traced frame.

@@ -58,7 +58,7 @@ class DepthKind(Enum):
     METRES = auto()
     """Metres; 0, infinity or NaN for background, as in pyrender's arrays."""
     WINDOW = auto()
-    """A depth buffer's value in 0..1 of a perspective projection; nothing is where it has the far plane's value."""
+    """A depth buffer's value in 0..1 of a perspective projection; the far plane's value means background."""
     INVERSE = auto()
     """1/m; 0, infinity or NaN for background."""
 

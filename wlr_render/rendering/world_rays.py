@@ -6,14 +6,9 @@ import numpy as np
 
 from wlr_render.mappings import Eye, StatusArray
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.ray_map import RayMapPlan, checked_viewpoint, choose_plan, ray_map
+from wlr_render.rendering.ray_map import checked_viewpoint, choose_plan, ray_map
 
 _plan_of = lru_cache(maxsize=8)(choose_plan)  # a search of up to a second, once for each eye
-
-
-def plan_of(eye: Eye) -> RayMapPlan:
-    """Return the plan of an eye's ray maps, chosen at the first call."""
-    return _plan_of(eye)
 
 
 def world_rays(
@@ -45,6 +40,6 @@ def world_rays(
         ((2304000, 3), (1600, 1440))
     """
     at = checked_viewpoint(eye.eye_box.centre if viewpoint is None else viewpoint)
-    rays = ray_map(eye, at, plan_of(eye))
+    rays = ray_map(eye, at, _plan_of(eye))
     origin, direction = rays.world_rays(np.eye(4) if world_from_device is None else world_from_device)
     return origin, direction, rays.status

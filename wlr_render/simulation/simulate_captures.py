@@ -18,6 +18,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.simulation import viewpoints
 
 SeeThroughRays = Literal["backward", "forward"]
+CaptureSampling = Literal["planar", "volumetric", "static"]
 LEAST_SIGMA_ARCMIN = 1e-3
 """Sigma that captures state for a noiseless camera on a stage with errors: 0 would state exact camera positions."""
 
@@ -131,7 +132,7 @@ def simulate(
     noise_arcmin: float = 0.25,
     seed: int | Sequence[int] = 1,
     *,
-    kind: str = "planar",
+    sampling: CaptureSampling = "planar",
     grid: tuple[int, int] = (25, 21),
     stage_error_m: float = 0.0,
     stage_turn_rad: float = 0.0,
@@ -143,7 +144,8 @@ def simulate(
         positions: number of camera positions in the eye box.
         noise_arcmin: standard deviation of a measured direction about each of its transverse axes.
         seed: of all random numbers.
-        kind: type of model that the captures are for (see `calibrate`), which decides where the camera stands.
+        sampling: where the camera stands: "planar" in the plane through the centre of the eye box, "volumetric" in the
+            whole eye box, "static" at its centre, whatever `positions` is.
         grid: columns and rows of the panel pixels that are decoded at each position, and of the dots on each target.
         stage_error_m: standard deviation of the camera's position about the reported one, per axis.
         stage_turn_rad: standard deviation of the camera's rotation about each axis.
@@ -152,14 +154,17 @@ def simulate(
         Captures of the display and of the world, device frame, metres; `Captures.save` writes them to a file.
 
     Raises:
-        BadInputError: a negative error, an empty grid, or a panel that is not seen from the eye box.
+        BadInputError: an unknown sampling, a negative error, an empty grid, or a panel that is not seen from the eye
+            box.
 
     Example:
         >>> import wlr_render as wlr
         >>> captures = wlr.simulate(wlr.open_eye("birdbath28"), positions=16)
     """
     setup = CaptureSetup(eye, noise_arcmin, stage_error_m, grid=grid, stage_turn_rad=stage_turn_rad)
-    viewpoint, rng = setup.camera_positions(kind, positions), np.random.default_rng(seed)
+    if sampling not in get_args(CaptureSampling):
+        raise BadInputError(f"sampling is '{sampling}'; choose from {', '.join(get_args(CaptureSampling))}.")
+    viewpoint, rng = setup.camera_positions(sampling, positions), np.random.default_rng(seed)
     return Captures(simulate_display(setup, viewpoint, rng), simulate_see_through(setup, viewpoint, rng))
 
 

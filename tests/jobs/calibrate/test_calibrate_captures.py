@@ -414,7 +414,7 @@ def test_a_prescription_without_the_eye_is_refused(calibrated, tmp_path):
     text = device_path("birdbath28").read_text()
     one_eyed.write_text(text.replace('side = "right"', 'side = "left"', 1))
     fit = FitOptions(kind="prescription", prescription=str(one_eyed))
-    with pytest.raises(BadInputError, match="has no right eye, of which the captures are"):
+    with pytest.raises(BadInputError, match="has no right eye, but the captures are of it"):
         calibrate(CalibrateOptions(folder / "captures-right.npz", fit=fit, out=tmp_path))
 
 

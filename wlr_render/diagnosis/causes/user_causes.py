@@ -29,7 +29,7 @@ ENTRY_POINTS = "wlr_render.causes"
 def causes_for(
     bench: Bench, added: Sequence[str] = (), only: Sequence[str] = (), excluded: Sequence[str] = ()
 ) -> dict[str, Cause]:
-    """Causes by name for the diagnosis of a bench, with the priors that the bench states.
+    """Return the causes, by name, for the diagnosis of a bench, with the priors that the bench states.
 
     Args:
         bench: the nominal bench.

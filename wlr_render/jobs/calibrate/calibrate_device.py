@@ -81,12 +81,13 @@ def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = 
 
 def simulate_captures(truth: Eye, options: CalibrateOptions) -> Captures:
     """Simulate captures of display and see-through of an eye, from the positions that the type of model needs."""
+    kind = options.fit.kind
     return simulate(
         truth,
         options.viewpoints,
         options.noise_arcmin,
         seed_of(options.seed, truth.eye),
-        kind=options.fit.kind or "planar",
+        sampling=kind if kind == "volumetric" or kind == "static" else "planar",
         stage_error_m=1e-6 * options.repeatability_um,
         stage_turn_rad=1e-6 * options.turn_jitter_urad,
     )

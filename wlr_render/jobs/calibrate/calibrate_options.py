@@ -58,8 +58,8 @@ class FitOptions(Options):
     degree: Annotated[
         int | None,
         described(
-            "Highest total degree of the display model (default: all terms that the captures lead to expect; at most "
-            "12 in the pixel and in all, 6 in the place).",
+            "Highest total degree of the display model (default: chosen from the captures, at most 12 in total and "
+            "in the pixel, 6 in the camera position).",
             group=_FIT,
         ),
         Degree,
@@ -67,8 +67,8 @@ class FitOptions(Options):
     see_through_degree: Annotated[
         int | None,
         described(
-            "Highest total degree of the see-through model (default: all terms that the captures lead to expect; at "
-            "most 12 in the direction and in all, 6 in the place).",
+            "Highest total degree of the see-through model (default: chosen from the captures, at most 12 in total "
+            "and in the direction, 6 in the camera position).",
             group=_FIT,
         ),
         Degree,
@@ -110,8 +110,8 @@ class FitOptions(Options):
         device = load_device(self.prescription)
         if eye not in device.eyes:
             raise BadInputError(
-                f"{flag_of(type(self), 'prescription')} {self.prescription}: has no {eye} eye, of which the captures "
-                "are; name the headset that was measured."
+                f"{flag_of(type(self), 'prescription')} {self.prescription}: has no {eye} eye, but the captures are "
+                "of it; name the headset that was measured."
             )
         return device.eyes[eye]
 
@@ -168,7 +168,8 @@ class CalibrateOptions(SpreadOptions):
     workers: Annotated[
         int | None,
         described(
-            "Number of processes that read them (default: one per core, fewer where memory limits).", group=_PHOTOGRAPHS
+            "Number of processes that read the photographs (default: one per core, fewer where memory limits).",
+            group=_PHOTOGRAPHS,
         ),
         WORKERS,
     ] = None
