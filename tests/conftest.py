@@ -38,12 +38,18 @@ LEFT_TO_THE_USER = re.compile(
 """Reasons of skips that `./wlr readers` does not remove: large libraries, data of others, rights of the user."""
 
 
+CHEAP = {"opened_gl_context", "bases"}
+"""Shared fixtures that take a second or two: the OpenGL context, and the valid files of the corpus."""
+
+
 def pytest_addoption(parser):
     parser.addoption(
         "--readers", action="store_true", help="fail tests that are skipped although ./wlr readers installs their needs"
     )
     parser.addoption(
-        "--fast", action="store_true", help="run each test that is not marked slow once, with its first parameters"
+        "--fast",
+        action="store_true",
+        help="run the first quick test of each file: it has no slow mark and no shared fixture",
     )
 
 
@@ -52,13 +58,20 @@ def room_of(item):
     return item.path.relative_to(Path(__file__).parent).parent.as_posix().split("/")[0]
 
 
+def is_quick(item):
+    """Whether a test is not marked slow, and uses no fixture of ours that tests share because it is expensive."""
+    definitions = (each[-1] for name, each in item._fixtureinfo.name2fixturedefs.items() if name not in CHEAP)
+    shared = any(each.scope in ("module", "session") and each.baseid for each in definitions)
+    return not shared and item.get_closest_marker("slow") is None
+
+
 def pytest_collection_modifyitems(config, items):
     if not config.getoption("--fast"):
         return
     first = {}
     for item in items:
-        if not item.get_closest_marker("slow"):
-            first.setdefault(item.nodeid.partition("[")[0], item)
+        if is_quick(item):
+            first.setdefault(item.path, item)
     chosen = set(first.values())
     if rooms := {room_of(item) for item in items} - {room_of(item) for item in chosen}:
         raise pytest.UsageError(f"--fast runs nothing of {', '.join(sorted(rooms))}: all of it is marked slow")

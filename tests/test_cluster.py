@@ -63,6 +63,7 @@ def square_in_a_worker_that_is_killed_once(folder, number):
     return number * number, os.getpid()
 
 
+@pytest.mark.slow
 def test_the_tasks_of_a_killed_worker_are_done_by_another(address, tmp_path):
     answers = done(address, partial(square_in_a_worker_that_is_killed_once, tmp_path), range(12), tmp_path)
     assert sorted(answer for answer, _ in answers) == [number * number for number in range(12)]

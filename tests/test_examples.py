@@ -66,6 +66,7 @@ def require_webgpu():
         pytest.skip(f"WebGPU finds no device; lavapipe of mesa-vulkan-drivers is one ({error}).")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WORDS_AND_FILES)
 def test_an_example_runs(name, tmp_path, request):
     if name in NEED_LIBRARY:

@@ -2,10 +2,13 @@
 
 import json
 
+import pytest
+
 from benchmarks.__main__ import main as benchmark
 from wlr_render.cli import main
 
 
+@pytest.mark.slow
 def test_see_through_captures_of_a_headset_show_a_thick_plate(measured_data, tmp_path):
     session = tmp_path / "itoh"
     source = measured_data("itoh_seethrough") / "data"

@@ -16,6 +16,7 @@ PROGRAMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "word"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated")])
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_signal_ends_a_program_in_one_sentence(tmp_path, name, number, word):

@@ -57,6 +57,7 @@ def assert_same_diagnosis(found, expected):
         assert a == pytest.approx(b, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_captures_are_diagnosed_as_the_session_that_they_were_made_of(printed, captures):
     expected = quick(*load_session(printed))
     assert [cause.name for cause in expected.causes] == ["target_scale"]

@@ -36,6 +36,7 @@ def see_through(device, kind, degree, count, **more):
     return SeeThroughTrial(device, kind, degree, count, BOX, **more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("trial", "measure", "expected"),
     [

@@ -66,6 +66,7 @@ def creeping(rng, size):
     return np.sqrt(3) * along * SIZE, np.sqrt(3) * np.abs(along) * SIZE + 0.1 * SIZE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "log_sigma", "drifts"),
     [(1.0, 0.1, False), (2.0, 0.5, False), (0.5, 0.5, False), (None, None, False), (1.0, 0.1, True)],
@@ -88,6 +89,7 @@ def test_the_predicted_error_is_the_true_one(factor, log_sigma, drifts):
     assert 0.75 < predicted / true < (1.35 if factor else 1.8)
 
 
+@pytest.mark.slow
 def test_captures_that_are_known_to_be_worse_spoil_nothing():
     """Five of them were taken by hand."""
     size = np.tile(SIZE, (PLACES, 1))

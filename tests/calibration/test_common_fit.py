@@ -75,6 +75,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.sum(values**2, axis=-1))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variable", [0, 1, 2])
 def test_shared_deviation_is_the_change_of_a_fit_to_captures_that_are_off(session, tested, variable):
     _, captures, fit = session

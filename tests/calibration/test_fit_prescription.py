@@ -32,6 +32,7 @@ def forward_rms(fitted, truth):
     return float(np.sqrt(np.mean(np.sum(((found - pixel) / px_per_arcmin) ** 2, axis=1))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", DEVICES)
 def test_exact_captures_give_back_the_assembly_errors(name):
     drawn = 0.3 * ASSEMBLY_SIZES * np.random.default_rng(4).normal(size=12)

@@ -74,6 +74,7 @@ def errors_arcmin(mapping, rng):
     return arcmin_between(seen, dir_of_tangents(tangents_of(pixel, place))), mapping.sigma(pixel, viewpoint)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", IMPERFECTIONS)
 def test_the_predicted_error_is_the_true_one(name):
     squares = []
@@ -94,6 +95,7 @@ def test_the_predicted_error_is_the_true_one(name):
     assert high > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shift", "turn"), [(0.0, 0.0), (3e-5, 0.0), (1e-5, 2e-4)])
 def test_noise_and_stage_are_found(shift, turn):
     found = []

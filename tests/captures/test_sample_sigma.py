@@ -62,12 +62,14 @@ def stated_over_actual(name, noise, black=12):
     return np.sqrt(np.mean(np.concatenate(stated) ** 2) / np.mean(np.concatenate(errors) ** 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray-fringes", "gray"])
 @pytest.mark.parametrize("noise", [2.0, 4.0])
 def test_stated_sigmas_are_the_actual_errors(name, noise):
     assert 0.8 < stated_over_actual(name, noise) < 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gray-fringes", "gray"])
 def test_black_that_is_clipped_makes_no_sigma_too_small(name):
     assert 0.8 < stated_over_actual(name, 2.0, black=-15) < 2

@@ -64,6 +64,7 @@ def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor, rend
     assert misplaced.max() < chosen.bound_arcmin + MOST_ARCMIN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("context", CONTEXTS)
 def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(compositor, renderer, headset, context):
     late = LATE, viewpoint(headset, -0.6, 0.5, -0.4)
@@ -74,6 +75,7 @@ def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(compositor
     assert np.median(uncorrected) > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("context", CONTEXTS)
 def test_corrections_do_not_depend_on_each_other(compositor, headset, context):
     composed = compositor(headset, context=context)

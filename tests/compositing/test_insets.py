@@ -63,6 +63,7 @@ def share_of_inset(frame, camera, inset):
     return np.where(to_edge < -CLOSE_PX, -1.0, part * part * (3 - 2 * part))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["one", "three", "rolling"])
 def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor, kind):
     model = planar()
@@ -106,6 +107,7 @@ def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor
     assert np.abs(share_of_inset(frame, camera, inset) - share[..., 0])[share[..., 0] >= 0].max() < 0.02
 
 
+@pytest.mark.slow
 def test_edges_are_as_sharp_as_the_insets_depth(compositor):
     model, renderer = planar(), RayRenderer(scene())
     truth = traced(model, SIZE, viewpoint(model), LATER, renderer)
@@ -131,6 +133,7 @@ def test_edges_are_as_sharp_as_the_insets_depth(compositor):
     assert np.abs(shown["inset"].astype(int) - truth.colour)[clear].max() <= 3
 
 
+@pytest.mark.slow
 def test_an_inset_in_an_inset_and_frames_without(compositor):
     model = planar()
     (made, _), (camera, _) = wide_and_sharp(compositor, model, panel=FLOATS)

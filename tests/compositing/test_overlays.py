@@ -47,6 +47,7 @@ def exact_places(model, pose, world_from_quad):
     return np.stack([0.5 + met[..., 0] / SIZE_M[0], 0.5 - met[..., 1] / SIZE_M[1]], axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "flat image", "three"])
 @pytest.mark.parametrize("is_head_locked", [False, True])
 def test_a_quad_lies_where_the_traced_rays_meet_it(compositor, flat_image_headset, kind, is_head_locked):

@@ -39,6 +39,7 @@ def slope_offset(frame):
     return (field if isinstance(field, RayMap) else field.read()).slope_offset.astype(np.float64)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("context", CONTEXTS)
 def test_a_resting_pupil_is_solved_once(compositor, headset, context, solved_at):
     made = compositor(headset, context=context)

@@ -46,6 +46,7 @@ def compose_all_kinds(compositor):
     GlRaster(given.context, scene()).draw(gl_scenes.view())
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_the_reference_compiler_accepts_every_shader(compositor, sources, tmp_path):
     compiler = shutil.which("glslangValidator")

@@ -54,6 +54,7 @@ def interpolated(mesh, rays, places):
     return np.stack([weight @ rays[mesh.triangles[around]] for weight, around in weights])
 
 
+@pytest.mark.slow
 def test_rays_inside_triangles_are_within_the_bound(eye, mesh):
     place = np.random.default_rng(5).uniform(0, 1, (150, 2))
     axes = mesh.camera(np.eye(4), pupil(eye)).view.device_from_camera

@@ -113,13 +113,14 @@ def _text(stream: io.TextIOWrapper) -> str:
 def _children() -> set[int]:
     """Processes that are children of this one, without Python's own."""
     tasks = Path("/proc/self/task").glob("*/children")
-    numbers = {int(number) for task in tasks for number in task.read_text().split()}
-    return {number for number in numbers if TRACKER not in _command_line(number)}
+    numbers = {int(number) for task in tasks for number in _bytes_of(task).split()}
+    return {number for number in numbers if TRACKER not in _bytes_of(Path(f"/proc/{number}/cmdline"))}
 
 
-def _command_line(process: int) -> bytes:
+def _bytes_of(path: Path) -> bytes:
+    """Content of a file of /proc; empty where the thread or process has ended."""
     try:
-        return Path(f"/proc/{process}/cmdline").read_bytes()
+        return path.read_bytes()
     except OSError:
         return b""
 

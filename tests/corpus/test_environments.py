@@ -63,12 +63,14 @@ ENVIRONMENTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("title", ENVIRONMENTS)
 def test_variables(folder, title):
     judged(folder, f"@ {GOOD}", "right", **ENVIRONMENTS[title])
     judged(folder, f"@ {BAD}", "refused", ("nowhere.toml",), **ENVIRONMENTS[title])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ascii_name", [True, False])
 def test_a_name_in_another_script(folder, ascii_name):
     name = "geraet.toml" if ascii_name else "ger\u00e4t-\u732b.toml"

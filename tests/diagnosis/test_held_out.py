@@ -22,6 +22,7 @@ def squares_of(observations, found):
     return np.bincount(observations.group, np.sum(held_out_residual(found, observations) ** 2, axis=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "start",
     [

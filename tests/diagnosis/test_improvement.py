@@ -57,6 +57,7 @@ def moved_surfaces(bench, move):
     return replace(bench, device=replace(bench.device, eyes={"right": optics}))
 
 
+@pytest.mark.slow
 def test_a_stage_that_went_too_far_spoils_models_without_their_knowing(nominal, plan):
     true = replace(nominal, stage=Stage(nominal.stage.origin, 1.05 * np.eye(3)))
     found = improvement_in_use(nominal, true, measured(true, plan))

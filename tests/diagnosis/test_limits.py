@@ -25,6 +25,7 @@ def limits_of(observations, causes=CAUSES, share=1.0):
     return {(limit.cause, limit.parameter): limit.limit for limit in found}
 
 
+@pytest.mark.slow
 def test_every_cause_that_the_session_can_show_has_a_limit(noisy):
     found = limits_of(noisy)
     run_time = {name for name, cause in CAUSES.items() if cause.part in ("eye tracking", "clock")}

@@ -24,6 +24,7 @@ def rms(difference):
     return np.sqrt(np.mean(np.sum(difference**2, axis=-1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("device", "axes", "camera", "depth_m"),
     [

@@ -23,6 +23,7 @@ NO_TRACKER_ERRORS = {
 }
 
 
+@pytest.mark.slow
 def test_report_of_a_model(model_file, tmp_path):
     report = budget(BudgetOptions(model_file, depth_m=0.8, out=tmp_path))
     assert "at 0.8 m" in report.verdict
@@ -36,6 +37,7 @@ def test_report_of_a_model(model_file, tmp_path):
     assert {path.name for path in report.files} == {"budget.html", "budget.md", "budget.json"}
 
 
+@pytest.mark.slow
 def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
     report = budget(BudgetOptions(model_file, **NO_TRACKER_ERRORS, raster_arcmin=0.0, out=tmp_path))
     found = report.record["eyes"][0]

@@ -52,6 +52,7 @@ def run(capsys, *arguments):
     return status, capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_the_verb_names_the_cause_and_writes_record_page_and_bench(session, few_causes, tmp_path, capsys):
     out = tmp_path / "out"
     status, printed = run(capsys, session, "--out", out)

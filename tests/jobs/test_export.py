@@ -42,6 +42,7 @@ def exported(form, model, folder, **options):
     return export(ExportOptions(model, format=form, out=folder, **options))
 
 
+@pytest.mark.slow
 def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
     assert tuple(form.name for form in FORMATS) == get_args(FormatName)
     for form in FORMATS:
@@ -55,6 +56,7 @@ def test_every_format_has_a_name_a_page_and_files(straight_device, tmp_path):
         assert {"check-source.png", "check-panel.png"} <= {path.name for path in report.files}
 
 
+@pytest.mark.slow
 def test_page_states_what_the_map_loses(small_northstar, tmp_path):
     report = exported("stmap", small_northstar, tmp_path, depth_m=2.0)
     (table,) = [each for each in report.tables if each.title.startswith("Misalignment")]

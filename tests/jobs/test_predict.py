@@ -74,6 +74,7 @@ def run(capsys, *arguments):
     return status, capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_corrected_bench_predicts_another_session_to_the_noise_and_the_nominal_one_does_not(
     corrected, first, second, tmp_path, capsys
 ):

@@ -69,6 +69,7 @@ def moving(tmp_path, model_file, scene_file, gl_context):
     )
 
 
+@pytest.mark.slow
 def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(moving):
     assert counts(render(moving)) == (5, 0)
     record = json.loads((moving.out / "sequence.json").read_text())

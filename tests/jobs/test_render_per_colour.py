@@ -48,6 +48,7 @@ def seen_middles(picture, channels):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("way", "unseen_arcmin"),
     [

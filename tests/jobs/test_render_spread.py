@@ -42,6 +42,7 @@ def block_of(options):
     return FrameDrawing(options, opened, None).block(plan[:1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["raster", "raytrace"])
 def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(moving, tmp_path, monkeypatch, method):
     monkeypatch.setattr(frame_drawing, "_BLOCKS", 2)
@@ -56,6 +57,7 @@ def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(movi
     assert pictures(tmp_path / "spread") == pictures(options.out)
 
 
+@pytest.mark.slow
 def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(moving, monkeypatch):
     made, before = [], frame_drawing.FrameDrawing._painters.func
     painters = cached_property(lambda drawing: made.append(drawing) or before(drawing))
@@ -68,6 +70,7 @@ def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(moving, monkey
     assert len(made) == 1
 
 
+@pytest.mark.slow
 def test_workers_predict_the_errors_of_their_frames(moving, tmp_path):
     options = replace(moving, method="raytrace", predicted_error=0.5)
     here = render(options).record["predicted_error"]

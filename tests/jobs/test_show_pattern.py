@@ -83,6 +83,7 @@ def quick(monkeypatch):
     monkeypatch.setattr("wlr_render.jobs.show_pattern._LOOK_S", 0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_continues(tmp_path, camera):
     (tmp_path / "flat_battery").touch()
@@ -121,6 +122,7 @@ def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_contin
     assert paths[2].read_bytes() == whole
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_primary_alone(tmp_path, camera):
     given = options(tmp_path, camera, channel="red")

@@ -19,6 +19,7 @@ def traced(device, folder, eye="right"):
     return trace(TraceOptions(device, eye=eye, out=folder))
 
 
+@pytest.mark.slow
 def test_figures_and_drawing_of_an_eye_are_written(tmp_path, straight_device):
     report = traced(straight_device, tmp_path / "out", "left")
     names = ["no_optics-left.png", "report.html", "report.json", "report.md"]

@@ -20,6 +20,7 @@ BEHIND = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "size"), [(SLOW, 15), (BEHIND, 2)])
 def test_the_file_is_complete_when_it_has_its_name(code, size, tmp_path):
     """Also of a command that ends before its file is written."""

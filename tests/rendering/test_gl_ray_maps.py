@@ -80,6 +80,7 @@ def narrowed(polynomial, low, high):
     return fitted_terms(polynomial, Box(centre + low * half, centre + high * half), polynomial.orders)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", DEGREES)
 @pytest.mark.parametrize("device", DEVICES)
 def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):

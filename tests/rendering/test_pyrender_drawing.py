@@ -1,3 +1,6 @@
+import sys
+from types import SimpleNamespace
+
 import gl_scenes
 import numpy as np
 import pytest
@@ -81,8 +84,11 @@ def test_light_comes_from_the_same_side_with_about_the_same_strength(gl_context)
     assert np.corrcoef(own.sum(-1).ravel(), other.sum(-1).ravel())[0, 1] > 0.98
 
 
-def test_another_platform_of_pyopengl_is_refused_in_a_sentence(gl_context, scene, monkeypatch):
-    monkeypatch.setenv("PYOPENGL_PLATFORM", "glx")
+def test_a_platform_that_pyopengl_has_already_chosen_is_refused_in_a_sentence(gl_context, scene, monkeypatch):
+    class GLXPlatform:
+        """PyOpenGL's own name for the platform that it takes where an earlier import, of pyopenxr, told it nothing."""
+
+    monkeypatch.setitem(sys.modules, "OpenGL.platform", SimpleNamespace(PLATFORM=GLXPlatform()))
     with pytest.raises(BadInputError, match=f"set the environment variable PYOPENGL_PLATFORM={gl_context.backend}"):
         PyrenderView(gl_context, scene)
 

@@ -130,9 +130,10 @@ def _import_pyrender(backend: str) -> Any:
 
         return pyrender
     # pyrender imports its window, which wants X11 unless told otherwise; PyOpenGL chooses its library at import.
-    if os.environ.setdefault("PYOPENGL_PLATFORM", backend) != backend:
+    chosen = _platform_of_pyopengl() or os.environ.setdefault("PYOPENGL_PLATFORM", backend)
+    if chosen != backend:
         raise BadInputError(
-            f"PyOpenGL is set to {os.environ['PYOPENGL_PLATFORM']}, the OpenGL context is {backend}: "
+            f"PyOpenGL is set to {chosen}, the OpenGL context is {backend}: "
             f"set the environment variable PYOPENGL_PLATFORM={backend}."
         )
     if "pyrender" not in sys.modules:
@@ -142,6 +143,12 @@ def _import_pyrender(backend: str) -> Any:
     import pyrender
 
     return pyrender
+
+
+def _platform_of_pyopengl() -> str:
+    """Return the platform that PyOpenGL has chosen in this process; empty before it is imported."""
+    platform = sys.modules.get("OpenGL.platform")
+    return "" if platform is None else type(platform.PLATFORM).__name__.removesuffix("Platform").lower()
 
 
 def _renderer(pyrender: Any, loader: "_Loader") -> Any:

@@ -11,6 +11,7 @@ def view(small_northstar):
     return views_from_centres(ExportOptions(small_northstar, format="stmap"))["right"]
 
 
+@pytest.mark.slow
 def test_each_reader_that_is_installed_has_a_row_within_the_figures_wanted(view, tmp_path):
     rows = {row[0]: row[1:] for row in study._rows(view, tmp_path)}
     wanted = {"OpenImageIO st_warp": 0.01, "OpenCV remap": 0.01, "ffmpeg remap": 0.0, "mrcal project": 0.005}

@@ -8,6 +8,7 @@ from benchmarks.kills.study import KillsOptions, run
 from wlr_render.atomic_files import resource
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="kills with a signal")
 def test_a_job_that_is_killed_and_resumed_gives_the_files_of_an_undisturbed_one(tmp_path):
     device = tmp_path / "device.toml"

@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+
 from benchmarks.__main__ import main
 
 
+@pytest.mark.slow
 def test_display_captures_of_a_headset_support_a_bundle_of_rays(measured_data, tmp_path, capsys):
     source = measured_data("northstar_vcam_graycode") / "session2_head"
     assert main(["published-data", "two-views", str(source), "--out", str(tmp_path)]) == 0

@@ -69,6 +69,7 @@ def noise_rms():
     return pytest.approx(np.sqrt(2) * SIGMA_ARCMIN, rel=0.15)
 
 
+@pytest.mark.slow
 def test_points_in_space_are_told_from_a_fixed_picture():
     (eye,) = viewpoint_evidence([captured(curved_image)]).eyes
     models = by_name(eye)
@@ -83,6 +84,7 @@ def test_points_in_space_are_told_from_a_fixed_picture():
     np.testing.assert_allclose(1 / eye.image_dioptre, distance, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_picture_at_infinity_needs_no_viewpoint():
     (eye,) = viewpoint_evidence([captured(picture_at_infinity)]).eyes
     for model in eye.models:

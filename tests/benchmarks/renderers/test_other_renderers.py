@@ -39,6 +39,7 @@ MOST_UM = {"warp": 0.25}
 """Largest difference of distance in um; 10 where a library's own distance of 32 bits is taken."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["sculpture", "desk"])
 @pytest.mark.parametrize("library", LIBRARIES, ids=lambda library: library.module)
 def test_ray_casters_meet_the_same_surfaces_to_ten_micrometres_and_warp_to_rounding(rays, request, library, scene):

@@ -54,6 +54,7 @@ def captures(view_dir):
     return DisplayCaptures("toy", "right", box, Panel(100, 80), *rows)
 
 
+@pytest.mark.slow
 def test_tables_of_methods(small, in_process, tmp_path):
     first = compared(tmp_path, NAMES)
     assert [table.title for table in first.tables] == [
@@ -88,6 +89,7 @@ def test_tables_of_methods(small, in_process, tmp_path):
     assert "birdbath28 (right), 0.25 px: planar is best with" in first.verdict
 
 
+@pytest.mark.slow
 def test_a_method_that_cannot_use_the_captures_says_why_and_the_others_go_on(small, in_process, monkeypatch, tmp_path):
     def refuse(data):
         raise BadInputError("this one wants more of everything.")

@@ -64,6 +64,7 @@ def captured():
     return MethodData(*eyes, partial(_drawn, AT, (2, 0)), _coarse_bench), setup.truth, seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ONE_OF_EACH_KIND)
 def test_a_method_gives_finite_answers(name):
     data, truth, seen = captured()

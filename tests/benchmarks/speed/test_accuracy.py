@@ -74,6 +74,7 @@ def test_rows_need_their_own_poses(on, scan_out):
     assert 10 < landing(on, after, scan_out, rolling.at_once).rms_arcmin < 20
 
 
+@pytest.mark.slow
 def test_less_is_hidden_from_where_the_rays_come():
     eye = bench_model(Panel(320, 180), device="birdbath28")
     name, rms, worst, at_pupil, at_rays, cut = accuracy_tables.landing_row("birdbath28", eye, "sculpture", "auto")

@@ -12,6 +12,7 @@ from wlr_render.compositing.compositor import Compositor
 from wlr_render.errors import BadInputError
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_memory_is_of_what_the_compositor_makes(small_panel_model, monkeypatch):
     needs_gl()

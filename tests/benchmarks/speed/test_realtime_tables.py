@@ -21,6 +21,7 @@ def milliseconds(cell):
     return float(value)
 
 
+@pytest.mark.slow
 def test_every_stage_has_a_time(work):
     (table,) = stages.one_eye(work, "auto").tables
     assert all(milliseconds(row[1]) > 0 for row in table.rows)

@@ -72,6 +72,7 @@ def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(solved):
         assert all(pull.probability > 1e-3 for pull in [*reading_pulls(found), *prior_pulls(found)])
 
 
+@pytest.mark.slow
 def test_a_perfect_bench_is_found_to_the_noise_of_its_dots():
     bench = TrueBench(7, PERFECT)
     found = adjusted(thinned(bench.observations(lens_photographs=6)))

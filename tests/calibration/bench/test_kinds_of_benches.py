@@ -107,6 +107,7 @@ def grid(axes, sweep=False):
     return (0.006 if sweep else 0.008) * (steps if axes < 3 else steps[np.abs(steps).sum(axis=1) < 3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", [3, 2, 1])
 def test_stages_of_three_two_and_one_linear_axes(axes):
     bench = TrueBench(3)
@@ -117,6 +118,7 @@ def test_stages_of_three_two_and_one_linear_axes(axes):
     assert_true(adjusted(seen), bench, true)
 
 
+@pytest.mark.slow
 def test_stated_axes_are_used_where_no_photograph_shows_them_and_corrected_where_some_do():
     bench = TrueBench(4)
     direction = (bench.base[:3, :3] @ bench.axes / np.linalg.norm(bench.axes, axis=0)).T
@@ -133,6 +135,7 @@ def test_stated_axes_are_used_where_no_photograph_shows_them_and_corrected_where
     assert max(shifts[:2]) < 0.3 * np.radians(0.3) < 0.4 * shifts[2]
 
 
+@pytest.mark.slow
 def test_a_rotary_axis_about_the_pupil_beside_a_linear_one():
     bench = TrueBench(5)
     turns = np.radians([-12.0, -5.0, 0.0, 6.0, 12.0])

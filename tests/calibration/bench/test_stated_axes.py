@@ -81,6 +81,7 @@ def test_directions_stated_without_a_sigma_or_in_the_device_frame_count_as_known
         assert 1e-5 < np.sqrt(np.mean(sigma**2)) < 4e-5
 
 
+@pytest.mark.slow
 def test_one_photograph_without_stated_axes_is_refused_with_both_remedies():
     made = simulated(1)
     unknown = with_axes(made.session, direction=None, direction_sigma=None, is_in_camera=False)

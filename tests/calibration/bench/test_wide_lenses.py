@@ -14,6 +14,7 @@ from wlr_render.captures.boards.board import USUAL_TOLERANCES
 from wlr_render.geometry.lens_camera import LensCamera
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field_deg", [120, 180])
 def test_a_wide_lens_is_found_to_the_last_feature(field_deg):
     true = WideLens(field_deg)

@@ -59,6 +59,7 @@ def both(found, board):
     return [found, found.half_turned(board)] if found.ambiguous_half_turn else [found]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOARDS)
 def test_features_are_where_they_are_and_sigma_is_honest(name):
     board, pulls, errors, seen = BOARDS[name], [], [], 0
@@ -74,6 +75,7 @@ def test_features_are_where_they_are_and_sigma_is_honest(name):
     assert 0.8 < np.sqrt(np.mean(np.concatenate(pulls) ** 2)) < 1.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOARDS)
 def test_out_of_focus_sigma_grows_and_stays_honest(name):
     board = BOARDS[name]

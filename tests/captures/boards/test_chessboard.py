@@ -16,6 +16,7 @@ def picture(board, turn_deg=20.0, camera=CAMERA, **view):
     return exposed(cv2.GaussianBlur(light_of(camera, pose(turn_deg, **view), board), (0, 0), 0.7), snr=40)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", TURNS)
 def test_a_board_with_an_odd_sum_is_numbered_from_its_own_corner(turn_deg):
     found = BOARD.find(picture(BOARD, turn_deg, distance_m=0.3))
@@ -23,6 +24,7 @@ def test_a_board_with_an_odd_sum_is_numbered_from_its_own_corner(turn_deg):
     assert np.abs(found.pixel - truth(CAMERA, pose(turn_deg, distance_m=0.3), found.index, BOARD)).max() < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn_deg", TURNS)
 def test_a_board_with_an_even_sum_says_that_it_may_be_turned(turn_deg):
     board = Chessboard(6, 4, 0.02, 0.02)

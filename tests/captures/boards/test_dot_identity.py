@@ -28,6 +28,7 @@ def answer(true, turn, is_large, shift=(7, -11)):
         return None
 
 
+@pytest.mark.slow
 def test_every_window_is_told_at_every_rotation():
     for row in range(BOARD.rows - WINDOW + 1):
         for column in range(BOARD.columns - WINDOW + 1):

@@ -56,6 +56,7 @@ def page_in_node(folder, address, ratio=2):
     return subprocess.Popen([NODE, str(program)], stdout=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(NODE is None, reason="no Node here: install Debian's package nodejs")
 def test_the_page_shows_what_the_server_asks_for(folder):
     content = json.loads(re.search(r"const code = (.*);\n", (folder / PAGE).read_text(encoding="utf-8")).group(1))

@@ -25,6 +25,7 @@ def darkness_around(light, pixel, white, radius=6.0):
     return weight.sum(), np.array([(weight * u).sum(), (weight * v).sum()]) / weight.sum()
 
 
+@pytest.mark.slow
 def test_dots_lie_where_their_middles_are_seen_and_are_as_large_as_printed():
     # Small dots square before the camera: neither perspective nor the lens moves their middles.
     board = DotBoard(0.03, 0.012, 0.006, 0.03, np.zeros((3, 3), bool))
