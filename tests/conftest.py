@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import sys
 
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,6 +26,11 @@ from wlr_render.rendering.mitsuba_frames import PathTracer
 from wlr_render.rendering.scene import Scene
 
 pytest_plugins = ["small_headsets"]
+
+# Bytecode is kept, also where Python is told not to: each worker, and each process that a test starts, would compile
+# all that it imports again.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
