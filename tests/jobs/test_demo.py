@@ -1,37 +1,42 @@
 import json
+from functools import partial
 
 import cv2
 import numpy as np
 import pytest
 from browser import needs_browser, open_page
 from memo import memoised, shared_folder
+from small_headsets import changed_device
 
-from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.errors import BadInputError
+from wlr_render.jobs import demo as job
 from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
 from wlr_render.rendering.image_files import read_png
 from wlr_render.report.blocks import Picture, Plot
-
-FIT = "wlr_render.jobs.demo.calibrate"
-POSITIONS = "wlr_render.jobs.demo.CAMERA_POSITIONS"
-FEW = 25
+from wlr_render.simulation.simulate_captures import CaptureSetup
 
 
-@pytest.fixture(scope="module")
-def fit_with_memo(tmp_path_factory):
-    """`calibrate`, which fits captures to a kind of model only once: a demo spends most of its time there."""
-    return memoised(calibrate, shared_folder(tmp_path_factory))
+def take_few_captures(patch, positions):
+    """Have a demo calibrate with fewer camera positions, and a quarter of the readings at each."""
+    patch.setattr(job, "CAMERA_POSITIONS", positions)
+    patch.setattr(job, "CaptureSetup", partial(CaptureSetup, grid=(13, 11)))
 
 
-@pytest.fixture(scope="module")
-def finished(opened_gl_context, tmp_path_factory, small_northstar, fit_with_memo):
-    """The main job on a small panel: its result, and its folder."""
-    folder = tmp_path_factory.mktemp("demo")
+def made(folder):
+    """Judge northstar with an eighth of its pixels across and down; the report and its files are in a new folder."""
+    folder.mkdir()
+    device = changed_device(folder, "northstar", ("[1440, 1600]", "[180, 200]"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(FIT, fit_with_memo)
-        patch.setattr(POSITIONS, FEW)
-        return demo(DemoOptions(device=small_northstar, viewpoints=5, out=folder)), folder
+        take_few_captures(patch, 16)
+        return demo(DemoOptions(device=device, viewpoints=5, out=folder / "out"))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The main job on a small panel: its result, and its folder; nobody writes there."""
+    shared = shared_folder(tmp_path_factory)
+    return memoised(made, shared)(shared / "demo"), shared / "demo" / "out"
 
 
 def overall_rows(report):
@@ -55,17 +60,6 @@ def test_only_the_methods_that_know_the_pupil_land_on_the_object(finished):
     assert raster[0] == pytest.approx(traced[0], rel=0.02)
     # Each point of the grid of 48 x 54 that shows the scene is judged, at every viewpoint.
     assert all(500 * 5 < row[3] <= 48 * 54 * 5 for row in found.values())
-
-
-@pytest.mark.slow
-def test_without_opengl_no_row_says_that_frames_were_rasterised(small_northstar, tmp_path, fit_with_memo, monkeypatch):
-    monkeypatch.setattr(FIT, fit_with_memo)
-    monkeypatch.setattr(POSITIONS, FEW)
-    report = demo(DemoOptions(device=small_northstar, viewpoints=5, backend="cpu", out=tmp_path))
-    assert list(overall(report)) == ["naive", "static", "ray traced"]
-    assert report.tables[1].columns == ["viewpoint (mm)", "naive", "static", "ray traced"]
-    assert f"with planar models is {overall(report)['ray traced'][0]:.3g}'" in report.verdict
-    assert not (tmp_path / "panel-raster-warp.png").exists()
 
 
 def test_the_static_map_is_right_at_its_own_viewpoint_alone(finished):
@@ -149,16 +143,6 @@ def test_in_the_eyes_picture_the_twin_lies_on_the_object_only_where_the_pupil_is
     assert min(alike["raster-warp"], alike["ray-traced"]) > max(alike["naive"], alike["static"]) + 0.1
 
 
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_tables(finished, small_northstar, tmp_path, monkeypatch):
-    """Without the memo: its models are fitted anew."""
-    monkeypatch.setattr(POSITIONS, FEW)
-    again = demo(DemoOptions(device=small_northstar, viewpoints=5, out=tmp_path))
-    assert again.tables == finished[0].tables
-    for name in ("panel-raster-warp.png", "eye-static.png"):
-        assert (tmp_path / name).read_bytes() == (finished[1] / name).read_bytes()
-
-
 def test_another_seed_gives_other_captures(straight_device):
     truth = open_eye(straight_device)
     first, same, other = (simulated_captures(truth, seed).display.view_dir for seed in (1, 1, 2))
@@ -183,13 +167,28 @@ def test_each_eye_has_captures_of_its_own(straight_device):
 
 
 @pytest.mark.slow
-def test_both_eyes_have_folders_of_their_own(tmp_path, straight_device, monkeypatch):
-    monkeypatch.setattr(POSITIONS, 9)
-    report = demo(DemoOptions(device=straight_device, eye="both", viewpoints=5, out=tmp_path))
-    assert {path.name for path in tmp_path.iterdir()} == {"left", "right", "report.html", "report.md", "report.json"}
-    assert all((tmp_path / eye / "alignment.png").is_file() for eye in ("left", "right"))
+def test_both_eyes_have_folders_of_their_own_and_each_alone_has_the_same_tables(tmp_path, straight_device, monkeypatch):
+    take_few_captures(monkeypatch, 9)
+    both, one = tmp_path / "both", tmp_path / "one"
+    report = demo(DemoOptions(device=straight_device, eye="both", viewpoints=5, out=both))
+    assert {path.name for path in both.iterdir()} == {"left", "right", "report.html", "report.md", "report.json"}
+    assert all((both / eye / "alignment.png").is_file() for eye in ("left", "right"))
     assert len(report.tables) == 6
     assert all(f"no_optics, {eye} eye" in report.verdict for eye in ("left", "right"))
+    again = demo(DemoOptions(device=straight_device, viewpoints=5, out=one))
+    assert again.tables == report.tables[3:]
+    for name in ("panel-raster-warp.png", "eye-static.png"):
+        assert (one / name).read_bytes() == (both / "right" / name).read_bytes()
+
+
+@pytest.mark.slow
+def test_without_opengl_no_row_says_that_frames_were_rasterised(straight_device, tmp_path, monkeypatch):
+    take_few_captures(monkeypatch, 9)
+    report = demo(DemoOptions(device=straight_device, viewpoints=5, backend="cpu", out=tmp_path))
+    assert list(overall(report)) == ["naive", "static", "ray traced"]
+    assert report.tables[1].columns == ["viewpoint (mm)", "naive", "static", "ray traced"]
+    assert f"with planar models is {overall(report)['ray traced'][0]:.3g}'" in report.verdict
+    assert not (tmp_path / "panel-raster-warp.png").exists()
 
 
 @pytest.mark.parametrize(
