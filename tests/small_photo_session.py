@@ -36,6 +36,7 @@ VIEWPOINTS = 4
 CAMERA_PX = (400, 320)
 TRACKING_PX = (400, 300)
 SAMPLES = 4  # of each pixel
+SIX = slice(2, 8)  # photographs of the board by which a lens is known, all over the picture
 IMPERFECTIONS = replace(BenchImperfections(), extrinsics_mm=0.02, extrinsics_deg=0.005, lens="brown")
 """Those of ordinary equipment, but for the extrinsics, whose usual error would hide all others in the device frame, and
 for the lens: near dots are a twelfth of these small pictures, and rational terms bend the dots themselves."""
@@ -61,8 +62,8 @@ def small_plan(bench, viewpoints):
     return replace(
         plan,
         bare=plan.bare[:11],
-        eyeball_boards=plan.eyeball_boards[2:8],
-        tracking_boards=plan.tracking_boards[2:8],
+        eyeball_boards=plan.eyeball_boards[SIX],
+        tracking_boards=plan.tracking_boards[SIX],
     )
 
 
@@ -169,10 +170,23 @@ def small_bench_of(made):
         return made.build()
 
 
+CAMERAS = ("eyeball_camera", "tracking_camera")
+
+
 def state_lenses(content):
     """Choosing the kind of lens takes longer than the rest of a calibration."""
-    for name in ("eyeball_camera", "tracking_camera"):
+    for name in CAMERAS:
         content[name]["lens"] = IMPERFECTIONS.lens
+
+
+def with_stated_lenses(session):
+    """Return a session of the usual bench with the kind of its lenses stated, and six photographs of each."""
+    cameras = {name: getattr(session, name) for name in CAMERAS}
+    stated = {
+        name: replace(camera, lens=BenchImperfections().lens, intrinsics=camera.intrinsics[SIX])
+        for name, camera in cameras.items()
+    }
+    return replace(session, **stated)
 
 
 def made_session(folder):

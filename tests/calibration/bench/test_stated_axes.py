@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from given_lenses import with_stated_lenses
 from scipy.linalg import block_diag
+from small_photo_session import with_stated_lenses
 
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.bench.calibrate_bench import calibrate_bench, place_key

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from given_lenses import with_stated_lenses
+from small_photo_session import with_stated_lenses
 
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.calibration.calibrate_session import calibrate_session
@@ -36,10 +36,20 @@ def simulated(**bench):
     return simulate_readings(SimulationRecipe("birdbath28", viewpoints=9, bench=PhotoBenchOptions(**bench)), FEW)
 
 
+def with_known_lenses(made):
+    """The session with both cameras calibrated before: no board is photographed for them, and none of it is fitted."""
+    bench, session = made.truth.bench, made.session
+    cameras = {
+        "eyeball_camera": replace(session.eyeball_camera, intrinsics=(), calibrated=bench.eyeball.camera),
+        "tracking_camera": replace(session.tracking_camera, intrinsics=(), calibrated=bench.tracking.camera),
+    }
+    return replace(session, **cameras)
+
+
 @pytest.fixture(scope="module")
 def usual():
     made = simulated()
-    return replace(made, session=with_stated_lenses(made.session))
+    return replace(made, session=with_known_lenses(made))
 
 
 def calibrated(session, reading, folder):
@@ -72,11 +82,12 @@ def test_see_through_alone(usual, tmp_path):
 
 @pytest.mark.parametrize("known_lens", [False, True])
 def test_display_alone_in_the_frame_of_the_camera(usual, tmp_path, known_lens):
-    bench = usual.truth.bench
+    bench, stated_lens = usual.truth.bench, with_stated_lenses(simulated().session).eyeball_camera
     gauge = transforms.OPENXR_FROM_OPENCV @ bench.device_from_camera[:3, :3].T
     axes = tuple(StageAxis("linear", gauge @ (axis / np.linalg.norm(axis)), 5e-3) for axis in bench.stage_axes.T)
+    # With a known lens no board was ever photographed.
     session = replace(
-        usual.session,
+        usual.session if known_lens else replace(usual.session, eyeball_camera=stated_lens),
         see_through=(),
         bare=(),
         tracking=(),
@@ -86,9 +97,6 @@ def test_display_alone_in_the_frame_of_the_camera(usual, tmp_path, known_lens):
         gauge="camera",
         stage=StageDescription(axes),
     )
-    if known_lens:  # then no board was ever photographed
-        camera = replace(session.eyeball_camera, intrinsics=(), calibrated=bench.eyeball.camera)
-        session = replace(session, eyeball_camera=camera)
     found, report = calibrated(session, usual.reading, tmp_path)
     assert "see-through" not in report.verdict
     readings = np.array([each.stage for each in session.display])
@@ -161,10 +169,10 @@ def test_every_primary_has_its_display_model(usual, tmp_path):
 
 
 def test_a_stage_of_one_axis(tmp_path):
-    """No kind of lens is stated, so that it is chosen."""
+    """No kind of lens is stated for the eyeball camera, so that it is chosen."""
     made = simulated(stage="x")
-    session = with_stated_lenses(made.session)
-    session = replace(session, eyeball_camera=replace(session.eyeball_camera, lens="auto"))
+    eyeball = replace(with_stated_lenses(made.session).eyeball_camera, lens="auto")
+    session = replace(with_known_lenses(made), eyeball_camera=eyeball)
     found, report = calibrated(session, made.reading, tmp_path)
     assert_poses(found, made.session.display, made.truth.display)
     assert any("one more row or column" in warning for warning in report.warnings)
@@ -172,7 +180,7 @@ def test_a_stage_of_one_axis(tmp_path):
 
 def test_a_camera_in_the_hand(tmp_path):
     made = simulated(stage="hand", target_depths_m=(0.3, 0.5))
-    found, _ = calibrated(with_stated_lenses(made.session), made.reading, tmp_path)
+    found = calibrate_session(with_known_lenses(made), made.reading, tmp_path, FIT.fit)
     assert_poses(found, made.session.display, made.truth.display)
     assert found.all_excluded == []
 
@@ -183,7 +191,7 @@ def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path
     bench = PhotoBenchOptions(camera_px=(640, 512), sampling="volumetric", imperfections=sizes)
     recipe = SimulationRecipe("birdbath28", viewpoints=12, bench=bench)
     made = simulate_readings(recipe, ReadingOptions(most_dots=100, panel_samples=200))
-    session = with_stated_lenses(made.session)
+    session = with_known_lenses(made)
     found = calibrate_session(session, made.reading, tmp_path, FitOptions(kind="volumetric").fit).eyes["right"]
     assert np.ptp(found.captures.display.viewpoint[:, 2]) > 0.9 * session.eye_box.size[2]
     truth = traced_eye(made.truth.bench.device, "right")
