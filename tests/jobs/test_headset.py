@@ -19,16 +19,6 @@ def test_a_device_is_traced_and_a_model_is_read(straight_device, model_file):
     assert open_eye("no_optics").display.panel.width_px == 1280
 
 
-def test_a_model_of_the_other_eye_is_refused(model_file):
-    with pytest.raises(BadInputError, match=r"model\.json: is a model of the right eye; the left eye was asked for"):
-        open_eye(model_file, "left")
-
-
-def test_an_eye_that_the_device_does_not_have_is_refused():
-    with pytest.raises(BadInputError, match="no left eye; choose right"):
-        open_eye("no_optics", "left")
-
-
 def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path):
     text = Path(model_file).read_text(encoding="utf-8")
     short, newer = tmp_path / "short.json", tmp_path / "newer.json"
