@@ -105,23 +105,22 @@ def test_pictures_by_number_and_layer(caller, clean, models):
             assert (shown == grey).mean() > 0.5
 
 
-def test_a_number_whose_object_has_changed_is_looked_up_again_once_names_are_forgotten(caller, clean, models):
+@pytest.mark.parametrize("host_state", ["kept", "clean"])
+def test_a_number_whose_object_has_changed_is_looked_up_again(caller, compositor, models, host_state):
+    """At once, or where the host keeps its names, when they are forgotten."""
     ctx, size = caller.ctx, (2 * SMALL[0], SMALL[1])
+    made = compositor(models, context=ctx, host_state=host_state)
     screen, other = ctx.simple_framebuffer(size), ctx.texture(size, 4, bytes(4 * size[0] * size[1]))
-    draw(clean, SceneSource(clean, scene()), HEAD, seen(models))
-    clean.compose(screen.glo)
+    draw(made, SceneSource(made, scene()), HEAD, seen(models))
+    made.compose(screen.glo)
     caller.gl("glBindFramebuffer", 0x8D40, screen.glo)
     caller.gl("glFramebufferTexture", 0x8D40, 0x8CE0, other.glo, 0)
-    clean.compose(screen.glo)
-    assert not any(other.read())
-    clean.context.forget_names()
-    clean.compose(screen.glo)
+    made.compose(screen.glo)
+    if host_state == "clean":
+        assert not any(other.read())
+        made.context.forget_names()
+        made.compose(screen.glo)
     assert any(other.read())
-
-
-def test_an_unknown_host_state_is_refused(caller, compositor, models):
-    with pytest.raises(BadInputError, match="host_state is 'dirty'; choose from kept, clean"):
-        compositor(models, context=caller.ctx, host_state="dirty")
 
 
 def test_what_a_host_has_not_reset_is_named(caller, clean):

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from composing import CONTEXTS, HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
+from composing import HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
 
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.geometry import directions, transforms
@@ -12,14 +12,14 @@ from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.ray_tracing import RayRenderer
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_headset, context):
+@pytest.mark.gl
+def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_headset):
     see_through = flat_image_headset.see_through
     colours = [
         replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
     ]
     together, renderer, at = (
-        compositor({"right": colours}, context=context),
+        compositor({"right": colours}),
         RayRenderer(scene()),
         viewpoint(colours[0]),
     )
@@ -40,12 +40,12 @@ def composed(compositor, model):
     return compositor.compose()
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
+@pytest.mark.gl
 @pytest.mark.parametrize("kind", ["planar", "flat image"])
 @pytest.mark.slow
-def test_three_models_alike_are_one(compositor, flat_image_headset, context, kind):
+def test_three_models_alike_are_one(compositor, flat_image_headset, kind):
     model = planar() if kind == "planar" else flat_image_headset
-    one, three = (compositor({"right": given}, context=context) for given in (model, [model] * 3))
+    one, three = (compositor({"right": given}) for given in (model, [model] * 3))
     alone, together = composed(one, model), composed(three, model)
     np.testing.assert_array_equal(together.read(), alone.read())
     assert together.unsolved()["right"] == {name: 3 * count for name, count in alone.unsolved()["right"].items()}

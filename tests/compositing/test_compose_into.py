@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import replace
+from types import SimpleNamespace
 
 import moderngl
 import numpy as np
@@ -171,6 +172,44 @@ def attached(context, texture, level=0, layer=None):
     else:
         call(context, "glFramebufferTextureLayer", DRAW_FRAMEBUFFER, COLOUR, texture.glo, level, layer)
     return name[0]
+
+
+SQUARE = 60, 60
+POSITIVE_X, FACE, MULTISAMPLED_ARRAY, RGBA8 = 0x8515, 0x8517, 0x9102, 0x8058
+
+
+@pytest.mark.parametrize("kind", ["volume", "cube"])
+def test_a_slice_of_a_volume_and_a_face_of_a_cube_are_targets(theirs, compositor, flat_image_headset, kind):
+    made = compositor(flat_image_headset, SQUARE, context=theirs)
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(flat_image_headset))
+    expected = made.compose().read()
+    if kind == "volume":
+        texture = theirs.texture3d((*SQUARE, 3), 4)
+        number, read = attached(theirs, texture, layer=2), lambda: texture.read()[-4 * 60 * 60 :]
+    else:
+        texture = theirs.texture_cube(SQUARE, 4)
+        number, read = attached(theirs, theirs.texture(SQUARE, 4)), lambda: texture.read(face=FACE - POSITIVE_X)
+        call(theirs, "glBindFramebuffer", DRAW_FRAMEBUFFER, number)
+        call(theirs, "glFramebufferTexture2D", DRAW_FRAMEBUFFER, COLOUR, FACE, texture.glo, 0)
+    made.compose(number)
+    shown = np.frombuffer(read(), np.uint8).reshape(60, 60, 4)[::-1, :, :3]
+    np.testing.assert_array_equal(shown, expected)
+    assert theirs.error == "GL_NO_ERROR"
+
+
+def test_a_layer_that_drivers_do_not_name_is_refused(theirs, one_eye):
+    """Mesa reports layer 0 for every layer of a multisampled array."""
+    name, layer = (ctypes.c_uint * 1)(), (ctypes.c_uint * 1)()
+    call(theirs, "glGenTextures", 1, name)
+    call(theirs, "glBindTexture", MULTISAMPLED_ARRAY, name[0])
+    call(theirs, "glTexImage3DMultisample", MULTISAMPLED_ARRAY, 4, RGBA8, *SMALL, 3, 1)
+    number = attached(theirs, SimpleNamespace(glo=name[0]), layer=1)
+    # GL_FRAMEBUFFER_ATTACHMENT_TEXTURE_LAYER
+    call(theirs, "glGetFramebufferAttachmentParameteriv", DRAW_FRAMEBUFFER, COLOUR, 0x8CD4, layer)
+    if layer[0]:
+        pytest.skip("This driver names the layer.")
+    with pytest.raises(BadInputError, match=r"a layer of a multisampled array .*TextureLayer\(texture, layer=0\)"):
+        one_eye.compose(number)
 
 
 def test_framebuffers_that_cannot_be_drawn_to_are_told_in_a_sentence(theirs, one_eye):

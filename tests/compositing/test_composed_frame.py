@@ -65,10 +65,10 @@ def test_a_lattice_coarser_than_the_display_is_within_its_bound(compositor, rend
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(compositor, renderer, headset, context):
+@pytest.mark.gl
+def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(compositor, renderer, headset):
     late = LATE, viewpoint(headset, -0.6, 0.5, -0.4)
-    composed = compositor(headset, context=context)
+    composed = compositor(headset)
     misplaced, _ = compared(composed, renderer, headset, late)
     assert misplaced.max() < MOST_LATE_ARCMIN
     uncorrected, _ = compared(composed, renderer, headset, late, corrected=False)
@@ -76,9 +76,9 @@ def test_a_late_pose_and_viewpoint_show_what_a_frame_drawn_then_shows(compositor
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_corrections_do_not_depend_on_each_other(compositor, headset, context):
-    composed = compositor(headset, context=context)
+@pytest.mark.gl
+def test_corrections_do_not_depend_on_each_other(compositor, headset):
+    composed = compositor(headset)
     draw(composed, SceneSource(composed, scene()), HEAD, viewpoint(headset))
     moments = [{}, {"pose": LATE}, {"viewpoint": viewpoint(headset, -0.6, 0.5, -0.4)}]
     pictures = [composed.compose(**moment).read() for moment in moments]
@@ -89,9 +89,9 @@ def test_corrections_do_not_depend_on_each_other(compositor, headset, context):
         assert np.abs(composed.compose(**moment).read().astype(int) - picture).max() <= 1
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(compositor, headset, context):
-    composed = compositor(headset, context=context)
+@pytest.mark.gl
+def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(compositor, headset):
+    composed = compositor(headset)
     draw(composed, SceneSource(composed, scene()), HEAD, viewpoint(headset))
     rolling = composed.compose(pose=HEAD, pose_at_last_row=LATE, with_source=True)
     source, picture = rolling.source(), rolling.read()
@@ -104,10 +104,10 @@ def test_each_row_of_a_rolling_scan_out_is_that_of_a_frame_at_its_own_pose(compo
     np.testing.assert_allclose(pose, LATE, atol=1e-12)
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(compositor, renderer, headset, context):
+@pytest.mark.gl
+def test_a_raster_camera_at_the_viewpoint_gives_the_same_points(compositor, renderer, headset):
     seen = viewpoint(headset)
-    nearest, paper = (compositor(headset, context=context, raster_camera=place) for place in ("nearest", "viewpoint"))
+    nearest, paper = (compositor(headset, raster_camera=place) for place in ("nearest", "viewpoint"))
     places = [made.begin_frame(HEAD, seen)["right"].view.position_in_world for made in (nearest, paper)]
     np.testing.assert_allclose(places[1], transforms.apply(HEAD, seen), atol=1e-12)
     assert np.linalg.norm(places[0] - places[1]) > 1e-4

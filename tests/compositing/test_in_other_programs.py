@@ -202,7 +202,7 @@ def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
     told = run(
         """
         import moderngl
-        from fitted_eyes import fitted_eye
+        from flat_image import flat_image_eye
         from wlr_render.compositing.compositor import Compositor
         from wlr_render.errors import BadInputError
         ctx = moderngl.create_context(standalone=True, require=330, backend="egl")
@@ -210,7 +210,7 @@ def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
         frame.use()
         for context in (ctx, "current"):
             try:
-                Compositor(fitted_eye("northstar", 3), (20, 16), context=context)
+                Compositor(flat_image_eye(), (20, 16), context=context)
             except BadInputError as error:
                 print(error)
         assert ctx.fbo is frame
@@ -230,9 +230,10 @@ def test_in_a_plain_pyrender_program(caller):
         import pyglet
         pyglet.options["headless"] = True  # pyrender imports its window, which wants libXrender beside libX11
         import gl_scenes, numpy as np, pyrender, trimesh
-        from fitted_eyes import fitted_eye
+        from flat_image import flat_image_eye
         from wlr_render.compositing.compositor import Compositor
         from wlr_render.errors import BadInputError
+        from wlr_render.rendering.pyrender_drawing import PyrenderDrawing
         from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 
         scene = pyrender.Scene(ambient_light=[0.3] * 3, bg_color=[0.1, 0.2, 0.5])
@@ -241,7 +242,7 @@ def test_in_a_plain_pyrender_program(caller):
         own = scene.add(pyrender.PerspectiveCamera(1.0))
         viewer = pyrender.OffscreenRenderer(64, 48)
         before = viewer.render(scene)
-        eye = fitted_eye("northstar", 3)
+        eye = flat_image_eye()
         compositor = Compositor(eye, (72, 60), context="current")
         (camera,) = compositor.begin_frame(np.eye(4), eye.eye_box.centre).values()
 
@@ -266,6 +267,8 @@ def test_in_a_plain_pyrender_program(caller):
             compositor.submit(*rendered())
         except BadInputError as error:
             print(error)
+        bent = PyrenderDrawing(compositor.context, scene, own).draw_on_gpu(gl_scenes.view()).read()
+        assert (bent.inverse_depth > 1.0).sum() > 100
         for _ in range(2):
             after = viewer.render(scene)
             assert (after[0] == before[0]).all() and (after[1] == before[1]).all()

@@ -26,11 +26,10 @@ RESOLUTION, SHARPER = 0.5, 4  # of the wide picture; pixels of the inset for eac
 CLOSE_PX = 0.1  # the depths of both pictures, and where their rays meet them, are not the same to the last bit
 
 
-def wide_and_sharp(compositor, model, **options):
-    """A compositor of wide pictures, and one of pictures that are as sharp as the insets."""
-    made = [compositor(model, SIZE, resolution=each, **options) for each in (RESOLUTION, SHARPER * RESOLUTION)]
-    cameras = [each.begin_frame(HEAD, viewpoint(planar()))["right"] for each in made]
-    return made, cameras
+def begun(compositor, model, resolution=RESOLUTION, **options):
+    """A compositor and the camera of its first frame; its pictures are wide, or as sharp as the insets."""
+    made = compositor(model, SIZE, resolution=resolution, **options)
+    return made, made.begin_frame(HEAD, viewpoint(planar()))["right"]
 
 
 def inset_of(camera: EyeCamera, share=0.4, sharper=SHARPER):
@@ -68,7 +67,9 @@ def share_of_inset(frame, camera, inset):
 def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor, kind):
     model = planar()
     models = {"right": [model] * 3} if kind == "three" else model
-    (wide, sharp), (camera, sharp_camera) = wide_and_sharp(compositor, models, panel=FLOATS)
+    (wide, camera), (sharp, sharp_camera) = (
+        begun(compositor, models, each * RESOLUTION, panel=FLOATS) for each in (1, SHARPER)
+    )
     newest = {"pose": LATER} | ({"pose_at_last_row": LATER @ at(0.004, 0, 0)} if kind == "rolling" else {})
     submit(sharp, sharp_camera)
     as_sharp = sharp.compose(**newest).read().astype(np.float64)
@@ -111,7 +112,7 @@ def test_inside_it_is_sharp_outside_wide_and_between_there_is_no_seam(compositor
 def test_edges_are_as_sharp_as_the_insets_depth(compositor):
     model, renderer = planar(), RayRenderer(scene())
     truth = traced(model, SIZE, viewpoint(model), LATER, renderer)
-    (wide, sharp), (camera, sharp_camera) = wide_and_sharp(compositor, model)
+    (wide, camera), (sharp, sharp_camera) = (begun(compositor, model, each * RESOLUTION) for each in (1, SHARPER))
     inset, rasters = inset_of(camera, 0.6), [GlRaster(made.context, scene()) for made in (wide, sharp)]
     sharp.submit(rasters[1].draw_on_gpu(sharp_camera.view))
     wide.submit(rasters[0].draw_on_gpu(camera.view, "wide"))
@@ -136,7 +137,7 @@ def test_edges_are_as_sharp_as_the_insets_depth(compositor):
 @pytest.mark.slow
 def test_an_inset_in_an_inset_and_frames_without(compositor):
     model = planar()
-    (made, _), (camera, _) = wide_and_sharp(compositor, model, panel=FLOATS)
+    made, camera = begun(compositor, model, panel=FLOATS)
     middle = inset_of(camera, 0.6, 2)
     fovea = inset_of(middle, 0.5, 2)
     submit(made, camera)
@@ -159,7 +160,7 @@ def test_an_inset_in_an_inset_and_frames_without(compositor):
 
 
 def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor):
-    (made, _), (camera, _) = wide_and_sharp(compositor, planar(), panel=FLOATS)
+    made, camera = begun(compositor, planar(), panel=FLOATS)
     inset = inset_of(camera)
     submit(made, camera)
     submit(made, camera, inset)
@@ -177,7 +178,7 @@ def test_an_inset_without_depth_has_that_of_the_picture_around_it(compositor):
 
 def test_insets_of_all_kinds_of_pictures(compositor):
     model = planar()
-    (made, _), (camera, _) = wide_and_sharp(compositor, model)
+    made, camera = begun(compositor, model)
     light, inverse = picture(inset_of(camera))
     codes = encode_srgb(light)
     upwards = [np.ascontiguousarray(each[::-1]) for each in (codes, inverse)]
@@ -209,7 +210,7 @@ def test_insets_of_all_kinds_of_pictures(compositor):
 
 def test_alpha_runs_from_one_picture_to_the_other(compositor):
     model = planar()
-    (made, _), (camera, _) = wide_and_sharp(compositor, model, panel=FLOATS)
+    made, camera = begun(compositor, model, panel=FLOATS)
     inset, alpha = inset_of(camera), StoredColour("linear", alpha=True)
     for each, value in ((camera, 0.25), (inset, 0.75)):
         light, inverse = picture(each)
@@ -227,7 +228,7 @@ def test_alpha_runs_from_one_picture_to_the_other(compositor):
 
 def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor, flat_image_headset):
     model = planar()
-    (made, _), (camera, _) = wide_and_sharp(compositor, model)
+    made, camera = begun(compositor, model)
     inset = inset_of(camera)
     with pytest.raises(BadInputError, match="does not show this frame; submit its picture before its insets"):
         submit(made, camera, inset)
@@ -280,7 +281,7 @@ def test_insets_that_cannot_be_are_refused_and_the_frame_stays(compositor, flat_
 
 def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor):
     model = planar()
-    (made, _), (camera, _) = wide_and_sharp(compositor, model)
+    made, camera = begun(compositor, model)
     left, right, up, down = camera.fov_rad
     inset, raster = camera.inset((0.5 * left, 0.5 * right, 0.5 * up, 0.5 * down), camera.size_px), None
     raster = GlRaster(made.context, scene())
@@ -290,8 +291,7 @@ def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor):
 
 
 def test_prepared_compositors_compile_nothing_for_insets(compositor, monkeypatch):
-    model = planar()
-    (made, _), (camera, _) = wide_and_sharp(compositor, model)
+    made, camera = begun(compositor, planar(), context="egl")
     made.prepare(overlays=0, insets=True)
     with made.context.drawing() as ctx:
         target = ctx.simple_framebuffer(SIZE)

@@ -97,7 +97,7 @@ def test_textures_of_an_srgb_format_hold_codes(compositor, flat_image_headset, e
 
 def test_codes_that_a_driver_decodes_in_any_case_are_taken_as_light(compositor, flat_image_headset, monkeypatch):
     monkeypatch.setattr(GlContext, "reads_srgb_codes", False)  # as without GL_EXT_texture_sRGB_decode
-    made = compositor(flat_image_headset)
+    made = compositor(flat_image_headset, context="egl")
     for internal_format in (None, SRGB8_ALPHA8):
         for picture in textures(made, 100 / 255, "f1", internal_format):
             assert (shown(made, flat_image_headset, picture)[INSIDE][..., :3] == 100).all()

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from composing import CONTEXTS, HEAD, SMALL, draw, planar, scene, viewpoint
+from composing import HEAD, SMALL, draw, planar, scene, viewpoint
 
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.mappings import QueryResult, Status
@@ -40,9 +40,9 @@ def slope_offset(frame):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_a_resting_pupil_is_solved_once(compositor, headset, context, solved_at):
-    made = compositor(headset, context=context)
+@pytest.mark.gl
+def test_a_resting_pupil_is_solved_once(compositor, headset, solved_at):
+    made = compositor(headset)
     source, seen = SceneSource(made, scene()), viewpoint(headset)
     del solved_at[:]
     for _ in range(3):
@@ -59,9 +59,9 @@ def test_a_resting_pupil_is_solved_once(compositor, headset, context, solved_at)
     np.testing.assert_array_equal(slope_offset(made.compose()), first)
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(compositor, flat_image_headset, context):
-    made, cold = (compositor(flat_image_headset, context=context) for _ in range(2))
+@pytest.mark.gl
+def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(compositor, flat_image_headset):
+    made, cold = (compositor(flat_image_headset) for _ in range(2))
     tracked, pose = viewpoint(flat_image_headset), HEAD.copy()
     source = SceneSource(made, scene())
     draw(made, source, pose, tracked)
@@ -73,9 +73,9 @@ def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(co
     assert np.abs(made.compose().read().astype(int) - cold.compose().read()).max() <= 1
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_the_frame_after_a_saccade_is_a_cold_one(compositor, headset, context):
-    warm, cold = (compositor(headset, context=context) for _ in range(2))
+@pytest.mark.gl
+def test_the_frame_after_a_saccade_is_a_cold_one(compositor, headset):
+    warm, cold = (compositor(headset) for _ in range(2))
     before = headset.eye_box.centre - [0.0025, 0.001, 0.0]
     after = before + [0.005, 0.0, 0.0]
     draw(warm, SceneSource(warm, scene()), HEAD, before)
@@ -114,9 +114,9 @@ def troubled(flat_image_headset):
     return replace(flat_image_headset, display=Troubled(flat_image_headset.display))
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troubled, context):
-    made = compositor(troubled, context=context, background=(9, 8, 7))
+@pytest.mark.gl
+def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troubled):
+    made = compositor(troubled, background=(9, 8, 7))
     draw(made, SceneSource(made, scene()), HEAD, viewpoint(troubled))
     frame = made.compose()
     unsolved, status = frame.unsolved(), frame.status("right")
@@ -131,9 +131,9 @@ def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troub
     assert (status[:, SMALL[0] // 2 :] == 0).mean() > 0.95
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(compositor, troubled, context):
-    made = compositor(troubled, context=context)
+@pytest.mark.gl
+def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(compositor, troubled):
+    made = compositor(troubled)
     source, seen = SceneSource(made, scene()), viewpoint(troubled)
     draw(made, source, HEAD, seen)
     first = made.compose()

@@ -106,11 +106,9 @@ def bad_arrays(size):
     )
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken_then(
-    compositor, flat_image_headset, context
-):
-    made = compositor(flat_image_headset, context=context)
+@pytest.mark.gl
+def test_a_picture_that_is_none_is_told_in_a_sentence_and_the_right_one_is_taken_then(compositor, flat_image_headset):
+    made = compositor(flat_image_headset)
     source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
     (camera,) = draw(made, source, HEAD, seen).values()
     expected = made.compose().read()
@@ -163,9 +161,9 @@ def test_a_picture_that_overwrote_the_other_eyes_is_refused(compositor, flat_ima
     assert made.compose().read("right").std() > 5
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_an_engine_may_write_over_what_it_has_submitted(compositor, flat_image_headset, context):
-    made, seen = compositor(flat_image_headset, context=context), viewpoint(flat_image_headset)
+@pytest.mark.gl
+def test_an_engine_may_write_over_what_it_has_submitted(compositor, flat_image_headset):
+    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
     color, depth = np.full((*shape, 3), 90, np.uint8), np.full(shape, 2.0, np.float32)
@@ -174,9 +172,9 @@ def test_an_engine_may_write_over_what_it_has_submitted(compositor, flat_image_h
     assert np.median(made.compose().read()) == 90
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_words_do_not_stand_for_kinds_and_rows(compositor, flat_image_headset, context):
-    made, seen = compositor(flat_image_headset, context=context), viewpoint(flat_image_headset)
+@pytest.mark.gl
+def test_words_do_not_stand_for_kinds_and_rows(compositor, flat_image_headset):
+    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
     given = np.zeros((*shape, 3), np.uint8), np.ones(shape, np.float32)
@@ -199,12 +197,12 @@ def test_pictures_larger_than_opengl_takes_are_refused_at_once(compositor, flat_
             compositor(flat_image_headset, size=size, context="egl")
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
+@pytest.mark.gl
 @pytest.mark.parametrize("stored", [StoredDepth(), INVERSE, WINDOW, REVERSED], ids=lambda stored: stored.kind.name)
 def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourhood(
-    compositor, flat_image_headset, context, stored
+    compositor, flat_image_headset, stored
 ):
-    made, seen = compositor(flat_image_headset, context=context), viewpoint(flat_image_headset)
+    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     source = SceneSource(made, scene())
     (camera,) = draw(made, source, HEAD, seen).values()
     image = source.read(camera.view)
@@ -234,9 +232,9 @@ def test_a_depth_that_is_no_number_is_background_and_changes_only_its_neighbourh
         np.testing.assert_array_equal(source_with(value, everywhere), source_with(nothing, everywhere))
 
 
-@pytest.mark.parametrize("context", CONTEXTS)
-def test_depths_that_are_no_distance_are_refused(compositor, flat_image_headset, context):
-    made, seen = compositor(flat_image_headset, context=context), viewpoint(flat_image_headset)
+@pytest.mark.gl
+def test_depths_that_are_no_distance_are_refused(compositor, flat_image_headset):
+    made, seen = compositor(flat_image_headset), viewpoint(flat_image_headset)
     (camera,) = made.begin_frame(HEAD, seen).values()
     shape = camera.size_px[::-1]
     for stored, sound, values in (

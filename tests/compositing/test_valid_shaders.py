@@ -34,7 +34,7 @@ def sources(monkeypatch):
 def compose_all_kinds(compositor):
     """Compose pictures of all kinds, with three colours, an overlay, an inset and a uniformity map, and a scene."""
     model, light = planar(), PanelLight(uniformity=np.full(SMALL[::-1], 0.5), bits=10)
-    given = compositor({"right": [model] * 3}, resolution=0.5, panel=light)
+    given = compositor({"right": [model] * 3}, resolution=0.5, panel=light, context="egl")
     (camera,) = given.begin_frame(HEAD, viewpoint(model)).values()
     inset = camera.inset(tuple(0.4 * np.array(camera.fov_rad)), (60, 50))
     for each in (camera, inset):

@@ -56,17 +56,17 @@ def interpolated(mesh, rays, places):
 
 @pytest.mark.slow
 def test_rays_inside_triangles_are_within_the_bound(eye, mesh):
-    place = np.random.default_rng(5).uniform(0, 1, (150, 2))
+    place = np.random.default_rng(5).uniform(0, 1, (60, 2))
     axes = mesh.camera(np.eye(4), pupil(eye)).view.device_from_camera
     exact = solve_pixels(eye, axes, place * eye.display.panel.size_px, pupil(eye)).slope_offset
     read = interpolated(mesh, mesh.rays(pupil(eye))[0], place)
     worst = ray_error_arcmin(read, exact).max()
-    print(f"{len(mesh.panel_position)} vertices, bound {mesh.bound_arcmin:.3f}, worst of 150 {worst:.3f} arcmin")
+    print(f"{len(mesh.panel_position)} vertices, bound {mesh.bound_arcmin:.3f}, worst of 60 {worst:.3f} arcmin")
     assert 0.2 * mesh.bound_arcmin < worst < mesh.bound_arcmin <= 0.05
 
 
 def test_triangles_cover_the_panel_once(mesh):
-    places = np.random.default_rng(7).uniform(0, 1, (100, 2))
+    places = np.random.default_rng(7).uniform(0, 1, (30, 2))
     assert {triangles_around(mesh, each)[1].size for each in places} == {1}
 
 
@@ -124,24 +124,24 @@ def test_vertices_without_rays_are_nan_and_the_others_exact(flat_image_headset):
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (lambda eye: WarpMesh({"left": planar("left"), "right": eye}, SIZE), "one mesh for each eye"),
-        (lambda eye: WarpMesh(eye, (0, 4)), r"size is \(0, 4\)"),
-        (lambda eye: WarpMesh(eye, SIZE, tolerance_arcmin=0), "tolerance_arcmin is 0"),
-        (lambda eye: WarpMesh(eye, SIZE, raster_camera="pupil"), "raster_camera is 'pupil'"),
-        (lambda eye: WarpMesh(eye, SIZE, tolerance_arcmin=1).rays([0, 0, np.nan]), "three finite numbers"),
-        (lambda eye: WarpMesh(eye, SIZE, tolerance_arcmin=1).rays([0, 0, 1.0]), "eye box's centre in z"),
-        (lambda eye: WarpMesh(eye, SIZE, tolerance_arcmin=1).camera(np.ones((4, 4)), pupil(eye)), "not a rotation"),
+        (lambda eye, mesh: WarpMesh({"left": planar("left"), "right": eye}, SIZE), "one mesh for each eye"),
+        (lambda eye, mesh: WarpMesh(eye, (0, 4)), r"size is \(0, 4\)"),
+        (lambda eye, mesh: WarpMesh(eye, SIZE, tolerance_arcmin=0), "tolerance_arcmin is 0"),
+        (lambda eye, mesh: WarpMesh(eye, SIZE, raster_camera="pupil"), "raster_camera is 'pupil'"),
+        (lambda eye, mesh: mesh.rays([0, 0, np.nan]), "three finite numbers"),
+        (lambda eye, mesh: mesh.rays([0, 0, 1.0]), "eye box's centre in z"),
+        (lambda eye, mesh: mesh.camera(np.ones((4, 4)), pupil(eye)), "not a rotation"),
         (
-            lambda eye: WarpMesh(eye, SIZE, tolerance_arcmin=1).image_from_ray(
-                WarpMesh(eye, SIZE, tolerance_arcmin=1).camera(HEAD, pupil(eye)), pupil(eye), HEAD
+            lambda eye, mesh: mesh.image_from_ray(
+                WarpMesh(eye, (18, 20), tolerance_arcmin=1).camera(HEAD, pupil(eye)), pupil(eye), HEAD
             ),
             "not one of this mesh",
         ),
     ],
 )
-def test_wrong_input_is_named(eye, wrong, words):
+def test_wrong_input_is_named(eye, mesh, wrong, words):
     with pytest.raises(BadInputError, match=words):
-        wrong(eye)
+        wrong(eye, mesh)
 
 
 def judged(eye, mesh, camera, newest, source, colour):

@@ -9,7 +9,6 @@ from wlr_render.mappings import Eye, Panel, QueryResult
 from wlr_render.rendering.choose_warp_grid import (
     TOLERANCE_ARCMIN,
     choose_warp_grid,
-    judged_pixels,
     warp_grid_error_arcmin,
 )
 from wlr_render.rendering.ray_map import NEAREST_M, middle_axes
@@ -54,10 +53,10 @@ def test_a_stronger_curvature_needs_a_denser_grid(toy_headset):
     assert 0.4 * TOLERANCE_ARCMIN < strong.bound_arcmin <= TOLERANCE_ARCMIN
 
 
-@pytest.mark.parametrize("device", ["northstar", "freeform40"])
+@pytest.mark.parametrize("device", ["freeform40", "birdbath28"])
 @pytest.mark.slow
 def test_the_bound_holds_at_other_pixels_and_viewpoints(device):
-    eye = fitted_eye(device, 5)
+    eye = fitted_eye(device, 3)
     axes, rng = middle_axes(eye), np.random.default_rng(8)
     chosen = choose_warp_grid(eye, axes)
     worst = max(
@@ -68,9 +67,9 @@ def test_the_bound_holds_at_other_pixels_and_viewpoints(device):
             eye.eye_box.at(unit),
             rng.uniform(0.5, eye.display.panel.size_px - 0.5, (200, 2)),
         ).max()
-        for unit in rng.uniform(-1, 1, (25, 3))
+        for unit in rng.uniform(-1, 1, (10, 3))
     )
-    print(f"{device}: cells of {chosen.cell_px} px, bound {chosen.bound_arcmin:.4f}', at 5,000 others {worst:.4f}'")
+    print(f"{device}: cells of {chosen.cell_px} px, bound {chosen.bound_arcmin:.4f}', at 2,000 others {worst:.4f}'")
     assert chosen.bound_arcmin <= TOLERANCE_ARCMIN
     assert 0.2 * chosen.bound_arcmin < worst <= 1.1 * chosen.bound_arcmin
 
@@ -108,12 +107,3 @@ def test_a_panel_that_is_not_seen_at_all_is_known_nowhere(toy_headset):
     chosen = choose_warp_grid(dataclasses.replace(toy_headset, display=hidden), np.eye(3))
     assert chosen.hole_share == 1
     assert chosen.bound_arcmin == np.inf
-
-
-def test_the_corner_cells_are_judged():
-    warp_grid = WarpGrid.edge_to_edge(PANEL, 61, 41)
-    pixel = judged_pixels(warp_grid)
-    for corner in ([2.1, 2.1], [597.9, 2.1], [2.1, 397.9], [597.9, 397.9]):
-        assert np.linalg.norm(pixel - corner, axis=1).min() < 1e-9
-    assert (pixel > 0).all()
-    assert (pixel < PANEL.size_px).all()

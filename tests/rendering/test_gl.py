@@ -1,13 +1,8 @@
-import subprocess
-import sys
-import textwrap
-
 import numpy as np
 import pytest
 
 from wlr_render.errors import MissingGlError
 from wlr_render.rendering import gl
-from wlr_render.rendering.native_contexts import OsMesaContext
 
 LOST_LIBRARIES = {"GLCONTEXT_LINUX_LIBEGL": "libNowhereEGL.so", "GLCONTEXT_LINUX_LIBGL": "libNowhereGL.so"}
 
@@ -50,50 +45,6 @@ def test_a_context_destroyed_while_current_does_not_leave_ours_current(caller, g
         pass
     with pytest.raises(MissingGlError, match="No OpenGL context is current"):
         gl.adopt_context()
-
-
-@pytest.mark.gl
-def test_textures_keep_their_top_row_first(gl_context):
-    image = np.arange(5 * 3 * 4, dtype=np.float32).reshape(5, 3, 4)
-    with gl_context.drawing() as ctx:
-        texture = ctx.texture((3, 5), 4, image, dtype="f4")
-        np.testing.assert_array_equal(gl.read(texture, np.float32), image)
-
-
-OSMESA_PICTURE = """
-    import sys
-    import numpy as np
-    sys.path[:0] = [{tests!r}]
-    import gl_scenes
-    from wlr_render.rendering import gl, gl_raster
-    scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
-    with gl.open_context("osmesa") as context:
-        image = gl_raster.GlRaster(context, scene).draw(gl_scenes.view())
-    np.savez({out!r}, colour=image.colour, inverse_depth=image.inverse_depth)
-"""
-
-
-@pytest.mark.gl
-def test_osmesa_draws_what_egl_draws(gl_context, tmp_path):
-    import gl_scenes
-
-    from wlr_render.rendering import gl_raster
-
-    if gl_context.backend != "egl":
-        pytest.skip("EGL does not open here, so that there is nothing to compare OSMesa with.")
-    try:
-        OsMesaContext.library()
-    except OSError as error:
-        pytest.skip(f"libosmesa6 is not installed ({error}).")
-    # Its own process: two of Mesa's front ends in one share the note of which context is current.
-    out = str(tmp_path / "osmesa.npz")
-    script = textwrap.dedent(OSMESA_PICTURE.format(tests=str(gl_scenes.__file__).rsplit("/", 1)[0], out=out))
-    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
-    osmesa = np.load(out)
-    scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
-    egl = gl_raster.GlRaster(gl_context, scene).draw(gl_scenes.view())
-    assert np.abs(egl.colour.astype(int) - osmesa["colour"]).max() <= 1
-    np.testing.assert_allclose(egl.inverse_depth, osmesa["inverse_depth"], rtol=1e-6)
 
 
 @pytest.mark.parametrize(("told", "first"), [("osmesa", "osmesa"), ("egl", "egl"), (None, "egl")])

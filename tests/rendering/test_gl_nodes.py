@@ -1,34 +1,14 @@
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from fitted_eyes import fitted_eye
 
 from wlr_render.errors import BadInputError
-from wlr_render.mappings import Eye, QueryResult, Status
+from wlr_render.mappings import Status
 from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
 from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, middle_axes, solve_every_pixel
 from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
-
-
-@dataclass(frozen=True)
-class BlindAtRight:
-    """A display whose solve fails for viewpoints beyond the eye box's right side."""
-
-    whole: object
-
-    @property
-    def panel(self):
-        return self.whole.panel
-
-    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
-        answer = self.whole.view_dir_of_pixel(pixel, viewpoint)
-        if viewpoint[0] <= 0.005:
-            return answer
-        failed = np.full(answer.status.shape, Status.NOT_CONVERGED, np.uint8)
-        return QueryResult(np.full_like(answer.value, np.nan), failed)
 
 
 def plan_of(eye, columns=21, rows=31, count=None):
@@ -81,15 +61,6 @@ def test_nodes_without_an_answer_are_filled_and_the_hole_stays(gl_context, toy_h
         assert (status[in_hole] == Status.MISS).all()
         # Points around filled nodes are counted too.
         assert in_hole.sum() <= (status == Status.MISS).sum() < 0.2 * status.size
-
-
-def test_where_no_node_has_an_answer_the_last_map_is_kept(gl_context, toy_headset):
-    blind = Eye("blind", "right", BlindAtRight(toy_headset.display), toy_headset.see_through, toy_headset.eye_box)
-    nodes = GlNodeSolver(gl_context, blind, plan_of(toy_headset, count=9))
-    last = nodes.solve(toy_headset.eye_box.at(np.array([0.3, 0.5, 0]))).read()
-    field = nodes.solve(toy_headset.eye_box.at(np.array([1.2, 0, 0]))).read()
-    np.testing.assert_array_equal(field.slope_offset, last.slope_offset)
-    assert (field.status == Status.NOT_CONVERGED).all()
 
 
 def test_a_viewpoint_that_is_none_is_refused_and_the_field_stays(gl_context, toy_headset):

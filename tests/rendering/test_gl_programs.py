@@ -1,46 +1,9 @@
-"""Uniforms that are not set again, textures that are not bound again, and framebuffers bound without ModernGL."""
+"""Textures that are not bound again, and framebuffers bound without ModernGL."""
 
 import numpy as np
 import pytest
 
 from wlr_render.rendering import gl
-from wlr_render.rendering.gl_programs import GLSL_VERSION, shader_source
-
-
-class Uniform:
-    def __init__(self):
-        self.written = []
-
-    value = property(None, lambda self, value: self.written.append(value))
-
-    def write(self, data):
-        self.written.append(np.frombuffer(data, np.float32).tolist())
-
-
-class Program(dict):
-    extra = None
-
-
-def test_a_uniform_is_written_when_its_value_changes():
-    program = Program(size=Uniform(), matrix=Uniform())
-    for size in ((1, 2), (1, 2), (1, 3), (1, 2)):
-        gl.set_uniforms(program, size=size, unused=size)
-    assert program["size"].written == [(1, 2), (1, 3), (1, 2)]
-    turned = np.array([[0.0, 1.0], [2.0, 3.0]])
-    for matrix in (turned, turned.copy(), turned.T):
-        gl.set_matrix(program, "matrix", matrix)
-    assert program["matrix"].written == [[0.0, 2.0, 1.0, 3.0], [0.0, 1.0, 2.0, 3.0]]
-    gl.set_array(program, "matrix", [np.array([5.0, 6.0])])
-    assert program["matrix"].written[2:] == [[5.0, 6.0]]
-    turned[:] = 7.0  # the array that was written is the caller's, who may change it
-    gl.set_matrix(program, "matrix", turned)
-    assert program["matrix"].written[3:] == [[7.0] * 4]
-
-
-def test_a_shader_has_one_version_whatever_its_file_says():
-    text = shader_source("warp.frag", {"A": 1}, "float f() { return 1.0; }")
-    assert text.startswith(f"#version {GLSL_VERSION}\n#define A 1\nfloat f() {{ return 1.0; }}\n#line 2\n")
-    assert text.count("#version") == 1
 
 
 @pytest.fixture

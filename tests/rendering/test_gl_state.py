@@ -11,12 +11,10 @@ from fitted_eyes import fitted_eye
 from gl_caller import assert_same, run
 from warping import field_of_pixels
 
-from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 from wlr_render.rendering.gl_warp import GlWarp
-from wlr_render.rendering.native_contexts import OsMesaContext
 from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
@@ -28,23 +26,6 @@ SCENE = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
 def adopted(caller):
     with gl.adopt_context(caller.ctx) as adopted:
         yield adopted
-
-
-def test_odd_values_are_odd(caller):
-    usual = caller.state()
-    caller.set_odd_values()
-    odd = caller.state()
-    same = {name for name in odd if odd[name] == usual[name]}
-    # Set by ModernGL's own start or not ours to change; the window's colour buffer is none.
-    assert same <= {
-        "error",
-        "cube maps",
-        "draw buffer 1",
-        "line width",
-        "draw buffer 0",
-        "read buffer",
-        "switch 0x8f9d",
-    }
 
 
 @pytest.mark.parametrize("is_odd", [True, False])
@@ -81,31 +62,6 @@ def test_all_state_is_found_again_after_each_kind_of_block(caller, is_odd):
     assert_same(caller.state(), before)
 
 
-def test_unusual_caller_state_gives_the_same_picture_as_an_own_context(caller, gl_context):
-    own = GlRaster(gl_context, SCENE).draw(gl_scenes.view())
-    caller.ctx.__enter__()
-    caller.set_odd_values()
-    with gl.adopt_context(caller.ctx) as context:
-        other = GlRaster(context, SCENE).draw(gl_scenes.view())
-    for name in ("colour", "inverse_depth"):
-        np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
-
-
-def test_the_callers_program_draws_the_same_before_and_after(caller, adopted):
-    caller.textures[3].use(0)
-    caller.samplers[3].use(0)
-    caller.framebuffer.use()
-    caller.framebuffer.viewport, caller.framebuffer.scissor = (1, 2, 5, 3), (2, 1, 4, 5)
-    caller.framebuffer.color_mask = (True, False, True, True), (False, True, True, False)
-    caller.ctx.enable_only(moderngl.BLEND)
-    caller.ctx.blend_func = moderngl.ONE, moderngl.ZERO
-    before = caller.draw()
-    caller.framebuffer.clear()
-    GlRaster(adopted, SCENE).draw(gl_scenes.view())
-    assert caller.draw() == before
-    assert all(len(set(pixels)) > 1 for pixels in before)
-
-
 def test_a_failed_block_leaves_the_state_and_the_next_is_right(caller, adopted):
     raster = GlRaster(adopted, SCENE)
     good = raster.draw(gl_scenes.view())
@@ -134,73 +90,6 @@ def test_a_program_that_the_caller_deleted_while_it_was_in_use_leaves_no_error(c
     assert caller.ctx.error == "GL_NO_ERROR"
 
 
-def test_releasing_frees_our_objects_and_none_of_the_callers(caller):
-    caller.framebuffer.use()
-    alone, before = caller.draw(), caller.objects()
-    context = gl.adopt_context(caller.ctx)
-    raster = GlRaster(context, SCENE)
-    raster.draw_on_gpu(gl_scenes.view())
-    assert all(len(now) > len(then) for now, then in zip(caller.objects(), before, strict=True))
-    context.release()
-    assert caller.objects() == before
-    del raster
-    context.release()
-    assert caller.draw() == alone
-
-
-def test_a_context_that_is_not_current_is_refused_in_a_sentence(caller, adopted):
-    raster = GlRaster(adopted, SCENE)
-    good = raster.draw(gl_scenes.view())
-    with caller.ctx:  # ModernGL leaves none current
-        pass
-    with pytest.raises(BadInputError, match="is not current on this thread: make it current before drawing"):
-        raster.draw(gl_scenes.view())
-    caller.ctx.__enter__()
-    np.testing.assert_array_equal(raster.draw(gl_scenes.view()).colour, good.colour)
-
-
-def test_a_released_context_is_refused_in_a_sentence(caller):
-    caller.ctx.release()
-    with pytest.raises(MissingGlError, match="has been released: adopt one that is alive"):
-        gl.adopt_context(caller.ctx)
-
-
-def test_a_missing_current_context_is_refused_in_a_sentence():
-    script = """
-        from wlr_render.errors import MissingGlError
-        from wlr_render.rendering import gl
-        try:
-            gl.adopt_context()
-        except MissingGlError as error:
-            print(error)
-    """
-    assert "No OpenGL context is current on this thread: make yours current before adopting it" in run(script)
-
-
-def test_a_version_below_is_refused_and_stays_usable(caller):
-    script = """
-        import moderngl
-        from wlr_render.errors import MissingGlError
-        from wlr_render.rendering import gl
-        ctx = moderngl.create_context(standalone=True, require=330, backend="egl")
-        assert ctx.version_code == 330
-        frame = ctx.simple_framebuffer((4, 4))
-        frame.use()
-        ctx.enable_only(moderngl.BLEND)
-        for adopt in (lambda: gl.adopt_context(ctx), gl.adopt_context):
-            try:
-                adopt()
-            except MissingGlError as error:
-                print(error)
-        assert ctx.fbo is frame
-        assert ctx.error == "GL_NO_ERROR"
-        ctx.clear(0.2, 0.4, 0.6, 1.0)
-        assert frame.read() == bytes([51, 102, 153]) * 16
-    """
-    told = run(script, MESA_GL_VERSION_OVERRIDE="3.3")
-    assert told.count("The OpenGL context has version 3.3, the renderer needs 4.1: ask for a 4.1 core profile") == 2
-
-
 @pytest.mark.slow
 def test_a_context_of_version_4_1_is_adopted(caller):
     script = """
@@ -226,60 +115,6 @@ def test_a_context_of_version_4_1_is_adopted(caller):
     """
     environment = {"MESA_GL_VERSION_OVERRIDE": "4.1", "MESA_GLSL_VERSION_OVERRIDE": "410"}
     assert run(script, **environment) == "composed\n"
-
-
-@pytest.mark.slow
-def test_inside_a_plain_pyrender_program(gl_context):
-    script = """
-        import pyglet
-        pyglet.options["headless"] = True  # pyrender imports its window, which wants libXrender beside libX11
-        import gl_scenes, numpy as np, pyrender, trimesh
-        from wlr_render.rendering import gl
-        from wlr_render.rendering.pyrender_drawing import PyrenderDrawing
-        from wlr_render.rendering.gl_raster import GlRaster
-        scene = pyrender.Scene(ambient_light=[0.1] * 3)
-        pose = np.eye(4)
-        pose[:3, 3] = 0.1, 0.0, -1.0
-        scene.add(pyrender.Mesh.from_trimesh(trimesh.creation.icosphere(2, 0.3)), pose=pose)
-        scene.add(pyrender.PerspectiveCamera(1.0))
-        scene.add(pyrender.PointLight(intensity=9.0))
-        viewer = pyrender.OffscreenRenderer(64, 48)
-        colour, depth = viewer.render(scene)
-        context = gl.adopt_context()
-        ours = GlRaster(context, gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))).draw(gl_scenes.view())
-        assert (ours.inverse_depth > 0).sum() > 100
-        own_scene = PyrenderDrawing(context, scene, scene.main_camera_node)
-        for _ in range(3):
-            again = viewer.render(scene)
-            assert (again[0] == colour).all() and (again[1] == depth).all() and depth.max() > 0.5
-            bent = own_scene.draw_on_gpu(gl_scenes.view()).read()
-            assert (bent.inverse_depth > 1.2).sum() > 100
-        context.release()
-        again = viewer.render(scene)
-        assert (again[0] == colour).all() and (again[1] == depth).all()
-        print("same")
-    """
-    assert run(script, PYOPENGL_PLATFORM=gl_context.backend) == "same\n"
-
-
-def test_a_third_party_software_context_is_adopted():
-    script = """
-        import gl_scenes
-        from wlr_render.rendering import gl
-        from wlr_render.rendering.native_contexts import OsMesaContext
-        from wlr_render.rendering.gl_raster import GlRaster
-        theirs = OsMesaContext()
-        with gl.adopt_context() as context:
-            scene = gl_scenes.lit((gl_scenes.cube(), gl_scenes.at(0, 0, -2)))
-            picture = GlRaster(context, scene).draw(gl_scenes.view())
-            print(context.backend, (picture.inverse_depth > 0).sum() > 100)
-        theirs.release()
-    """
-    try:
-        OsMesaContext.library()
-    except OSError as error:
-        pytest.skip(f"libosmesa6 is not installed ({error}).")
-    assert run(script) == "osmesa True\n"
 
 
 @pytest.fixture
@@ -317,7 +152,3 @@ def test_a_context_of_an_x_window_system_is_adopted_and_no_other_opens_beside_it
     assert "release the context that is current there, or adopt it" in first
     assert "egl: another platform's context is current on this thread; release it, or adopt it" in second
     assert drawn == ["glx True", "True"]
-
-
-def test_a_refusal_is_both_a_missing_gl_and_a_bad_input():
-    assert issubclass(MissingGlError, BadInputError)

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from cpu_warp import warp_on_cpu
 from gl_scenes import at, cube, lit, quad, unlit, view
 from warping import field_of_pixels, warp_pixels
 
@@ -149,17 +148,3 @@ def test_a_display_and_a_camera_of_new_sizes_are_followed(gl_context, busy_pictu
     image = GlRaster(gl_context, unlit((cube(), at(0, 0, -2)))).draw_on_gpu(view(small))
     np.testing.assert_array_equal(drawn(image, small), image.read().colour)
     np.testing.assert_array_equal(drawn(busy_picture, CAMERA), busy_picture.read().colour)
-
-
-def test_the_cpu_path_finds_the_same_sources(gl_context, busy_picture):
-    slope_offset = bend_field(0.9 * CAMERA.pixel_centre_tangents(), (0.02, -0.015))
-    slope_offset[:, 3:9, 5:8] = np.nan
-    fast = warp_pixels(gl_context, busy_picture, [slope_offset], background=(9, 8, 7))
-    slow = warp_on_cpu(busy_picture.read(), CAMERA, [slope_offset], background=(9, 8, 7))
-    same = fast.status == slow.status
-    assert same.mean() > 0.995
-    found = same & (fast.status == WarpStatus.SEEN)
-    distance = np.linalg.norm(fast.source - slow.source, axis=-1)[found]
-    assert np.percentile(distance, 99.5) < 1e-3
-    difference = np.abs(fast.colour.astype(int) - slow.colour)[found]
-    assert np.percentile(difference, 99.5) <= 1

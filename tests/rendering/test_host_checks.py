@@ -10,9 +10,9 @@ import pytest
 from gl_caller import assert_same
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering import gl, gl_state
+from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.host_checks import ErrorReader, GlError, PendingGlErrorWarning
+from wlr_render.rendering.host_checks import PendingGlErrorWarning
 from wlr_render.rendering.native_contexts import CurrentContext
 
 pytestmark = pytest.mark.gl
@@ -122,24 +122,6 @@ def test_a_pending_error_is_reported_once(caller, raster):
         gl.adopt_context(caller.ctx).release()
 
 
-class Reporting:
-    """A context whose glGetError returns given errors, the last one for ever."""
-
-    def __init__(self, *errors):
-        self.errors = list(errors)
-
-    def function(self, name, *types, result=None):
-        return lambda: self.errors.pop(0) if len(self.errors) > 1 else self.errors[0]
-
-
-def test_the_errors_of_a_lost_context_end():
-    assert ErrorReader(Reporting(0)).take() == 0
-    assert ErrorReader(Reporting(INVALID_ENUM, 0x0502, 0)).take() == INVALID_ENUM
-    for errors, name in (((CONTEXT_LOST,), "GL_CONTEXT_LOST"), ((INVALID_ENUM,), "GL_INVALID_ENUM")):
-        with pytest.raises(GlError, match=f"OpenGL reports {name} without end: the context is lost"):
-            ErrorReader(Reporting(*errors)).take()
-
-
 def test_a_new_context_at_the_address_of_the_old_one_is_refused(caller, adopted, raster):
     other = moderngl.create_context(standalone=True, require=410, backend="egl")
     current = vars(adopted)["_current"]
@@ -160,27 +142,3 @@ def test_a_new_context_at_the_address_of_the_old_one_is_refused(caller, adopted,
         current._native = address
         other.release()
         caller.ctx.__enter__()
-
-
-def test_values_younger_than_the_version_are_left_alone(caller, monkeypatch):
-    """An address is no proof that a function exists: GLX and EGL give one for every name."""
-    asked = []
-    monkeypatch.setattr(CurrentContext, "has", lambda self, version, extension: asked.append(extension) and False)
-    names = []
-    function = CurrentContext.function
-    monkeypatch.setattr(
-        CurrentContext,
-        "function",
-        lambda self, name, *rest, **more: names.append(name) or function(self, name, *rest, **more),
-    )
-    gl_state.GlState(CurrentContext()).release()
-    assert set(asked) == {"GL_ARB_clip_control", "GL_ARB_ES3_compatibility"}
-    assert "glDepthRange" in names
-    assert "glClipControl" not in names
-
-
-def test_a_context_has_what_its_version_or_extensions_say(caller):
-    current = CurrentContext()
-    assert current.has((4, 1), "GL_NONE")
-    assert current.has((9, 9), "GL_ARB_clip_control")
-    assert not current.has((9, 9), "GL_ARB_clip")

@@ -273,10 +273,6 @@ def test_properties_of_obj_that_are_not_drawn_are_named(tmp_path, lines, keys):
     assert load_meshes(path).not_drawn == ((f"{keys} of 'm' in wedge.obj",) if keys else ())
 
 
-def test_what_we_write_is_drawn_as_it_is(loaded):
-    assert loaded.not_drawn == ()
-
-
 def chain(count):
     return [{"children": [i + 1]} for i in range(count)] + [{"mesh": 0}]
 
@@ -621,10 +617,6 @@ def test_primitives_of_a_mesh_are_instances_with_names_that_do_not_change(tmp_pa
     assert [instance.name for instance in load_meshes(path).instances] == ["here/wedge", "here/wedge_1"]
 
 
-def test_triangle_strips_are_read(tmp_path):
-    assert load_meshes(gltf(tmp_path, meshes=wedge(mode=5))).meshes[0].triangles.tolist() == [[0, 1, 2]]
-
-
 def test_a_base_texture_uses_its_own_coordinates(tmp_path):
     keys = textured(texCoord=1)
     # TEXCOORD_0 reads numbers of the positions.
@@ -769,14 +761,6 @@ def test_an_optional_extension_of_primitives_does_not_reach_trimesh(tmp_path, ca
     draco = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}}
     assert len(load_meshes(gltf(tmp_path, meshes=wedge(extensions=draco))).meshes) == 1
     assert caplog.text == ""
-
-
-def test_an_embedded_buffer_is_decoded_once(tmp_path, monkeypatch):
-    decoded = []
-    decode = base64.b64decode
-    monkeypatch.setattr(base64, "b64decode", lambda data: decoded.append(1) or decode(data))
-    load_meshes(gltf(tmp_path))
-    assert len(decoded) == 1
 
 
 def test_a_primitive_without_area_is_left_out(tmp_path):

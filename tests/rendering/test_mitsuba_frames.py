@@ -180,21 +180,6 @@ def test_each_colour_has_rays_of_its_own_and_frames_repeat(mitsuba, toy_headset)
     assert len(frames["own"].traced) == 3
 
 
-@pytest.mark.parametrize("count", [*range(1, 21), 33, 64, 100, 127, 129, 1000])
-def test_paths_begin_evenly_over_the_pixel_around_its_centre(count):
-    offsets = mitsuba_frames._offsets_in_pixel(count)
-    assert offsets.shape == (count, 2)
-    assert (np.abs(offsets) < 0.5).all()
-    np.testing.assert_allclose(offsets.mean(axis=0), 0, atol=1e-14)
-    for axis in offsets.T:
-        np.testing.assert_allclose(np.sort(axis), (np.arange(count) + 0.5) / count - 0.5, atol=1e-14)
-
-
-def test_paths_of_a_power_of_two_are_hammersleys_points():
-    expected = [[-3, -3], [-1, 1], [1, -1], [3, 3]]
-    np.testing.assert_array_equal(8 * mitsuba_frames._offsets_in_pixel(4), expected)
-
-
 @pytest.fixture
 def llvm_not_chosen():
     mitsuba_frames._choose_llvm.cache_clear()

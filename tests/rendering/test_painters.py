@@ -14,6 +14,7 @@ from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Panel, Status
 from wlr_render.rendering.painters import (
     TracedPainter,
+    inverse_depth_at,
     position_of_source,
     ray_maps_of,
 )
@@ -103,6 +104,17 @@ def test_background_has_no_position():
     view = View(Pinhole(4, 4, -np.ones(2), np.ones(2)), np.zeros(3), np.eye(4))
     at_infinity = np.array([[[2.0, 2.0, 0.0], [1.0, 1.0, 0.5]]], np.float32)
     np.testing.assert_array_equal(np.isnan(position_of_source(view, at_infinity)).all(axis=-1), [[True, False]])
+
+
+def test_inverse_depth_is_bilinear_and_not_mixed_across_an_edge():
+    tangents = Pinhole(200, 160, np.array([-0.55, -0.4]), np.array([0.45, 0.4])).pixel_centre_tangents()[..., 0]
+    step = np.where(np.indices(tangents.shape)[1] < 100, 2.0, 0.5).astype(np.float32)
+    at_edge = np.stack([np.linspace(98, 102, 41), np.full(41, 30.2)], axis=1)
+    expected = np.where(at_edge[:, 0].astype(np.float32) < 100, 2.0, 0.5)
+    np.testing.assert_array_equal(inverse_depth_at(step, at_edge), expected)
+    places = np.random.default_rng(1).uniform(1, 150, (100, 2))
+    slope = (0.2 * tangents + 1).astype(np.float32)
+    np.testing.assert_allclose(inverse_depth_at(slope, places), 0.2 * (places[:, 0] / 200 - 0.55) + 1, atol=1e-6)
 
 
 @pytest.mark.gl

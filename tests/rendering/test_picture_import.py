@@ -8,7 +8,6 @@ import pytest
 from gl_scenes import OFF_CENTRE as CAMERA
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering import gl
 from wlr_render.rendering.gl_raster import NEAR_M, GlRaster
 from wlr_render.rendering.picture_import import PictureImport
 from wlr_render.rendering.stored_picture import DepthKind, Rows, StoredDepth
@@ -78,18 +77,6 @@ def test_arrays_come_back_as_they_were_drawn(take, drawn, told, rows):
     assert_same(take.from_arrays(CAMERA, picture.colour[::step], depth[::step], stored, rows).read(), picture)
 
 
-def test_alpha_is_not_read(take, drawn):
-    picture = drawn.read()
-    with_alpha = np.dstack([picture.colour, np.arange(picture.colour[..., 0].size).reshape(SIZE[::-1]) % 256])
-    taken = take.from_arrays(CAMERA, with_alpha.astype(np.uint8), picture.inverse_depth, INVERSE)
-    assert_same(taken.read(), picture)
-
-
-def test_textures_come_back_as_they_were_drawn(take, drawn):
-    taken = take.from_textures(CAMERA, drawn.colour, drawn.inverse_depth, INVERSE, Rows.TOP_FIRST)
-    assert_same(taken.read(), drawn.read())
-
-
 def test_textures_are_read_past_their_own_settings(gl_context, take):
     width, height = SIZE
     colour = np.random.default_rng(0).integers(0, 256, (height, width, 4), np.uint8)
@@ -141,7 +128,7 @@ def test_a_framebuffer_of_several_samples_is_resolved(gl_context, take):
     assert_halves(take.from_framebuffer(CAMERA, framebuffer(gl_context, samples=4), WINDOW).read())
 
 
-def test_a_thousand_frames_make_no_objects(gl_context, take):
+def test_frames_make_no_objects(gl_context, take):
     theirs, colour = framebuffer(gl_context), np.zeros((*SIZE[::-1], 3), np.uint8)
     depth = np.ones(SIZE[::-1], np.float32)
 
@@ -151,7 +138,7 @@ def test_a_thousand_frames_make_no_objects(gl_context, take):
 
     frame()
     first = objects(gl_context)
-    for _ in range(500):
+    for _ in range(30):
         frame()
     assert objects(gl_context) == first
 
@@ -161,37 +148,6 @@ def objects(context):
         kinds = "Texture", "Framebuffer", "Buffer", "VertexArray", "Sampler"
         alive = [context.function(f"glIs{kind}", ctypes.c_uint, result=ctypes.c_ubyte) for kind in kinds]
         return [sum(is_one(number) for number in range(2000)) for is_one in alive]
-
-
-GREY = np.zeros((*SIZE[::-1], 3), np.uint8)
-ONE_METRE = np.ones(SIZE[::-1], np.float32)
-
-
-def spoilt(value):
-    depth = ONE_METRE.copy()
-    depth[3, 5] = value
-    return depth
-
-
-BAD_ARRAYS = {
-    "another size": (GREY[1:], ONE_METRE, "colours have 64x47 pixels, the camera 64x48"),
-    "another size of depth": (GREY, ONE_METRE[:, 1:], "depth has 63x48 pixels, the camera 64x48"),
-    "floats as colours": (GREY / 255, ONE_METRE, r"\(48, 64, 3\) of float64"),
-    "grey": (GREY[..., 0], ONE_METRE, r"\(height, width, 3 or 4\) of uint8, uint16, float16, float32, not \(48, 64\)"),
-    "whole metres": (GREY, ONE_METRE.astype(np.int32), r"of float32, not \(48, 64\) of int32"),
-    "too near": (GREY, spoilt(1e-20), "row 3, column 5 is .*e-21: depths in METRES run from 0.0001"),
-    "negative": (GREY, spoilt(-0.5), "row 3, column 5 is -0.5: depths in METRES run from 0.0001"),
-}
-
-
-@pytest.mark.parametrize("fault", BAD_ARRAYS)
-def test_bad_arrays_are_refused_in_a_sentence_and_change_nothing(take, drawn, fault):
-    before = drawn.read()
-    last = take.from_textures(CAMERA, drawn.colour, drawn.inverse_depth, INVERSE, Rows.TOP_FIRST)
-    colour, depth, told = BAD_ARRAYS[fault]
-    with pytest.raises(BadInputError, match=told):
-        take.from_arrays(CAMERA, colour, depth, METRES)
-    assert_same(last.read(), before)
 
 
 def test_bad_framebuffers_are_refused_in_a_sentence(gl_context, take):
@@ -224,18 +180,3 @@ def test_bad_textures_are_refused_in_a_sentence(gl_context, take, drawn):
     ):
         with pytest.raises(BadInputError, match=told):
             take.from_textures(CAMERA, bad, drawn.inverse_depth, INVERSE)
-
-
-def test_objects_of_another_context_are_refused(gl_context, take, drawn):
-    with gl.open_context(gl_context.backend) as other, other.drawing() as ctx:
-        colour, frame = ctx.texture(SIZE, 4), ctx.simple_framebuffer(SIZE)
-        with pytest.raises(BadInputError, match="colour texture belongs to another ModernGL context"):
-            take.from_textures(CAMERA, colour, drawn.inverse_depth, INVERSE)
-        with pytest.raises(BadInputError, match="framebuffer belongs to another ModernGL context"):
-            take.from_framebuffer(CAMERA, frame, WINDOW)
-
-
-@pytest.mark.parametrize("planes", [(0.0, 1.0), (0.1, 0.1), (np.inf, np.inf), (0.1, np.nan), (-1.0, 2.0)])
-def test_planes_that_are_none_are_refused(planes):
-    with pytest.raises(BadInputError, match="two different positive distances"):
-        StoredDepth(DepthKind.WINDOW, *planes)

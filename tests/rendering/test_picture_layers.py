@@ -1,7 +1,6 @@
 """Pictures in layers, mip levels and samples of textures, by ModernGL's objects or OpenGL's names."""
 
 import ctypes
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from gl_scenes import OFF_CENTRE as CAMERA
 
 from wlr_render.errors import BadInputError
 from wlr_render.rendering import gl
-from wlr_render.rendering.framebuffers import ImageCache, TextureLayer
+from wlr_render.rendering.framebuffers import TextureLayer
 from wlr_render.rendering.picture_import import PictureImport
 from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 
@@ -128,33 +127,6 @@ def test_a_framebuffer_with_layers_as_attachments(gl_context, take):
         gl_context.function("glFramebufferTexture", uint, uint, uint, sint)(FRAMEBUFFER, DEPTH, window, 0)
     with pytest.raises(BadInputError, match="is layered"):
         take.take(CAMERA, name[0], None, WINDOW)
-
-
-def test_only_objects_are_remembered_unless_the_host_keeps_its_names(gl_context):
-    """OpenGL reuses names: what was attached for an old texture must not be shown for a new one."""
-    host = SimpleNamespace(host_is_clean=False, names_version=0)
-    cache, made = ImageCache(host), iter(range(100))
-    with gl_context.drawing() as ctx:
-        one = ctx.texture(SIZE, 4)
-        other = ctx.external_texture(one.glo, SIZE, 4, 0, "f1")
-
-    def get(owner, key=()):
-        return cache.get([owner], key, lambda old: next(made))
-
-    assert [get(one), get(one), get(other), get(other), get(one)] == [0, 0, 1, 1, 2]
-    assert [get(5), get(5)] == [3, 4]
-    host.host_is_clean = True
-    assert [get(5), get(5, (1,)), get(5, (1,)), get(5)] == [4, 5, 5, 4]
-    host.names_version += 1
-    assert [get(5), get(5)] == [6, 6]
-    for key in range(16):
-        get(6, (key,))
-    assert get(5) == 23
-    brief = ctx.external_texture(one.glo, SIZE, 4, 0, "f1")
-    get(brief, (7,))
-    del brief
-    get(one, (8,))
-    assert (one.glo, 7) not in vars(cache)["_made"]
 
 
 def test_floats_keep_more_than_bytes(gl_context, take):

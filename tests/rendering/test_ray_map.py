@@ -59,18 +59,6 @@ def test_subpixel_offset_moves_the_pixel_centres(toy_headset):
     assert np.abs(field.slope_offset - exact.slope_offset).max() < 1e-6
 
 
-@pytest.mark.parametrize("bad", [1, 7])
-def test_status_of_a_node_spreads_to_its_neighbourhood_only(toy_headset, bad):
-    plan = ray_map.RayMapPlan.with_nodes(toy_headset.display.panel, 9, np.eye(3))
-    at_nodes = np.zeros((9, 9), np.uint8)
-    at_nodes[bad, bad] = Status.OUTSIDE_FIT
-    spread = ray_map._spread_status(plan, at_nodes)
-    u, v = plan.node_pixel[bad, bad]
-    assert spread[int(v), int(u)] == Status.OUTSIDE_FIT
-    share = (spread == Status.OUTSIDE_FIT).mean()
-    assert 0 < share < 0.15
-
-
 def test_axes_look_at_the_middle_of_the_field_without_roll(toy_headset):
     headset = toy_headset
     axes = ray_map.middle_axes(headset)

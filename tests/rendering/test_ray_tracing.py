@@ -6,8 +6,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
 from wlr_render.rendering import ray_tracing
 from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene import world_normals
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+from wlr_render.rendering.srgb import encode_srgb
 
 TEXTURE = np.random.default_rng(4).integers(0, 256, (8, 8, 3)).astype(np.uint8)
 SCENE = lit(
@@ -21,61 +20,6 @@ def pinhole_rays(height=24, width=32):
     direction = directions.dir_of_tangents(np.stack([tx, ty], axis=-1)).astype(np.float32)
     origin = np.zeros_like(direction) + np.linspace(0, 0.02, width, dtype=np.float32)[:, None] * [1, 0, 0]
     return origin.astype(np.float32), direction
-
-
-def slow_pixel(scene, tracer, origin, direction, shadows):
-    """The shading model of docs/conventions.md for one ray, in plain float64; None on a miss."""
-    hit = tracer.intersect(origin, direction)
-    if hit.instance < 0:
-        return None
-    instance = scene.instances[int(hit.instance)]
-    mesh = scene.mesh_of(instance)
-    corners = mesh.triangles[int(hit.triangle)]
-    weights = np.array([1 - hit.barycentric_u - hit.barycentric_v, hit.barycentric_u, hit.barycentric_v])
-    position = tracer.hit_positions(hit, origin, direction)
-    normal = directions.normalised(weights @ world_normals(mesh, instance)[corners])
-    normal = -normal if normal @ direction > 0 else normal
-    light_sum = scene.ambient.astype(float)
-    for light in scene.lights:
-        is_point = light.kind == "point"
-        to_light = light.vector - position if is_point else -light.vector
-        reach = np.linalg.norm(to_light)
-        start = position + 1e-3 * normal
-        hidden = shadows and tracer.occluded(start, to_light / reach, reach if is_point else np.inf)
-        falloff = 1 / reach**2 if is_point else 1.0
-        light_sum += 0 if hidden else light.colour * falloff * max(0.0, normal @ to_light / reach)
-    colour = mesh.base_colour * light_sum
-    if mesh.vertex_colour is not None:
-        colour = colour * (weights @ mesh.vertex_colour[corners])
-    if mesh.texture is not None:
-        size = np.array(mesh.texture.shape[1::-1])
-        place = weights @ mesh.uv[corners] * size - 0.5
-        corner = np.floor(place).astype(int)
-        right, down = place - corner
-        x, y = np.array([corner[0], corner[0] + 1]) % size[0], np.array([corner[1], corner[1] + 1]) % size[1]
-        texels = decode_srgb(mesh.texture[np.ix_(y, x)])
-        colour = colour * np.einsum("i,j,ijc->c", [1 - down, down], [1 - right, right], texels)
-    return position, colour
-
-
-@pytest.mark.parametrize("shadows", [False, True])
-def test_frames_are_those_of_the_slow_plain_renderer(shadows):
-    renderer = RayRenderer(SCENE)
-    origin, direction = pinhole_rays()
-    image = renderer.render_rays(origin, direction, True, shadows)
-    missed = 0
-    for pixel in np.ndindex(image.distance.shape):
-        expected = slow_pixel(SCENE, renderer.tracer, origin[pixel], direction[pixel], shadows)
-        if expected is None:
-            missed += 1
-            assert np.isnan(image.position[pixel]).all()
-            assert np.isinf(image.distance[pixel])
-            continue
-        position, colour = expected
-        np.testing.assert_allclose(image.position[pixel], position, atol=3e-6)
-        code = 255 * np.where(colour < 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
-        np.testing.assert_allclose(image.colour[pixel], np.clip(code, 0, 255), atol=0.6)
-    assert 20 < missed < image.distance.size / 2
 
 
 def test_blocks_and_threads_change_no_bit(monkeypatch):

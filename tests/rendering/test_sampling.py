@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering import sampling
 from wlr_render.rendering.sampling import remap
 
 RNG = np.random.default_rng(11)
@@ -89,15 +88,6 @@ def test_pictures_wider_than_opencv_allows_are_cut_up():
     position = np.tile(np.array([[0.5, 0.5], [1.5, 0.5], [2.5, 1.5]]), (15_000, 1))[None]
     sampled, _ = remap(image, position)
     np.testing.assert_array_equal(sampled[0, -3:], image[[0, 0, 1], [0, 1, 2]])
-
-
-def test_scattered_positions_are_cut_into_several_calls(monkeypatch):
-    image = image_of(6, 7, 3, np.float32)
-    position = RNG.uniform(0, 6, (5000, 2))
-    whole, _ = remap(image, position)
-    monkeypatch.setattr(sampling, "_LONGEST", 7)
-    monkeypatch.setattr(sampling, "_ROW", 5)
-    np.testing.assert_array_equal(remap(image, position)[0], whole)
 
 
 @pytest.mark.parametrize(

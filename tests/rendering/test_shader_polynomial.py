@@ -76,35 +76,6 @@ def test_tangents_and_slopes_in_float32_are_the_polynomials(gl_context, orders):
     np.testing.assert_allclose(columns.reshape(-1, 2, 2).swapaxes(1, 2), jacobian, atol=2e-5 * np.abs(jacobian).max())
 
 
-@pytest.mark.parametrize(("variables", "outputs"), [(2, 1), (3, 3), (4, 4)])
-@pytest.mark.parametrize("degree", [0, 1, 7])
-def test_any_coefficients_give_the_polynomials_value(gl_context, variables, outputs, degree):
-    rng = np.random.default_rng(degree)
-    box = Box(np.array([0.0, -3.0, 0.01, -2.0])[:variables], np.array([900.0, 5.0, 0.02, -1.0])[:variables])
-    orders = total_degree(variables, degree)
-    coefficients = rng.normal(size=(len(orders), outputs))
-    polynomial = Polynomial(orders, box, coefficients)
-    swizzle, components = "xyzw"[:variables], {1: "answer[0].x", 3: "answer[0].xyz", 4: "answer[0]"}[outputs]
-    inputs = inputs_in(box)
-    answer, _ = run(gl_context, value_source("f", polynomial), f"{components} = f(inputs.{swizzle});", inputs)
-    # Every order as strong as the lowest: far worse for float32 than any model, whose terms fall off.
-    tolerance = 3e-5 * np.abs(coefficients).sum(axis=0).max()
-    np.testing.assert_allclose(answer[:, :outputs], polynomial(inputs), atol=tolerance, rtol=0)
-
-
-@pytest.mark.parametrize("source", [value_source, held_source])
-def test_box_is_left_where_the_polynomials_box_is_left(gl_context, source):
-    polynomial = Polynomial(total_degree(4, 1), DISPLAY_BOX, np.zeros((5, 2)))
-    half = 0.5 * (DISPLAY_BOX.high - DISPLAY_BOX.low)
-    steps = np.array([0.0, 0.9, 1.1, 3.0]) * 2 * BOX_SLACK
-    beyond = np.array([half * sign * (1 + step) * axis for sign in (-1, 1) for step in steps for axis in np.eye(4)])
-    inputs = 0.5 * (DISPLAY_BOX.low + DISPLAY_BOX.high) + beyond
-    answer, _ = run(gl_context, source("f", polynomial), "answer[0] = vec4(f_contains(inputs));", inputs)
-    expected = DISPLAY_BOX.contains(inputs)
-    assert 0 < expected.sum() < len(expected)
-    np.testing.assert_array_equal(answer[:, 0] == 1, expected)
-
-
 def test_outside_the_box_the_shader_continues_as_the_polynomial(gl_context):
     polynomial = fitted_terms(seen, DISPLAY_BOX, MANY_PIXEL_ORDERS)
     inputs = inputs_in(DISPLAY_BOX, grown=1.2)
@@ -142,8 +113,3 @@ def test_dropped_terms_change_no_more_than_the_bound(gl_context):
     inside = inputs_in(DISPLAY_BOX)
     answer, _ = run(gl_context, held_source("shown", thin.polynomial), HELD_BODY, inside)
     np.testing.assert_allclose(answer[:, :2], thin.polynomial(inside), atol=2e-6)
-
-
-def test_a_single_term_is_never_dropped():
-    polynomial = Polynomial(total_degree(4, 0), DISPLAY_BOX, np.full((1, 2), 1e-9))
-    assert len(thinned(polynomial, np.ones(2)).polynomial.orders) == 1

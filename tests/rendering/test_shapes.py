@@ -50,14 +50,6 @@ def test_solids_face_outwards(shape):
         assert signed_volume(mesh) > 0
 
 
-def test_shapes_are_the_same_every_time(shape):
-    name, mesh = shape
-    again = SHAPES[name]()
-    np.testing.assert_array_equal(again.position, mesh.position)
-    if mesh.texture is not None:
-        np.testing.assert_array_equal(again.texture, mesh.texture)
-
-
 def test_every_argument_has_a_default_that_a_scene_file_can_state(shape):
     for key, parameter in inspect.signature(SHAPES[shape[0]]).parameters.items():
         assert isinstance(parameter.default, int | float | tuple), key

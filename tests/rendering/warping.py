@@ -1,15 +1,12 @@
-"""One picture warped by either backend, for tests that hold both to the same rule."""
+"""Pictures warped along given rays."""
 
 import numpy as np
-from cpu_warp import warp_on_cpu
 
 from wlr_render.mappings import Panel
 from wlr_render.rendering.gl_ray_maps import RayTexture
 from wlr_render.rendering.gl_warp import GlWarp
 from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.warp_grid import WarpGrid
-
-BACKENDS = ("cpu", "gl")
 
 
 def uploaded(context, image, camera):
@@ -58,9 +55,6 @@ def warp_pixels(context, image, slope_offsets, image_from_ray_map=None, **option
     return drawn.read()
 
 
-def warped(backend, request, image, camera, slope_offsets, image_from_ray_map=None, **options):
-    """A `WarpedImage` with its pull map, along rays (4, height, width): one field, or one for each channel."""
-    if backend == "cpu":
-        return warp_on_cpu(image, camera, slope_offsets, image_from_ray_map, **options)
-    context = request.getfixturevalue("gl_context")
+def warped(context, image, camera, slope_offsets, image_from_ray_map=None, **options):
+    """The same of a `GeometryImage`."""
     return warp_pixels(context, uploaded(context, image, camera), slope_offsets, image_from_ray_map, **options)
