@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PANEL, PLANE, display_captures, grid_in_plane, see_through_captures, tangents_of
+from toy_device import PANEL, display_captures, errors_arcmin, grid_in_plane, see_through_captures
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import CaptureMotionPrior, Conditions, concatenate
-from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, normalised
+from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
 
 PLACES = 25
@@ -47,15 +47,6 @@ def display():
     return display_captures(grid_in_plane(5, 5), PIXELS)
 
 
-def errors_arcmin(mapping, rng):
-    """True and predicted error (200,) at random pixels and viewpoints of the eye box."""
-    place = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
-    pixel = rng.uniform([100, 80], [900, 720], (200, 2))
-    viewpoint = np.column_stack([place, np.full(200, PLANE.z)])
-    seen = mapping.view_dir_of_pixel(pixel, viewpoint).value
-    return arcmin_between(seen, dir_of_tangents(tangents_of(pixel, place))), mapping.sigma(pixel, viewpoint)
-
-
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
@@ -69,24 +60,20 @@ def creeping(rng, size):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "log_sigma", "drifts"),
-    [(1.0, 0.1, False), (2.0, 0.5, False), (0.5, 0.5, False), (None, None, False), (1.0, 0.1, True)],
+    [(1.0, 0.1, False), (2.0, 0.5, False), (0.5, 0.5, False), (1.0, 0.1, True)],
 )
 def test_the_predicted_error_is_the_true_one(factor, log_sigma, drifts):
     errors = []
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         size = np.tile(SIZE, (PLACES, 1))
         motion, size = creeping(rng, size) if drifts else (uniform(rng, size), size)
-        captures = moved(display(), motion, rng)
-        if factor is not None:
-            captures = stated(captures, factor * size, log_sigma)
-        found = fit_display(captures, "planar", 4)
+        found = fit_display(stated(moved(display(), motion, rng), factor * size, log_sigma), "planar", 4)
         assert found.smooth.moved == ()
         errors.append([rms(each) for each in errors_arcmin(found.mapping, rng)])
     true, predicted = np.sqrt(np.mean(np.square(errors), axis=0))
     print(f"{factor}, {log_sigma}, {drifts}: predicted over true {predicted / true:.2f}")
-    # Without a prior the size common to all axes is that of the worst.
-    assert 0.75 < predicted / true < (1.35 if factor else 1.8)
+    assert 0.75 < predicted / true < 1.35
 
 
 @pytest.mark.slow
@@ -95,7 +82,7 @@ def test_captures_that_are_known_to_be_worse_spoil_nothing():
     size = np.tile(SIZE, (PLACES, 1))
     size[[3, 8, 11, 17, 20]] *= 10.0
     true, predicted, without, factors = [], [], [], []
-    for seed in range(6):
+    for seed in range(4):
         rng = np.random.default_rng(seed)
         captures = moved(display(), uniform(rng, size), rng)
         found = fit_display(stated(captures, size, 0.5), "planar", 4)
@@ -132,16 +119,15 @@ def test_a_good_capture_that_moved_as_much_as_bad_ones_may_is_named():
 
 @pytest.mark.parametrize("log_sigma", [0.1, 0.5])
 def test_captures_far_beyond_their_prior_are_left_out_and_named(log_sigma):
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        size = np.tile(SIZE, (PLACES, 1))
-        motion = uniform(rng, size)
-        gone = rng.permutation(PLACES)[:2]
-        motion[gone, 3:5] += 1e-3
-        found = fit_display(stated(moved(display(), motion, rng), size, log_sigma), "planar", 4)
-        assert {each.capture for each in found.smooth.moved} == set(gone)
-        true, predicted = errors_arcmin(found.mapping, rng)
-        assert rms(true) < 1.5 * rms(predicted)
+    rng = np.random.default_rng(0)
+    size = np.tile(SIZE, (PLACES, 1))
+    motion = uniform(rng, size)
+    gone = rng.permutation(PLACES)[:2]
+    motion[gone, 3:5] += 1e-3
+    found = fit_display(stated(moved(display(), motion, rng), size, log_sigma), "planar", 4)
+    assert {each.capture for each in found.smooth.moved} == set(gone)
+    true, predicted = errors_arcmin(found.mapping, rng)
+    assert rms(true) < 1.5 * rms(predicted)
 
 
 @pytest.mark.parametrize("factor", [0.25, 1.0, 4.0])

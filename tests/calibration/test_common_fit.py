@@ -20,7 +20,7 @@ OFFSET_MM = np.array([0.0, 0.1, 0.2])
 
 def simulated(seed=1, places=9):
     truth = traced_eye(load_device("birdbath28"), "right")
-    setup = CaptureSetup(truth, 0.25)
+    setup = CaptureSetup(truth, 0.25, grid=(9, 8))
     positions = setup.camera_positions("planar", places)
     rng = np.random.default_rng(seed)
     return truth, Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PANEL, PLANE, display_captures, grid_in_plane, tangents_of
+from toy_device import PANEL, display_captures, errors_arcmin, grid_in_plane
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.smooth_fit import fit
+from wlr_render.calibration.smooth_prior import smoothness_prior
 from wlr_render.captures.correspondences import select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
@@ -19,7 +20,7 @@ from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_displ
 SIGMA_ARCMIN = 1.0
 CAPTURES = 25
 PIXELS = PANEL.grid(8, 6).reshape(-1, 2)
-DRAWS = 12
+DRAWS = 8
 
 
 def clean(seed, sigma=SIGMA_ARCMIN):
@@ -35,8 +36,8 @@ def kicked(captures, off):
     return replace(captures, view_dir=dir_of_tangents(tangents_of_dir(captures.view_dir) + off * ARCMIN))
 
 
-def gross(captures, share, rng):
-    wrong = rng.random(len(captures)) < share
+def gross(captures, rng):
+    wrong = rng.random(len(captures)) < 0.05
     return kicked(captures, wrong[:, None] * rng.normal(0.0, 60.0, (len(captures), 2)))
 
 
@@ -54,24 +55,18 @@ def drift(captures, rng):
     return shifted(captures, rng.permutation(np.linspace(-1e-5, 1e-5, CAPTURES))[:, None] * [1.0, 0.5, 0.0])
 
 
+def stage_motion(captures, rng):
+    return shifted(captures, rng.normal(0, 3e-5, (CAPTURES, 3)))
+
+
 IMPERFECTIONS = {
     "none": lambda captures, rng: captures,
-    "stage motion": lambda captures, rng: shifted(captures, rng.normal(0, 3e-5, (CAPTURES, 3))),
+    "stage motion": stage_motion,
     "noise growing to the rim": rim,
-    "1 % gross readings": lambda captures, rng: gross(captures, 0.01, rng),
-    "5 % gross readings": lambda captures, rng: gross(captures, 0.05, rng),
+    "5 % gross readings": gross,
     "heavy tails": lambda captures, rng: kicked(captures, rng.standard_t(3, (len(captures), 2))),
     "drift": drift,
 }
-
-
-def errors_arcmin(mapping, rng):
-    """True and predicted error (200,) at random pixels and viewpoints of the eye box."""
-    place = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
-    pixel = rng.uniform([100, 80], [900, 720], (200, 2))
-    viewpoint = np.column_stack([place, np.full(200, PLANE.z)])
-    seen = mapping.view_dir_of_pixel(pixel, viewpoint).value
-    return arcmin_between(seen, dir_of_tangents(tangents_of(pixel, place))), mapping.sigma(pixel, viewpoint)
 
 
 @pytest.mark.slow
@@ -113,9 +108,9 @@ def test_noise_and_stage_are_found(shift, turn):
     assert turn_rad == pytest.approx(turn, rel=0.5, abs=2e-5)
 
 
-@pytest.mark.parametrize(("count", "size_m"), [(1, 3e-4), (1, 2e-3), (2, 1e-3), (5, 2e-3)])
+@pytest.mark.parametrize(("count", "size_m"), [(1, 3e-4), (2, 1e-3), (5, 2e-3)])
 def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count, size_m):
-    for seed in range(3):
+    for seed in range(2):
         rng = np.random.default_rng(seed)
         shift = rng.normal(0, 3e-6, (CAPTURES, 3))
         gone = rng.permutation(CAPTURES)[:count]
@@ -181,7 +176,7 @@ def test_motions_of_the_camera_are_no_coefficients():
 
 
 def test_what_is_left_out_is_predicted_as_by_a_fit_to_the_rest():
-    captures = IMPERFECTIONS["stage motion"](clean(3), np.random.default_rng(3))
+    captures = stage_motion(clean(3), np.random.default_rng(3))
     out = captures.capture // 5 == 2  # the middle row, so that nothing is extrapolated
     found, expected = fit_display(captures, "planar").smooth.left_out(out)
     rest = fit_display(select(captures, ~out), "planar").mapping
@@ -189,3 +184,16 @@ def test_what_is_left_out_is_predicted_as_by_a_fit_to_the_rest():
     rms = np.sqrt(np.mean(arcmin_between(seen, captures.view_dir[out]) ** 2))
     assert found == pytest.approx(rms, rel=0.02)
     assert expected == pytest.approx(rms, rel=0.3)
+
+
+def test_mixed_terms_are_expected_as_a_power_of_the_footprint_has_them():
+    """(a u + b x)^4 (c v + d y)^2: its coefficients are products of binomial ones and powers of a, b, c and d."""
+    readings = fit_display(display_captures(grid_in_plane(5, 5)), "planar", 6).smooth.readings
+    prior = smoothness_prior(readings, moving=False)
+    factors = {"lambda 0": 0.5, "lambda 1": 0.4, "mu 2": 0.3, "mu 3": 0.2}
+    values = {name: -np.log(factors[name]) for name in factors} | {"footprint": 1.0}
+    size = np.exp(prior.features @ [values.get(name, 0.0) for name in prior.names])
+    power = np.polynomial.polynomial.polypow([1.0, 1.0], 4)
+    for order, of_place in enumerate(power):
+        (column,) = np.flatnonzero((readings.orders == [4 - order, 1, order, 1]).all(axis=1))
+        assert np.isclose(size[column], of_place * 0.5 ** (4 - order) * 0.3**order * 2.0 * 0.4 * 0.2)

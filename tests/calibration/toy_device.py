@@ -7,7 +7,7 @@ Display: t = M (pixel - middle) + g(p~), so the pixel is polynomial in (p~, t) t
 import numpy as np
 
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
-from wlr_render.geometry.directions import ARCMIN, dir_of_tangents
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox, Panel
 
@@ -71,6 +71,15 @@ def display_captures(in_plane, pixels=None, height=0.0, sigma_arcmin=0.0, seed=0
     viewpoint = np.column_stack([base - height * tangents, np.full(len(base), PLANE.z + height)])
     view_dir = scattered(tangents, sigma_arcmin, seed)
     return DisplayCaptures("toy", "right", EYE_BOX, PANEL, viewpoint, view_dir, pixel, capture, sigma_arcmin)
+
+
+def errors_arcmin(mapping, rng):
+    """True and predicted error (200,) at random pixels and viewpoints of the eye box."""
+    place = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
+    pixel = rng.uniform([100, 80], [900, 720], (200, 2))
+    viewpoint = np.column_stack([place, np.full(200, PLANE.z)])
+    seen = mapping.view_dir_of_pixel(pixel, viewpoint).value
+    return arcmin_between(seen, dir_of_tangents(tangents_of(pixel, place))), mapping.sigma(pixel, viewpoint)
 
 
 def see_through_captures(in_plane, depths=(0.4, 3.0), tilt=0.0, bend=bend_of, sigma_arcmin=0.0, seed=0):
