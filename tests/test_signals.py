@@ -32,7 +32,7 @@ def test_a_signal_ends_a_program_in_one_sentence(tmp_path, name, number, word):
     while process.poll() is None and not out.is_dir():  # the job's work has begun
         time.sleep(0.02)
     process.send_signal(number)
-    printed, error = process.communicate()
+    printed, error = process.communicate(timeout=60)  # the render alone takes minutes
     assert (process.returncode, printed) == (128 + number, b"")
     assert error.decode() == f"{name}: {word}; finished files are kept.\n"
     assert not list(tmp_path.rglob(".*"))

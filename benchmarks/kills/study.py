@@ -25,6 +25,8 @@ from wlr_render.report.save import save_report
 JobName = Literal["render", "export", "simulate", "calibrate"]
 _LONGEST_END_S = 120.0
 """In which the processes of a killed run have to end."""
+_WAKE_S = 1.0
+"""Longest sleep in a wait for a run: Python runs a signal's handler only when the system call that waits returns."""
 _SOONER = 0.8
 """Factor of the moment of a kill after a run that ended before it."""
 _SESSION = (
@@ -128,10 +130,20 @@ def _run(command: Sequence[str], out: Path) -> float:
     """Run to the end; returns the seconds that it took."""
     started = time.monotonic()
     with _started(command, out) as process:
-        _, errors = process.communicate()
+        errors = _errors_at_the_end(process)
     if process.returncode != 0:
         raise BadInputError(f"{out}: status {process.returncode}, {errors.decode()[-500:]!r}; correct the cause.")
     return time.monotonic() - started
+
+
+def _errors_at_the_end(process: "subprocess.Popen[bytes]") -> bytes:
+    """Wait for the end of a run, and return what it has printed to standard error.
+
+    A signal that arrives just before the process falls asleep does not wake it. So it wakes by itself.
+    """
+    while True:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return process.communicate(timeout=_WAKE_S)[1]
 
 
 def _killed(command: Sequence[str], out: Path, moment_s: float) -> float:
