@@ -2,14 +2,12 @@
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass
 
 import pytest
 
 from benchmarks import kept_trials
 from benchmarks.kept_trials import damaged_outcomes, finished_trials
-from wlr_render.errors import BadInputError
 from wlr_render.processes import LOCAL
 
 
@@ -82,18 +80,3 @@ def test_an_outcome_that_is_not_as_it_was_written_is_run_again_and_named(runs, t
     assert finished(runs, tmp_path, 1, resume=True) == first
     assert runs == [("a.json", 1), ("b.json", 1), ("b.json", 1)]
     assert damaged_outcomes(tmp_path, 1) == []
-
-
-def test_an_outcome_of_other_values_is_named_and_a_pipe_is_replaced(runs, tmp_path):
-    finished(runs, tmp_path, 1, resume=False)
-    path = tmp_path / "seed-1" / "b.json"
-    content = {"sort": 1}
-    path.write_text(
-        json.dumps({"sha256": hashlib.sha256(json.dumps(content).encode()).hexdigest(), "outcome": content})
-    )
-    with pytest.raises(BadInputError, match=r"b\.json: cannot be read as the outcome of a trial .*; remove it"):
-        finished(runs, tmp_path, 1, resume=True)
-    path.unlink()
-    if hasattr(os, "mkfifo"):
-        os.mkfifo(path)
-    assert finished(runs, tmp_path, 1, resume=True) == [NamedOutcome(task, 1) for task in TASKS]

@@ -1,4 +1,4 @@
-"""The benchmark of budgets: errors of trackers that the budget predicts, tables, kept sessions."""
+"""The benchmark of budgets: errors of trackers that the budget predicts, and tables."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,7 @@ from benchmarks.budget.trial import (
     BudgetTrial,
     Coverage,
     judged,
-    loaded_outcome,
 )
-from benchmarks.kept_trials import kept_outcome
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
 from wlr_render.budget.statement import REGIONS
 from wlr_render.geometry import transforms
@@ -67,10 +65,3 @@ def test_tables_have_coverage_and_ratio():
     assert by_region.rows[0][8] == 2.0
     assert [row[1] for row in by_headset.rows] == ["northstar", "freeform40"] * len(CONDITIONS)
     assert missing.rows == [[2, "birdbath28", "the target moved"]]
-
-
-def test_a_kept_session_is_read_again(tmp_path):
-    made = outcome(4, 1.5)
-    kept_outcome(lambda trial, seed: made, loaded_outcome, tmp_path, 1, made.trial)
-    again = kept_outcome(lambda trial, seed: pytest.fail("was made again"), loaded_outcome, tmp_path, 1, made.trial)
-    assert again == made

@@ -1,12 +1,11 @@
-"""The benchmark of designs: its table, kept sessions, options, one session."""
+"""The benchmark of designs: its table, options, one session."""
 
 import pytest
 
 from benchmarks.__main__ import main
 from benchmarks.design import trial as design_trial
 from benchmarks.design.study import design_table
-from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, loaded_outcome, run_trial
-from benchmarks.kept_trials import kept_outcome
+from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, run_trial
 
 
 def outcome(headset, number, *p95):
@@ -23,14 +22,6 @@ def test_the_table_compares_designs_within_sessions():
     low, high = map(float, second[8].split(" to "))
     assert low == 0.0  # of two sessions with ratios 2 and 0.5 nothing is known
     assert high > 100.0
-
-
-def test_a_kept_session_is_read_again_and_planes_and_depths_are_kept_apart(tmp_path):
-    made = outcome("birdbath28", 3, 0.1, 0.2, 0.3)
-    kept_outcome(lambda trial, seed: made, loaded_outcome, tmp_path, 1, made.trial)
-    again = kept_outcome(lambda trial, seed: pytest.fail("was made again"), loaded_outcome, tmp_path, 1, made.trial)
-    assert again == made
-    assert made.trial.file != DesignTrial("birdbath28", False, 3).file
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,13 @@
-"""Views written here in the foreign format come back as they were; faulty ones are refused with a sentence."""
+"""Views written here in the foreign format come back as they were."""
 
 import numpy as np
-import pytest
 
 from benchmarks.published_data import itoh_seethrough
 from benchmarks.published_data.itoh_seethrough import read_itoh_seethrough
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 
 DOTS = np.array([[0, 0, 0], [0.08, 0, 0], [0.04, 0.05, 0], [0.12, 0.05, 0], [0.02, 0.2, 0.0]])
 TIME_NS = 1418587733287467791
-PIXEL_ARCMIN = np.degrees(1 / 1575.02) * 60
 
 
 def archive(time_ns, tokens):
@@ -88,42 +85,3 @@ def test_outer_corner_of_the_top_left_pixel_is_the_origin(tmp_path):
     middle_of_top_left_pixel = np.tile([0.0, 1023.0], (len(DOTS), 1))
     write_view(tmp_path / "1", **{"2dPointsOnViewPoint": archive(TIME_NS, points(middle_of_top_left_pixel))})
     np.testing.assert_allclose(read_itoh_seethrough(tmp_path).bare_px, 0.5)
-
-
-@pytest.mark.parametrize(
-    ("replaced", "sentence"),
-    [
-        ({"P_IDS2Marker": None}, "P_IDS2Marker.txt: there is no such file"),
-        ({"P_IDS2Marker": "1 2 3"}, "does not start as a text archive"),
-        ({"P_IDS2Marker": archive(TIME_NS, pose([0, 0, 0, 1], [0, 0]))}, "has 18 tokens, a pose has 19"),
-        ({"P_IDS2Marker": archive(TIME_NS, pose([0, 0, 1, 1], [0, 0, -1]))}, "quaternion has the length 1.41421"),
-        ({"P_IDS2Marker": archive(TIME_NS, pose([0, 0, 0, 1], [0, 0, -1]))}, "P_HMDCam2Marker is not"),
-        ({"2dPointsOnViewPoint": archive(TIME_NS, points(np.zeros((4, 2))))}, "5 dots on the grid, 4 seen without"),
-        ({"2dPointsOnViewPoint": archive(TIME_NS, points(np.full((5, 2), np.nan)))}, "not finite"),
-        ({"2dPointsOnViewPoint": archive(TIME_NS, points(DOTS[:, :2])[:-1])}, "holds 9 numbers"),
-        ({"2dPointsOnViewPoint": archive(TIME_NS, [*points(DOTS[:, :2])[:-1], "x"])}, "cannot be read as numbers"),
-    ],
-)
-def test_faulty_files_are_refused_with_a_sentence(tmp_path, replaced, sentence):
-    write_view(tmp_path / "1", **replaced)
-    with pytest.raises(BadInputError, match=sentence):
-        read_itoh_seethrough(tmp_path)
-
-
-def test_a_grid_unlike_the_others_and_an_empty_folder_are_refused(tmp_path):
-    with pytest.raises(BadInputError, match="no numbered view folders"):
-        read_itoh_seethrough(tmp_path)
-    write_view(tmp_path / "1")
-    write_view(tmp_path / "2", **{"3dPointsOnGrid": archive(TIME_NS, points(DOTS * 1.01))})
-    with pytest.raises(BadInputError, match="its grid differs from view 1"):
-        read_itoh_seethrough(tmp_path)
-
-
-def test_the_real_set_fits_its_own_poses_and_shows_the_headset(measured_data):
-    pairs = read_itoh_seethrough(measured_data("itoh_seethrough") / "data")
-    assert pairs.bare_px.shape == (len(pairs.view), 44, 2)
-    from_pose = np.linalg.norm(projected(pairs) - pairs.bare_px, axis=-1)
-    assert np.sqrt(np.mean(from_pose**2)) < 0.6
-    # The headset's effect is ten times that: a mistaken axis would show in the first line, no headset in this one.
-    effect_arcmin = np.linalg.norm(pairs.through_px - pairs.bare_px, axis=-1) * PIXEL_ARCMIN
-    assert 5.0 < np.sqrt(np.mean(effect_arcmin**2)) < 8.0

@@ -9,7 +9,6 @@ from PIL import Image
 from benchmarks.__main__ import main
 from benchmarks.published_data.northstar_vcam import PANEL, read_northstar_vcam
 from wlr_render.captures.capture_file import load_captures
-from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 
 SIZE_PX = 200
@@ -99,64 +98,3 @@ def test_the_stated_baseline_is_checked_by_the_monitor(session, tmp_path, capsys
     (session / "config.json").write_text(json.dumps(area))
     assert main(["published-data", "northstar-vcam", str(session), "--out", str(tmp_path / "out")]) == 0
     assert "The cameras' distance differs by -2.0" in capsys.readouterr().out
-
-
-def test_a_monitor_of_another_height_shows_as_a_scale(session):
-    area = {"CalibrationMonitorActiveAreaMeters": {"x": MONITOR_M[0], "y": MONITOR_M[1] / 1.004}}
-    (session / "config.json").write_text(json.dumps(area))
-    for fit in read_northstar_vcam(session).monitor:
-        assert fit.height_scale == pytest.approx(1.004, abs=1e-4)
-
-
-def empty_map(folder):
-    for axis in ("Width", "Height"):
-        Image.fromarray(np.zeros((SIZE_PX, 2 * SIZE_PX), np.uint16)).save(folder / f"CD_{axis}Calibration.png")
-
-
-def negative_baseline(folder):
-    path = folder / "cameraCalibration.json"
-    path.write_text(path.read_text().replace(f'"baseline": {BASELINE_M}', f'"baseline": {-BASELINE_M}'))
-
-
-def wrong_size(folder):
-    Image.fromarray(np.zeros((SIZE_PX, SIZE_PX), np.uint16)).save(folder / "MU_WidthCalibration.png")
-
-
-def scrambled_monitor(folder):
-    values = np.random.default_rng(1).integers(1, 65535, (SIZE_PX, 2 * SIZE_PX)).astype(np.uint16)
-    Image.fromarray(values).save(folder / "MU_WidthCalibration.png")
-
-
-@pytest.mark.parametrize(
-    ("spoil", "sentence"),
-    [
-        (
-            lambda folder: (folder / "CU_HeightCalibration.png").unlink(),
-            "CU_HeightCalibration.png: there is no such file",
-        ),
-        (
-            lambda folder: (folder / "config.json").write_text("{}"),
-            "key 'CalibrationMonitorActiveAreaMeters' is missing",
-        ),
-        (lambda folder: (folder / "config.json").write_text("{"), "cannot be read as settings of the rig"),
-        (lambda folder: (folder / "cameraCalibration.json").write_text("{}"), "key 'deviceCalibrations' is missing"),
-        (negative_baseline, "'baseline' has the value -0.06; it must be above 0, and at most 1"),
-        (empty_map, "holds only 0 usable samples"),
-        (wrong_size, "grey images of one size"),
-        (scrambled_monitor, "the monitor misses its map"),
-    ],
-)
-def test_faulty_sessions_are_refused_with_a_sentence(session, spoil, sentence):
-    spoil(session)
-    with pytest.raises(BadInputError, match=sentence):
-        read_northstar_vcam(session)
-
-
-def test_the_real_session_gives_its_lift_and_baseline(measured_data):
-    found = read_northstar_vcam(measured_data("northstar_vcam_graycode") / "session2_head")
-    lift = [np.diff(np.unique(eye.viewpoint, axis=0)[:, 1]) for eye in (found.left, found.right)]
-    np.testing.assert_allclose(np.abs(lift), 0.0225, atol=0.0005)
-    baseline = found.right.viewpoint[0] - found.left.viewpoint[0]
-    # The makers state 63.61 mm; the monitor's scale gives 1 % less.
-    assert np.linalg.norm(baseline) == pytest.approx(0.0636, rel=0.015)
-    assert max(fit.median_px for fit in found.monitor) < 0.2

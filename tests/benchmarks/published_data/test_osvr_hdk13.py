@@ -29,14 +29,6 @@ def test_swim_of_a_magnification_that_grows(tmp_path):
         relief_swim_arcmin_per_mm(near, lens_file(tmp_path / "c.txt", 1.0, (1.0, 2.0)), 2.0, 6.0)
 
 
-def test_faulty_lens_tables_are_refused(tmp_path):
-    path = tmp_path / "lens.txt"
-    for text in ("1 2 3\n", "1 2 3 x\n", "1 2 3 nan\n", ""):
-        path.write_text(text)
-        with pytest.raises(BadInputError, match=r"four (finite )?numbers"):
-            read_osvr_hdk13(path)
-
-
 FIELD = np.arange(-20.0, 21.0, 4.0)
 
 
@@ -63,30 +55,3 @@ def test_tables_become_captures_from_their_eye_reliefs(lens_folder):
     edge = np.abs(field).min(axis=1) > 15
     assert found.sigma_arcmin[edge] == pytest.approx(60 * 0.1 / np.sqrt(12) * np.hypot(1, 1 / 0.71), rel=0.02)
     assert found.sigma_arcmin.min() == pytest.approx(60 * 0.01 / np.sqrt(12) * np.hypot(1, 1 / 0.71), rel=0.02)
-
-
-def test_where_the_picture_folds_over_there_are_no_captures(lens_folder):
-    path = lens_folder / "9_mm_Eye_Relief_trimmed.txt"
-    rows = np.array([[float(word) for word in line.split()] for line in path.read_text().splitlines()[:-1]])
-    folded = (rows[:, 0] == 20) & (rows[:, 1] == 20)
-    rows[folded, 2:] = 5.0
-    np.savetxt(path, rows, "%.2E", "\t")
-    found = read_osvr_captures(lens_folder)
-    kept = np.degrees(np.arctan(-found.view_dir[:, :2] / found.view_dir[:, 2:]))[found.capture == 0]
-    assert 112 <= len(kept) < 121
-    assert not np.any(np.all(np.isclose(kept, 20.0), axis=1))
-
-
-def test_a_folder_without_eye_reliefs_is_refused(lens_folder):
-    for relief in (9, 11):
-        (lens_folder / f"{relief}_mm_Eye_Relief_trimmed.txt").unlink()
-    with pytest.raises(BadInputError, match=r"has 1 tables N_mm_Eye_Relief\*\.txt; two or more are needed"):
-        read_osvr_captures(lens_folder)
-
-
-def test_the_real_lens_swims_with_the_eye_relief(measured_data):
-    folder = measured_data("osvr_hdk13")
-    near, far = (read_osvr_hdk13(folder / f"{mm}_mm_Eye_Relief_trimmed.txt") for mm in (9, 14))
-    assert 1.0 < relief_swim_arcmin_per_mm(near, far, 5.0, 30.0) < 5.0
-    captures = read_osvr_captures(folder)
-    assert np.all((captures.pixel > 0) & (captures.pixel < PANEL.size_px))

@@ -1,4 +1,4 @@
-"""The photographs' order, their projector and camera, and folders that are not whole."""
+"""The photographs' order, and their projector and camera."""
 
 import cv2
 import numpy as np
@@ -7,7 +7,6 @@ import pytest
 from benchmarks.published_data.procam_graycode import read_procam_graycode
 from benchmarks.published_data.study import PublishedDataOptions, run
 from wlr_render.captures.decoded import Rejection
-from wlr_render.errors import BadInputError
 
 CAMERA = np.array([[3000.0, 0, 600.0], [0, 3100.0, 500.0], [0, 0, 1]])
 
@@ -43,39 +42,6 @@ def test_lenses_see_what_opencv_sees_with_its_numbers(capture):
     distortion = np.array([0.1, -0.2, 0.001, 0.002, 0.3])
     expected = cv2.projectPoints(point, np.zeros(3), np.zeros(3), CAMERA, distortion)[0][:, 0]
     np.testing.assert_allclose(found.camera.pixel_of_point(point), expected + 0.5, atol=1e-9)
-
-
-def test_a_missing_photograph_is_named(capture):
-    (capture / "graycode_07.png").unlink()
-    (capture / "graycode_09.png").unlink()
-    with pytest.raises(BadInputError, match=r"graycode_07 is missing \(2 of 42"):
-        read_procam_graycode(capture)
-
-
-@pytest.mark.parametrize("name", ["graycode_42.png", "graycode_07.jpg", "notes.png"])
-def test_a_photograph_too_many_is_named(capture, name):
-    (capture / name).touch()
-    with pytest.raises(BadInputError, match=r"graycode_\w+\.|notes\.png"):
-        read_procam_graycode(capture)
-
-
-def test_several_captures_are_to_be_chosen_from(capture):
-    (capture.parent / "capture_1").mkdir()
-    with pytest.raises(BadInputError, match=r"holds 2 captures; name one of them, such as .*capture_0"):
-        read_procam_graycode(capture.parent)
-
-
-def test_a_calibration_that_is_not_there_or_none_is_named(capture):
-    file = capture.parent / "calibration_result.xml"
-    file.write_text('<?xml version="1.0"?>\n<opencv_storage>\n<rms>1.</rms>\n</opencv_storage>\n')
-    with pytest.raises(BadInputError, match="'img_shape' must be 2 finite numbers"):
-        read_procam_graycode(capture)
-    file.write_text("not xml")
-    with pytest.raises(BadInputError, match="cannot be read as a calibration"):
-        read_procam_graycode(capture)
-    file.unlink()
-    with pytest.raises(BadInputError, match="there is no such file; copy it from the set"):
-        read_procam_graycode(capture)
 
 
 def test_photographs_of_the_set_are_in_the_order_that_is_written(measured_data):

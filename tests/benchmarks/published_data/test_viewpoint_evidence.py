@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.published_data.northstar_vcam import read_northstar_vcam
-from benchmarks.published_data.two_view_tables import tables
 from benchmarks.published_data.viewpoint_evidence import rms, viewpoint_evidence
 from wlr_render.captures.correspondences import DisplayCaptures
-from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.geometry.transforms import rotate, rotation_about
 from wlr_render.mappings import EyeBox, Panel
@@ -50,10 +47,6 @@ def curved_image(unit, viewpoint):
     return point - viewpoint
 
 
-def picture_at_infinity(unit, viewpoint):
-    return dir_of_tangents(0.3 * unit * [1, -1])
-
-
 def twisted(unit, viewpoint):
     """The points again, but seen from above each is displaced sideways by an angle: no point fits both."""
     seen = tangents_of_dir(curved_image(unit, viewpoint))
@@ -84,14 +77,6 @@ def test_points_in_space_are_told_from_a_fixed_picture():
     np.testing.assert_allclose(1 / eye.image_dioptre, distance, rtol=0.02)
 
 
-@pytest.mark.slow
-def test_a_picture_at_infinity_needs_no_viewpoint():
-    (eye,) = viewpoint_evidence([captured(picture_at_infinity)]).eyes
-    for model in eye.models:
-        assert model.held_out_arcmin == noise_rms()
-    np.testing.assert_allclose(eye.image_dioptre, 0.0, atol=0.05)
-
-
 def test_a_twisted_bundle_is_not_a_set_of_points():
     (eye,) = viewpoint_evidence([captured(twisted)]).eyes
     models = by_name(eye)
@@ -116,25 +101,3 @@ def test_the_mirror_tells_optics_from_rig():
     rig = viewpoint_evidence(turned).split
     assert rig.rig_arcmin == pytest.approx(30, rel=0.1)
     assert rig.optics_arcmin < 1
-
-
-def test_captures_that_cannot_tell_are_refused():
-    with pytest.raises(BadInputError, match="captured from 3 viewpoints"):
-        viewpoint_evidence([captured(curved_image, heights=(-0.01, 0.0, 0.01))])
-    with pytest.raises(BadInputError, match="only 0 of 256 cells"):
-        viewpoint_evidence([captured(curved_image, rows_per_view=300)])
-    left = captured(curved_image)
-    for wrong in ([], [left, left]):
-        with pytest.raises(BadInputError, match="left and the right eye"):
-            viewpoint_evidence(wrong)
-
-
-def test_the_real_captures_support_a_bundle_and_blame_the_optics(measured_data):
-    captures = read_northstar_vcam(measured_data("northstar_vcam_graycode") / "session2_head")
-    evidence = viewpoint_evidence([captures.left, captures.right])
-    for eye in evidence.eyes:
-        ignored, point, bundle = (model.held_out_arcmin for model in eye.models)
-        assert ignored > 3 * point > 9 * bundle
-        assert bundle < 1.5 * eye.noise_arcmin
-    assert evidence.split.optics_arcmin > 10 * evidence.split.rig_arcmin
-    assert any("bundle of rays" in row for row in tables(evidence)[0].rows)

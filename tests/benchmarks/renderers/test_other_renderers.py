@@ -9,12 +9,10 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from gl_scenes import at, quad, unlit
 
 from benchmarks.renderers import study
 from benchmarks.renderers.casting import LIBRARIES, blender_positions, right_distances
 from benchmarks.renderers.study import along_ray, differences
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -76,20 +74,6 @@ def test_blenders_cycles_meets_the_same_surfaces(rays, scene):
     assert most < 100.0
 
 
-def scene_of_two_planes():
-    """A square at 2 m that ends at x = 0, before a larger one at 3 m."""
-    return unlit((quad((-1, -1), (0, 1)), at(0, 0, -2)), (quad((-4, -4), (4, 4)), at(0, 0, -3)))
-
-
-def test_right_distances_are_those_of_the_planes_and_both_at_an_edge():
-    x = np.float32([-0.5, -2e-6, -5e-7, 5e-7, 2e-6, 0.5, 20.0])
-    origin = np.stack([x, np.full_like(x, 0.3), np.zeros_like(x)], axis=-1)
-    direction = np.tile(np.float32([0, 0, -1]), (len(x), 1))
-    expected = right_distances(scene_of_two_planes(), origin, direction)
-    assert [set(each) for each in expected.T] == [{2.0}, {2.0}, {2.0, 3.0}, {2.0, 3.0}, {3.0}, {3.0}, {np.inf}]
-    np.testing.assert_array_equal(expected[0], [2, 2, 2, 3, 3, 3, np.inf])
-
-
 def test_differences_take_either_side_of_an_edge_and_count_what_neither_explains():
     expected = np.array([[2, 2, 2, 2, np.inf, 2], [2, 3, 3, 2, 2, 2]], float)
     distance = np.float32([2 + 3e-6, 3, 2.5, np.inf, 2, 2])
@@ -131,10 +115,3 @@ def test_the_benchmark_counts_and_measures_what_differs(monkeypatch, tmp_path, s
     assert median < 0.1
     assert most == pytest.approx(1000, rel=1e-3)
     assert "shifted 1.0" in (tmp_path / "renderers.md").read_text("utf-8")
-
-
-def test_the_benchmark_without_any_renderer_is_refused(monkeypatch, tmp_path):
-    monkeypatch.setattr(study, "LIBRARIES", ())
-    monkeypatch.setattr(study, "find_spec", lambda name: None)
-    with pytest.raises(BadInputError, match="None of the renderers is installed"):
-        study.run(study.RenderersOptions(out=tmp_path))

@@ -1,10 +1,7 @@
-"""Captures of headsets in closed form, and of a traced one with noise, for published methods."""
-
-from functools import cache
+"""Captures of headsets in closed form, for published methods."""
 
 import numpy as np
 
-from benchmarks import trials
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
@@ -36,19 +33,3 @@ def see_through_captures(positions, tangents_of, depths=(0.4, 3.0)):
     return SeeThroughCaptures(
         "toy", "right", EYE_BOX, positions[capture], direction, point, capture, pose, np.zeros(len(point))
     )
-
-
-@cache
-def traced():
-    """North Star's exact optics, 25 captures of each part with 1' of noise, and exact test observations of both."""
-    at = trials.EvaluatedEye("northstar", "right", (10.0, 8.0, 6.0))
-    rng = np.random.default_rng(3)
-    captures = [
-        trials.with_camera_noise(trials.exact_captures(simulate, at, "planar", 25), 1.0, rng)
-        for simulate in (trials.simulate_display, trials.simulate_see_through)
-    ]
-    return trials.truth(at), *captures, trials.display_observations(at, 0), trials.see_through_observations(at, 0)
-
-
-def rms(error):
-    return float(np.sqrt(np.mean(error[np.isfinite(error)] ** 2)))

@@ -1,4 +1,4 @@
-"""Comparison of methods on a small experiment: tables, standard errors, refusals; and the noise of pixels."""
+"""Comparison of methods on a small experiment: tables, standard errors, a refusal; and the noise of pixels."""
 
 from dataclasses import replace
 
@@ -8,14 +8,11 @@ import pytest
 from benchmarks import trials
 from benchmarks.rivals import comparison as methods_module
 from benchmarks.rivals import study
-from benchmarks.rivals.method_trials import OUTLIER_PX, MethodMeasure, MethodTrial, _data, with_pixel_noise
-from benchmarks.rivals.methods import METHODS, Method
-from benchmarks.trial_study import Findings
+from benchmarks.rivals.method_trials import OUTLIER_PX, MethodTrial, _data, with_pixel_noise
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.report.blocks import Text
 
 NAMES = ("planar", "linear-table-planar", "spaam")
 TITLES = (
@@ -89,38 +86,12 @@ def test_tables_of_methods(small, in_process, tmp_path):
     assert "birdbath28 (right), 0.25 px: planar is best with" in first.verdict
 
 
-@pytest.mark.slow
-def test_a_method_that_cannot_use_the_captures_says_why_and_the_others_go_on(small, in_process, monkeypatch, tmp_path):
-    def refuse(data):
-        raise BadInputError("this one wants more of everything.")
-
-    monkeypatch.setitem(METHODS, "shy", Method("nobody", "none", refuse))
-    report = compared(tmp_path, ("shy", "spaam"))
-    assert [row[0] for row in report.tables[2].rows] == ["spaam"]
-    sentences = [block for block in report.blocks if isinstance(block, Text) and "could not use" in str(block)]
-    assert len(sentences) == 1
-    assert sentences[0].items == ["shy (exact, 0.25 px): this one wants more of everything."]
-
-
 def test_an_unknown_method_is_refused(tmp_path):
     with pytest.raises(
         BadInputError, match="--methods has spam; did you mean spaam\\? Choose all, or from planar, "
     ) as refused:
         compared(tmp_path, ("planar", "spam"))
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(("given", "chosen", "repeats"), [(("all",), list(METHODS), 10), (NAMES, list(NAMES), 3)])
-def test_all_methods_are_chosen_by_name(monkeypatch, tmp_path, given, chosen, repeats):
-    asked = []
-
-    def experiment(trials, chosen):
-        asked.append((list(chosen), trials.repeats))
-        return Findings(())
-
-    monkeypatch.setattr(study, "compare_methods", experiment)
-    study.run(study.RivalsOptions(("birdbath28",), methods=given, out=tmp_path))
-    assert asked == [(chosen, repeats)] * 2
 
 
 def test_noise_of_pixels_is_smaller_off_axis_and_smallest_along_the_radius():
@@ -152,12 +123,3 @@ def test_outliers_are_8_pixels_at_the_share_that_is_asked_for():
         np.testing.assert_allclose(shift[shift > 1e-6], OUTLIER_PX)
         assert turned.max() <= OUTLIER_PX * (1 + 1e-6)
         assert np.median(turned[turned > 1e-6]) > 0.9 * OUTLIER_PX
-
-
-def test_all_methods_of_a_condition_share_their_captures():
-    all_three = [MethodTrial("birdbath28", name, None, 9, BOX, camera_noise_arcmin=0.25) for name in NAMES]
-    assert len({trial.shared for trial in all_three}) == 1
-    assert all_three[0].shared != replace(all_three[0], repeat=1).shared
-    outcomes = [trial.run(3) for trial in all_three[1:]]
-    assert all(outcome.refused == "" and outcome.errors[MethodMeasure.COMPOSITE].rms > 0 for outcome in outcomes)
-    assert len({outcome.readings for outcome in outcomes}) == 1

@@ -8,9 +8,9 @@ from functools import cache, partial
 import numpy as np
 import pytest
 
-from benchmarks.rivals import methods, networks
+from benchmarks.rivals import networks
 from benchmarks.rivals.method_trials import _bench_of, _drawn, with_pixel_noise
-from benchmarks.rivals.methods import METHODS, REGRESSORS, STRUCTURES, MethodData
+from benchmarks.rivals.methods import METHODS, STRUCTURES, MethodData
 from benchmarks.trials import EvaluatedEye, capture_setup
 from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.mapping_error import see_through_observations
@@ -77,32 +77,3 @@ def test_a_method_gives_finite_answers(name):
     assert answered.mean() > 0.85  # a network of a small budget is not everywhere smooth enough for its inverse
     error = misalignment_arcmin(truth, seen.viewpoint, pixel.value, seen.point)[answered]
     assert np.sqrt(np.mean(error**2)) < WORST_ARCMIN
-
-
-def test_each_regressor_stands_in_each_structure():
-    for name, structure in itertools.product(REGRESSORS, STRUCTURES):
-        method = METHODS[f"{name}-{structure}"]
-        assert method.structure == structure
-        assert method.source == METHODS[f"{name}-planar"].source
-
-
-def test_captures_of_a_structure():
-    data = captured()[0]
-    assert data.of("volumetric") is data.volumetric
-    assert data.of("planar") is data.of("static") is data.planar
-
-
-def test_a_prescription_is_fitted_once(monkeypatch):
-    calls = []
-
-    def fit(captures, prescription, **options):
-        calls.append((captures, prescription))
-        return object()
-
-    monkeypatch.setattr(methods, "fit_assembly", fit)
-    data = replace(captured()[0], drawn=lambda shape: f"drawn with {shape}")
-    found = [data.assembly(shape) for shape in (0.0, 0.0, 0.002)]
-    assert found[0][0] is found[1][0]
-    assert found[0][1] == 0.0 <= found[1][1]  # whoever fits pays; the other is told what it would have paid
-    assert found[0][0] is not found[2][0]
-    assert calls == [(data.planar, "drawn with 0.0"), (data.planar, "drawn with 0.002")]

@@ -1,4 +1,4 @@
-"""Small networks: gradient, injected truth, stage errors and noise that they must not follow, budget."""
+"""Small networks: gradient, and injected truth."""
 
 import itertools
 import time
@@ -6,10 +6,9 @@ import time
 import numpy as np
 import pytest
 from rival_samples import readings_of
-from scipy.optimize import check_grad, rosen, rosen_der
+from scipy.optimize import check_grad
 
-from benchmarks.rivals import network_training
-from benchmarks.rivals.network_training import ProjectedLoss, TanhLayers, TimedSearch
+from benchmarks.rivals.network_training import ProjectedLoss, TanhLayers
 from benchmarks.rivals.networks import network
 from benchmarks.rivals.samples import Samples
 from wlr_render.geometry.directions import ARCMIN
@@ -74,51 +73,3 @@ def test_gradient_of_the_projected_loss_is_that_of_differences() -> None:
 def test_a_smooth_function_is_recovered() -> None:
     """The trend of degree 3 alone leaves 1.2'."""
     assert error_arcmin(network(samples(), seconds=1.0)) < 0.3
-
-
-def long_valley(weights: FloatArray) -> tuple[float, FloatArray]:
-    """A loss (Rosenbrock's) that takes hundreds of steps, and its gradient."""
-    return float(rosen(weights)), np.asarray(rosen_der(weights))
-
-
-def test_search_ends_with_its_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A clock that goes on by a second with each evaluation."""
-    clock = [0.0]
-    monkeypatch.setattr(time, "process_time", lambda: clock[0])
-
-    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
-        clock[0] += 1.0
-        return long_valley(weights)
-
-    search = TimedSearch(deadline=12.0, best=np.full(20, -1.0))
-    search.run(loss, lambda weights: long_valley(weights)[0])
-    assert 8 <= clock[0] <= 20  # one line search at most past the end
-
-
-def test_search_keeps_the_best_and_stops_when_checks_stay_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error that decides is least on the way to where the loss is least."""
-    monkeypatch.setattr(network_training, "_CHECK_EVERY", 1)
-    evaluations = 0
-
-    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
-        nonlocal evaluations
-        evaluations += 1
-        return long_valley(weights)
-
-    search = TimedSearch(deadline=np.inf, best=np.full(20, -1.0))
-    search.run(loss, lambda weights: float(abs(weights[0])))
-    assert search.error == abs(search.best[0]) < 0.9
-    stopped, evaluations = evaluations, 0
-    to_the_end = TimedSearch(deadline=np.inf, best=np.full(20, -1.0))
-    to_the_end.run(loss, lambda weights: long_valley(weights)[0])
-    assert to_the_end.error < 1e-9
-    assert stopped < 0.6 * evaluations
-
-
-def test_same_weights_for_the_same_readings_and_numbers_count_them() -> None:
-    layers = TanhLayers((4, 32, 32))
-    assert layers.numbers == 5 * 32 + 33 * 32
-    first, second = (layers.start(np.random.default_rng(0), np.ones(4)) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-    model = network(samples(), seconds=0.1)
-    assert model.numbers == layers.numbers + (32 + 35) * 2

@@ -1,7 +1,6 @@
-"""Alignments: the authors' formulas, the tracked eye among its candidates, which method a known display supports."""
+"""Alignments: the authors' formulas, the tracked eye among its candidates, exact alignments."""
 
 import numpy as np
-import pytest
 from scipy.io import savemat
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
@@ -9,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.published_data.itoh_alignments import Alignments, Screen, Sitting, read_itoh_alignments
 from benchmarks.rivals import alignments
 from benchmarks.rivals.alignments import alignment_tables, full_setup, recycled
-from benchmarks.rivals.pinhole import direct_plane, fit_projection
-from wlr_render.errors import BadInputError
+from benchmarks.rivals.pinhole import fit_projection
 from wlr_render.geometry.directions import normalised
 from wlr_render.mappings import EyeBox, Panel
 
@@ -67,22 +65,6 @@ def test_setups_are_the_published_products_of_matrices():
     np.testing.assert_allclose(found, by_matrix(recycle, new.point), atol=1e-6)
 
 
-def test_a_plane_in_space_is_preferred_where_there_is_one(monkeypatch):
-    monkeypatch.setattr(alignments, "DISPLAYS", {"plane": direct_plane, "refuser": refuser})
-    errors, noise = alignment_tables(sittings(tracker_m=0.001, aim_px=2.0))
-    rms = {row[0]: row[3] for row in errors.rows}
-    aim = noise.rows[-1][3]
-    assert aim == pytest.approx(2.0 * np.sqrt(2) * 2.35, rel=0.2)
-    for plane in ("plane, fitted to the other sittings", "INDICA full, screen as the authors calibrated it"):
-        assert aim < rms[plane] < 0.7 * rms["SPAAM of another sitting"]
-    assert rms["refuser, fitted to the other sittings"] is None
-    assert "refused: 140 are too few" in errors.rows[-1][4]
-
-
-def refuser(captures):
-    raise BadInputError(f"{len(captures)} are too few.")
-
-
 def test_exact_alignments_without_noise_are_predicted_by_every_published_setup(monkeypatch):
     monkeypatch.setattr(alignments, "DISPLAYS", {})
     (errors, _) = alignment_tables(sittings(tracker_m=0.0, aim_px=0.0))
@@ -127,28 +109,3 @@ def test_the_tracked_eye_is_where_the_candidates_of_all_images_agree(tmp_path):
         assert each.eye_spread < 0.003
     np.testing.assert_allclose(found.screen.rotation, TURN)
     np.testing.assert_allclose(found.screen.translation, SCREEN.translation)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "sentence"),
-    [
-        ("Base/MarkerSPAAM_DataSPAAM2D.txt", "1 2\n3 4\n", "2 pixels and 20 points"),
-        ("Base/MarkerSPAAM_DataSPAAM3D.txt", "1 2\n", "lines of 3 finite numbers"),
-        ("1/eye_positions.txt", "0 0 nan\n", "lines of 3 finite numbers"),
-        ("1/eye_positions.txt", "0 0 0.06\n", "no pair of eye positions"),
-        ("1/eye_positions.txt", "here\n", "not a table of numbers"),
-        ("PoseFromEyeCam2WorldCam.txt", "22 serialization::archive 1", "has 3 tokens"),
-        ("display_param_linear.mat", "no", "no calibrated display"),
-    ],
-)
-def test_faulty_files_are_named(tmp_path, name, text, sentence):
-    write_set(tmp_path, EYE, np.random.default_rng(6), np.array([0.0, 0.0, 0.06]))
-    (tmp_path / name).write_text(text)
-    with pytest.raises(BadInputError, match=sentence) as refused:
-        read_itoh_alignments(tmp_path)
-    assert name.split("/")[0] in str(refused.value)
-
-
-def test_a_folder_without_sittings_is_refused(tmp_path):
-    with pytest.raises(BadInputError, match="give the folder 'dataset'"):
-        read_itoh_alignments(tmp_path)

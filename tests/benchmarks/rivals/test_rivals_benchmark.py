@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.rivals import alignments, measured, reliefs, viewpoints, views
+from benchmarks.rivals import alignments, reliefs
 from benchmarks.rivals.displays import DISPLAYS, line_table
 from benchmarks.rivals.held_out import HeldOut, cells, held_out, remark, rms_of
-from benchmarks.rivals.kernels import kernel_ridge
 from benchmarks.rivals.samples import fit_structure
 from wlr_render.calibration.fit_display import DISPLAY
 from wlr_render.captures.correspondences import DisplayCaptures
@@ -77,19 +76,6 @@ def test_a_table_along_a_line_is_linear_also_beyond_its_ends():
     assert np.abs(missed).max() > 1e-4
 
 
-def test_positions_off_a_line_have_no_table_along_it():
-    corner = np.array([[0, 0, 0], [0.004, 0, 0], [0, 0.004, 0.001]])
-    with pytest.raises(BadInputError, match="3 camera positions do not lie on one line"):
-        fit_structure(DISPLAY, swimming(corner), "volumetric", line_table)
-
-
-def test_kernel_ridge_takes_fewer_readings_than_it_has_bells():
-    few = swimming(np.array([[0, 0, -0.002], [0.001, 0, 0.002]]))
-    model, _ = fit_structure(DISPLAY, few, "static", kernel_ridge)  # of one position: 120 readings, 200 bells at most
-    seen = model.view_dir_of_pixel(few.pixel[:120], few.viewpoint[:120]).value
-    assert np.isfinite(seen).all()
-
-
 def test_a_folder_without_any_set_is_refused(tmp_path, capsys):
     assert main(["rivals", "--measured", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "holds none of itoh_hmd_calibration/dataset" in capsys.readouterr().err
@@ -110,28 +96,6 @@ def test_a_plane_fitted_to_other_sittings_beats_an_old_calibration(measured_data
     rms = {row["method"]: row["rms (arcmin)"] for row in errors["rows"]}
     scatter = noise["rows"][-1]["scatter (arcmin)"]
     assert scatter < rms["plane (DRC), fitted to the other sittings"] < 0.6 * rms["SPAAM of another sitting"]
-
-
-def test_few_numbers_suffice_for_the_see_through_views(measured_data, tmp_path, monkeypatch):
-    names = ("polynomial of degree 1 by least squares, static", "linear table, planar", "ours: planar, degree 2")
-    every = views._methods()
-    monkeypatch.setattr(views, "_methods", lambda: {name: every[name] for name in names})
-    (table,) = tables(measured_data("itoh_seethrough"), "views", tmp_path)
-    straight, plate, static, refused, planar = table["rows"]
-    for row in (plate, static, planar):
-        assert row["rms (arcmin)"] < 0.1 * straight["rms (arcmin)"]
-    assert "a table needs a nearer and a farther target" in refused["95 % interval"]
-
-
-@pytest.mark.slow
-def test_a_table_along_the_line_is_as_good_as_the_bundle_at_its_own_viewpoints(measured_data, tmp_path, monkeypatch):
-    monkeypatch.setattr(viewpoints, "_METHODS", ("plane (DRC)", "table along a line"))
-
-    monkeypatch.setattr(measured, "viewpoint_table", lambda eyes: viewpoints.viewpoint_table(eyes[:1]))
-    (table,) = tables(measured_data("northstar_vcam_graycode"), "viewpoints", tmp_path)
-    rms = {row["method"]: row["rms (arcmin)"] for row in table["rows"]}
-    assert rms["table along a line"] < 1.2 * rms["ours: bundle of rays"]
-    assert rms["plane (DRC)"] > 5 * rms["ours: bundle of rays"]
 
 
 def test_a_point_for_each_pixel_carries_over_to_another_eye_relief(measured_data, tmp_path, monkeypatch):

@@ -1,16 +1,14 @@
-"""The benchmark of simulated benches: errors over sigmas, which sentences name a fault, what is resumed."""
+"""The benchmark of simulated benches: errors over sigmas, which sentences name a fault, tables."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from benchmarks.kept_trials import kept_outcome
 from benchmarks.simulated_lab import bench_trial
 from benchmarks.simulated_lab.bench_sigmas import SquaredErrors
 from benchmarks.simulated_lab.bench_tables import bench_tables
-from benchmarks.simulated_lab.bench_trial import BenchOutcome, BenchTrial, BenchTrialKind, FailedCheck, loaded_outcome
-from benchmarks.simulated_lab.study import SimulatedLabOptions, bench_trials
+from benchmarks.simulated_lab.bench_trial import BenchOutcome, BenchTrial, BenchTrialKind, FailedCheck
 
 _EXCHANGED = BenchTrial(BenchTrialKind.BARE_EXCHANGED, 0)
 
@@ -40,27 +38,6 @@ def test_a_fault_is_named_where_the_sentences_have_all_its_words(sentences, name
     outcome = bench_trial._judged(BenchOutcome(_EXCHANGED), said, (("a ",), ("b ",)))
     assert outcome.named == named
     assert (outcome.named and outcome.first) == alone
-
-
-def test_an_outcome_that_is_kept_is_read_and_not_made_again(tmp_path):
-    made = BenchOutcome(
-        _EXCHANGED,
-        "a and b",
-        [FailedCheck("a", "shift, mm", "a and b look exchanged", True)],
-        named=True,
-        sigmas={"camera places": SquaredErrors(1.5, 0.5)},
-        sizes={"turn": 1e-5},
-    )
-    assert kept_outcome(lambda trial, seed: made, loaded_outcome, tmp_path, 1, _EXCHANGED) == made
-    again = kept_outcome(lambda trial, seed: pytest.fail("was made again"), loaded_outcome, tmp_path, 1, _EXCHANGED)
-    assert again == made
-
-
-def test_trials_are_mixed_and_each_kind_has_its_count():
-    trials = bench_trials(SimulatedLabOptions(part=("bench", "faults"), benches=8, faults=2))
-    assert len(trials) == len(set(trials)) == 8 + 2 * len(bench_trial.FAULTY)
-    assert {trial.kind for trial in trials[: len(trials) // 2]} == {BenchTrialKind.CLEAN, *bench_trial.FAULTY}
-    assert not bench_trials(SimulatedLabOptions())
 
 
 def test_tables_count_sessions_and_take_the_rms_over_them():

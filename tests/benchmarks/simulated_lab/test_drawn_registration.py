@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -13,11 +12,9 @@ from benchmarks.simulated_lab import registration_photographs
 from benchmarks.simulated_lab.lab_options import SimulatedLabOptions
 from benchmarks.simulated_lab.registration import METHODS
 from benchmarks.simulated_lab.study import run
-from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.models.model_file import load_eye_model, save_eye_models
 from wlr_render.report.blocks import Plot
-from wlr_render.toml_files import write_toml
 
 pytestmark = pytest.mark.slow  # the session that all of them copy takes some twenty seconds to make
 
@@ -56,12 +53,6 @@ def test_drawn_dots_cover_real_ones(options):
     assert {path.name for path in options.out.iterdir()} >= {"misalignment.png", "close_up.png", "simulated-lab.html"}
 
 
-def test_without_opengl_no_row_says_that_frames_were_rasterised(options):
-    result = run(replace(options, backend="cpu"))
-    assert [row[0] for row in result.tables[0].rows] == ["ray traced"]
-    assert "frames are ray traced" in result.warnings[0]
-
-
 def displace_display(calibration):
     """By the model every display pixel lies 0.005 aside, as a tangent."""
     path = calibration / "model.json"
@@ -93,53 +84,3 @@ def test_several_calibrations_are_compared_on_the_same_dots_by_target(options, p
         assert median == pytest.approx(0.005 / ARCMIN, rel=0.15) if "displaced" in label else median < 1.0
     assert len({row[3] for row in by_target.rows}) > 1  # the poses do differ
     assert any(isinstance(block, Plot) for block in result.blocks)
-
-
-def test_a_stage_that_became_loose_since_the_session_shows(options, photo_session):
-    """Display and target are 0.1 m apart: a millimetre aside moves one over the other by an arcminute."""
-    medians = [row[2] for row in run(options).tables[0].rows]
-    path = photo_session.folder / "simulation.toml"
-    content = tomllib.loads(path.read_text(encoding="utf-8"))
-    content["bench"]["imperfections"]["repeatability_um"] = 1000.0
-    path.unlink()
-    write_toml(path, content)
-    loose = [row[2] for row in run(options).tables[0].rows]
-    assert min(loose) > max(medians) + 0.3
-
-
-def without(name):
-    def spoil(session, options):
-        os.remove(session.out / name)
-        return options
-
-    return spoil
-
-
-def not_simulated(session, options):
-    os.remove(session.folder / "simulation.toml")
-    return options
-
-
-def of_another_device(session, options):
-    model = load_eye_model(session.out / "model.json")
-    os.remove(session.out / "model.json")
-    save_eye_models(session.out / "model.json", [replace(model, device="birdbath28")])
-    return options
-
-
-@pytest.mark.parametrize(
-    ("spoil", "complaint"),
-    [
-        (not_simulated, "has no simulation.toml, so the session is not simulated"),
-        (without("model.json"), "holds no model.json; run `wlr-render calibrate"),
-        (without("station-right.json"), "`calibrate` writes it"),
-        (of_another_device, "is a calibration of birdbath28, right eye, .* and not of"),
-        (lambda session, options: replace(options, depths_m=(0.05,)), "tracking_50mm.png"),
-        (lambda session, options: replace(options, calibration=(session.out,) * 2), "names .*out twice"),
-        (lambda session, options: replace(options, session=None), "need --session"),
-    ],
-)
-def test_what_cannot_be_verified_is_refused_in_one_sentence(photo_session, options, spoil, complaint):
-    with pytest.raises(BadInputError, match=complaint) as caught:
-        run(spoil(photo_session, options))
-    assert "\n" not in str(caught.value)

@@ -12,7 +12,6 @@ from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.raster_camera import EyePlan
 from wlr_render.rendering.ray_map import choose_plan, ray_map
 from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.rendering.view import View
 
 
@@ -62,28 +61,3 @@ def test_bare_opengl_frames_draw_our_silhouette_where_the_map_leads(scene, ours,
     run = make(scene, view, (1 - own if mirrored else own).astype(np.float32))
     drawn = np.frombuffer(run(), np.uint8).reshape(100, 90, 4)[..., :3].max(axis=-1) > 0
     assert (drawn != (shown[::-1, ::-1] if mirrored else shown)).mean() < 0.005
-
-
-@pytest.mark.gl
-def test_the_shaded_frame_has_our_colours(scene, ours):
-    view, picture = ours
-    own = np.stack(np.meshgrid((np.arange(90) + 0.5) / 90, (np.arange(100) + 0.5) / 100), axis=-1)
-    drawn = np.frombuffer(shaded_gl_frame(scene, view, own.astype(np.float32))(), np.uint8).reshape(100, 90, 4)
-    shown = picture.inverse_depth > 0
-    assert picture.colour[shown].std() > 20
-    difference = np.abs(drawn[..., :3].astype(int) - picture.colour)[shown]
-    assert np.median(difference) <= 1
-    assert (difference > 2).mean() < 0.01
-
-
-@pytest.mark.gl
-def test_the_shaded_frame_is_filtered_in_linear_light(scene, ours):
-    """Half a pixel aside each pixel shows the mean of two; of codes it would be darker at silhouettes."""
-    view, picture = ours
-    aside = np.stack(np.meshgrid(np.arange(1, 91) / 90, (np.arange(100) + 0.5) / 100), axis=-1)
-    drawn = np.frombuffer(shaded_gl_frame(scene, view, aside.astype(np.float32))(), np.uint8).reshape(100, 90, 4)
-    pair = np.stack([picture.colour[:, :-1], picture.colour[:, 1:]])
-    expected = encode_srgb(decode_srgb(pair).mean(axis=0))
-    edge = np.abs(pair[0].astype(int) - pair[1]).max(axis=-1) > 60
-    assert edge.sum() > 20
-    assert np.abs(drawn[:, :-1, :3].astype(int) - expected)[edge].max() <= 3

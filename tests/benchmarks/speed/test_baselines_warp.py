@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.speed.baselines_warp import image_maps_warp, mesh_warp, remap_warp, timewarp
+from benchmarks.speed.baselines_warp import mesh_warp, remap_warp, timewarp
 from benchmarks.speed.frozen_map import bilinear, on_triangles
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
@@ -66,24 +66,6 @@ def test_a_mesh_interpolates_each_colour_over_its_triangles(picture, channel_uv)
     assert drawn.shape == (56, 72, 3)
     assert np.abs(drawn - expected).max() <= LEVELS
     assert np.abs(drawn - other).max() > 3 * LEVELS
-
-
-@pytest.mark.gl
-def test_image_maps_are_filtered_between_texel_centres(picture, channel_uv):
-    place = place_of_pixels()
-    expected = colour_at(np.stack([bilinear(uv.astype(float), place) for uv in channel_uv]))
-    drawn = drawn_by(opened(image_maps_warp, picture, channel_uv, SIZE, np.eye(3)))
-    assert np.abs(drawn - expected).max() <= LEVELS
-
-
-@pytest.mark.gl
-def test_image_maps_are_turned_by_a_newer_head(picture, channel_uv):
-    homography = np.array([[0.9, 0.05, 0.02], [-0.04, 0.95, 0.03], [0.06, -0.03, 1.0]])
-    place = place_of_pixels()
-    uv = np.stack([bilinear(each.astype(float), place) for each in channel_uv])
-    turned = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1) @ homography.T
-    drawn = drawn_by(opened(image_maps_warp, picture, channel_uv, SIZE, homography))
-    assert np.abs(drawn - colour_at(turned[..., :2] / turned[..., 2:])).max() <= LEVELS
 
 
 def test_timewarp_turns_directions():

@@ -8,18 +8,11 @@ import pytest
 from benchmarks.speed.frozen_map import (
     IMAGE_MAPS,
     MESH,
-    bilinear,
     frozen_map,
     frozen_map_error_arcmin,
-    frozen_map_table,
-    on_triangles,
 )
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
-from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.jobs.headset import open_eye
-from wlr_render.mappings import QueryResult, Status
-from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN
 from wlr_render.rendering.ray_map import middle_axes, solve_pixels
 
 PANEL_DEPTH_M = 0.5
@@ -31,20 +24,6 @@ ELSEWHERE = np.array([0.004, -0.003, 0.0025])
 @pytest.fixture(scope="module")
 def bare_panel():
     return open_eye("no_optics")
-
-
-@pytest.mark.parametrize("scheme", [MESH, IMAGE_MAPS], ids=["mesh", "maps"])
-@pytest.mark.parametrize("depth_m", [0.5, 2.0, np.inf])
-def test_without_optics_a_map_is_right_where_it_was_made(bare_panel, scheme, depth_m):
-    """A flat panel's tangents are linear in the pixel, which both interpolations keep."""
-    centre = bare_panel.eye_box.centre
-    shown = frozen_map(bare_panel, scheme, centre, np.eye(3), depth_m)
-    assert frozen_map_error_arcmin(bare_panel, shown, centre, PIXEL, depth_m).max() < 1e-6
-
-
-def test_without_optics_what_stands_on_the_panel_is_right_from_everywhere(bare_panel):
-    shown = frozen_map(bare_panel, MESH, bare_panel.eye_box.centre, np.eye(3))
-    assert frozen_map_error_arcmin(bare_panel, shown, ELSEWHERE, PIXEL, PANEL_DEPTH_M).max() < 1e-6
 
 
 @pytest.mark.parametrize("depth_m", [2.0, np.inf])
@@ -93,52 +72,3 @@ def test_a_map_for_infinity_is_wrong_nearby_by_the_rays_offset(small_panel_model
     error = frozen_map_error_arcmin(eye, shown, viewpoint, pixel, 0.5)
     np.testing.assert_allclose(error, directions.arcmin_between(*(each.value for each in seen)), atol=1e-5)
     assert error.min() > 0.3
-
-
-@pytest.mark.parametrize("shape", [(), (1,), (3, 1, 2)])
-def test_any_shape_of_pixels(bare_panel, shape):
-    shown = frozen_map(bare_panel, MESH, np.zeros(3), np.eye(3))
-    pixel = np.broadcast_to([300.0, 200.0], (*shape, 2))
-    assert frozen_map_error_arcmin(bare_panel, shown, ELSEWHERE, pixel, 2.0).shape == shape
-
-
-def test_triangles_and_texels_by_hand():
-    """One cell with 1 at its lower right corner: in the middle a triangle has 0 and a bilinear filter 1/4."""
-    values = np.array([[0.0, 0.0], [0.0, 1.0]])[..., None]
-    place = np.array([[0.5, 0.5], [0.75, 0.5], [1.0, 1.0], [0.0, 1.0]])
-    np.testing.assert_allclose(on_triangles(values, place)[:, 0], [0, 0.25, 1, 0])
-    np.testing.assert_allclose(bilinear(values, place)[:, 0], [0.25, 0.375, 1, 0])
-
-
-def test_texture_coordinates_are_those_of_the_camera(bare_panel):
-    shown = frozen_map(bare_panel, replace(MESH, points=3), np.zeros(3), np.eye(3))
-    camera = Pinhole(50, 40, np.array([-0.32, -0.18]), np.array([0.32, 0.18]))  # of just the panel's tangents
-    edges = np.array([0.0, 0.5, 1.0])
-    np.testing.assert_allclose(shown.texture_uv(camera), np.stack(np.meshgrid(edges, edges), axis=-1), atol=1e-6)
-
-
-def test_a_panel_with_a_hole_is_refused(flat_image_headset):
-    class Holed(type(flat_image_headset.display)):
-        def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
-            value = super().view_dir_of_pixel(pixel, viewpoint).value
-            hole = np.asarray(pixel)[..., 0] > 100
-            status = np.where(hole, Status.MISS, Status.OK).astype(np.uint8)
-            return QueryResult(np.where(hole[..., None], np.nan, value), status)
-
-    holed = replace(flat_image_headset, display=Holed(flat_image_headset.display.panel))
-    with pytest.raises(BadInputError, match="parts of the panel have no ray"):
-        frozen_map(holed, MESH, holed.eye_box.centre, np.eye(3))
-
-
-def test_the_table_says_what_the_map_and_what_the_pupil_costs(bare_panel):
-    table = frozen_map_table(bare_panel)
-    own_mesh, frozen_mesh, own_maps, frozen_maps, followed = table.rows
-    assert max(own_mesh[1:] + own_maps[1:] + followed[1:]) < 1e-6
-    np.testing.assert_allclose(frozen_mesh[1:], frozen_maps[1:], atol=1e-6)
-    assert frozen_mesh[1] < 1e-6 < 1 < frozen_mesh[3] < frozen_mesh[5]
-
-
-def test_a_map_that_follows_the_eye_is_right_where_a_frozen_one_is_not(small_panel_model):
-    *_, frozen, followed = frozen_map_table(small_panel_model).rows
-    assert max(followed[1:]) < TOLERANCE_ARCMIN
-    assert min(frozen[1:]) > 10

@@ -1,7 +1,4 @@
-"""The measuring, not the measurements: an error that is one, a memory that is one frame's."""
-
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
+"""The measuring, not the measurements: an error that is one."""
 
 import numpy as np
 import pytest
@@ -29,9 +26,3 @@ def test_the_maps_error_is_that_of_its_worst_pixel(small_panel_model, monkeypatc
     monkeypatch.setattr(offline, "ray_map", with_a_fault)
     error = offline.map_error_px(small_panel_model, small_panel_model.eye_box.centre)
     assert error == pytest.approx(1 / 3, rel=0.1)
-
-
-def test_memory_is_that_of_one_frame():
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        peak = pool.submit(offline.peak_memory_gb, "raytrace", "cpu").result()
-    assert 0.1 < peak < 1.5

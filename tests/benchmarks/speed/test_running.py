@@ -5,7 +5,6 @@ import pytest
 from speed_work import needs_gl, small_work
 
 from benchmarks.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, later_pose
-from wlr_render.rendering import gpu_image
 from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
 
 
@@ -30,26 +29,3 @@ def test_a_second_frame_in_a_round_is_the_same_without_its_solve(small_panel_mod
     np.testing.assert_array_equal(solved, on.work.viewpoints[:2])
     np.testing.assert_array_equal(first, second)
     assert (first != third).any()
-
-
-@pytest.mark.gl
-def test_bounds_of_the_depth_are_part_of_a_warp(small_panel_model, monkeypatch):
-    needs_gl()
-    drawn, draw = [], gpu_image._draw
-    monkeypatch.setattr(gpu_image, "_draw", lambda *given, **textures: drawn.append(1) or draw(*given, **textures))
-    with Running.of(small_work(small_panel_model)) as on:
-        run = on.warp_of_a_new_picture()
-        counts = []
-        for turn in range(2):
-            run(turn)
-            counts.append(len(drawn))
-    assert 0 < counts[0] < counts[1]
-
-
-@pytest.mark.gl
-def test_three_fields_of_one_model_make_the_picture_of_one(small_panel_model):
-    needs_gl()
-    work = small_work(small_panel_model)
-    with Running.of(work) as one, Running.of(work, channels=3) as three:
-        difference = one.frame(0).read().astype(int) - three.frame(0).read()
-    assert np.abs(difference).max() <= 1

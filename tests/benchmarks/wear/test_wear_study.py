@@ -7,10 +7,9 @@ import pytest
 from fitted_eyes import captures
 
 from benchmarks.wear import study
-from benchmarks.wear.simulated_wear import MOST_CLICKS, SLIPS, Wear, Wearer, half_hour, worn_eye
+from benchmarks.wear.simulated_wear import MOST_CLICKS, SLIPS, Wear, half_hour, worn_eye
 from benchmarks.wear.study import WearOptions, run
 from wlr_render.calibration.fit_eye import calibrate
-from wlr_render.calibration.self_calibration import WearState
 
 DEVICE = "birdbath28"
 
@@ -35,15 +34,6 @@ def test_five_clicks_after_a_slip_restore_the_alignment(worn):
     assert after < 1.5 * before
     assert after < 0.7 * uncorrected
     assert all(len(slip.after) == len(slip.predicted) == MOST_CLICKS + 1 for slip in slips)
-
-
-def test_a_headset_without_errors_in_use_has_only_those_of_the_models(models):
-    perfect = Wear(0.1, 0.5, *(0.0,) * 9)
-    wearer = Wearer(worn_eye(DEVICE), perfect, np.random.default_rng(1))
-    wearer.minute = 20.0
-    assert wearer.misalignment(WearState.begin(models))[0] < 0.3
-    wearer.slip()
-    assert wearer.misalignment(WearState.begin(models))[0] > 0.5
 
 
 def test_the_report_has_the_ratio_with_its_interval_and_the_picture(worn, tmp_path, monkeypatch):
