@@ -7,6 +7,7 @@ from prescribed_eyes import captured, prescription
 from toy_device import EYE_BOX, display_captures, positions_in_plane, see_through_captures
 
 from benchmarks.wrong_headset import wrong_headset
+from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate, eye_trends, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
 from wlr_render.captures.correspondences import CaptureMotionPrior, Captures
@@ -95,7 +96,7 @@ def rms(values):
 def test_five_positions_and_a_prescription_with_a_wrong_shape_are_enough():
     """What 25 positions gave without one is 0.12'. The stage moves the camera by 10 um and 30 microradians."""
     truth = wrong_headset(prescription("northstar"), np.random.default_rng(0), shape=0.002)
-    captures = captured(truth, 5, 0.25, stage_error_m=10e-6, stage_turn_rad=30e-6, grid=(25, 21))
+    captures = captured(truth, 5, 0.25, stage_error_m=10e-6, stage_turn_rad=30e-6)
     kinds = fit_kinds(captures, prescription("northstar"))
     assert kinds.best == "grey-box"
     found, expected = display_errors(kinds.chosen, truth)
@@ -150,7 +151,7 @@ def drawn():
     """Fits to captures that differ in their noise alone, by trends of the same optics."""
     optics = prescription("birdbath28")
     truth = assembled(optics, 0.3 * ASSEMBLY_SIZES * np.random.default_rng(4).normal(size=12))
-    captures = [captured(truth, 5, 1.0, seed=seed, grid=(9, 7)) for seed in range(40)]
+    captures = [captured(truth, 5, 1.0, seed=seed, grid=(7, 5)) for seed in range(24)]
     trends = eye_trends(captures[0], fit_assembly(captured(truth, 5), optics))
     return trends, [fit_with_trends(each, "prescription", trends) for each in captures]
 
@@ -203,22 +204,38 @@ def test_display_and_see_through_are_of_one_stage():
     assert rms(display_errors(fit, truth)[0]) < 0.05
 
 
+def with_motion(side):
+    """Captures that state how far the camera moved in each."""
+    numbers = np.unique(side.visits[0])
+    return dataclasses.replace(
+        side, motion=CaptureMotionPrior(numbers, np.tile([1.4e-5] * 3 + [5e-6] * 3, (len(numbers), 1)), 0.3)
+    )
+
+
+def test_the_display_is_fitted_with_the_motions_that_see_through_found():
+    sides = (make(positions_in_plane(12), sigma_arcmin=0.1) for make in (display_captures, see_through_captures))
+    captures = Captures(*map(with_motion, sides))
+    fit = calibrate(captures, "planar", 2, 1)
+    given, alone = (
+        fit_display(captures.display, "planar", 2, stage=stage).smooth.posterior.log_evidence
+        for stage in (fit.see_through.smooth.motion_factors, None)
+    )
+    assert fit.display.smooth.posterior.log_evidence == given != alone
+
+
 def few_places_of_freeform40(seed):
     """16 places of an accurate camera whose stage moves by what the captures state, with tails and rounding."""
     truth = traced_eye(load_device("freeform40"), "right")
-    setup = CaptureSetup(truth, 0.0, 5e-6, truth.field, (25, 21), stage_turn_rad=1.4e-5)
+    setup = CaptureSetup(truth, 0.0, 5e-6, truth.field, (9, 8), stage_turn_rad=1.4e-5)
     rng = np.random.default_rng(seed)
     positions = setup.camera_positions("planar", 16)
     sides = []
     for take in (simulate_display, simulate_see_through):
         side = take(setup, positions, rng)
         noise = 0.045 * ARCMIN / np.sqrt(2.0) * rng.standard_t(4, side.view_dir.shape)
-        numbers = np.unique(side.visits[0])
-        motion = CaptureMotionPrior(numbers, np.tile([1.4e-5] * 3 + [5e-6] * 3, (len(numbers), 1)), 0.3)
         sigma = np.full(len(side), 0.045)
-        sides.append(
-            dataclasses.replace(side, view_dir=normalised(side.view_dir + noise), sigma_arcmin=sigma, motion=motion)
-        )
+        noisy = dataclasses.replace(side, view_dir=normalised(side.view_dir + noise), sigma_arcmin=sigma)
+        sides.append(with_motion(noisy))
     return truth, Captures(*sides)
 
 

@@ -80,14 +80,16 @@ def test_an_error_of_the_shape_stays_in_the_residuals_and_not_in_absurd_values(n
 
 def test_stage_jitter_spreads_the_fit_and_does_not_lead_it_astray():
     truth = wrong_headset(prescription("northstar"), np.random.default_rng(0))
-    fitted = fit_assembly(captured(truth, count=25, noise=0.25, stage_error_m=30e-6), prescription("northstar"))
+    fitted = fit_assembly(
+        captured(truth, count=25, noise=0.25, stage_error_m=30e-6, grid=(7, 6)), prescription("northstar")
+    )
     assert forward_rms(fitted.optics, truth) < 0.5
     assert np.abs(fitted.values / ASSEMBLY_SIZES).max() < 1.0
 
 
 def test_gross_outliers_do_not_move_the_fit():
     truth = wrong_headset(prescription("northstar"), np.random.default_rng(0))
-    captures = captured(truth, noise=0.25)
+    captures = captured(truth, noise=0.25, grid=(9, 8))
     pixel = captures.display.pixel.copy()
     pixel[::20] += 64.0
     spoilt = Captures(replace(captures.display, pixel=pixel), captures.see_through)
@@ -107,13 +109,13 @@ def test_a_display_alone_is_enough():
 )
 def test_the_prescription_of_another_headset_is_refused(captured_device, named, reason):
     with pytest.raises(BadInputError, match=f"{reason}.*check that it is of this headset and this eye"):
-        fit_assembly(captured(prescription(captured_device)), prescription(named))
+        fit_assembly(captured(prescription(captured_device), count=5, grid=(7, 6)), prescription(named))
 
 
 def test_the_trends_are_compiled_over_the_boxes_of_the_models():
     """At the fitted errors they are the optics; at zero they are those continued to first order."""
     truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(0))
-    captures = captured(truth)
+    captures = captured(truth, count=4, grid=(7, 6))
     fitted = fit_assembly(captures, prescription("birdbath28"))
     plane = BasePlane(float(truth.eye_box.centre[2]))
     shown, seen = captures.display, captures.see_through
