@@ -23,8 +23,6 @@ from small_photo_session import far_panel_device, small_plan
 
 from benchmarks.accuracy.study import AccuracyOptions
 from benchmarks.accuracy.study import run as accuracy
-from benchmarks.diagnosis.study import DiagnosisOptions
-from benchmarks.diagnosis.study import run as run_diagnosis
 from wlr_render import atomic_files, cluster
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
@@ -124,15 +122,25 @@ def test_a_file_that_a_task_does_not_find_ends_the_job_with_its_error(address, t
     assert not list(tmp_path.iterdir())
 
 
-def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path):
-    few = {"part": ("camera-positions",), "counts": (2, 5)}
-    here = accuracy(AccuracyOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
-    options = AccuracyOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there")
-    assert accuracy(options).blocks == here.blocks
+STUDY = AccuracyOptions(("no_optics",), part=("camera-positions",), counts=(2, 5))
+"""Of rays that nothing bends: four trials, whose fits take a second each."""
+
+
+@pytest.fixture(scope="module")
+def here(tmp_path_factory):
+    """The study by local processes: its report, and its folder."""
+    folder = tmp_path_factory.mktemp("here")
+    return accuracy(replace(STUDY, workers=1, out=folder)), folder
+
+
+@pytest.mark.slow
+def test_a_study_is_that_of_local_processes_and_is_resumed(address, tmp_path, here):
+    options = replace(STUDY, scheduler=address, out=tmp_path / "there")
+    assert accuracy(options).blocks == here[0].blocks
     first, *others = sorted((tmp_path / "there" / "trials").glob("*/*.json"))
     written = [path.stat().st_mtime_ns for path in (first, *others)]
     first.unlink()
-    assert accuracy(replace(options, resume=True)).blocks == here.blocks
+    assert accuracy(replace(options, resume=True)).blocks == here[0].blocks
     again = [path.stat().st_mtime_ns for path in (first, *others)]
     assert again[0] != written[0]
     assert again[1:] == written[1:]
@@ -195,13 +203,11 @@ def test_frames_are_those_of_one_process_when_a_worker_is_killed(address, tmp_pa
     assert whole(tmp_path / "there") == whole(tmp_path / "here")
 
 
-def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(address, tmp_path, kill_a_worker_at_work):
-    few = {"part": ("camera-positions",), "counts": (2, 5)}
-    accuracy(AccuracyOptions(("birdbath28",), **few, workers=1, out=tmp_path / "here"))
+def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(address, tmp_path, here, kill_a_worker_at_work):
     progress, killed = kill_a_worker_at_work
-    accuracy(AccuracyOptions(("birdbath28",), **few, scheduler=address, out=tmp_path / "there"), progress=progress)
+    accuracy(replace(STUDY, scheduler=address, out=tmp_path / "there"), progress=progress)
     assert len(killed) == 1
-    assert trials(tmp_path / "there") == trials(tmp_path / "here")
+    assert trials(tmp_path / "there") == trials(here[1])
 
 
 def test_a_simulated_session_is_that_of_local_processes(address, tmp_path, monkeypatch):
@@ -216,14 +222,6 @@ def test_a_simulated_session_is_that_of_local_processes(address, tmp_path, monke
     photographs = whole(tmp_path / "here")
     assert len(photographs) > 8
     assert whole(tmp_path / "there") == photographs
-
-
-def test_a_benchmark_of_trials_is_that_of_local_processes(address, tmp_path):
-    options = DiagnosisOptions(trials=1, kinds=("clean",), conditions=("white",), workers=1, out=tmp_path / "here")
-    here = run_diagnosis(options)
-    there = run_diagnosis(replace(options, workers=None, scheduler=address, out=tmp_path / "there"))
-    assert there.verdict == here.verdict
-    assert trials(tmp_path / "there") == trials(tmp_path / "here")
 
 
 MALFORMED = (

@@ -1,7 +1,5 @@
 """The raster of the paper: whatever a pixel shows lies on that pixel's bent world ray, and its source shows it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from gl_scenes import at, lit
@@ -11,10 +9,8 @@ from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.geometry import transforms
 from wlr_render.rendering.painters import TracedPainter, position_of_source
 from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.sampling import remap
 from wlr_render.rendering.scene_raster import SceneRaster
 from wlr_render.rendering.shapes import construction
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 
 HEAD_POSE = at(0.1, 1.5, 0.3, transforms.rotation_about("y", 0.5) @ transforms.rotation_about("x", -0.1))
 
@@ -37,19 +33,3 @@ def test_its_map_is_that_of_the_traced_points_and_of_the_depth_image(flat_image_
     np.testing.assert_allclose(source_of_position(depth.view, depth.position), depth.source, atol=2e-3)
     # At the ball's rim as well: from where the rays come, the image hides nothing of what they meet.
     assert np.linalg.norm((depth.source - mesh.source)[..., :2], axis=-1).max() < 0.01
-
-
-def test_each_colour_is_pulled_through_the_map_of_its_own_rays(flat_image_headset, scene, gl_context):
-    channels = [
-        replace(flat_image_headset, see_through=replace(flat_image_headset.see_through, prism=p))
-        for p in (0.0, 0.03, 0.08)
-    ]
-    viewpoint, renderer = flat_image_headset.eye_box.centre, RayRenderer(scene)
-    painter = MeshWarpedPainter(channels, SceneRaster(gl_context, scene), renderer)
-    frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
-    light = decode_srgb(frame.intermediate.colour)
-    for k, mappings in enumerate(channels):
-        alone = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
-        np.testing.assert_array_equal(frame.sources[k], source_of_position(frame.view, alone.position))
-        pulled, _ = remap(light, frame.sources[k][..., :2], scene.background)
-        np.testing.assert_array_equal(frame.colour[..., k], encode_srgb(pulled)[..., k])

@@ -10,7 +10,7 @@ from scipy.optimize import check_grad
 from benchmarks.rivals.distortion_field import RayLayers, distortion_field
 from benchmarks.rivals.network_training import ProjectedLoss
 from wlr_render.captures.correspondences import DisplayCaptures
-from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
@@ -44,22 +44,19 @@ def rays(places: int, each: int, seed: int, inside: float = 1.0) -> tuple[FloatA
     return np.repeat(place, each, axis=0), inside * rng.uniform(-0.5, 0.5, (places * each, 2))
 
 
-def captures(noise: float = 0.0, stage_m: float = 0.0) -> DisplayCaptures:
-    """Sightings of `truth` with noise in arcminutes, of a camera that stands beside where the stage says."""
-    rng = np.random.default_rng(5)
+def captures() -> DisplayCaptures:
+    """Exact sightings of `truth`."""
     viewpoint, tangents = rays(40, 80, 1)
-    off = np.repeat(rng.normal(0.0, stage_m, (40, 3)), 80, axis=0)
-    seen = tangents + rng.normal(0.0, noise * ARCMIN, tangents.shape)
     return DisplayCaptures(
         "toy",
         "right",
         EYE_BOX,
         PANEL,
         viewpoint,
-        dir_of_tangents(seen),
-        truth(viewpoint + off, tangents),
+        dir_of_tangents(tangents),
+        truth(viewpoint, tangents),
         np.repeat(np.arange(40), 80),
-        np.full(len(seen), noise),
+        np.zeros(len(tangents)),
     )
 
 

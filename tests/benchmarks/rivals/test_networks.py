@@ -30,30 +30,26 @@ def _clock_of_steps(monkeypatch: pytest.MonkeyPatch) -> None:
 def truth(inputs: FloatArray) -> FloatArray:
     """Tangents (n, 2) of pixels in 0..1 and places in metres, within 5 mm: no polynomial, and no sum of tanh."""
     u, v = inputs[:, 0], inputs[:, 1]
-    x, y = (inputs[:, 2:4] / 0.005).T if inputs.shape[1] > 2 else np.zeros((2, len(u)))
+    x, y = (inputs[:, 2:4] / 0.005).T
     bump = 0.01 * np.exp(-((u - 0.6) ** 2) / 0.2 - (v - 0.2 + 0.1 * x) ** 2 / 0.3)
     return np.column_stack([0.6 * u - 0.3 + bump + 2e-3 * x * np.sin(2 * u), 0.5 * v - 0.2 + bump * y - 1e-3 * x * y])
 
 
-def samples(variables: int = 4, noise: float = 0.0, stage_m: float = 0.0) -> Samples:
-    """Readings of `truth` from a grid of places whose true place is off by a stage error, with noise in arcminutes."""
+def samples() -> Samples:
+    """Exact readings of `truth` from a grid of places."""
     rng = np.random.default_rng(1)
     steps = np.linspace(-0.005, 0.005, 5)
     place = np.column_stack([np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2), rng.uniform(-0.003, 0.003, 25)])
     position = np.repeat(np.arange(PLACES, dtype=np.int64), READINGS)
-    inputs = np.hstack([rng.uniform(0.0, 1.0, (len(position), 2)), place[position]])[:, :variables]
-    moved = (
-        inputs + (np.hstack([np.zeros((PLACES, 2)), rng.normal(0.0, stage_m, (PLACES, 3))])[position])[:, :variables]
-    )
-    observed = truth(moved) + rng.normal(0.0, noise * ARCMIN, (len(inputs), 2))
-    return readings_of(inputs, position, observed, np.ones((len(inputs), 1)), noise)
+    inputs = np.hstack([rng.uniform(0.0, 1.0, (len(position), 2)), place[position]])[:, :4]
+    return readings_of(inputs, position, truth(inputs), np.ones((len(inputs), 1)))
 
 
-def error_arcmin(model: Regressor, variables: int = 4) -> float:
+def error_arcmin(model: Regressor) -> float:
     """Rms error per axis at pixels and places that were not read."""
     rng = np.random.default_rng(2)
     place = rng.uniform(-0.0045, 0.0045, (500, 3)) * [1.0, 1.0, 0.6]
-    inputs = np.hstack([rng.uniform(0.05, 0.95, (500, 2)), place])[:, :variables]
+    inputs = np.hstack([rng.uniform(0.05, 0.95, (500, 2)), place])[:, :4]
     return float(np.sqrt(np.mean((model(inputs) - truth(inputs)) ** 2)) / ARCMIN)
 
 

@@ -1,11 +1,10 @@
-"""Alignments: the authors' formulas, the tracked eye among its candidates, exact alignments."""
+"""Alignments: the authors' formulas, and exact alignments."""
 
 import numpy as np
-from scipy.io import savemat
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
-from benchmarks.published_data.itoh_alignments import Alignments, Screen, Sitting, read_itoh_alignments
+from benchmarks.published_data.itoh_alignments import Alignments, Screen, Sitting
 from benchmarks.rivals import alignments
 from benchmarks.rivals.alignments import alignment_tables, full_setup, recycled
 from benchmarks.rivals.pinhole import fit_projection
@@ -73,39 +72,3 @@ def test_exact_alignments_without_noise_are_predicted_by_every_published_setup(m
     assert rms["SPAAM of the same sitting, alignment left out"] < 3.0
     # The image is not a plane and the screen not across SPAAM's view: what is left of recycling is still small.
     assert rms["INDICA recycle of another sitting, old eye tracked too"] < rms["SPAAM of another sitting"]
-
-
-def write_set(folder, eye, rng, centre):
-    """A set of two sittings; each image of the eye has a right candidate and one elsewhere."""
-    quaternion = Rotation.from_matrix(TURN).as_quat()
-    words = ["22", "serialization::archive", *"90010000", *map(str, quaternion), "0", "0"]
-    (folder / "PoseFromEyeCam2WorldCam.txt").write_text(" ".join([*words, "-0.095", "0.163", "-0.061"]))
-    stored = np.array([1.0, -1.0, -1.0])
-    savemat(
-        folder / "display_param_linear.mat",
-        {"w": 1280, "h": 1024, "alpha": 1840.0, "R_WS": TURN * stored[:, None], "t_WS": SCREEN.translation * stored},
-    )
-    for name in ("Base", "1"):
-        (folder / name).mkdir()
-        one = sitting(eye, rng)
-        np.savetxt(folder / name / "MarkerSPAAM_DataSPAAM2D.txt", one.pixel)
-        np.savetxt(folder / name / "MarkerSPAAM_DataSPAAM3D.txt", one.point)
-        right = centre + rng.normal(0, 0.0005, (12, 3))
-        wrong = centre + rng.uniform(0.006, 0.02, (12, 3)) * rng.choice([-1, 1], (12, 3))
-        swap = rng.random((12, 1)) < 0.5
-        pairs = np.stack([np.where(swap, right, wrong), np.where(swap, wrong, right)], axis=1)
-        np.savetxt(folder / name / "eye_positions.txt", pairs.reshape(-1, 3))
-
-
-def test_the_tracked_eye_is_where_the_candidates_of_all_images_agree(tmp_path):
-    rng, in_tracker = np.random.default_rng(5), np.array([-0.006, -0.005, 0.066])
-    turned = in_tracker * [1, 1, -1]
-    expected = TURN.T @ (turned - [-0.095, 0.163, -0.061])
-    write_set(tmp_path, EYE, rng, in_tracker)
-    found = read_itoh_alignments(tmp_path)
-    assert [each.name for each in found.sittings] == ["Base", "1"]
-    for each in found.sittings:
-        np.testing.assert_allclose(each.eye, expected, atol=0.0006)
-        assert each.eye_spread < 0.003
-    np.testing.assert_allclose(found.screen.rotation, TURN)
-    np.testing.assert_allclose(found.screen.translation, SCREEN.translation)

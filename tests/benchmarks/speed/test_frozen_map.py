@@ -11,9 +11,9 @@ from benchmarks.speed.frozen_map import (
     frozen_map,
     frozen_map_error_arcmin,
 )
-from wlr_render.geometry import directions, transforms
+from wlr_render.geometry import directions
 from wlr_render.jobs.headset import open_eye
-from wlr_render.rendering.ray_map import middle_axes, solve_pixels
+from wlr_render.rendering.ray_map import middle_axes
 
 PANEL_DEPTH_M = 0.5
 RNG = np.random.default_rng(2)
@@ -54,21 +54,3 @@ def test_at_its_own_viewpoint_only_interpolation_is_wrong(small_panel_model, sch
         rms.append(np.sqrt(np.mean(error**2)))
     assert rms[0] / rms[1] == pytest.approx(4, rel=0.1)
     assert rms[1] / rms[2] == pytest.approx(4, rel=0.1)
-
-
-def test_a_map_for_infinity_is_wrong_nearby_by_the_rays_offset(small_panel_model):
-    """At the map's points, where it is the ray's tangents: it shows what lies beside the ray by the ray's offset."""
-    eye = small_panel_model
-    viewpoint, axes = eye.eye_box.centre, middle_axes(eye)
-    shown = frozen_map(eye, MESH, viewpoint, axes)
-    pixel = shown.warp_grid.panel_pixel()[8:-8:16, 8:-8:16]
-    slope_offset = solve_pixels(eye, axes, pixel, viewpoint).slope_offset
-    beside = 0.5 * np.concatenate([slope_offset[..., :2], -np.ones((*slope_offset.shape[:-1], 1))], axis=-1)
-    on_ray = beside + np.concatenate([slope_offset[..., 2:], np.zeros((*slope_offset.shape[:-1], 1))], axis=-1)
-    seen = [
-        eye.see_through.view_dir_of_real_point(transforms.apply(transforms.rigid(axes, viewpoint), point), viewpoint)
-        for point in (on_ray, beside)
-    ]
-    error = frozen_map_error_arcmin(eye, shown, viewpoint, pixel, 0.5)
-    np.testing.assert_allclose(error, directions.arcmin_between(*(each.value for each in seen)), atol=1e-5)
-    assert error.min() > 0.3
