@@ -73,6 +73,17 @@ def small_northstar(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def small_prism(tmp_path_factory):
+    """Path of a prism whose glass has the colours of PMMA, 160 x 120 pixels."""
+    return prism_of_plastic(tmp_path_factory.mktemp("device"), 160, 120)
+
+
+def prism_of_plastic(folder, width, height):
+    glass = ("index = 1.492", 'formula = "pmma_sultanova_2009"')
+    return changed_device(folder, "prism5701202", glass, ("[1280, 960]", f"[{width}, {height}]"))
+
+
+@pytest.fixture(scope="session")
 def straight_device(tmp_path_factory):
     """Path of a device without optics for both eyes, 64 x 36 pixels: everything about it is a straight line."""
     both_eyes = ('side = "right"', 'side = "right"\nalso_mirrored = true')

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_headsets import LeftHalf, changed_device
+from small_headsets import LeftHalf
 
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
@@ -45,11 +45,9 @@ def holed_view(view):
 
 
 @pytest.fixture(scope="session")
-def coloured_view(tmp_path_factory):
+def coloured_view(small_prism):
     """A prism whose glass has colours, traced in red, green and blue."""
-    glass = ("index = 1.492", 'formula = "pmma_sultanova_2009"')
-    device = changed_device(tmp_path_factory.mktemp("device"), "prism5701202", glass, ("[1280, 960]", "[160, 120]"))
-    return views_from_centres(ExportOptions(device, format="stmap", per_colour=True))["right"]
+    return views_from_centres(ExportOptions(small_prism, format="stmap", per_colour=True))["right"]
 
 
 @pytest.fixture

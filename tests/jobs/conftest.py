@@ -1,11 +1,14 @@
-"""A small headset with colours."""
+"""What budgets of the small fitted headset share."""
 
+import numpy as np
 import pytest
-from small_headsets import changed_device
+from memo import memoised, shared_folder
+
+from wlr_render.rendering.choose_warp_grid import choose_warp_grid
 
 
-@pytest.fixture(scope="session")
-def prism_of_plastic(tmp_path_factory):
-    """Path of a prism whose glass has the colours of PMMA, 320 x 240 pixels."""
-    glass = ("index = 1.492", 'formula = "pmma_sultanova_2009"')
-    return changed_device(tmp_path_factory.mktemp("device"), "prism5701202", glass, ("[1280, 960]", "[320, 240]"))
+@pytest.fixture
+def known_warp_grid(tmp_path_factory, small_panel_model, monkeypatch):
+    """The warp grid of that headset is chosen once: the covariance of its models, which tests change, is not in it."""
+    chosen = memoised(choose_warp_grid, shared_folder(tmp_path_factory))(small_panel_model, np.eye(3))
+    monkeypatch.setattr("wlr_render.jobs.budget.choose_warp_grid", lambda *_: chosen)

@@ -24,6 +24,7 @@ NO_TRACKER_ERRORS = {
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("known_warp_grid")
 def test_report_of_a_model(model_file, tmp_path):
     report = budget(BudgetOptions(model_file, depth_m=0.8, out=tmp_path))
     assert "at 0.8 m" in report.verdict
@@ -38,6 +39,7 @@ def test_report_of_a_model(model_file, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("known_warp_grid")
 def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
     report = budget(BudgetOptions(model_file, **NO_TRACKER_ERRORS, raster_arcmin=0.0, out=tmp_path))
     found = report.record["eyes"][0]
@@ -46,6 +48,7 @@ def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
     assert of_model.rms_arcmin > 0
 
 
+@pytest.mark.usefixtures("known_warp_grid")
 @pytest.mark.parametrize("source", SOURCES)
 def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(model_file, tmp_path, source):
     """The first variable of both models' covariance becomes one of that source, and large."""
@@ -86,6 +89,7 @@ def test_both_eyes_have_disparity(straight_device, tmp_path):
     assert "(left eye) and" in report.verdict
 
 
+@pytest.mark.usefixtures("known_warp_grid")
 def test_an_old_model_is_told_how_to_get_a_covariance(small_panel_model, tmp_path):
     bare = replace(small_panel_model, display=replace(small_panel_model.display, spread=None))
     path = save_eye_models(tmp_path / "old.json", [EyeModel(bare, "northstar")])

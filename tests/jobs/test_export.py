@@ -121,8 +121,8 @@ def test_a_trajectory_has_a_map_for_each_frame(small_northstar, tmp_path):
     assert np.abs(rays[0] - rays[2]).max() > 1e-3
 
 
-def test_each_colour_has_its_map(prism_of_plastic, tmp_path):
-    report = exported("ffmpeg", prism_of_plastic, tmp_path, per_colour=True)
+def test_each_colour_has_its_map(small_prism, tmp_path):
+    report = exported("ffmpeg", small_prism, tmp_path, per_colour=True)
     pairs = {path.name for path in report.files if path.suffix == ".pgm"}
     assert pairs == {f"right-{colour}-{axis}.pgm" for colour in ("red", "green", "blue") for axis in "xy"}
     red, blue = (cv2.imread(str(tmp_path / f"right-{colour}-y.pgm"), -1) for colour in ("red", "blue"))
@@ -313,11 +313,11 @@ def test_models_of_one_name_keep_their_own_hashes(straight_device, tmp_path):
     assert sha256 == {f"{name}: model.json": hashlib.sha256(text).hexdigest() for name, text in contents.items()}
 
 
-def test_pixels_that_one_colour_lacks_are_counted(prism_of_plastic, tmp_path, monkeypatch):
-    red, green, blue = open_colours(prism_of_plastic)
+def test_pixels_that_one_colour_lacks_are_counted(small_prism, tmp_path, monkeypatch):
+    red, green, blue = open_colours(small_prism)
     channels = replace(red, display=LeftHalf(red.display)), green, blue
     monkeypatch.setattr("wlr_render.jobs.export.open_channels", lambda *_: {"right": channels})
-    report = exported("stmap", prism_of_plastic, tmp_path, per_colour=True, pupils=2)
+    report = exported("stmap", small_prism, tmp_path, per_colour=True, pupils=2)
     assert report.warnings[-1].startswith("right-row0-column0-red: 50.")
     assert report.warnings[-1].endswith("% of the panel pixels have no ray. It is the worst of 4 such maps.")
 
@@ -331,8 +331,11 @@ def test_pixels_that_one_colour_lacks_are_counted(prism_of_plastic, tmp_path, mo
         ("monado", ["--eye", "both"], ["no asymmetric field of view", "between which its reader interpolates"]),
     ],
 )
-def test_what_a_format_loses_is_in_the_file_on_the_page_and_on_the_terminal(form, options, words, tmp_path, capsys):
-    assert main(["export", "northstar", "--format", form, *options, "--out", str(tmp_path)]) == 0
+def test_what_a_format_loses_is_in_the_file_on_the_page_and_on_the_terminal(
+    form, options, words, small_northstar, tmp_path, capsys
+):
+    device = "northstar" if form == "monado" else small_northstar  # its driver demands all pixels
+    assert main(["export", device, "--format", form, *options, "--out", str(tmp_path)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     page = (tmp_path / "report.md").read_text(encoding="utf-8")
     held = next(path for path in sorted(tmp_path.glob("[!r]*.json")) + sorted(tmp_path.glob("right*.[ej]*")))

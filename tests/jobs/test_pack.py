@@ -150,6 +150,7 @@ def test_frames_without_layers_are_packed_too(frames_of):
     assert len(list((packed(drawn, "huggingface")[1] / "train").iterdir())) == 5
 
 
+@pytest.mark.usefixtures("known_warp_grid")
 def test_the_predicted_error_of_a_frame_is_packed_without_its_map(model_file, scene_file, tmp_path):
     drawn = RenderOptions(model_file, scene_file, method="raytrace", predicted_error=0.5, out=tmp_path / "frames")
     render(drawn)
