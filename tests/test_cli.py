@@ -389,6 +389,7 @@ def test_missing_opengl_is_told_and_leaves_nothing_behind(tmp_path, capsys, monk
     assert not out.exists() or not list(out.iterdir())
 
 
+@pytest.mark.slow
 def test_debug_shows_where_a_fault_comes_from():
     result = run_python("-m", "wlr_render", "trace", "nothstar", "--debug")
     assert result.returncode == 1

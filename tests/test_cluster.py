@@ -74,6 +74,7 @@ def kill_this_worker(_):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_its_workers_is_refused_in_one_sentence(dask_cluster, address, monkeypatch):
     monkeypatch.setattr(dask_cluster.scheduler, "allowed_failures", 0)  # 3 by default: minutes on a slow machine
     with pytest.raises(BadInputError, match=r"one task has ended 1 workers, the last at tcp://.*--memory-limit"):
@@ -169,6 +170,7 @@ def sequence(tmp_path, small_northstar, scene_file):
     return RenderOptions(small_northstar, scene_file, out=tmp_path / "here", **given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["raytrace", pytest.param("raster", marks=pytest.mark.gl)])
 def test_frames_are_those_of_one_process(address, tmp_path, sequence, method, request):
     if method == "raster":
@@ -195,6 +197,7 @@ def kill_a_worker_at_work(dask_cluster):
     return progress, killed
 
 
+@pytest.mark.slow
 def test_frames_are_those_of_one_process_when_a_worker_is_killed(address, tmp_path, sequence, kill_a_worker_at_work):
     render(sequence)
     progress, killed = kill_a_worker_at_work
@@ -203,6 +206,7 @@ def test_frames_are_those_of_one_process_when_a_worker_is_killed(address, tmp_pa
     assert whole(tmp_path / "there") == whole(tmp_path / "here")
 
 
+@pytest.mark.slow
 def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(address, tmp_path, here, kill_a_worker_at_work):
     progress, killed = kill_a_worker_at_work
     accuracy(replace(STUDY, scheduler=address, out=tmp_path / "there"), progress=progress)
@@ -210,6 +214,7 @@ def test_a_study_is_that_of_local_processes_when_a_worker_is_killed(address, tmp
     assert trials(tmp_path / "there") == trials(here[1])
 
 
+@pytest.mark.slow
 def test_a_simulated_session_is_that_of_local_processes(address, tmp_path, monkeypatch):
     """Of the last two camera poses, with the six photographs of a bare lens each: panels take minutes."""
     poses = simulate_photo_session.camera_poses
@@ -242,6 +247,7 @@ def test_a_malformed_address(given):
         done(given, abs, [1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "given", ["tcp://127.0.0.1:{free}", "ws://127.0.0.1:{free}", "tcp://no.such.host.invalid:8786"]
 )
@@ -368,6 +374,7 @@ def pages_of_ten_arrays(_):
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries manage memory by other rules")
 def test_a_worker_keeps_the_memory_of_an_array_for_the_next_one(address):
     one_array = 8_000_000 / resource.getpagesize()

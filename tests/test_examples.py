@@ -89,6 +89,7 @@ def test_without_its_library_an_example_ends_with_the_command(name, library, tmp
     assert result.stderr == f"{path.name}: {library} is not installed; install it: {install_command(extra)}\n"
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_the_plug_in_works_without_egl_too(tmp_path):
     try:

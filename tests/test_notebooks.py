@@ -49,6 +49,7 @@ def test_a_notebook_holds_no_outputs_and_is_valid(path):
     assert notebook.metadata.keys() == {"kernelspec", "language_info"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs_and_prints_the_numbers_of_its_text(path, tmp_path):
     shutil.copytree(EXAMPLES / "data", tmp_path / "data")

@@ -146,6 +146,7 @@ def fitted(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_program_that_draws(fitted, monkeypatch, capsys):
     monkeypatch.chdir(fitted)
     exec(PROGRAMS[2], {})
@@ -162,6 +163,7 @@ def test_the_program_of_a_render_engine(fitted, gl_context, monkeypatch):
     assert (names["panel"] == 128).any()
 
 
+@pytest.mark.slow
 def test_an_export_is_named_after_the_eye_and_unknown_choices_are_refused(tmp_path):
     eye = wlr.open_eye("birdbath28")
     (path,) = (path for path in wlr.export(eye, tmp_path, "npz") if path.suffix == ".npz")

@@ -52,6 +52,7 @@ def test_first_figures_are_reproduced(trial, measure, expected):
     np.testing.assert_allclose(trial.run(SEED).rms(measure), expected, rtol=0.2)
 
 
+@pytest.mark.slow
 def test_a_stage_that_turns_the_camera_is_found_and_its_error_is_predicted():
     trial = display("birdbath28", "planar", None, 25, camera_noise_arcmin=0.25, stage_turn_urad=100.0)
     outcome = trial.run(SEED)
@@ -81,6 +82,7 @@ def test_trials_with_random_errors_are_repeated_and_pooled():
     assert pooled(study.repeated(noisy), Measure.FORWARD) == pytest.approx(np.sqrt(12.5))
 
 
+@pytest.mark.slow
 def test_a_study_does_not_depend_on_workers_and_is_resumed(tmp_path):
     first, second = (
         run(AccuracyOptions(("no_optics",), **EXACT | {"workers": workers}, out=tmp_path / str(workers)))

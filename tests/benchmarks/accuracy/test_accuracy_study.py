@@ -40,6 +40,7 @@ def test_fits_in_a_wrong_maximum_are_counted():
     assert row["least shift found / true"] == pytest.approx(14 / 30)
 
 
+@pytest.mark.slow
 def test_the_benchmark_keeps_its_tables(tmp_path):
     arguments = ["accuracy", "northstar", "--part", "stuck", "--stuck", "1", "--draws", "1", "--workers", "1"]
     assert main([*arguments, "--out", str(tmp_path / "out"), "--record", str(tmp_path)]) == 0

@@ -34,6 +34,7 @@ def test_bad_options_get_a_sentence(arguments, words, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_session_has_an_error_for_each_design_and_more_places_have_less(monkeypatch):
     names = ("spread 9", "spread 16", "chosen 9")
     for name, value in (("FEW", 9), ("MANY", 16), ("PILOT_PLACES", 16)):

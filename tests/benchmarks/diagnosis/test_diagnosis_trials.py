@@ -96,6 +96,7 @@ def test_moved_captures_are_found_missed_or_wrong():
     assert found["sessions where another was excluded (%)"] == (50.0, 2)
 
 
+@pytest.mark.slow
 def test_a_trial_is_judged_by_what_was_hidden_and_kept(monkeypatch, tmp_path):
     small = Plan("birdbath28", grid=(8, 6), dots=(6, 5), nodes=4, off_plane=10, sigma_px=0.05)
     monkeypatch.setattr(trial, "_plan", lambda drawn, rng: small)

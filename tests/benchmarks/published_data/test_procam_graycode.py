@@ -44,6 +44,7 @@ def test_lenses_see_what_opencv_sees_with_its_numbers(capture):
     np.testing.assert_allclose(found.camera.pixel_of_point(point), expected + 0.5, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_projectors_photographs_lie_on_flat_surfaces(measured_data, tmp_path):
     options = PublishedDataOptions("procam-graycode", measured_data("procam_graycode"), out=tmp_path)
     tables = {table.title: table for table in run(options).tables}

@@ -77,6 +77,7 @@ def test_points_in_space_are_told_from_a_fixed_picture():
     np.testing.assert_allclose(1 / eye.image_dioptre, distance, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_twisted_bundle_is_not_a_set_of_points():
     (eye,) = viewpoint_evidence([captured(twisted)]).eyes
     models = by_name(eye)
@@ -86,6 +87,7 @@ def test_a_twisted_bundle_is_not_a_set_of_points():
     assert rms(eye.misclosure_arcmin) == pytest.approx(30, rel=0.1)
 
 
+@pytest.mark.slow
 def test_the_mirror_tells_optics_from_rig():
     optics = viewpoint_evidence([captured(twisted, "left"), captured(twisted, "right")]).split
     assert optics.optics_arcmin == pytest.approx(30, rel=0.1)

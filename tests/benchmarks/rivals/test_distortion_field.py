@@ -73,6 +73,7 @@ def test_gradient_through_the_sum_is_that_of_differences() -> None:
     assert off < 1e-4 * np.linalg.norm(gradient)
 
 
+@pytest.mark.slow
 def test_forward_query_inverts_the_backward_one() -> None:
     model = distortion_field(captures(), seconds=1.0, units=(8, 8))
     viewpoint, tangents = rays(20, 5, 3, inside=0.8)

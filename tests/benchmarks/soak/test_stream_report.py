@@ -44,6 +44,7 @@ def test_percentiles_are_of_all_frames_but_the_first():
     assert "11 of 101 took no more" in found.notes[0]
 
 
+@pytest.mark.slow
 def test_a_run_leaves_tables_a_row_of_each_frame_and_a_picture(gl_context, straight_device, scene_file, tmp_path):
     out, given = tmp_path / "out", []
     options = study.SoakOptions(straight_device, scene_file, eye="both", frames=6, size=(32, 18), out=out)

@@ -27,6 +27,7 @@ def egl(gl_context):
         pytest.skip("EGL does not open here.")
 
 
+@pytest.mark.slow
 def test_a_clean_host_has_no_gets_and_few_calls(egl, models):
     clean = measure(models, SIZE, "clean", 2)
     assert {name: count for name, count in clean.by_name.items() if is_get(name)} == {}
@@ -38,6 +39,7 @@ def test_a_clean_host_has_no_gets_and_few_calls(egl, models):
     assert 50 < block.gets < kept.gets - 100
 
 
+@pytest.mark.slow
 def test_the_report_has_a_row_for_each_way(egl, models, tmp_path):
     small = {eye: replace(each, display=replace(each.display, panel=Panel(*SIZE))) for eye, each in models.items()}
     report = study.run(study.SubmissionOptions(frames=2, out=tmp_path), models=small)
