@@ -217,7 +217,7 @@ def test_weights_follow_sigma():
 
 
 def test_error_shrinks_with_the_root_of_the_number_of_samples():
-    few, many = PANEL.grid(6, 5).reshape(-1, 2), PANEL.grid(24, 20).reshape(-1, 2)
+    few, many = PANEL.grid(4, 3).reshape(-1, 2), PANEL.grid(16, 12).reshape(-1, 2)
 
     def error(pixels):
         captures = [display_captures(positions_in_plane(12), pixels, sigma_arcmin=3.0, seed=s) for s in range(8)]
