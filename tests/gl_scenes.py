@@ -1,11 +1,16 @@
-"""Small scenes whose pictures are known in closed form, for the OpenGL tests."""
+"""Small scenes whose pictures are known in closed form, and the shipped ones, read once."""
+
+from functools import lru_cache
 
 import numpy as np
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
+from wlr_render.rendering.scene_file import load_scene
 from wlr_render.rendering.view import View
+
+shipped_scene = lru_cache(load_scene)
 
 OFF_CENTRE = Pinhole(64, 48, np.array([-0.5, -0.3]), np.array([0.3, 0.3]))
 

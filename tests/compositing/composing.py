@@ -37,9 +37,9 @@ def scene(wall=True):
     )
 
 
-def planar(eye="right"):
+def planar(eye="right", device="northstar"):
     """A fitted eye of a device file: planar models."""
-    return replace(fitted_eye("northstar", 3), eye=eye)
+    return replace(fitted_eye(device, 3), eye=eye)
 
 
 def viewpoint(mappings, *unit):

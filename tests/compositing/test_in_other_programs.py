@@ -198,6 +198,7 @@ def test_what_is_no_context_is_told_in_a_sentence(caller, flat_image_headset):
         Compositor(flat_image_headset, SMALL, context=caller.ctx)
 
 
+@pytest.mark.slow
 def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
     told = run(
         """
@@ -224,6 +225,7 @@ def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
     assert told.count("\n") == 2
 
 
+@pytest.mark.slow
 def test_in_a_plain_pyrender_program(caller):
     told = run(
         """

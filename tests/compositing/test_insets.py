@@ -290,6 +290,7 @@ def test_a_wide_picture_that_its_inset_has_overwritten_is_refused(compositor):
         made.submit(raster.draw_on_gpu(inset.view, "same"), inset=inset)
 
 
+@pytest.mark.slow
 def test_prepared_compositors_compile_nothing_for_insets(compositor, monkeypatch):
     made, camera = begun(compositor, planar(), context="egl")
     made.prepare(overlays=0, insets=True)

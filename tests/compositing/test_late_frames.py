@@ -181,6 +181,7 @@ def test_a_compositor_that_is_not_released_warns(flat_image_headset, caller):
             gc.collect()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channels", [1, 3])
 def test_prepared_compositors_compile_nothing_later(compositor, monkeypatch, channels):
     made = compositor({"right": [planar()] * channels}, context="egl")

@@ -73,6 +73,7 @@ def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(co
     assert np.abs(made.compose().read().astype(int) - cold.compose().read()).max() <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.gl
 def test_the_frame_after_a_saccade_is_a_cold_one(compositor, headset):
     warm, cold = (compositor(headset) for _ in range(2))

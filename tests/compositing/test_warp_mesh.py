@@ -70,12 +70,14 @@ def test_triangles_cover_the_panel_once(mesh):
     assert {triangles_around(mesh, each)[1].size for each in places} == {1}
 
 
+@pytest.mark.slow
 def test_a_finer_tolerance_makes_a_finer_mesh(eye, mesh):
     finer = WarpMesh(eye, (1440, 1600), tolerance_arcmin=0.0125)
     assert 3 < len(finer.triangles) / len(mesh.triangles) < 6
     assert finer.bound_arcmin <= 0.0125
 
 
+@pytest.mark.slow
 def test_a_mesh_is_no_finer_than_the_picture(eye):
     assert len(WarpMesh(eye, (18, 20), tolerance_arcmin=0.001).panel_position) <= 20 * 22
 
@@ -183,6 +185,7 @@ def test_the_glsl_warp_shows_what_the_exact_rays_meet(gl_context, eye, mesh, row
     check(OpenGl(gl_context), eye, mesh, newest, rows_up=rows_up)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("newest", [TURNED, MOVED])
 def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye, mesh, newest):
     wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install '.[wgpu]'.")

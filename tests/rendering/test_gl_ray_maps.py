@@ -16,7 +16,7 @@ from wlr_render.rendering.warp_grid import WarpGrid
 
 pytestmark = pytest.mark.gl
 
-SIZE = 90, 100
+SIZE = 45, 50
 DEVICES = "northstar", "freeform40", "birdbath28"
 PLACES = [0, 0, 0], [1, 1, 1], [-1, 0.6, -1], [0.3, -1, 0.9]
 

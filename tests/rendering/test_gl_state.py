@@ -100,7 +100,7 @@ def test_a_context_of_version_4_1_is_adopted(caller):
         from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
         ctx = moderngl.create_context(standalone=True, require=410, backend="egl")
         assert ctx.version_code == 410, ctx.version_code
-        eye = fitted_eye("northstar", 3)
+        eye = fitted_eye("birdbath28", 3)
         with Compositor(eye, (72, 60), context=ctx) as compositor:
             (camera,) = compositor.begin_frame(np.eye(4), eye.eye_box.centre).values()
             frame = ctx.simple_framebuffer(camera.size_px)

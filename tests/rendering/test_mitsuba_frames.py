@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gl_scenes import at, quad, unlit
+from gl_scenes import at, quad, shipped_scene, unlit
 from glb_writer import save_glb
 
 from wlr_render.extras import MissingExtraError
@@ -25,7 +25,7 @@ BLACK = np.zeros(3, np.float32)
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def fan_of_rays(height=400, width=360):
+def fan_of_rays(height=200, width=180):
     """(height, width, 3) directions and (3,) origin: a view of the shipped scenes, and beyond their edges."""
     x, y = np.meshgrid(np.linspace(-0.75, 0.75, width), np.linspace(0.6, -0.9, height))
     direction = np.stack([x, y, -np.ones_like(x)], axis=-1)
@@ -40,7 +40,7 @@ def with_one_light(scene, light):
 @pytest.mark.parametrize("name", ["sculpture", "desk"])
 @pytest.mark.slow
 def test_hits_are_those_of_embree(mitsuba, name):
-    scene = load_scene(name)
+    scene = shipped_scene(name)
     origin, direction = fan_of_rays()
     flat = direction.reshape(-1, 3).copy()
     flat[7] = np.nan
@@ -59,8 +59,8 @@ def test_hits_are_those_of_embree(mitsuba, name):
 def test_under_one_light_the_picture_is_ours_with_shadows_but_for_their_edges(mitsuba, name):
     """Textures, vertex colours, their product, smooth normals, turned placements, both kinds of light."""
     origin, direction = fan_of_rays()
-    for light in load_scene(name).lights:
-        scene = with_one_light(load_scene(name), light)
+    for light in shipped_scene(name).lights:
+        scene = with_one_light(shipped_scene(name), light)
         ours = RayRenderer(scene).render_rays(origin, direction, shadows=True).colour.astype(int)
         path = encode_srgb(PathTracer(scene, bounces=0).light(origin, direction.reshape(-1, 3), 1))
         difference = np.abs(path.reshape(ours.shape) - ours).max(axis=-1)
@@ -77,17 +77,18 @@ def test_a_plane_under_the_sky_reflects_all_of_the_ambient_light(mitsuba):
     np.testing.assert_array_equal(light[:, 1:], np.broadcast_to(np.float32(background), (20_000, 2, 3)))
 
 
+@pytest.mark.slow
 def test_a_glb_is_traced_as_the_scene_that_it_was_written_from(mitsuba, tmp_path):
-    scene = load_scene("sculpture")
-    written = save_glb(scene, tmp_path / "scene.glb")
-    shift = load_scene(written).bounds.mean(axis=0) - scene.bounds.mean(axis=0)
+    scene = shipped_scene("sculpture")
+    written = load_scene(save_glb(scene, tmp_path / "scene.glb"))
+    shift = written.bounds.mean(axis=0) - scene.bounds.mean(axis=0)
     light = replace(scene.lights[0], vector=scene.lights[0].vector + shift * (scene.lights[0].kind == "point"))
     origin, direction = fan_of_rays(100, 90)
     pictures = [
         encode_srgb(PathTracer(with_one_light(each, lamp), 0).light(start, direction.reshape(-1, 3), 1)).astype(int)
         for each, lamp, start in (
             (scene, scene.lights[0], origin),
-            (load_scene(written), light, (origin + shift).astype(np.float32)),
+            (written, light, (origin + shift).astype(np.float32)),
         )
     ]
     assert (pictures[0].max(axis=-1) > 30).mean() > 0.05
@@ -123,10 +124,11 @@ def test_light_in_a_closed_sphere_is_that_of_an_integrating_sphere(mitsuba, boun
     np.testing.assert_allclose(light.mean(), expected, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads(mitsuba):
     import drjit
 
-    tracer, (origin, direction) = PathTracer(load_scene("desk")), fan_of_rays(60, 50)
+    tracer, (origin, direction) = PathTracer(shipped_scene("desk")), fan_of_rays(60, 50)
     rays = origin, direction.reshape(-1, 3)
     first, threads = tracer.light(*rays, 11), drjit.thread_count()
     try:
@@ -154,6 +156,7 @@ def test_one_path_through_the_centre_of_each_pixel_is_the_ray_traced_frame(mitsu
     assert (np.abs(path.colour.astype(int) - ours.colour).max(axis=-1) > 1).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_many_paths_supersample_edges_and_converge(mitsuba, toy_headset):
     """Direct light from one source has no noise: what is left is where in the pixel the paths begin."""
     scene, viewpoint = scene_with_a_ball(), toy_headset.eye_box.centre

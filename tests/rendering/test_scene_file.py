@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gl_scenes import shipped_scene
 from glb_writer import save_glb
 from test_mesh_file import gltf, obj
 
@@ -44,7 +45,7 @@ def tangents_of(scene, names):
 
 @pytest.mark.parametrize("name", shipped_names("scenes", ".toml"))
 def test_shipped_scenes_load_and_lie_ahead_of_the_eye(name):
-    scene = load_scene(name)
+    scene = shipped_scene(name)
     assert scene.name == name
     assert scene.triangle_count > 0
     assert (scene.ambient > 0).all()
@@ -53,7 +54,7 @@ def test_shipped_scenes_load_and_lie_ahead_of_the_eye(name):
 
 
 def test_the_sculpture_is_fine_and_lies_in_the_fields_of_the_devices():
-    scene = load_scene("sculpture")
+    scene = shipped_scene("sculpture")
     assert scene.triangle_count >= 100_000
     angles = np.rad2deg(np.arctan(tangents_of(scene, ("sculpture", "plinth"))))
     assert np.abs(angles[:, 0]).max() < 15
@@ -62,7 +63,7 @@ def test_the_sculpture_is_fine_and_lies_in_the_fields_of_the_devices():
 
 
 def test_the_objects_of_the_desk_reach_from_a_third_of_a_metre_to_three():
-    scene = load_scene("desk")
+    scene = shipped_scene("desk")
     nearest = {
         i.name: np.linalg.norm(world_positions(scene.mesh_of(i), i) - EYE, axis=1).min() for i in scene.instances
     }

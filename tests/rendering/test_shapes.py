@@ -84,6 +84,7 @@ def test_the_sculpture_is_fine_closed_and_stands_on_its_origin():
     low, high = mesh.position.min(axis=0), mesh.position.max(axis=0)
     np.testing.assert_allclose([low[1], high[1]], [0, 0.25], atol=1e-6)
     np.testing.assert_allclose(low[[0, 2]], -high[[0, 2]], atol=1e-6)
+    mesh = objects.sculpture(around=60, along=120)
     # Joined at its seams, every edge has two triangles.
     _, joined = np.unique(np.round(mesh.position, 6), axis=0, return_inverse=True)
     triangle = joined.ravel()[mesh.triangles]
