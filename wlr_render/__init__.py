@@ -16,61 +16,31 @@ from wlr_render.lazy_names import lazy_names
 __version__ = "0.2.0"
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # in the order of the API reference
+    # isort: off
+    from wlr_render.jobs.headset import open_eye as open_eye
+    from wlr_render.mappings import Eye as Eye, Status as Status
+    from wlr_render.captures.capture_file import load_captures as load_captures
     from wlr_render.bench.session_folder import load_session as load_session
+    from wlr_render.simulation.simulate_captures import simulate as simulate
+    from wlr_render.captures.correspondences import Captures as Captures
+    from wlr_render.calibration.fit_eye import calibrate as calibrate, Calibration as Calibration
+    from wlr_render.evaluation.truth_tests import compare as compare
     from wlr_render.budget.error_map import ErrorMap as ErrorMap
     from wlr_render.budget.error_sizes import ErrorSizes as ErrorSizes
-    from wlr_render.calibration.fit_eye import Calibration as Calibration
-    from wlr_render.calibration.fit_eye import calibrate as calibrate
-    from wlr_render.captures.capture_file import load_captures as load_captures
-    from wlr_render.captures.correspondences import Captures as Captures
-    from wlr_render.compositing.compositor import Compositor as Compositor
-    from wlr_render.compositing.render_frame import render as render
-    from wlr_render.compositing.warp_mesh import WarpMesh as WarpMesh
-    from wlr_render.diagnosis.cause import Cause as Cause
-    from wlr_render.diagnosis.diagnosis import Diagnosis as Diagnosis
     from wlr_render.diagnosis.procedure import diagnose as diagnose
-    from wlr_render.errors import BadInputError as BadInputError
-    from wlr_render.evaluation.truth_tests import compare as compare
-    from wlr_render.exports.export_eye import export as export
-    from wlr_render.jobs.headset import open_eye as open_eye
-    from wlr_render.mappings import Eye as Eye
-    from wlr_render.mappings import Status as Status
-    from wlr_render.rendering.painters import Frame as Frame
+    from wlr_render.diagnosis.diagnosis import Diagnosis as Diagnosis
+    from wlr_render.diagnosis.cause import Cause as Cause
     from wlr_render.rendering.scene_file import load_scene as load_scene
-    from wlr_render.rendering.stored_picture import StoredDepth as StoredDepth
+    from wlr_render.compositing.render_frame import render as render
+    from wlr_render.rendering.painters import Frame as Frame
     from wlr_render.rendering.world_rays import world_rays as world_rays
-    from wlr_render.simulation.simulate_captures import simulate as simulate
-    from wlr_render.tracking.eye_model import RotatingEye as RotatingEye
+    from wlr_render.exports.export_eye import export as export
+    from wlr_render.compositing.compositor import Compositor as Compositor
+    from wlr_render.compositing.warp_mesh import WarpMesh as WarpMesh
+    from wlr_render.rendering.stored_picture import StoredDepth as StoredDepth
     from wlr_render.tracking.viewpoint_filter import ViewpointFilter as ViewpointFilter
+    from wlr_render.tracking.eye_model import RotatingEye as RotatingEye
+    from wlr_render.errors import BadInputError as BadInputError
 else:
-    __getattr__, __dir__, __all__ = lazy_names(
-        __name__,
-        {
-            "jobs.headset": ["open_eye"],
-            "mappings": ["Eye", "Status"],
-            "captures.capture_file": ["load_captures"],
-            "bench.session_folder": ["load_session"],
-            "simulation.simulate_captures": ["simulate"],
-            "captures.correspondences": ["Captures"],
-            "calibration.fit_eye": ["calibrate", "Calibration"],
-            "evaluation.truth_tests": ["compare"],
-            "budget.error_map": ["ErrorMap"],
-            "budget.error_sizes": ["ErrorSizes"],
-            "diagnosis.procedure": ["diagnose"],
-            "diagnosis.diagnosis": ["Diagnosis"],
-            "diagnosis.cause": ["Cause"],
-            "rendering.scene_file": ["load_scene"],
-            "compositing.render_frame": ["render"],
-            "rendering.painters": ["Frame"],
-            "rendering.world_rays": ["world_rays"],
-            "exports.export_eye": ["export"],
-            "compositing.compositor": ["Compositor"],
-            "compositing.warp_mesh": ["WarpMesh"],
-            "rendering.stored_picture": ["StoredDepth"],
-            "tracking.viewpoint_filter": ["ViewpointFilter"],
-            "tracking.eye_model": ["RotatingEye"],
-            "errors": ["BadInputError"],
-        },
-        ("engine", "files", "geometry"),
-    )
+    __getattr__, __dir__, __all__ = lazy_names(__name__, __file__, ("engine", "files", "geometry"))

@@ -1,6 +1,7 @@
 """Lazy names of a public module: each is imported from its defining module on first use (PEP 562).
 
-`import wlr_render` loads neither NumPy nor OpenCV; a name loads them if it needs them.
+A module states its names once, as the imports that type checkers and editors read. `import wlr_render` loads neither
+NumPy nor OpenCV; a name loads them if it needs them.
 """
 
 import sys
@@ -8,30 +9,34 @@ from importlib import import_module
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # `typing` is large, and every start of the program imports this module
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from typing import Any
 
 
 def lazy_names(
-    module: str, places: "Mapping[str, Sequence[str]]", submodules: "Sequence[str]" = ()
+    module: str, path: str, submodules: "Sequence[str]" = ()
 ) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
     """Return `__getattr__`, `__dir__` and `__all__` of a module.
 
     Args:
         module: `__name__` of the module.
-        places: names by the module that defines them, without "wlr_render.". The last part of a module's path is a name
-            for the module, unless the module defines that name.
+        path: its source, whose indented lines `from PLACE import NAME as NAME, ...` state the names.
         submodules: public modules of the package, imported when they are first used as attributes.
     """
-    place_of = {name: place for place, names in places.items() for name in names}
+    place_of: dict[str, str] = {}
+    with open(path, encoding="utf-8") as source:
+        for line in source:
+            if line.startswith("    from "):
+                place, _, names = line.removeprefix("    from ").partition(" import ")
+                place_of |= {each.split(" as ")[0]: place for each in names.strip().split(", ")}
 
     def load(name: str) -> "Any":
         if name in submodules:
             return import_module(f"{module}.{name}")
         if name not in place_of:
             raise AttributeError(f"module '{module}' has no attribute '{name}'")
-        place = import_module(f"wlr_render.{place_of[name]}")
-        value = getattr(place, name, place) if place.__name__.endswith(f".{name}") else getattr(place, name)
+        place = place_of[name]
+        value = import_module(f"{place}.{name}") if place == module else getattr(import_module(place), name)
         setattr(sys.modules[module], name, value)
         return value
 
