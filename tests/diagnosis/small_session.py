@@ -155,12 +155,9 @@ def fitted(observations, start, **options):
 
 def with_moved_capture(observations, bench, number):
     """One capture read by a camera that stands and looks elsewhere."""
-    moved = explanation(camera_pupil_offset=[0.5, -0.4, 0.3], camera_rotation=[0.1, -0.1, 0.2]).bench(bench)
-    plan, read = observations.session.plan, observations.session.readings
-    here, there = simulate(bench, plan), simulate(moved, plan)
-    rows = (observations.group == number)[: len(read.panel_pixel)]
-    read.panel_pixel[rows] += (there.panel_pixel - here.panel_pixel)[rows]
-    return observations
+    motions = np.zeros((len(observations.captures), 6))
+    motions[number] = [500.0, -400.0, 300.0, *(1e6 * np.radians([0.1, -0.1, 0.2]))]
+    return with_motions(observations, bench, motions)
 
 
 def with_jitter(observations, bench, shift_um, rng, turn_urad=0.0, dof=np.inf):

@@ -23,7 +23,7 @@ STARTS = {
     "headset_slip": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1290.0],
     "combiner_dent": [0.0, 7.0, -7.0, 5.0],
 }
-DRAWS = 20
+DRAWS = 12
 
 
 def drawn_by_prior(found, true):

@@ -51,7 +51,7 @@ def drawn(clean, sigma_px, seed):
     return sigma_px / SIGMA_PX * np.random.default_rng(seed).normal(size=(len(clean), 2))
 
 
-@pytest.mark.parametrize("larger", [1.0, 1.04, 1.2])
+@pytest.mark.parametrize("larger", [1.0, 1.2])
 @pytest.mark.slow
 def test_noise_a_little_larger_than_stated_is_found_and_not_called_unbelievable(clean, larger):
     """Over draws: the noise used is the true one; it is disbelieved only where it matters."""

@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, hypothesis, measured, weighed, with_jitter, with_noise
+from small_session import SIGMA_PX, explanation, fitted, hypothesis, measured, weighed, with_jitter, with_noise
 
-from wlr_render.captures.session import SessionPlan
+from wlr_render.bench.simulate_session import simulate
+from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import reduced_chi_squared
-from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.fit import reduced_chi_squared, times_between_captures
+from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis
 from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.screening import best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
@@ -43,7 +45,8 @@ def with_dent(observations, size_px):
 
 @pytest.fixture(scope="module")
 def two(bench, plan):
-    return measured(bench, plan, SIGMA_PX, seed=11, combiner_tilt=[0.3, -0.2, 0.3], target_scale=[0.3, 0.3])
+    observations = measured(bench, plan, SIGMA_PX, seed=11, combiner_tilt=[0.3, -0.2, 0.3], target_scale=[0.3, 0.3])
+    return observations.of_rows(observations.spread(900))
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +109,7 @@ def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(
 def test_no_cause_is_named_on_shaky_benches(bench, plan):
     """Motions with tails, which the model takes for normal ones: none of ten sessions has odds for any cause."""
     clean = measured(bench, plan)
+    clean = clean.of_rows(clean.spread(900))
     for seed in range(10):
         rng = np.random.default_rng(seed)
         shaky = with_noise(with_jitter(clean, bench, 15.0, rng, 40.0, dof=4.0), SIGMA_PX, rng)
@@ -199,3 +203,18 @@ def test_values_that_lose_readings_are_fitted_from_null_values(clean_and_noisy):
     far = explanation(combiner_shift=[100.0, 0.0, 0.0])
     found = search.refitted(far, Scatter.usual(len(search.full.observations.captures)))
     assert np.abs(found.explanation.vector()).max() < 1.0
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_without_a_moment_between_captures_nothing_can_have_slipped(bench, plan, times):
+    """A lab may write the same time for all captures; with two times there is no moment away from either end."""
+
+    def at_few_times(part):
+        return replace(part, time_s=part.capture % times * 40.0)
+
+    timeless = replace(plan, display=at_few_times(plan.display), see_through=at_few_times(plan.see_through))
+    assert len(times_between_captures(timeless)) == 0
+    observations = observe(bench, Session("timeless", timeless, simulate(bench, timeless)))
+    readings, current = weighed(observations), fitted(observations, Explanation())
+    assert screen(readings, current, Hypothesis(CAUSES["headset_slip"], "once")) is None
+    assert screen(readings, current, Hypothesis(CAUSES["panel_shift"], "along u and v")) is not None

@@ -57,7 +57,7 @@ def test_of_two_causes_the_spurious_match_is_recognised(tilted_and_waved):
     assert change[1] > 2 * UNSTABLE
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_small_true_cause_is_not_blamed_for_what_noise_changes(bench, plan, seed):
     """At five standard errors the halves differ by much of the value, as they must."""
     observations = measured(bench, plan, SIGMA_PX, seed=seed, stage_backlash=[0.0052])

@@ -61,17 +61,6 @@ def test_one_cause_is_found_with_its_size_and_sign(device, effect):
 
 
 @pytest.mark.slow
-def test_two_causes_are_found_at_once():
-    plan = small("freeform40")
-    effects = [
-        Effect("panel_scale", {"scale_percent": 0.3}),
-        Effect("tracking_translation", {"x_mm": 0.8, "y_mm": -0.6, "z_mm": 1.0}),
-    ]
-    few = {name: CAUSES[name] for name in ("panel_scale", "tracking_translation", "panel_shift", "target_scale")}
-    check_explained(diagnosed(plan, *effects, causes=few), plan, *effects)
-
-
-@pytest.mark.slow
 def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found():
     said = diagnosed(small("northstar"))
     assert (said.verdict, said.causes, said.excluded) == (NO_EFFECT, (), ())
