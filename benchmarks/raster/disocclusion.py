@@ -6,10 +6,12 @@ data for it. The paper notes this error (section 4.2); here it is measured.
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from wlr_render.rendering.ray_intersections import SceneTracer
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.rendering.ray_intersections import Intersections, SceneTracer
 from wlr_render.rendering.ray_map import RayMap
+from wlr_render.rendering.scene import world_positions
 
 SAME_POINT = 0.01
 """What lies nearer to a point than this share of its distance does not hide it: it is the surface it belongs to."""
@@ -50,3 +52,35 @@ def hidden_from(
     towards[met] = position[met] - camera_in_world
     reach = np.where(met, 1.0 - SAME_POINT, np.inf)
     return tracer.occluded(camera_in_world.astype(np.float32), towards, reach)
+
+
+def hit_positions(tracer: SceneTracer, hits: Intersections, origin: ArrayLike, direction: ArrayLike) -> FloatArray:
+    """Return where rays meet the planes of the triangles that they hit, in float64; Embree works in float32.
+
+    Args:
+        tracer: of the scene.
+        hits: of shape (...), from `intersect` of these rays.
+        origin, direction: (..., 3) the rays, in float64 for a float64 answer.
+
+    Returns:
+        (..., 3) world frame, metres; NaN on a miss.
+    """
+    shape = (*hits.distance.shape, 3)
+    origin = np.broadcast_to(np.asarray(origin, np.float64), shape)
+    direction = np.broadcast_to(np.asarray(direction, np.float64), shape)
+    position = np.full(shape, np.nan)
+    for number, instance in enumerate(tracer.scene.instances):
+        chosen = hits.instance == number
+        if not chosen.any():
+            continue
+        mesh = tracer.scene.mesh_of(instance)
+        corners = world_positions(mesh, instance)[mesh.triangles[hits.triangle[chosen]]]
+        position[chosen] = _meet_planes(corners, origin[chosen], direction[chosen])
+    return position
+
+
+def _meet_planes(corners: FloatArray, origin: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return where rays (n, 3) meet the planes of triangles (n, 3 corners, 3)."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    along = np.sum((corners[:, 0] - origin) * normal, axis=1) / np.sum(direction * normal, axis=1)
+    return np.asarray(origin + along[:, None] * direction)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.raster.disocclusion import hidden_from
+from benchmarks.raster.disocclusion import hidden_from, hit_positions
 from benchmarks.raster.raster_error import raster_error
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.frame_handle import row_poses
@@ -124,7 +124,7 @@ def truth(on: Subject, scan_out: ScanOutPose) -> Truth:
     )
     origin = origin + translation
     return Truth(
-        scan_out, direction, on.tracer.hit_positions(on.tracer.intersect(origin, direction), origin, direction)
+        scan_out, direction, hit_positions(on.tracer, on.tracer.intersect(origin, direction), origin, direction)
     )
 
 

@@ -66,32 +66,6 @@ def test_hits_are_those_of_every_triangle_tried():
     np.testing.assert_allclose(hits.barycentric_v[clear], v[clear], atol=2e-5)
 
 
-def test_hit_positions_lie_on_the_plane_and_on_the_ray_in_float64():
-    rng = np.random.default_rng(3)
-    origin = rng.uniform(-0.1, 0.1, (500, 3))
-    direction = directions.dir_of_tangents(rng.uniform(-0.6, 0.6, (500, 2)))
-    normal = transforms.rotation_about("y", 0.6)[:, 2]
-    tracer = SceneTracer(unlit((quad((-9, -9), (9, 9)), at(0.1, 0.2, -3, transforms.rotation_about("y", 0.6)))))
-    hits = tracer.intersect(origin, direction)
-    position = tracer.hit_positions(hits, origin, direction)
-    distance = (([0.1, 0.2, -3] - origin) @ normal) / (direction @ normal)
-    np.testing.assert_allclose(position, origin + distance[:, None] * direction, atol=1e-12)
-    # What float32 alone gives is far from that.
-    assert np.abs(hits.distance - distance).max() > 1e-8
-
-
-def test_hit_positions_on_boxes_are_on_their_faces():
-    origin, direction = some_rays()
-    tracer = SceneTracer(SCENE)
-    hits = tracer.intersect(origin, direction)
-    position = tracer.hit_positions(hits, origin, direction)
-    for number in (0, 1):
-        chosen = hits.instance == number
-        in_mesh = transforms.apply(np.linalg.inv(SCENE.instances[number].world_from_mesh), position[chosen])
-        np.testing.assert_allclose(np.abs(in_mesh).max(axis=1), 0.5, atol=1e-9)
-    assert np.isnan(position[hits.instance < 0]).all()
-
-
 def test_distance_is_in_lengths_of_the_direction():
     tracer = SceneTracer(unlit((quad((-9, -9), (9, 9)), at(0, 0, -3))))
     hits = tracer.intersect(np.zeros(3), [[0.2, 0.1, -1.0], [0.4, 0.2, -2.0]])
@@ -108,7 +82,6 @@ def test_any_leading_shape(shape):
     assert hits.distance.shape == hits.triangle.shape == shape
     np.testing.assert_array_equal(hits.instance, flat.instance.reshape(shape))
     assert tracer.occluded(origin, direction, 9.0).shape == shape
-    assert tracer.hit_positions(hits, origin, direction).shape == (*shape, 3)
 
 
 def test_one_origin_serves_all_directions():

@@ -1,7 +1,7 @@
 """Simulate a session of photographs, as a lab would deliver it."""
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,6 +32,7 @@ from wlr_render.simulation.photographs.simulate_photo_session import simulate_ph
 _PLACES = option_group("Photographs", 1)
 _CAMERAS = option_group("Cameras", 2)
 _ERRORS = option_group("Errors of the bench", 3)
+_USUAL = PhotoBenchOptions()
 
 
 @dataclass(frozen=True)
@@ -48,31 +49,25 @@ class SimulateOptions(SpreadOptions):
     pattern: Annotated[Code, described("Code that the panel shows.", group=_PLACES)] = "gray-fringes"
     camera: Annotated[
         tuple[int, int], described_size("Pixels of the eyeball camera.", group=_CAMERAS), limits.CAMERA_PIXELS
-    ] = (
-        1280,
-        1024,
-    )
+    ] = _USUAL.camera_px
     tracking_camera: Annotated[
         tuple[int, int], described_size("Pixels of the tracking camera.", group=_CAMERAS), limits.CAMERA_PIXELS
-    ] = (
-        1600,
-        1200,
-    )
+    ] = _USUAL.tracking_px
     bits: Annotated[Literal[8, 10, 12], described("Bits of the eyeball camera.", group=_CAMERAS)] = 8
     pupil_mm: Annotated[float, described("Diameter of its entrance pupil in mm.", group=_CAMERAS), Range(0.01, 50)] = (
-        0.5
+        _USUAL.pupil_mm
     )
     focus_m: Annotated[
         float, described("Distance at which it is focused, in m.", group=_CAMERAS), Range(0.01, 1000)
-    ] = 1.0
+    ] = _USUAL.focus_m
     snr: Annotated[float, described("Signal-to-noise ratio of a white panel.", group=_CAMERAS), Range(1, 100_000)] = (
-        50.0
+        _USUAL.snr
     )
     depths_m: Annotated[
         tuple[float, ...],
         described("Distances of the target in m, two or more.", many=True, group=_PLACES),
         limits.DISTANCE_M,
-    ] = (0.4, 1.0)
+    ] = _USUAL.target_depths_m
     stage: Annotated[Literal["xyz", "xy", "x"], described("Axes of the stage that move.", group=_PLACES)] = "xyz"
     sampling: Annotated[
         Sampling,
@@ -155,15 +150,7 @@ class SimulateOptions(SpreadOptions):
     @property
     def _imperfections(self) -> BenchImperfections:
         """Imperfections of ordinary equipment or none, with the given sizes."""
-        given: dict[str, Any] = {
-            "repeatability_um": self.repeatability_um,
-            "turn_urad": self.turn_urad,
-            "bow_mm": self.bow_mm,
-            "anisotropy": self.anisotropy,
-            "lens": self.lens,
-            "extrinsics_mm": self.extrinsics_mm,
-            "extrinsics_deg": self.extrinsics_deg,
-        }
+        given: dict[str, Any] = {each.name: getattr(self, each.name, None) for each in fields(BenchImperfections)}
         usual = BenchImperfections.none() if self.perfect else BenchImperfections()
         return replace(usual, **{name: size for name, size in given.items() if size is not None})
 

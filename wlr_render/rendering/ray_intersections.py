@@ -1,7 +1,7 @@
 """Ray-scene intersection by Embree; the only module that imports embreex.
 
 World frame. The tree is built once per scene with one geometry per instance, so that Embree's ids are ours. Embree
-works in float32; `SceneTracer.hit_positions` meets the hit triangle again in float64, for references.
+works in float32.
 """
 
 from dataclasses import dataclass, fields
@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.scene import Scene, world_positions
 from wlr_render.rendering.thread_pool import for_blocks
 
@@ -119,36 +119,6 @@ class SceneTracer:
 
         for_blocks(trace, len(direction), _RAYS_PER_BLOCK)
         return result.reshape(shape)
-
-    def hit_positions(self, hits: Intersections, origin: ArrayLike, direction: ArrayLike) -> FloatArray:
-        """Where the rays meet the planes of the triangles they hit, in float64.
-
-        Args:
-            hits: of shape (...), from `intersect` of these rays.
-            origin, direction: (..., 3) the rays, in float64 for a float64 answer.
-
-        Returns:
-            (..., 3) world frame, metres; NaN on a miss.
-        """
-        shape = (*hits.distance.shape, 3)
-        origin = np.broadcast_to(np.asarray(origin, np.float64), shape)
-        direction = np.broadcast_to(np.asarray(direction, np.float64), shape)
-        position = np.full(shape, np.nan)
-        for number, instance in enumerate(self.scene.instances):
-            chosen = hits.instance == number
-            if not chosen.any():
-                continue
-            mesh = self.scene.mesh_of(instance)
-            corners = world_positions(mesh, instance)[mesh.triangles[hits.triangle[chosen]]]
-            position[chosen] = _meet_planes(corners, origin[chosen], direction[chosen])
-        return position
-
-
-def _meet_planes(corners: FloatArray, origin: FloatArray, direction: FloatArray) -> FloatArray:
-    """Rays (n, 3) against the planes of triangles (n, 3 corners, 3): (n, 3)."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    along = np.sum((corners[:, 0] - origin) * normal, axis=1) / np.sum(direction * normal, axis=1)
-    return np.asarray(origin + along[:, None] * direction)
 
 
 def _flat(origin: ArrayLike, direction: ArrayLike) -> tuple[Float32Array, Float32Array, tuple[int, ...]]:

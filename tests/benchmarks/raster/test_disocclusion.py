@@ -3,8 +3,8 @@
 import numpy as np
 from gl_scenes import at, quad, unlit
 
-from benchmarks.raster.disocclusion import disoccluded
-from wlr_render.geometry import transforms
+from benchmarks.raster.disocclusion import disoccluded, hit_positions
+from wlr_render.geometry import directions, transforms
 from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_map import RayMap
 
@@ -22,7 +22,7 @@ def test_disocclusion_behind_an_edge_is_the_closed_form():
     zero = np.zeros_like(tangents)
     field = RayMap(EYE, np.eye(3), np.stack([tangents, zero, zero, zero]).astype(np.float32), zero.astype(np.uint8))
     hits = tracer.intersect(*(rays.reshape(1, 281, 3) for rays in field.world_rays(HEAD)))
-    position = tracer.hit_positions(hits, *(rays.reshape(1, 281, 3) for rays in field.world_rays(HEAD)))
+    position = hit_positions(tracer, hits, *(rays.reshape(1, 281, 3) for rays in field.world_rays(HEAD)))
     for aside in (-0.05, 0.05):
         camera = transforms.apply(HEAD, EYE + [aside, 0, 0])
         # Rays that pass right of the sheet meet the wall at 4 t, or nothing beyond 2 m; from the camera the sheet
@@ -35,3 +35,24 @@ def test_disocclusion_behind_an_edge_is_the_closed_form():
         np.testing.assert_array_equal(
             disoccluded(tracer, camera, field, HEAD, position)[0][t > 0.5], (t < (2 - aside) / 4)[t > 0.5]
         )
+
+
+def test_hit_positions_lie_on_the_plane_and_on_the_ray_in_float64():
+    rng = np.random.default_rng(3)
+    origin = rng.uniform(-0.1, 0.1, (500, 3))
+    direction = directions.dir_of_tangents(rng.uniform(-0.6, 0.6, (500, 2)))
+    normal = transforms.rotation_about("y", 0.6)[:, 2]
+    tracer = SceneTracer(unlit((quad((-9, -9), (9, 9)), at(0.1, 0.2, -3, transforms.rotation_about("y", 0.6)))))
+    hits = tracer.intersect(origin, direction)
+    position = hit_positions(tracer, hits, origin, direction)
+    distance = (([0.1, 0.2, -3] - origin) @ normal) / (direction @ normal)
+    np.testing.assert_allclose(position, origin + distance[:, None] * direction, atol=1e-12)
+    # What float32 alone gives is far from that.
+    assert np.abs(hits.distance - distance).max() > 1e-8
+
+
+def test_a_ray_that_misses_has_no_hit_position():
+    tracer = SceneTracer(unlit((quad((-1, -1), (1, 1)), at(0, 0, -2))))
+    direction = np.array([[[0.1, 0.2, -1.0], [3.0, 0.0, -1.0]]])
+    position = hit_positions(tracer, tracer.intersect(np.zeros(3), direction), np.zeros(3), direction)
+    np.testing.assert_allclose(position, [[[0.2, 0.4, -2.0], [np.nan] * 3]], atol=1e-12)
