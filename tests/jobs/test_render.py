@@ -55,18 +55,28 @@ def options(tmp_path, straight_device, scene_file, gl_context):
     return RenderOptions(straight_device, scene_file, out=tmp_path / "frames")
 
 
-@pytest.fixture
-def moving(tmp_path, model_file, scene_file, gl_context):
-    """Five frames of a fitted headset whose wearer moves head and eyes."""
-    centre = open_eye(model_file).eye_box.centre
+def moving_wearer(folder, headset, scene):
+    """Five frames of a headset whose wearer moves head and eyes."""
+    centre = open_eye(headset).eye_box.centre
     return RenderOptions(
-        model_file,
-        scene_file,
-        head=still_head(tmp_path / "head.tum", [0.0, 0.3, 0.6]),
-        eye_track=moving_pupil(tmp_path / "eyes.txt", "right", [0.1, 0.5], centre),
+        headset,
+        scene,
+        head=still_head(folder / "head.tum", [0.0, 0.3, 0.6]),
+        eye_track=moving_pupil(folder / "eyes.txt", "right", [0.1, 0.5], centre),
         frames_per_second=10.0,
-        out=tmp_path / "whole",
+        out=folder / "whole",
     )
+
+
+@pytest.fixture
+def moving(tmp_path, straight_device, scene_file, gl_context):
+    return moving_wearer(tmp_path, straight_device, scene_file)
+
+
+@pytest.fixture
+def fitted(tmp_path, model_file, scene_file, gl_context):
+    """The same of a fitted headset."""
+    return moving_wearer(tmp_path, model_file, scene_file)
 
 
 @pytest.mark.slow
@@ -85,9 +95,10 @@ def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(movi
     assert (record["format"], record["job"]["scene"]) == ("wlr-sequence", moving.scene)
 
 
-def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_same(moving, tmp_path):
-    render(moving)
-    again = replace(moving, out=tmp_path / "resumed")
+@pytest.mark.slow
+def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_same(fitted, tmp_path):
+    render(fitted)
+    again = replace(fitted, out=tmp_path / "resumed")
     assert counts(render(replace(again, frame_limit=2))) == (2, 0)
     (again.out / "right-000000.png").unlink()
     untouched = (again.out / "right-000001.png").stat().st_mtime_ns
@@ -95,9 +106,9 @@ def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_sa
     assert counts(report) == (4, 1)
     assert report.verdict == f"4 frames drawn, 1 kept from an earlier run: 5 PNG in {again.out}."
     assert (again.out / "right-000001.png").stat().st_mtime_ns == untouched
-    assert pictures(again.out) == pictures(moving.out)
-    assert (again.out / "sequence.json").read_bytes() == (moving.out / "sequence.json").read_bytes()
-    assert len(set(pictures(moving.out).values())) == 5
+    assert pictures(again.out) == pictures(fitted.out)
+    assert (again.out / "sequence.json").read_bytes() == (fitted.out / "sequence.json").read_bytes()
+    assert len(set(pictures(fitted.out).values())) == 5
 
 
 def test_a_sequence_that_filled_the_disk_ends_up_the_same_when_there_is_space_again(moving, tmp_path):
@@ -331,8 +342,10 @@ def test_backend_and_video_may_change_between_runs(options, gl_context):
         render(replace(options, backend="cpu"))
 
 
-def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving, monkeypatch):
-    job = replace(moving, predicted_error=0.5)
+@pytest.mark.slow
+@pytest.mark.usefixtures("known_warp_grid")
+def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(fitted, monkeypatch):
+    job = replace(fitted, predicted_error=0.5)
     report = render(job)
     maps = [read_map(job.out / f"right-{number:06d}-error.tiff") for number in range(5)]
     record = report.record["predicted_error"]
@@ -355,14 +368,15 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(moving,
     assert render(job).record == {**report.record, "frames_drawn": 0, "frames_kept": 5}
 
 
-def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(moving, tmp_path):
-    model = load_eye_model(moving.headset)
+@pytest.mark.usefixtures("known_warp_grid")
+def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(fitted, tmp_path):
+    model = load_eye_model(fitted.headset)
     bare = [replace(each, spread=None) for each in (model.mappings.display, model.mappings.see_through)]
     mappings = replace(model.mappings, display=bare[0], see_through=bare[1])
     old = save_eye_models(tmp_path / "old.json", [replace(model, mappings=mappings)])
     with pytest.raises(BadInputError, match=r"old\.json.*has no covariance"):
-        render(replace(moving, headset=str(old), predicted_error=0.5))
-    assert not moving.out.exists()
+        render(replace(fitted, headset=str(old), predicted_error=0.5))
+    assert not fitted.out.exists()
 
 
 def test_frames_of_version_1_are_refused(options):

@@ -6,28 +6,18 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from jobs.test_render import moving_pupil, pictures, still_head
+from jobs.test_render import moving_wearer, pictures
 
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, draw_block
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
-from wlr_render.jobs.headset import open_eye
-from wlr_render.jobs.render import RenderOptions, render
+from wlr_render.jobs.render import render
 
 
 @pytest.fixture
 def moving(tmp_path, straight_device, scene_file):
-    """Five frames of a headset whose wearer moves head and eyes."""
-    centre = open_eye(straight_device).eye_box.centre
-    return RenderOptions(
-        straight_device,
-        scene_file,
-        head=still_head(tmp_path / "head.tum", [0.0, 0.3, 0.6]),
-        eye_track=moving_pupil(tmp_path / "eyes.txt", "right", [0.1, 0.5], centre),
-        frames_per_second=10.0,
-        out=tmp_path / "whole",
-    )
+    return moving_wearer(tmp_path, straight_device, scene_file)
 
 
 def whole(folder):
@@ -43,14 +33,17 @@ def block_of(options):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["raster", "raytrace"])
-def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(moving, tmp_path, monkeypatch, method):
+@pytest.mark.parametrize("way", [{"method": "raster"}, {"method": "raytrace", "predicted_error": 0.5}], ids=str)
+def test_frames_are_the_same_to_the_last_bit_whatever_the_number_of_workers(moving, tmp_path, monkeypatch, way):
+    """And so are the predicted errors of frames."""
     monkeypatch.setattr(frame_drawing, "_BLOCKS", 2)
-    options = replace(moving, method=method)
-    render(options)
+    options = replace(moving, **way)
+    here = render(options).record
     assert len(set(pictures(options.out).values())) == 5
     report = render(replace(options, workers=2, out=tmp_path / "spread"))
     assert report.record["frames_drawn"] == 5
+    assert report.record.get("predicted_error") == here.get("predicted_error")
+    assert ("predicted_error" in here) == ("predicted_error" in way)
     assert whole(tmp_path / "spread") == whole(options.out)
     (tmp_path / "spread" / "right-000003.png").unlink()
     assert render(replace(options, out=tmp_path / "spread")).record["frames_drawn"] == 1
@@ -68,15 +61,6 @@ def test_the_process_of_the_job_opens_what_draws_only_if_it_draws(moving, monkey
     assert not made
     render(options)
     assert len(made) == 1
-
-
-@pytest.mark.slow
-def test_workers_predict_the_errors_of_their_frames(moving, tmp_path):
-    options = replace(moving, method="raytrace", predicted_error=0.5)
-    here = render(options).record["predicted_error"]
-    spread = replace(options, workers=2, out=tmp_path / "spread")
-    assert render(spread).record["predicted_error"] == here
-    assert whole(spread.out) == whole(options.out)
 
 
 def test_a_worker_that_reads_another_file_is_refused(moving):
