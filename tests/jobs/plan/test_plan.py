@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from memo import memoised, shared_folder
 from small_headsets import changed_device
 
 from wlr_render.captures.capture_file import save_captures
@@ -10,6 +11,7 @@ from wlr_render.captures.correspondences import Captures, CommonErrors, Conditio
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.plan import plan as plan_job
+from wlr_render.jobs.plan import planned_bench
 from wlr_render.jobs.plan.designs import grids, offered, places_of, spread
 from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan import PLACES_FILE, PlanOptions, plan
@@ -27,23 +29,46 @@ OPTIONS = PlanOptions(DEVICE, accuracy_arcmin=ACCURACY, most_places=24)
 KINDS = ("display", "see_through", "registration")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def coarse_captures():
+    """Half of the directions of a planned capture, each with less noise, so that a capture tells as much."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planned_bench, "GRID", (12, 9))
+        yield
+
+
 @pytest.fixture(scope="module")
 def bench():
+    return birdbath_bench()
+
+
+def birdbath_bench():
     """With a stage that turns smoothly by 100 microradians, which no fit of captures contains."""
     truth = replace(traced_eye(load_device(DEVICE)), name=DEVICE)
     return PlannedBench(truth, OPTIONS.recipe, ReadingOptions(), OPTIONS.recipe.build())
 
 
 @pytest.fixture(scope="module")
-def search(bench):
-    return find_design(bench, ACCURACY, OPTIONS.most_places, lambda text: None)
+def found(coarse_captures, tmp_path_factory):
+    return memoised(searched, shared_folder(tmp_path_factory))()
 
 
-@pytest.fixture(scope="module")
-def sessions(bench, search):
-    """Errors of several simulated sessions of the recommended design against the traced headset."""
+def searched():
+    """The search, and errors of simulated sessions of the design that it recommends against the traced headset."""
+    bench = birdbath_bench()
+    search = find_design(bench, ACCURACY, OPTIONS.most_places, lambda text: None)
     fits = (PlannedFit.to(simulated_captures(bench, search.recommended.design.unit, seed)) for seed in (11, 12, 13, 14))
-    return [search.predictor.simulated(fit) for fit in fits]
+    return search, [search.predictor.simulated(fit) for fit in fits]
+
+
+@pytest.fixture
+def search(found):
+    return found[0]
+
+
+@pytest.fixture
+def sessions(found):
+    return found[1]
 
 
 def of_family(bench, count):
@@ -132,11 +157,11 @@ def test_grids_keep_to_the_number_of_places_and_to_the_shape_of_the_box():
 
 
 @pytest.fixture(scope="module")
-def choice(bench, search):
+def choice(bench, found):
     """Places in depth, then spreads of 16 and of 25 in the middle plane."""
     box, reach = bench.truth.eye_box, bench.field_reach
     unit = np.concatenate([offered(box, reach, True), of_family(bench, 16).unit, of_family(bench, 25).unit])
-    return PlaceChoice.of(search.predictor.pilot, bench.places(unit), (0.4, 1.0), is_added=False)
+    return PlaceChoice.of(found[0].predictor.pilot, bench.places(unit), (0.4, 1.0), is_added=False)
 
 
 def test_each_chosen_place_lowers_the_error_and_exchanges_lower_it_further(choice):
