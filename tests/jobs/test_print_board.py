@@ -33,7 +33,7 @@ def test_a_board_is_written_to_be_printed_and_to_be_read(tmp_path):
     ],
 )
 def test_boards_of_every_kind_are_written_and_found(tmp_path, kind, columns, rows, features):
-    report = board(BoardOptions(kind=kind, columns=columns, rows=rows, pitch_mm=40, dpi=150, out=tmp_path))
+    report = board(BoardOptions(kind=kind, columns=columns, rows=rows, pitch_mm=40, dpi=100, out=tmp_path))
     _, png, record = report.files
     read = load_board(record)
     assert read.title in report.verdict
