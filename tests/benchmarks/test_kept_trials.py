@@ -5,6 +5,7 @@ import json
 from dataclasses import dataclass
 
 import pytest
+from small_photo_session import in_this_process
 
 from benchmarks import kept_trials
 from benchmarks.kept_trials import damaged_outcomes, finished_trials
@@ -28,7 +29,7 @@ TASKS = [NamedTrial("a.json"), NamedTrial("b.json")]
 @pytest.fixture
 def runs(monkeypatch):
     """Names of the trials that were run, each with its seed; all are run in this process."""
-    monkeypatch.setattr(kept_trials, "as_finished", lambda run, tasks, workers, folder: map(run, tasks))
+    monkeypatch.setattr(kept_trials, "as_finished", in_this_process)
     return []
 
 

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from small_photo_session import in_this_process
 
 from wlr_render.captures import session_reading
 from wlr_render.captures.boards.board_design import design_board
@@ -19,7 +20,7 @@ BRACKETS = {"1ms": 0.005, "8ms": 0.04, "64ms": 0.32}
 @pytest.fixture
 def read(tmp_path, monkeypatch):
     """Read the folder "set" of a session of nothing else."""
-    monkeypatch.setattr(session_reading, "as_finished", lambda run, tasks, spread, folder=None: map(run, tasks))
+    monkeypatch.setattr(session_reading, "as_finished", in_this_process)
 
     def reading():
         session = PhotoSession(

@@ -1,6 +1,7 @@
 """Every case of the corpus, judged: no traceback, nothing accepted in silence, nothing left over."""
 
 import pytest
+from small_photo_session import in_this_process
 
 from corpus.all_cases import all_cases
 from corpus.running import verdict
@@ -10,7 +11,7 @@ from wlr_render.captures import session_reading
 @pytest.fixture(autouse=True)
 def photographs_read_in_this_process(monkeypatch):
     """Read photographs without the worker process of --workers 1, which takes longer to start than to read them."""
-    monkeypatch.setattr(session_reading, "as_finished", lambda run, tasks, spread, folder: map(run, tasks))
+    monkeypatch.setattr(session_reading, "as_finished", in_this_process)
 
 
 @pytest.mark.parametrize("case", all_cases(), ids=lambda case: case.name.encode("unicode_escape").decode())

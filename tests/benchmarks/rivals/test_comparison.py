@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_photo_session import in_this_process
 
 from benchmarks import trials
 from benchmarks.rivals import comparison as methods_module
@@ -36,7 +37,7 @@ def small(monkeypatch):
 @pytest.fixture
 def in_process(monkeypatch):
     """Trials run in this process, where a test has changed the methods."""
-    monkeypatch.setattr(trials, "as_finished", lambda function, tasks, workers, folder: map(function, tasks))
+    monkeypatch.setattr(trials, "as_finished", in_this_process)
 
 
 def compared(out, names):
