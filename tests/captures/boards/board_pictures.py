@@ -34,10 +34,8 @@ def _ray_tangents(camera):
 
 def light_of(camera, camera_from_board, board=BOARD, surround=0.3, dot=0.05):
     """(h, w) light: white of the board is 1, dots are `dot`, everything else `surround`."""
-    tangents = _ray_tangents(camera)
-    direction = np.concatenate([tangents, np.ones((*tangents.shape[:-1], 1))], axis=-1)
     rotation, origin = camera_from_board[:3, :3], camera_from_board[:3, 3]
-    in_board, start = direction @ rotation, -origin @ rotation
+    in_board, start = _ray_tangents(camera) @ rotation[:2] + rotation[2], -origin @ rotation
     place = start[:2] - in_board[..., :2] * (start[2] / in_board[..., 2:])
     softness = np.full(place.shape[:-1], 0.25 * origin[2] / camera.focal_px[0])
     reflectance = board.reflectance(place, softness)
