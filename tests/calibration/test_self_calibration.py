@@ -152,7 +152,7 @@ def drawn_updates(eye):
     settings = WearSettings()
     deviation = np.sqrt(settings.at_start)
     outcomes = []
-    for _ in range(40):
+    for _ in range(24):
         truth = deviation * rng.normal(size=PARAMETERS)
         clicks = clicked(eye, truth, 8, rng)
         # Heavy tails, the wearer's constant error, and a tracker whose error depends on where the pupil is.
