@@ -23,12 +23,7 @@ from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, 
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
 from wlr_render.captures.photograph_format import PhotographFormat
-from wlr_render.captures.photographs import (
-    BadPhotographError,
-    check_photograph,
-    file_note,
-    read_photograph,
-)
+from wlr_render.captures.photographs import BadPhotographError, check_photograph, file_note, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import LOCAL, WorkerPool, as_finished

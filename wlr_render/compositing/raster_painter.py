@@ -6,12 +6,7 @@ from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.painters import (
-    Frame,
-    channels_of,
-    ray_maps_of,
-    with_inverse_depth,
-)
+from wlr_render.rendering.painters import Frame, channels_of, ray_maps_of, with_inverse_depth
 from wlr_render.rendering.raster_camera import RasterPlace
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, choose_plan
 from wlr_render.rendering.scene_raster import SceneRaster

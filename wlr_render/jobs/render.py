@@ -20,21 +20,8 @@ from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.compositing.raster_painter import traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.finished_files import LIST, FinishedFiles
-from wlr_render.jobs.frame_drawing import (
-    FrameDrawing,
-    OpenedFiles,
-    files_of,
-    map_files,
-    open_raster,
-    picture_file,
-)
-from wlr_render.jobs.frame_labels import (
-    Labels,
-    labels_file,
-    read_labels,
-    write_instances,
-    write_misalignment,
-)
+from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, open_raster, picture_file
+from wlr_render.jobs.frame_labels import Labels, labels_file, read_labels, write_instances, write_misalignment
 from wlr_render.jobs.frame_plan import (
     PlannedFrame,
     column_warnings,
@@ -45,10 +32,7 @@ from wlr_render.jobs.frame_plan import (
 )
 from wlr_render.jobs.headset import headset_path
 from wlr_render.jobs.job import job
-from wlr_render.jobs.options import (
-    ProgressArgument,
-    eyes_of,
-)
+from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.jobs.pack import pack_frames
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.sequence_record import RECORD, record_text, require_same_job, sequence_record

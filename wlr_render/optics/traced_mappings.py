@@ -130,8 +130,8 @@ def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_
 
 
 @dataclass(frozen=True, eq=False)
-class TracedDisplay:
-    """Exact `mappings.DisplayMapping` by ray tracing.
+class _Traced:
+    """A mapping by ray tracing.
 
     Attributes:
         optics: the eye.
@@ -142,6 +142,11 @@ class TracedDisplay:
     optics: EyeOptics
     wavelength_um: float
     name: str = "device"
+
+
+@dataclass(frozen=True, eq=False)
+class TracedDisplay(_Traced):
+    """Exact `mappings.DisplayMapping` by ray tracing."""
 
     @property
     def panel(self) -> Panel:
@@ -206,18 +211,8 @@ class TracedDisplay:
 
 
 @dataclass(frozen=True, eq=False)
-class TracedSeeThrough:
-    """Exact `mappings.SeeThroughMapping` by ray tracing.
-
-    Attributes:
-        optics: the eye.
-        wavelength_um: micrometres.
-        name: name of the device, for messages.
-    """
-
-    optics: EyeOptics
-    wavelength_um: float
-    name: str = "device"
+class TracedSeeThrough(_Traced):
+    """Exact `mappings.SeeThroughMapping` by ray tracing."""
 
     def real_ray_of_view_dir(
         self, view_dir: FloatArray, viewpoint: FloatArray, warm_start: FloatArray | None = None

@@ -10,11 +10,7 @@ from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.glass_files import NIKON_POWERS, SCHOTT_POWERS
-from wlr_render.optics.lens_files.glass_catalogues import (
-    GlassCatalogue,
-    model_glass,
-    require_glass,
-)
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, require_glass
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
     LensFile,

@@ -10,20 +10,9 @@ from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.input_files import LIMITS, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
-from wlr_render.optics.lens_files.glass_catalogues import (
-    GlassCatalogue,
-    model_glass,
-    unknown_glass_remedy,
-)
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, unknown_glass_remedy
 from wlr_render.optics.lens_files.lens_text import decode_lens_text, lines_of
-from wlr_render.optics.lens_files.sequence import (
-    UNITS_M,
-    LensFile,
-    LensSurface,
-    box_aperture,
-    require_surfaces,
-    shift,
-)
+from wlr_render.optics.lens_files.sequence import UNITS_M, LensFile, LensSurface, box_aperture, require_surfaces, shift
 from wlr_render.optics.lens_files.zemax_lines import SurfaceLines, ZemaxReading
 from wlr_render.optics.lens_files.zemax_shapes import shape_of
 from wlr_render.optics.media import AIR, Medium
