@@ -127,7 +127,7 @@ class DiagnosisOutcome:
         amounts: amounts of the hidden effects, in order, in the generator's units.
         verdict: verdict of the diagnosis, or the error that ended it.
         named: named causes, most important first.
-        depends_on: quantity that the unexplained residual depends on; empty if the residual is explained.
+        stations: stations of the effects that were located, best odds first.
         excluded: excluded captures.
         moved: the captures that truly moved.
         deviations: (estimate - truth) / sigma of every parameter of the hidden causes, if exactly these were named.
@@ -144,7 +144,7 @@ class DiagnosisOutcome:
     amounts: tuple[dict[str, float], ...]
     verdict: str
     named: tuple[str, ...]
-    depends_on: str
+    stations: tuple[str, ...]
     excluded: tuple[str, ...]
     moved: tuple[str, ...]
     deviations: tuple[float, ...]
@@ -178,7 +178,7 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
         tuple(dict(effect.amount) for effect in [*effects, *moved]),
         verdict="",
         named=(),
-        depends_on="",
+        stations=(),
         excluded=(),
         moved=tuple(_capture_name(effect) for effect in moved),
         deviations=(),
@@ -197,7 +197,7 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
         outcome,
         verdict=said.verdict,
         named=tuple(cause.name for cause in said.causes),
-        depends_on=said.unexplained.depends_on if said.unexplained else "",
+        stations=tuple(effect.station for effect in said.effects),
         excluded=tuple(str(moved_capture.capture) for moved_capture in said.excluded),
         deviations=_deviations(said, [effect for effect in effects if effect.name in CAUSES], plan),
         remainder=_remainders(said, trial, nature),

@@ -52,7 +52,7 @@ def explained(bench, plan):
 
 
 @pytest.fixture(scope="session")
-def unexplained(bench, plan):
+def located(bench, plan):
     """Diagnosis of a session whose panel is bent in waves, and whose noise is twice what is stated."""
     observations = measured(bench, plan, 2 * SIGMA_PX, seed=5)
     read = observations.session.readings

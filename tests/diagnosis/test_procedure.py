@@ -5,7 +5,7 @@ import pytest
 from small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
 
 from wlr_render.diagnosis import prediction
-from wlr_render.diagnosis.diagnosis import EXPLAINED, NO_EFFECT, PARTLY, UNEXPLAINED
+from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
 from wlr_render.diagnosis.fit import few_captures_factor, reduced_chi_squared
 from wlr_render.diagnosis.prediction import Explanation
 
@@ -43,15 +43,21 @@ def test_each_capture_has_its_residual(explained):
         assert (capture.reduced_chi_squared > 5) == capture.excluded
 
 
-def test_what_no_cause_explains_is_placed_and_its_spurious_matches_are_dropped(unexplained):
-    assert unexplained.verdict == UNEXPLAINED
-    assert (unexplained.unexplained.part, unexplained.unexplained.depends_on) == ("display", "panel pixels")
-    assert unexplained.corrected is unexplained.observations.nominal
-    assert all(floor.used_px == pytest.approx(2 * SIGMA_PX, rel=0.2) for floor in unexplained.noise_floors)
+def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located):
+    assert (located.verdict, located.causes, located.unexplained) == (LOCATED, (), None)
+    first = located.effects[0]
+    assert (first.station, first.coordinates, first.form) == ("panel", "panel pixels", "smooth")
+    assert first.parts == ("display",)
+    assert first.log10_odds > 20
+    assert first.size == pytest.approx(4.0 / np.sqrt(2.0), rel=0.2)  # of a sine of 4 pixels
+    assert first.share_of_excess_removed > 0.7
+    assert first.held_out_improvement.significance > 3
+    assert located.corrected is located.observations.nominal
+    assert all(floor.used_px == pytest.approx(2 * SIGMA_PX, rel=0.2) for floor in located.noise_floors)
 
 
 def test_a_clean_session_has_detection_limits(nothing):
-    assert (nothing.verdict, nothing.causes, nothing.unexplained) == (NO_EFFECT, (), None)
+    assert (nothing.verdict, nothing.causes, nothing.effects, nothing.unexplained) == (NO_EFFECT, (), (), None)
     assert {limit.cause for limit in nothing.detection_limits} == {"target_scale", "combiner_tilt"}
 
 
@@ -109,7 +115,7 @@ def test_where_more_than_noise_is_left_the_error_bars_are_wider(bench, plan):
     alone = diagnosed(observations, names).causes[0]
     read.panel_pixel[:, 0] += 2.0 * np.sin(2 * np.pi * read.panel_pixel[:, 0] / 500)
     said = diagnosed(observations, names)
-    assert said.verdict == PARTLY
+    assert (said.verdict, said.effects[0].station) == (LOCATED, "panel")
     (cause,) = said.causes
     sigmas = np.array([[each.sigma for each in one.parameters] for one in (alone, cause)])
     noise = said.fit.scatter.noise[0] * said.noise_floors[0].used_px / SIGMA_PX

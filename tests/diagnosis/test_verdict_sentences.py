@@ -11,7 +11,7 @@ from small_session import SIGMA_PX, diagnosed, measured, with_motions, with_move
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables
-from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate
+from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate, Unexplained
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
 from wlr_render.diagnosis.noise_sentences import bench_sentence
@@ -42,17 +42,35 @@ def test_a_part_that_no_cause_touches_is_not_in_the_sentence(explained):
     assert "display" not in verdict_sentence(alone)
 
 
-def test_other_verdicts_have_their_own_sentences(unexplained, nothing, explained):
+def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
     assert verdict_sentence(nothing).startswith("No effect found: the bench as described predicts the session")
     assert advice(nothing) == [
         "Keep using the bench file; effects below the detection limits would not have been seen."
     ]
-    sentence = verdict_sentence(unexplained)
-    assert sentence.startswith("Unexplained: none of the causes considered explains the residual. Display residual ")
-    assert re.search(r"times the noise and depends on panel pixels \(log10 odds > 20\)\.$", sentence)
-    assert any("render with models fitted to the session" in step for step in advice(unexplained))
-    partly = replace(explained, verdict="partly explained", unexplained=unexplained.unexplained)
+    sentence = verdict_sentence(located)
+    assert sentence.startswith(
+        "Effect located: an effect on the panel that no listed cause has: shift, a smooth function "
+    )
+    assert "panel px rms (log10 odds > 20)" in sentence
+    assert any("come from a panel warped by its bonding" in step for step in advice(located))
+    assert any("render with models fitted to the session" in step for step in advice(located))
+    left = Unexplained("display", 0.5, 1.3)
+    partly = replace(explained, verdict="partly explained", unexplained=left)
     assert verdict_sentence(partly).startswith("Partly explained: combiner tilted")
+    unexplained = replace(located, verdict="unexplained", effects=(), unexplained=left)
+    assert "no cause, and no effect at any station, explains the residual" in verdict_sentence(unexplained)
+
+
+def test_stations_that_the_session_hardly_tells_apart_are_both_named(located):
+    unsure = replace(located.effects[0], next_station="camera", odds_against_next_station=0.4)
+    said = replace(located, effects=(unsure,))
+    assert "; the session hardly tells it from an effect in the camera" in verdict_sentence(said)
+    assert any("To tell the panel from the camera: a photograph of the bare panel" in step for step in advice(said))
+
+
+def test_a_spot_is_stated_with_its_place_and_width(located):
+    spot = replace(located.effects[0], station="combiner", form="fine", place=(-3.8, 2.8), length=2.4, length_unit="mm")
+    assert "a spot 2.4 mm wide at (-3.8, 2.8) mm" in verdict_sentence(replace(located, effects=(spot,)))
 
 
 def test_the_values_to_type_make_the_bench_file_that_of_the_corrected_bench(explained, tmp_path):
@@ -92,17 +110,17 @@ def test_a_cause_that_fails_beside_its_value_leaves_the_report(explained, fails)
     assert any(line in step for step in advice(limited))
 
 
-def test_excluded_captures_and_wrong_noise_are_warned_of(explained, unexplained):
+def test_excluded_captures_and_wrong_noise_are_warned_of(explained, located):
     assert [str(each.capture) for each in explained.excluded] == ["display capture 3"]
     assert any("Captures that moved were excluded (1)" in each for each in warnings(explained))
     assert advice(explained)[-1] == "Take again, or leave out: display capture 3."
-    (told,) = [each for each in warnings(unexplained) if "point_sigma_px" in each]
+    (told,) = [each for each in warnings(located) if "point_sigma_px" in each]
     assert re.fullmatch(
         r"The noise differs from point_sigma_px by (9|10)\d %: type point_sigma_px = 0\.(19|20)\d\.", told
     )
-    display, see_through = unexplained.noise_floors
+    display, see_through = located.noise_floors
     parts = (display, replace(see_through, is_believable=True))
-    (told,) = [each for each in warnings(replace(unexplained, noise_floors=parts)) if "The noise" in each]
+    (told,) = [each for each in warnings(replace(located, noise_floors=parts)) if "The noise" in each]
     assert re.search(r"differs from the stated one: display by 10\d %\.", told)
 
 
@@ -153,13 +171,13 @@ def test_a_value_is_compared_with_the_prior_that_the_bench_states(explained):
     assert tables.parameters_table(explained).notes[-1].startswith("Parameters are in OpenXR axes")
 
 
-def test_the_motions_of_an_unexplained_part_are_no_repeatability(unexplained):
+def test_the_motions_of_a_part_with_an_effect_are_no_repeatability(located):
     """Wherever the effect raises noise or motions beyond what is usual, neither sentence nor table states them."""
-    scatter = unexplained.fit.scatter
+    scatter = located.fit.scatter
     huge = replace(scatter, turn_urad=np.array([2642.0, *scatter.turn_urad[1:]]))
-    found = replace(unexplained, fit=replace(unexplained.fit, scatter=huge))
+    found = replace(located, fit=replace(located.fit, scatter=huge))
     text = bench_sentence(found)
-    assert "Repeatability of the display is not determined, as its residual is unexplained." in text
+    assert "Repeatability of the display is not determined, as no cause explains its residual." in text
     assert "See-through: positions repeat to " in text
     assert re.search(r"\. Display residual \S+ panel px; see-through residual \S+', expected ", verdict_sentence(found))
     assert [row[0] for row in repeatability_table(found).rows] == ["display (not determined)", "see-through"]
@@ -168,7 +186,8 @@ def test_the_motions_of_an_unexplained_part_are_no_repeatability(unexplained):
     assert expected["display (panel px)"] is None is expected["all readings (sigma)"]
     assert expected["see-through (arcmin)"] == found.expected.see_through_rms_arcmin
     times = next(row for row in residuals.rows if row[0] == "display (panel px)")[3]
-    assert f"The display residual is {cell_text(times)} times the noise" in verdict_sentence(found)
+    left = replace(found, verdict="unexplained", effects=(), unexplained=Unexplained("display", 0.5, 1.3))
+    assert f"The display residual is {cell_text(times)} times the noise" in verdict_sentence(left)
     (ordinary,) = {"explained"} - {found.verdict}
     assert "not determined" not in bench_sentence(replace(found, verdict=ordinary))
 
@@ -200,7 +219,7 @@ def test_values_have_two_digits_of_their_error(parameter, text):
     assert value_text(parameter) == text
 
 
-def test_tables_hold_the_numbers_of_the_record(explained, unexplained, nothing):
+def test_tables_hold_the_numbers_of_the_record(explained, located, nothing):
     rows = tables.causes_table(explained).text_rows()
     assert [row[0] for row in rows] == [cause.name for cause in explained.causes]
     assert f"{explained.causes[0].improvement.percent:.1f} +- " in rows[0][-1]
@@ -208,10 +227,11 @@ def test_tables_hold_the_numbers_of_the_record(explained, unexplained, nothing):
     captures = tables.captures_table(explained).rows
     assert [row[0] for row in captures if row[-1]] == ["display capture 3"]
     assert len(captures) == len(explained.observations.captures)
-    assert tables.unexplained_table(unexplained).rows[0][0] == "panel pixels"
-    assert not tables.unexplained_table(explained).rows
+    assert tables.effects_table(located).rows[0][:2] == ["panel", "panel pixels"]
+    assert tables.fields_table(located).rows[0][0] == "panel"
+    assert not tables.fields_table(explained).rows
     assert len(tables.limits_table(nothing).rows) == len(nothing.detection_limits) > 0
-    noise = noise_table(unexplained)
+    noise = noise_table(located)
     assert [row[noise.columns.index("stated agrees")] for row in noise.rows] == ["no", "no"]
     residuals = {row[0]: row for row in tables.residuals_table(explained).rows}
     assert residuals["all readings (sigma)"][1:3] == [explained.before.over_noise, explained.after.over_noise]
@@ -253,22 +273,6 @@ def test_too_many_captures_that_stand_out_are_listed_and_not_excluded(bench, pla
     assert len(tables.excluded_table(found).rows) == 7
 
 
-def test_a_smooth_function_and_its_figure_come_from_one_row(unexplained):
-    """The row of best odds is named with its own improvement, though another row improves more."""
-    best, other = unexplained.unexplained.corrections[:2]
-    rows = (
-        replace(best, log10_odds=9.0, improvement=HeldOutImprovement(21.0, 1.0, 9.0)),
-        replace(other, depends_on="time", log10_odds=3.0, improvement=HeldOutImprovement(35.0, 1.0, 9.0)),
-    )
-    left = replace(unexplained.unexplained, corrections=rows)
-    (step,) = [each for each in advice(replace(unexplained, unexplained=left)) if "smooth function" in each]
-    assert f"A smooth function of {best.depends_on} reduces the residual of held-out captures by 21 %" in step
-    flat = replace(left, corrections=tuple(replace(each, log10_odds=0.3) for each in rows))
-    unstructured = replace(unexplained, unexplained=flat)
-    assert verdict_sentence(unstructured).endswith("times the noise and follows no smooth function that was tried.")
-    assert not any("smooth function of" in each for each in advice(unstructured))
-
-
 def test_causes_of_one_part_share_the_line_to_type(explained):
     target = next(cause for cause in explained.causes if cause.name == "target_scale")
     two = replace(explained, causes=(target, replace(target, name="target_bow", title="bowed target")))
@@ -288,15 +292,12 @@ def test_improvement_in_use_is_tabulated_where_there_is_some():
     assert table.notes[-1] == "s: no display table."
 
 
-def test_sentences_judge_by_the_settings_of_the_diagnosis(explained, unexplained):
+def test_sentences_judge_by_the_settings_of_the_diagnosis(explained, located):
     """With higher odds asked for, what the residual depends on, and what is undecided, is another matter."""
 
     def strict(diagnosis, **changes):
         return replace(diagnosis, settings=replace(diagnosis.settings, **changes))
 
-    assert " depends on panel pixels" in verdict_sentence(unexplained)
-    assert "follows no smooth function" in verdict_sentence(strict(unexplained, least_log10_odds=1e6))
-    assert not any("smooth function" in step for step in advice(strict(unexplained, least_log10_odds=1e6)))
     cause = replace(
         explained.causes[0],
         degenerate=(DegenerateCause(OTHER, 0.99, "a nearer target"),),
@@ -305,8 +306,8 @@ def test_sentences_judge_by_the_settings_of_the_diagnosis(explained, unexplained
     decided = replace(explained, causes=(cause,))
     assert any("The session decides" in each for each in warnings(decided))
     assert any("does not decide" in each for each in warnings(strict(decided, decisive_odds=8.0)))
-    assert "not determined" in bench_sentence(strict(unexplained, material_excess=-1.0))
-    assert unexplained.settings.subsample == 1200  # as `diagnose` was given
+    assert "not determined" in bench_sentence(strict(located, material_excess=-1.0))
+    assert located.settings.subsample == 1200  # as `diagnose` was given
 
 
 def test_values_to_type_have_the_digits_that_their_errors_allow(late):

@@ -8,11 +8,12 @@ import pytest
 from oracle.captures import Plan
 from oracle.effects import LISTED_AT_RUN_TIME, OUTLIER, Effect
 from oracle.run_time import RunTimePlan
+from oracle.unlisted_effects import STATIONS
 
 from benchmarks.diagnosis.trial import observed
 from benchmarks.diagnosis.truths import truth_of
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.diagnosis import EXPLAINED, NO_EFFECT, UNEXPLAINED
+from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
 
@@ -70,13 +71,23 @@ def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found():
 
 
 @pytest.mark.slow
-def test_what_no_cause_stands_for_is_unexplained_and_is_placed():
-    wrinkle = {"height_mm": 8.0, "x_ratio": 0.2, "y_ratio": -0.1, "width_ratio": 0.3}
-    said = diagnosed(small("northstar"), Effect("target_wrinkle", wrinkle))
-    assert (said.verdict, names(said)) == (UNEXPLAINED, set())
-    assert said.unexplained is not None
-    assert said.unexplained.part == "see-through"
-    assert said.unexplained.rms_over_noise > 1.2
+@pytest.mark.parametrize(
+    ("device", "effect"),
+    [
+        (
+            "northstar",
+            Effect("target_wrinkle", {"height_mm": 8.0, "x_ratio": 0.2, "y_ratio": -0.1, "width_ratio": 0.3}),
+        ),
+        ("freeform40", Effect("combiner_bubble", {"height_mm": 0.006, "x_mm": -2.0, "y_mm": 1.0, "radius_mm": 2.5})),
+        ("birdbath28", Effect("panel_swings", {"x_mm": 0.03, "y_mm": -0.02, "period_s": 1100.0})),
+    ],
+    ids=lambda value: getattr(value, "name", value),
+)
+def test_what_no_cause_stands_for_is_located_without_a_name(device, effect):
+    said = diagnosed(small(device), effect, causes={})
+    assert (said.verdict, names(said)) == (LOCATED, set())
+    assert said.effects[0].station == STATIONS[effect.name]
+    assert said.effects[0].log10_odds > 4
 
 
 @pytest.mark.slow

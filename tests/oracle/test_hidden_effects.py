@@ -28,6 +28,7 @@ QUIET = Plan(grid=(7, 6), dots=(7, 5), off_plane=4, sigma_px=0.0)
 FREEFORM = replace(QUIET, device="freeform40")
 NO_TURN = {"x_deg": 0.0, "y_deg": 0.0, "z_deg": 0.0}
 STILL = {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 0.0}
+SEEN_PX = 2e-3  # raising all surfaces of a thin combiner hardly bends what is seen through it
 
 NORTH_STAR = ("substrate_index", "substrate_thickness")
 """Effects that North Star, whose combiner is met from inside, shows in the see-through part alone."""
@@ -58,8 +59,8 @@ def test_it_is_seen_where_it_should_be_and_nowhere_else(name):
     plan = replace(QUIET, channels=(0, 1, 2)) if name == "lateral_colour" else QUIET
     display, dots, _ = change(plan, draw_effect(name, np.random.default_rng(3)))
     see_through_only = name in (*SEE_THROUGH_ONLY, *NORTH_STAR)
-    assert (largest(display) > 0.01) == (not see_through_only)
-    assert (largest(dots) > 0.01) == (name not in DISPLAY_ONLY)
+    assert (largest(display) > SEEN_PX) == (not see_through_only)
+    assert (largest(dots) > SEEN_PX) == (name not in DISPLAY_ONLY)
     if name in DISPLAY_ONLY:
         assert largest(dots) == 0.0
     if see_through_only:

@@ -23,9 +23,7 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     """
     display = _display(bench.optics, bench.target_wavelength_um)
     see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
-    drawn_for = _dot_in_device(plan, np.zeros(len(plan)))
-    wanted = see_through.view_dir_of_real_point(drawn_for, plan.viewpoint)
-    pixel = display.pixel_of_view_dir(wanted.value, plan.viewpoint).value
+    pixel = drawn_pixels(bench, plan)
     height = bench.optics.panel.pixels.size_px[1]
     late_s = bench.clock.latency_s + bench.clock.scanout_s * pixel[:, 1] / height
     tracking = bench.eye_tracking
@@ -33,6 +31,15 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     virtual = display.view_dir_of_pixel(pixel, pupil)
     real = see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil)
     return np.concatenate([bench.camera.pixel_of_view_dir(dot.value) for dot in (virtual, real)], axis=1)
+
+
+def drawn_pixels(bench: Bench, plan: RunTimePlan) -> FloatArray:
+    """Return the panel pixels (n, 2) of the virtual dots, drawn for the tracked viewpoint and head pose."""
+    see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
+    drawn_for = _dot_in_device(plan, np.zeros(len(plan)))
+    wanted = see_through.view_dir_of_real_point(drawn_for, plan.viewpoint)
+    display = _display(bench.optics, bench.target_wavelength_um)
+    return display.pixel_of_view_dir(wanted.value, plan.viewpoint).value
 
 
 @lru_cache(maxsize=4)

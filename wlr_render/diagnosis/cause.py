@@ -71,6 +71,18 @@ class Parameter:
     in_bench: Callable[[Bench], float] | None = None
 
 
+_STATIONS = {
+    "device": "combiner",
+    "camera": "camera",
+    "stage": "stage",
+    "target": "target",
+    "tracking": "target",
+    "mount": "time",
+    "eye tracking": "eye tracking",
+    "clock": "panel",
+}
+"""Station of the causes of a part, where they state none of their own."""
+
 PARTS = ("device", "camera", "stage", "target", "tracking", "mount", "eye tracking", "clock")
 """Parts of the bench that causes act on."""
 
@@ -89,6 +101,7 @@ class Cause:
         variants: ways in which it may act, by name; the first is the usual one.
         remedy: what to do about it, where that is more than for any cause of its part; empty otherwise.
         whole_steps: its values are multiples of this in the parameters' unit, or it is something else; None for any.
+        own_station: where it acts, if that is not the station of its part.
     """
 
     name: str
@@ -100,6 +113,12 @@ class Cause:
     variants: Mapping[str, Perturb]
     remedy: str = ""
     whole_steps: float | None = None
+    own_station: str = ""
+
+    @property
+    def station(self) -> str:
+        """Station at which it acts: fields of that station are its rivals."""
+        return self.own_station or _STATIONS[self.part]
 
     def perturb(self, bench: Bench, values: FloatArray, variant: str | None = None) -> Bench:
         """The bench with this cause at work; `values` (parameters,) in their units."""

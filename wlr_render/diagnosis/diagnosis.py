@@ -18,7 +18,8 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 if TYPE_CHECKING:
     from wlr_render.diagnosis.residual_views import PartView
 
-NO_EFFECT, EXPLAINED, PARTLY, UNEXPLAINED = "no effect", "explained", "partly explained", "unexplained"
+NO_EFFECT, EXPLAINED, LOCATED = "no effect", "explained", "effect located"
+PARTLY, UNEXPLAINED = "partly explained", "unexplained"
 
 
 @dataclass(frozen=True)
@@ -102,42 +103,93 @@ class FoundCause:
     remedy: str = ""
 
 
-@dataclass(frozen=True)
-class Correction:
-    """A flexible smooth correction of a residual: no cause, and offered as none.
+@dataclass(frozen=True, eq=False)
+class EffectMap:
+    """What a located effect displaces at its station.
 
     Attributes:
-        part: of the session it corrects.
-        depends_on: the variables that it is a function of.
-        form: how it depends on them.
-        terms: coefficients per axis.
-        improvement: on held-out captures.
-        log10_odds: for it against what is random alone.
+        place: (m, v) coordinates of the station.
+        displacement: (m, d) there, in `unit`.
+        coordinates, unit: names.
     """
 
-    part: str
-    depends_on: str
+    place: FloatArray
+    displacement: FloatArray
+    coordinates: str
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class StationEffect:
+    """An effect that no listed cause has, located at a station of the bench.
+
+    Attributes:
+        station: "panel", "combiner", "camera", "target", "stage", "time", "head motion" or "eye tracking".
+        coordinates: of the station, on which it depends.
+        displaced: what it displaces there.
+        form: "smooth", or "fine" where it is finer than any smooth field.
+        parts: of the session that it changes.
+        log10_odds: for it against none.
+        next_station: the station of next best evidence; empty where none other was judged.
+        odds_against_next_station: log10 odds against that station.
+        size: rms displacement at the station, or of a fine one that of the readings, and its `unit`.
+        length: diameter of the place where it acts, or of its cells, in `length_unit`; None for a smooth one.
+        place: (2,) middle of that place in the coordinates of the station; None where it is spread over the station.
+        held_out_improvement: of captures left out of its fit.
+        share_of_excess_removed: share of what exceeds noise and repeatability in these captures that it removes.
+        likely: usual sources of such an effect.
+        map: its displacement over the station.
+    """
+
+    station: str
+    coordinates: str
+    displaced: str
     form: str
-    terms: int
-    improvement: HeldOutImprovement
+    parts: tuple[str, ...]
+    log10_odds: float
+    next_station: str
+    odds_against_next_station: float
+    size: float
+    unit: str
+    length: float | None
+    place: tuple[float, float] | None
+    held_out_improvement: HeldOutImprovement
+    share_of_excess_removed: float
+    likely: tuple[str, ...]
+    map: EffectMap = field(metadata={"json": False})
+    length_unit: str = ""
+
+
+@dataclass(frozen=True)
+class TriedField:
+    """A field that was judged.
+
+    Attributes:
+        station, coordinates, displaced: as in `StationEffect`.
+        degree: of best evidence.
+        log10_odds: for it against none, beside what was found.
+    """
+
+    station: str
+    coordinates: str
+    displaced: str
+    degree: int
     log10_odds: float
 
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What no cause explains.
+    """What neither causes nor located effects explain.
 
     Attributes:
         part: "display", "see-through" or "run-time".
-        depends_on: "panel pixels", "camera pixels", "target", "stage", "time" or "colour".
+        excess: variance of its residual over noise and usual repeatability, less one.
         rms_over_noise: rms residual of that part over its noise.
-        corrections: all corrections tried on that part, best first.
     """
 
     part: str
-    depends_on: str
+    excess: float
     rms_over_noise: float
-    corrections: tuple[Correction, ...]
 
 
 @dataclass(frozen=True)
@@ -235,8 +287,10 @@ class Diagnosis:
 
     Attributes:
         session, device, eye: names.
-        verdict: NO_EFFECT, EXPLAINED, PARTLY or UNEXPLAINED.
+        verdict: NO_EFFECT, EXPLAINED (by named causes only), LOCATED (an effect that no cause has is located at a
+            station, alone or beside causes, and only noise is left), PARTLY or UNEXPLAINED.
         causes: what was found, largest effect first.
+        effects: effects that no cause has, best odds first.
         excluded: captures that moved.
         too_many_moved: captures of parts of which too many moved to tell which did; they are not excluded.
         noise_floors: noise of each part.
@@ -245,6 +299,7 @@ class Diagnosis:
         expected: the residual that noise and the motions of the captures would give.
         before, after: residuals with the nominal and with the corrected bench.
         unexplained: None where only noise is left.
+        fields: all fields that were judged, best odds first.
         detection_limits: of every cause; for a verdict of no effect.
         reasons: sentences on why the selection ended, and what was considered and dropped.
         captures: residual of each capture.
@@ -265,6 +320,7 @@ class Diagnosis:
     eye: str
     verdict: str
     causes: tuple[FoundCause, ...]
+    effects: tuple[StationEffect, ...]
     excluded: tuple[MovedCapture, ...]
     too_many_moved: tuple[MovedCapture, ...]
     noise_floors: tuple[NoiseFloor, ...]
@@ -274,6 +330,7 @@ class Diagnosis:
     before: ResidualSummary
     after: ResidualSummary
     unexplained: Unexplained | None
+    fields: tuple[TriedField, ...]
     detection_limits: tuple[DetectionLimit, ...]
     reasons: tuple[str, ...]
     captures: tuple[CaptureResidual, ...]

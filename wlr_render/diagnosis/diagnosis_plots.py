@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from wlr_render.diagnosis.diagnosis import Diagnosis
+from wlr_render.diagnosis.diagnosis import Diagnosis, StationEffect
 from wlr_render.diagnosis.residual_views import PartView, Variable
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.report.blocks import Plot
@@ -79,6 +79,54 @@ def residual_maps(part: PartView) -> Plot:
         "direction, which is another one in each capture, are the stage's repeatability."
     )
     return Plot(f"Residual over the field of view: {part.name}", data, layout, caption, 520)
+
+
+_DOWNWARDS = "v (px)"
+_LABELS = {
+    "panel pixels": ("panel u (px)", f"panel {_DOWNWARDS}"),
+    "panel pixels and viewpoint": ("panel u (px)", f"panel {_DOWNWARDS}"),
+    "panel pixels and colour": ("panel u (px)", f"panel {_DOWNWARDS}"),
+    "camera pixels": ("camera u (px)", f"camera {_DOWNWARDS}"),
+    "place on the combiner": ("right of the line of sight (mm)", "above it (mm)"),
+    "place on the target": ("x on the target", "y on the target"),
+}
+"""Names of the two axes of a map, by the coordinates of a station."""
+
+
+def effect_map(effect: StationEffect) -> Plot:
+    """Displacement of a located effect over its station: a map where the station has two coordinates, else curves."""
+    shape = effect.map
+    varies = np.ptp(shape.place, axis=0) > 0.0
+    place, moved = shape.place[:, varies][:, :2], shape.displacement
+    if place.shape[1] < 2:
+        order = np.argsort(place[:, 0]) if place.shape[1] else np.arange(len(moved))
+        along = place[order, 0] if place.shape[1] else order
+        data: list[dict[str, Any]] = [
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": f"component {number + 1}",
+                "x": along,
+                "y": moved[order, number],
+            }
+            for number in range(moved.shape[1])
+        ]
+        layout: dict[str, Any] = {"xaxis": axis(shape.coordinates), "yaxis": axis(shape.unit)}
+    else:
+        signed = moved[:, 0] if moved.shape[1] == 1 else np.linalg.norm(moved[:, :3], axis=1)
+        reach = float(np.max(np.abs(signed), initial=1e-12))
+        colours = {"colorscale": "RdBu", "cmid": 0.0} if moved.shape[1] == 1 else {"colorscale": "Viridis", "cmin": 0.0}
+        marker = {"color": signed, "size": 6, "cmax": reach, "showscale": True, "colorbar": {"title": shape.unit}}
+        data = [
+            {"type": "scattergl", "mode": "markers", "name": effect.station, "marker": marker | colours}
+            | {"x": place[:, 0], "y": place[:, 1]}
+        ]
+        across, down = _LABELS.get(shape.coordinates, (f"{shape.coordinates}, first", f"{shape.coordinates}, second"))
+        layout = {"xaxis": axis(across), "yaxis": axis(down) | {"scaleanchor": "x"}}
+        if down.endswith(_DOWNWARDS):
+            layout["yaxis"]["autorange"] = "reversed"
+    caption = f"{effect.displaced} ({shape.unit}) over {shape.coordinates}: {effect.form}, as the readings show it."
+    return Plot(f"Effect on the {effect.station}: {effect.displaced}", data, layout, caption, 460)
 
 
 def _slider_order(part: PartView) -> str:

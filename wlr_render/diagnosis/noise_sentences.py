@@ -3,7 +3,7 @@
 from dataclasses import replace
 from math import exp, expm1, floor, hypot, isfinite, log10
 
-from wlr_render.diagnosis.diagnosis import PARTLY, UNEXPLAINED, Diagnosis, MotionSize
+from wlr_render.diagnosis.diagnosis import LOCATED, PARTLY, UNEXPLAINED, Diagnosis, MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.report.blocks import cell_text
@@ -41,11 +41,11 @@ def both_parts(diagnosis: Diagnosis) -> tuple[NoiseFloor, MotionSize] | None:
 
 
 def undetermined_parts(diagnosis: Diagnosis) -> set[str]:
-    """Parts with an unexplained residual that noise and repeatability of a usual size do not cover.
+    """Parts with a residual by no cause that noise and repeatability of a usual size do not cover.
 
-    The fit then takes the unexplained effect for motions of the captures, so their size is no repeatability.
+    The fit of the causes takes that residual for motions of the captures, so their size is no repeatability.
     """
-    if diagnosis.verdict not in (PARTLY, UNEXPLAINED):
+    if diagnosis.verdict not in (LOCATED, PARTLY, UNEXPLAINED):
         return set()
     scatter = diagnosis.fit.scatter
     return {
@@ -56,7 +56,7 @@ def undetermined_parts(diagnosis: Diagnosis) -> set[str]:
 
 
 def _undetermined(part: str) -> str:
-    return f"repeatability of the {part} is not determined, as its residual is unexplained"
+    return f"repeatability of the {part} is not determined, as no cause explains its residual"
 
 
 def _figures(noise: NoiseFloor, motion: MotionSize | None) -> str:

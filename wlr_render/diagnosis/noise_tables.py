@@ -23,7 +23,7 @@ def repeatability_table(diagnosis: Diagnosis) -> ReportTable:
     columns = ("part", "positions (um)", "turns (urad)")
     notes = ["Standard deviation, per axis, of the random motion of the camera against the headset in each capture."]
     if unknown:
-        notes.append("Not determined: the residual is unexplained, and the motions contain the unexplained effect.")
+        notes.append("Not determined: no cause explains the residual, and the motions contain it.")
     return ReportTable("Repeatability", columns, rows, notes)
 
 

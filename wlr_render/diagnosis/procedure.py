@@ -1,11 +1,11 @@
 """Diagnose a session with its nominal bench.
 
-Noise, outlier readings, selection of causes, captures that moved, comparison of the candidates for each place, and what
-stays unexplained; in that order. Generic over causes: nothing here knows any of them.
+Noise, outlier readings, selection of causes, captures that moved, comparison of the candidates for each place, effects
+at the stations that no cause has, and what stays unexplained; in that order.
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,16 +15,20 @@ from wlr_render.captures.session import Session
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.cause_selection import CandidateRanking, Progress, Search, Selection
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.corrections import corrections, odds_beside
+from wlr_render.diagnosis.coherence import FineEffect, fine_effect
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
+    LOCATED,
     NO_EFFECT,
     PARTLY,
     UNEXPLAINED,
     DetectionLimit,
     Diagnosis,
+    StationEffect,
+    TriedField,
     Unexplained,
 )
+from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.findings import (
     capture_residuals,
     correlations,
@@ -40,19 +44,19 @@ from wlr_render.diagnosis.fit import (
     Fit,
     fit,
 )
+from wlr_render.diagnosis.located_effects import FieldContest, LocatedEffect
 from wlr_render.diagnosis.noise import Noise, NoiseFloor, noise_of
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
+from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter
 from wlr_render.diagnosis.screening import hypotheses
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.diagnosis.stability import instability
+from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
 
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
-_UNPREDICTED = {DISPLAY: "stage", SEE_THROUGH: "stage", RUN_TIME: "time"}
 
 
 def diagnose(
@@ -89,13 +93,12 @@ def diagnose(
     search, selection = prepared.search, prepared.selection
     readings = search.full
     found, rankings = _compared(search, selection.fit, selection.first)
-    progress("looking for structure in the residual")
-    left = _unexplained(search, found, prepared.noise, settings)
-    dropped: list[str] = []
-    if left and found.explanation.hypotheses:
-        found, dropped = _without_spurious_matches(search, found, left)
-        rankings = _rankings(search, found, selection.first)
-        left = _unexplained(search, found, prepared.noise, settings)
+    progress("looking for effects that no cause has")
+    located = _located(search, found)
+    if located.dropped:
+        found, rankings = located.found, _rankings(search, located.found, selection.first)
+    left = _unexplained(search, located, prepared, settings)
+    effects = located.records(prepared.fine)
     named = tuple(found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
@@ -104,14 +107,15 @@ def diagnose(
     used = ~prepared.noise.outlier & not_excluded(observations, excluded)
     motion = usual_motion(all_readings, found)
     limits: tuple[DetectionLimit, ...] = ()
-    if not named and not left and not too_many:
+    if not named and not effects and not left and not too_many:
         limits = detection_limits(search, found, causes)
     return Diagnosis(
         session=session.name,
         device=nominal.device.name,
         eye=nominal.eye,
-        verdict=_verdict(bool(named), bool(left) or bool(too_many)),
+        verdict=_verdict(bool(named), bool(effects), bool(left) or bool(too_many)),
         causes=tuple(sorted(named, key=lambda cause: -cause.effect_over_noise)),
+        effects=tuple(effects),
         excluded=excluded,
         too_many_moved=too_many,
         noise_floors=prepared.noise.floors,
@@ -121,8 +125,9 @@ def diagnose(
         before=residual_summary(observations, before, used),
         after=residual_summary(observations, after, used),
         unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
+        fields=located.tried,
         detection_limits=limits,
-        reasons=(*_about_readings(prepared.noise.outlier), *dropped, selection.reason),
+        reasons=(*_about_readings(prepared.noise.outlier), *located.dropped, selection.reason),
         captures=capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
         correlations=correlations(found),
         observations=observations,
@@ -139,9 +144,18 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """A selection, and the noise by which it was made."""
+    """A selection, and the noise by which it was made.
+
+    Attributes:
+        noise: what different captures have in common is none of it.
+        fine: the effect that they have in common, if there is one.
+        fine_variance: mean square per axis of that effect over the readings of its part, in units of the noise.
+        search, selection: of causes.
+    """
 
     noise: Noise
+    fine: FineEffect | None
+    fine_variance: Mapping[int, float]
     search: Search
     selection: Selection
 
@@ -152,7 +166,7 @@ def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Setti
     if not first.selection.fit.explanation.hypotheses:
         return first
     explanation = first.selection.fit.explanation
-    noise = noise_of(as_stated.observations, as_stated.residual(explanation), settings)
+    noise, _ = _noise_left_by(explanation, as_stated, settings)
     now, before = ([floor.shared for floor in each.floors] for each in (noise, first.noise))
     same = np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=settings.same_noise)
     same = same and np.allclose(now, before, atol=settings.same_noise)
@@ -166,11 +180,28 @@ def _with_noise_left_by(
     explanation: Explanation, as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress
 ) -> _Prepared:
     """Select causes by the noise that an explanation leaves within the photographs."""
-    noise = noise_of(as_stated.observations, as_stated.residual(explanation), settings)
+    noise, fine = _noise_left_by(explanation, as_stated, settings)
+    observations, variance = as_stated.observations, dict[int, float]()
+    if fine is not None:
+        part = observations.part[fine.rows]
+        change = fine.change * (observations.sigma_px / noise.sigma_px)[fine.rows, None]
+        number = PART_NAMES.index(fine.part)
+        variance[number] = float(0.5 * np.sum(change[part == number] ** 2) / np.sum(observations.part == number))
     full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
     subsample = full.of_rows(full.observations.spread(settings.subsample))
     search = Search(full, subsample, hypotheses(causes), progress, settings)
-    return _Prepared(noise, search, search.select())
+    return _Prepared(noise, fine, variance, search, search.select())
+
+
+def _noise_left_by(
+    explanation: Explanation, as_stated: Predictor, settings: Settings
+) -> tuple[Noise, FineEffect | None]:
+    """Noise of the readings by what an explanation leaves of them, less what different captures have in common."""
+    residual = as_stated.residual(explanation)
+    fine = fine_effect(as_stated, residual, settings.least_log10_odds)
+    if fine is not None:
+        residual[fine.rows] -= fine.change
+    return noise_of(as_stated.observations, residual, settings), fine
 
 
 def _about_readings(outlier: BoolArray) -> tuple[str, ...]:
@@ -204,23 +235,81 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking) -> list[Candi
     return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
 
 
-def _unexplained(search: Search, found: Fit, noise: Noise, settings: Settings) -> list[Unexplained]:
-    """The parts of the session whose residual is more than noise, or has structure."""
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """Causes that stand against the fields of their stations, and the effects located beside them.
+
+    Attributes:
+        found: the fit of the causes to all readings.
+        contest: on a subsample.
+        effects: smooth ones.
+        scatter: sizes of what is random with causes and effects at work.
+        tried: all fields that were judged.
+        dropped: a sentence on each cause that does not stand.
+    """
+
+    found: Fit
+    contest: FieldContest | None = None
+    effects: tuple[LocatedEffect, ...] = ()
+    scatter: Scatter | None = None
+    tried: tuple[TriedField, ...] = ()
+    dropped: tuple[str, ...] = ()
+
+    def records(self, fine: FineEffect | None) -> list[StationEffect]:
+        """The effects as the report states them; what a smooth one leaves is no fine one of its own."""
+        if self.contest is None or self.scatter is None:
+            return []
+        smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
+        own = None if fine is None or fine.log10_odds < smooth else fine
+        return station_effects(self.contest, self.effects, self.scatter, own)
+
+
+def _located(search: Search, found: Fit) -> _Located:
+    """Locate effects beside the causes; drop causes that the fields of their own station rival, one at a time."""
+    readings, least = search.subsample, search.settings.least_log10_odds
+    fields, dropped = station_fields(readings), list[str]()
+    while True:
+        thinned = fit(readings, found.explanation, found.scatter, 0)
+        if thinned is None:
+            return _Located(found, dropped=tuple(dropped))
+        contest = FieldContest(readings, thinned, fields)
+        ranked = contest.ranked()
+        effects = contest.located(least)
+        odds = [
+            contest.odds_of_cause(number, hypothesis.cause.station, effects)
+            for number, hypothesis in enumerate(found.explanation.hypotheses)
+        ]
+        if not odds or min(odds) > least:
+            tried = [(each.field, each.degree, each.log10_odds) for each in ranked]
+            return _Located(
+                found,
+                contest,
+                tuple(effects),
+                contest.scatter_beside(effects),
+                tuple(TriedField(f.station, f.coordinates, f.form, degree, own) for f, degree, own in tried),
+                tuple(dropped),
+            )
+        weakest = int(np.argmin(odds))
+        cause = found.explanation.hypotheses[weakest].cause
+        dropped.append(
+            f"{cause.name} would explain part of it, but an effect of another shape ({cause.station}) explains as "
+            f"much: log10 odds for the name are {odds[weakest]:.1f}, and it is not named"
+        )
+        found = search.refitted(found.explanation.without(weakest), found.scatter)
+
+
+def _unexplained(search: Search, located: _Located, prepared: _Prepared, settings: Settings) -> list[Unexplained]:
+    """The parts of the session whose residual is more than noise and repeatability with causes and effects at work."""
     left: list[Unexplained] = []
-    observations, raw, scatter = search.full.observations, found.at.residual, found.scatter
-    thinned = fit(search.subsample, found.explanation, scatter, 0)
+    observations, raw = search.full.observations, located.found.at.residual
+    scatter = located.scatter or located.found.scatter
     for part in np.unique(observations.part):
-        tried = [each.correction for each in corrections(search.subsample, thinned, part)] if thinned else []
-        structured = bool(tried) and tried[0].log10_odds > settings.least_log10_odds
-        floor = noise.floor(part)
-        error = _variance_error(observations, int(part), floor, settings)
-        excess = float(scatter.noise[part] ** 2 - 1.0)
+        error = _variance_error(observations, int(part), prepared.noise.floor(part), settings)
+        excess = float(scatter.noise[part] ** 2 - 1.0) - prepared.fine_variance.get(int(part), 0.0)
         moves = max(scatter.shift_um[part] / UNUSUAL_SHIFT, scatter.turn_urad[part] / UNUSUAL_TURN)
-        if structured or excess > max(settings.significant_se * error, settings.material_excess) or moves > 1.0:
-            # A residual that nothing smooth predicts from one capture to the next depends on where the camera stood.
-            depends_on = tried[0].depends_on if structured else _UNPREDICTED[part]
+        if excess > max(settings.significant_se * error, settings.material_excess) or moves > 1.0:
             rms = float(np.sqrt(np.mean(raw[observations.part == part] ** 2)))
-            left.append(Unexplained(PART_NAMES[part], depends_on, rms, tuple(tried)))
+            left.append(Unexplained(PART_NAMES[part], excess, rms))
     return left
 
 
@@ -239,68 +328,6 @@ def _variance_error(observations: Observations, part: int, floor: NoiseFloor, se
     return float(np.hypot(few, 2.0 * floor.error_px / floor.measured_px)) if known else np.inf
 
 
-def _without_spurious_matches(search: Search, found: Fit, left: Sequence[Unexplained]) -> tuple[Fit, list[str]]:
-    """Leave out the causes that only resemble what no cause explains; and a sentence on each.
-
-    What explains the parts that are explained, by themselves, stays. Of the other causes each must explain more than
-    smooth functions of what the residual depends on, and must have the same value in all halves of the readings.
-    """
-    parts = [PART_NAMES.index(each.part) for each in left]
-    clean = ~np.isin(search.full.observations.part, parts)
-    kept: set[str] = set()
-    if clean.any():
-        of_subsample = ~np.isin(search.subsample.observations.part, parts)
-        full, subsample = search.full.of_rows(clean), search.subsample.of_rows(of_subsample)
-        alone = Search(full, subsample, search.hypotheses, search.progress, search.settings).select().fit
-        kept = set(alone.explanation.names)
-        if not kept <= set(found.explanation.names):
-            joined = found.explanation
-            for hypothesis, values in zip(alone.explanation.hypotheses, alone.explanation.values, strict=True):
-                if hypothesis.cause.name not in joined.names:
-                    joined = joined.plus(hypothesis, values)
-            found = search.pruned(search.refitted(joined, found.scatter))
-    dropped = []
-    while (spurious := _spurious(search, found, kept, parts)) is not None:
-        number, sentence = spurious
-        dropped.append(sentence)
-        found = search.refitted(found.explanation.without(number), found.scatter)
-    return found, dropped
-
-
-def _spurious(search: Search, found: Fit, kept: set[str], parts: Sequence[int]) -> tuple[int, str] | None:
-    """A cause that is a spurious match, and a sentence on it; None where all hold."""
-    names, settings = found.explanation.names, search.settings
-    if set(names) <= kept:
-        return None
-    change = instability(search.full.observations, found)
-    worst = max((number for number, name in enumerate(names) if name not in kept), key=lambda number: change[number])
-    if change[worst] > settings.max_instability:
-        return worst, (
-            f"{names[worst]} would explain part of it, but its value differs by {100 * change[worst]:.0f} % between "
-            "halves of the readings: a spurious match"
-        )
-    thinned = fit(search.subsample, found.explanation, found.scatter, 0)
-    if thinned is None:
-        return None
-    for number in reversed(range(len(names))):
-        if names[number] in kept:
-            continue
-        rest = search.refitted(found.explanation.without(number), found.scatter)
-        without = fit(search.subsample, rest.explanation, rest.scatter, 0)
-        beside = (
-            [each for part in parts for each in corrections(search.subsample, without, part)[:1]] if without else []
-        )
-        beside = [each for each in beside if each.correction.log10_odds > settings.least_log10_odds]
-        odds = [odds_beside(search.subsample, thinned, number, each) for each in beside]
-        if odds and min(odds) < settings.least_log10_odds:
-            smooth = beside[int(np.argmin(odds))].correction
-            return number, (
-                f"{names[number]} would explain part of it, but smooth functions of {smooth.depends_on} explain as "
-                "much: a spurious match"
-            )
-    return None
-
-
 def _excluded(
     readings: WeighedReadings, found: Fit, settings: Settings
 ) -> tuple[tuple[MovedCapture, ...], tuple[MovedCapture, ...]]:
@@ -315,7 +342,9 @@ def _excluded(
     )
 
 
-def _verdict(has_causes: bool, has_more: bool) -> str:
-    if not has_more:
-        return EXPLAINED if has_causes else NO_EFFECT
-    return PARTLY if has_causes else UNEXPLAINED
+def _verdict(has_causes: bool, has_effects: bool, has_more: bool) -> str:
+    if has_more:
+        return PARTLY if has_causes or has_effects else UNEXPLAINED
+    if has_effects:
+        return LOCATED
+    return EXPLAINED if has_causes else NO_EFFECT

@@ -31,8 +31,8 @@ def diagnosis_record(diagnosis: Diagnosis, in_use: ImprovementInUse | None = Non
 
     Scripts of others read these keys, which stay as they are: `verdict`, `causes` (`name`, `parameters` by name,
     `held_out_gain`, `gain_sigma`, `overlaps_with`), `outliers`, `before` and `after` (`display_rms_px`,
-    `seethrough_rms_arcmin`, `runtime_rms_arcmin` and their noise floors), `unexplained` (`part`, `bound_to`,
-    `rms_over_noise`).
+    `seethrough_rms_arcmin`, `runtime_rms_arcmin` and their noise floors), `unexplained` (`part`, `excess`,
+    `rms_over_noise`), `effects` (`station`, `coordinates`, `form`, `log10_odds`, `size`, `likely`).
     """
     left = diagnosis.unexplained
     return {
@@ -41,7 +41,7 @@ def diagnosis_record(diagnosis: Diagnosis, in_use: ImprovementInUse | None = Non
         "outliers": [moved.capture.capture for moved in diagnosis.excluded],
         "before": _residual_record(diagnosis.before, diagnosis.noise),
         "after": _residual_record(diagnosis.after, diagnosis.noise),
-        "unexplained": {**fields_of(left), "bound_to": left.depends_on} if left else None,
+        "unexplained": left,
         "in_use": in_use,
     }
 
@@ -86,6 +86,9 @@ def diagnosis_report(
     """
     blocks: list[Block] = [Section("Result"), tables.residuals_table(diagnosis), tables.causes_table(diagnosis)]
     blocks += [*_values(diagnosis), *_next_steps(diagnosis, folder, add_causes), tables.limits_table(diagnosis)]
+    if diagnosis.effects:
+        blocks += [Section("Effects"), tables.effects_table(diagnosis)]
+        blocks += [plots.effect_map(effect) for effect in diagnosis.effects]
     for part in part_views(diagnosis):
         name = part.name[:1].upper() + part.name[1:]
         blocks += [Section(f"{name} residual"), plots.residual_maps(part), plots.residual_curves(part)]
@@ -94,7 +97,7 @@ def diagnosis_report(
     blocks += [tables.in_use_table(in_use)] if in_use else []
     blocks += [tables.parameters_table(diagnosis), tables.ranking_table(diagnosis), tables.degenerate_table(diagnosis)]
     blocks += [plots.correlations_plot(diagnosis)] if len(diagnosis.correlations.names) > 1 else []
-    blocks += [tables.unexplained_table(diagnosis), Text("Why the search ended:", diagnosis.reasons)]
+    blocks += [tables.fields_table(diagnosis), Text("Why the search ended:", diagnosis.reasons)]
     blocks += [Section("Noise"), repeatability_table(diagnosis), noise_table(diagnosis)]
     blocks += [plots.normality_plot(diagnosis)]
     return Report(

@@ -6,16 +6,21 @@ import numpy as np
 
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ParameterValue
 from wlr_render.diagnosis.fit import times_between_captures
+from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.scatter import FEWEST_TO_STAND_OUT, USUAL_SHIFT, USUAL_TURN
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.verdict_sentences import undecided, value_text
+from wlr_render.report.blocks import cell_text
 
 _SAME_STATED = 1e-3  # relative difference of two stated sigmas that is rounding
 _NEARLY_ONE = 1.1  # ratio of the parts' noise up to which one number states both
 ENOUGH_CAPTURES = 6
 """Captures of a part from which its repeatability and the captures that moved are known well enough to be useful."""
 _UNUSUAL = 5.0  # prior sigmas
+_ORDINARY_UM, _ORDINARY_URAD = 30.0, 100.0
+"""Repeatability per axis that an ordinary stage keeps."""
+_DIFFER, _TWICE = 3.0, 2.0  # standard errors of two parts' repeatabilities, and the ratio, from which they differ
 
 
 def warnings(diagnosis: Diagnosis) -> list[str]:
@@ -35,7 +40,32 @@ def warnings(diagnosis: Diagnosis) -> list[str]:
         )
     if diagnosis.excluded:
         found.append(f"Captures that moved were excluded ({len(diagnosis.excluded)}) from all numbers.")
-    return [*found, *_too_few(diagnosis)]
+    return [*found, *_about_repeatability(diagnosis), *_too_few(diagnosis)]
+
+
+def _about_repeatability(diagnosis: Diagnosis) -> list[str]:
+    """Repeatability beyond that of an ordinary stage, and parts that share a stage and do not repeat alike."""
+    found, unknown = [], undetermined_parts(diagnosis)
+    motions = [motion for motion in diagnosis.motions if motion.part not in unknown]
+    for name, unit, most in (("shift", "um", _ORDINARY_UM), ("turn", "urad", _ORDINARY_URAD)):
+        sizes = [
+            (each.part, getattr(each, f"{name}_{unit}"), getattr(each, f"{name}_error_{unit}")) for each in motions
+        ]
+        found += [
+            f"The captures of the {part} part repeat to {cell_text(size)} {unit} only; ordinary stages repeat to "
+            f"{most:g} {unit}: look for what moves."
+            for part, size, error in sizes
+            if size - 2.0 * error > most
+        ]
+        if len(sizes) == 2:
+            (first, one, one_error), (second, other, other_error) = sizes
+            apart = abs(np.log(one / other)) / np.hypot(one_error / one, other_error / other)
+            if apart > _DIFFER and max(one, other) > _TWICE * min(one, other):
+                found.append(
+                    f"The {first} repeats to {cell_text(one)} {unit}, the {second} to {cell_text(other)} {unit}, with "
+                    "one stage: one of the parts has an effect that looks like motion."
+                )
+    return found
 
 
 def stated_prior(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> tuple[float, float] | None:

@@ -19,8 +19,8 @@ class Settings:
             causes are not selected again with the new noise.
         subsample: readings on which candidates are compared first; all readings are used for the few that remain.
         max_causes: causes that are searched for; more than five are not told apart by one session.
-        least_log10_odds: for a cause, or for a smooth correction, below which it is not said to be there: 2 is a chance
-            of one in a hundred for each.
+        least_log10_odds: for a cause, or for an effect at a station, below which it is not said to be there, and for a
+            cause's name against the fields of its own station: 2 is a chance of one in a hundred for each.
         min_share_explained: share of what exceeds the noise of a part that a cause must explain, unless the rest is
             noise.
         min_relative_gain: share of the best candidate's first-order gain below which a candidate is not fitted.
@@ -30,8 +30,6 @@ class Settings:
             readings, which are only more decided.
         restarts: runners-up of the first place from which the selection is tried again: of two causes at work, the
             one that alone explains most may be neither.
-        max_instability: change of a cause's effect between halves of the readings, over the effect, from which the
-            cause is a spurious match; true causes beside unlisted effects stayed below 0.1 in tests.
         max_prior_sigmas: values beyond so many prior sigmas want another explanation.
         max_moved_captures: share of a part's captures beyond which those that moved cannot be told from the others.
         degenerate_cosine: cosine between an effect and its best match by another cause, from which the two are called
@@ -56,7 +54,6 @@ class Settings:
     max_contenders: int = 3
     close_evidence: float = 20.0
     restarts: int = 1
-    max_instability: float = 0.35
     max_prior_sigmas: float = 20.0
     max_moved_captures: float = 0.34
     degenerate_cosine: float = 0.95

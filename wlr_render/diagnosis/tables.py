@@ -12,7 +12,6 @@ from wlr_render.diagnosis.verdict_sentences import (
     AXES_NOTE,
     RESIDUALS,
     odds_text,
-    times_the_noise,
     value_and_sigma,
     value_text,
 )
@@ -49,8 +48,8 @@ def residuals_table(diagnosis: Diagnosis) -> ReportTable:
     ]
     if unknown:
         notes.append(
-            "No expected residual is stated for a part with an unexplained residual: the motions of its captures, as "
-            "fitted, contain the unexplained effect."
+            "No expected residual is stated where no cause explains the residual: the motions of its captures, as "
+            "fitted, contain it."
         )
     return ReportTable("Simulation against measurement", columns, rows, notes)
 
@@ -220,21 +219,49 @@ def excluded_table(diagnosis: Diagnosis) -> ReportTable:
     return ReportTable("Captures that moved", columns, rows, notes)
 
 
-def unexplained_table(diagnosis: Diagnosis) -> ReportTable:
-    """Smooth corrections of what no cause explains."""
-    left = diagnosis.unexplained
-    times = None if left is None else times_the_noise(diagnosis, left.part)
-    title = "" if left is None else f"Unexplained {left.part} residual, {times:.3g} times the noise"
+def effects_table(diagnosis: Diagnosis) -> ReportTable:
+    """Effects that no cause has."""
     rows: list[list[Cell]] = [
-        [each.depends_on, each.form, each.terms, _odds(each.log10_odds), _percent(each.improvement)]
-        for each in (left.corrections if left else ())
+        [
+            each.station,
+            each.coordinates,
+            each.displaced,
+            each.form,
+            f"{each.size:.3g} {each.unit}",
+            _odds(each.log10_odds),
+            each.next_station or None,
+            _odds(each.odds_against_next_station),
+            _percent(each.held_out_improvement),
+            100.0 * each.share_of_excess_removed,
+        ]
+        for each in diagnosis.effects
     ]
-    columns = ("smooth function of", "form", "terms per axis", "log10 odds", "held-out improvement (%)")
-    note = (
-        "A smooth correction describes the residual; it is no cause, and says nothing about other benches. Log10 "
-        "odds: for it against noise and motions alone."
+    columns = (
+        "station",
+        "function of",
+        "displaces",
+        "form",
+        "rms size",
+        "log10 odds",
+        "next station",
+        "log10 odds against it",
+        "held-out improvement (%)",
+        "excess removed (%)",
     )
-    return ReportTable(title, columns, rows, (note,))
+    note = "Log10 odds: for the effect against noise and motions, beside what was found before it."
+    return ReportTable("Effects that no cause has", columns, rows, (note,))
+
+
+def fields_table(diagnosis: Diagnosis) -> ReportTable:
+    """All fields that were judged, where something was found."""
+    rows: list[list[Cell]] = [
+        [each.station, each.coordinates, each.displaced, each.degree, _odds(each.log10_odds)]
+        for each in (diagnosis.fields if diagnosis.effects or diagnosis.unexplained else ())
+    ]
+    note = (
+        "A field is a displacement at a station, of any smooth shape up to a degree. All are charged for their number."
+    )
+    return ReportTable("Fields", ("station", "function of", "displaces", "degree", "log10 odds"), rows, (note,))
 
 
 def limits_table(diagnosis: Diagnosis) -> ReportTable:

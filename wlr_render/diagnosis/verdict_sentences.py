@@ -10,16 +10,18 @@ import numpy as np
 from wlr_render.bench.bench_file import WRITTEN_FRAME, changed_keys
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
+    LOCATED,
     NO_EFFECT,
     PARTLY,
-    Correction,
     DegenerateCause,
     Diagnosis,
     FoundCause,
     ParameterValue,
     ResidualSummary,
+    StationEffect,
     Unexplained,
 )
+from wlr_render.diagnosis.effect_findings import SEPARATED_BY
 from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.settings import Settings
@@ -41,12 +43,6 @@ _REMEDIES = {
 _TABLES = {"device": "readout", "eye tracking": "eye_tracking"}
 """Table of bench.toml of a part, where its name differs."""
 
-_MEANWHILE = {
-    "panel pixels": "Until the cause is found, render with models fitted to the session (`calibrate`): like "
-    "this function they absorb what is fixed in the headset.",
-}
-"""Remedies of a residual that no cause explains, by the variables that it depends on."""
-
 RESIDUALS = (
     ("display", "display", "display_rms_px", " panel px"),
     ("see-through", "see-through", "see_through_rms_arcmin", "'"),
@@ -59,12 +55,18 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict and its causes in one sentence, then the residuals and what is left of them."""
     causes, left, moved = diagnosis.causes, diagnosis.unexplained, diagnosis.too_many_moved
     if diagnosis.verdict == NO_EFFECT:
+        noise = max(floor.measured_px / floor.stated_px for floor in diagnosis.noise_floors)
         found = "No effect found: the bench as described predicts the session to its noise and repeatability"
+        if noise > _MUCH_NOISE:
+            found = f"No effect found, but the readings are {cell_text(noise)} times as noisy as the bench states"
         return f"{found}. {_capital(_changes(diagnosis))}."
     named = "; ".join(f"{cause.title} ({cause.name}: {_clearest(cause)})" for cause in causes)
-    head = {EXPLAINED: "Explained", PARTLY: "Partly explained"}.get(diagnosis.verdict, "Unexplained")
+    head = {EXPLAINED: "Explained", PARTLY: "Partly explained", LOCATED: "Effect located"}.get(
+        diagnosis.verdict, "Unexplained"
+    )
+    named = "; ".join([each for each in (named,) if each] + [effect_sentence(each) for each in diagnosis.effects])
     nothing = (
-        "none of the causes considered explains the residual"
+        "no cause, and no effect at any station, explains the residual"
         if left or not moved
         else "the captures contradict each other"
     )
@@ -85,19 +87,48 @@ def times_the_noise(diagnosis: Diagnosis, part: str) -> float:
     return float(getattr(diagnosis.after, attribute) / getattr(diagnosis.noise, attribute))
 
 
+def effect_sentence(effect: StationEffect) -> str:
+    """What acts where, and how large it is."""
+    if effect.form == "smooth":
+        what = (
+            f"{effect.displaced}, a smooth function of {effect.coordinates}, {cell_text(effect.size)} {effect.unit} rms"
+        )
+    elif effect.place is None or effect.length is None:
+        what = f"a fine pattern, {cell_text(effect.size)} times the noise"
+    else:
+        place, unit = ", ".join(f"{each:.3g}" for each in effect.place), effect.length_unit
+        what = f"a spot {cell_text(effect.length)} {unit} wide at ({place}) {unit}"
+    odds = f"log10 odds {odds_text(effect.log10_odds)}"
+    sentence = f"an effect {_WHERE[effect.station]} that no listed cause has: {what} ({odds})"
+    if _is_ambiguous(effect):
+        sentence += f"; the session hardly tells it from an effect {_WHERE[effect.next_station]}"
+    return sentence
+
+
+def _is_ambiguous(effect: StationEffect) -> bool:
+    return bool(effect.next_station) and effect.odds_against_next_station < _DECIDED
+
+
+_MUCH_NOISE = 1.5  # times the stated one, from which "to its noise" would mislead
+_DECIDED = 2.0  # log10 odds against another station from which the session tells them apart
+_WHERE = {
+    "panel": "on the panel",
+    "combiner": "on the combiner",
+    "camera": "in the camera",
+    "target": "on the target",
+    "stage": "of the stage",
+    "time": "in the course of the session",
+    "head motion": "of the head's motion",
+    "eye tracking": "of the eye tracking",
+}
+"""Stations as they stand in a sentence."""
+
+
 def _left_over(diagnosis: Diagnosis, left: Unexplained) -> str:
-    """The sentence on the residual that no cause explains."""
-    times, best = cell_text(times_the_noise(diagnosis, left.part)), _smooth_match(left, diagnosis.settings)
-    size = f"the {left.part} residual is {'still ' if diagnosis.causes else ''}{times} times the noise"
-    if best is None:
-        return f"{size} and follows no smooth function that was tried"
-    return f"{size} and depends on {best.depends_on} (log10 odds {odds_text(best.log10_odds)})"
-
-
-def _smooth_match(left: Unexplained, settings: Settings) -> Correction | None:
-    """The smooth function of best odds; None where none has good odds."""
-    best = max(left.corrections, key=lambda each: each.log10_odds, default=None)
-    return best if best is not None and best.log10_odds > settings.least_log10_odds else None
+    """The sentence on the residual that neither causes nor effects explain."""
+    times = cell_text(times_the_noise(diagnosis, left.part))
+    still = "still " if diagnosis.causes or diagnosis.effects else ""
+    return f"the {left.part} residual is {still}{times} times the noise, and no field at any station explains the rest"
 
 
 def _captures_beside(diagnosis: Diagnosis, moved: Iterable[MovedCapture]) -> int:
@@ -113,20 +144,9 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     left, settings = diagnosis.unexplained, diagnosis.settings
     steps = [_before_acting(cause, other) for cause in diagnosis.causes for other in undecided(cause, settings)]
     steps += _remedies(diagnosis)
+    steps += [step for effect in diagnosis.effects for step in _about_effect(effect)]
     if left is not None:
-        best = _smooth_match(left, settings)
-        dependence = f" that depends on {best.depends_on} and is none of the causes considered" if best else ""
-        steps.append(
-            f"Look for an effect in the {left.part} part{dependence}."
-            if best
-            else f"Look for what differs from one capture of the {left.part} part to the next."
-        )
-        if best is not None and best.improvement.percent > 0:
-            steps.append(
-                f"A smooth function of {best.depends_on} reduces the residual of held-out captures by "
-                f"{best.improvement.percent:.0f} %. "
-                + _MEANWHILE.get(best.depends_on, "It is no cause; calibrate when the effect is gone.")
-            )
+        steps.append(f"Look for what differs from one capture of the {left.part} part to the next.")
     if diagnosis.too_many_moved:
         names = ", ".join(str(moved.capture) for moved in diagnosis.too_many_moved)
         steps.append(
@@ -136,6 +156,28 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.excluded:
         names = ", ".join(str(moved.capture) for moved in diagnosis.excluded)
         steps.append(f"Take again, or leave out: {names}.")
+    return steps
+
+
+def _about_effect(effect: StationEffect) -> list[str]:
+    """What to look for, what to measure, and what the effect's correction is worth."""
+    where, gain = _WHERE[effect.station], effect.held_out_improvement.percent
+    worth = "A correction by the other captures does not improve captures left out."
+    if gain > 0.0:
+        share = 100 * min(max(effect.share_of_excess_removed, 0.0), 1.0)
+        worth = (
+            f"Its correction takes {gain:.0f} % off the residual of captures left out, {share:.0f} % of their excess "
+            "over noise."
+        )
+    steps = [f"Effects {where} of this kind come from {' or '.join(effect.likely)}: look for that. {worth}"]
+    if _is_ambiguous(effect):
+        apart = [SEPARATED_BY[each] for each in (effect.station, effect.next_station) if each in SEPARATED_BY]
+        steps.append(f"To tell the {effect.station} from the {effect.next_station}: {'; or '.join(apart)}.")
+    if effect.station in ("panel", "combiner"):
+        steps.append(
+            "Until it is found, render with models fitted to the session (`calibrate`): they absorb what is fixed in "
+            "the headset."
+        )
     return steps
 
 

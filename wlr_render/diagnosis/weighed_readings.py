@@ -24,13 +24,15 @@ class WeighedReadings:
         predictor: of the readings, none of which is an outlier; their sigma is that of their noise.
         noise: of the session.
         shared: whitening of the noise that neighbours share.
-        motions: (n, 2, 6) change of the white readings by a shift (micrometres) and a turn (microradians) of the camera
-            in the reading's capture; zero at run time.
+        camera_motions: (n, 2, 6) change of the readings, in sigma, by a shift (micrometres) and a turn (microradians)
+            of the camera in the reading's capture; zero at run time.
+        motions: (n, 2, 6) the same of the white readings.
     """
 
     predictor: Predictor
     noise: Noise
     shared: Whitening
+    camera_motions: FloatArray
     motions: FloatArray
 
     @classmethod
@@ -38,7 +40,8 @@ class WeighedReadings:
         """Of a predictor whose sigma is that of the noise."""
         observations = predictor.observations
         shared = shared_noise_whitening(observations, noise)
-        return cls(predictor, noise, shared, shared(camera_motions(predictor)))
+        motions = camera_motions(predictor)
+        return cls(predictor, noise, shared, motions, shared(motions))
 
     @property
     def observations(self) -> Observations:

@@ -72,6 +72,15 @@ def _dented(optics: EyeOptics, values: FloatArray) -> EyeOptics:
     )
 
 
+def surfaces_raised(optics: EyeOptics, values: FloatArray, names: set[str]) -> EyeOptics:
+    """Surfaces of the given names raised by a height (um) and its slopes along x and y (um/mm), from the middle."""
+    if not values.any():
+        return optics
+    piston, slope_x, slope_y = np.asarray(values) * [1e-6, 1e-3, 1e-3]
+    coefficients = np.array([[piston, slope_y], [slope_x, 0.0]])
+    return _raised(optics, names, lambda sign: XYPolynomial(sign * coefficients), np.zeros(2))
+
+
 def _raised(optics: EyeOptics, names: set[str], error: Callable[[float], SagSurface], place: FloatArray) -> EyeOptics:
     """Surfaces raised away from the eye; `error` maps the side of the normal (+1 is away) to the height to be added.
 
@@ -103,6 +112,7 @@ FORM = (
         separated_by="a straight edge on the panel's face, or the reflection of a grid in it",
         variants={"along its normal, u cross v": of_optics(_panel_bowed)},
         remedy="let the panel's frame hold it flat, or use the corrected headset",
+        own_station="panel",
     ),
     Cause(
         "combiner_form",

@@ -169,6 +169,7 @@ OPTICS = (
         source=f"{assembly.SOURCE}: 0.7 and 2.5 mm",
         separated_by="a photograph of the bare panel against its frame; display captures farther off the base plane",
         variants={"along u and v": of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append(mm, 0.0)))},
+        own_station="panel",
     ),
     Cause(
         "panel_axial_shift",
@@ -180,6 +181,7 @@ OPTICS = (
         variants={
             "along the normal": of_optics(lambda optics, mm: assembly.panel_shifted(optics, np.append([0.0, 0.0], mm)))
         },
+        own_station="panel",
     ),
     Cause(
         "panel_rotation",
@@ -189,6 +191,7 @@ OPTICS = (
         source=f"{assembly.SOURCE}: 1.3 to 2.4 deg of the normal",
         separated_by="a photograph of the bare panel against its frame",
         variants={"about its centre": of_optics(assembly.panel_turned)},
+        own_station="panel",
     ),
     Cause(
         "panel_scale",
@@ -198,6 +201,7 @@ OPTICS = (
         source="rounding of a pixel pitch in a data sheet, a few parts in a thousand; heat is ten times less",
         separated_by="a photograph of the bare panel with a ruler",
         variants={"about its centre": _panel_scaled},
+        own_station="panel",
     ),
     Cause(
         "substrate_index",
@@ -251,6 +255,7 @@ READOUT = (
         source="2.4 arcmin at 14 deg in a see-through headset, 20 arcmin at 44 deg in a lens of virtual reality",
         separated_by="captures in all three colours from the same positions",
         variants={"about the panel's centre": changed("readout", "channel_scale", _colours_magnified)},
+        own_station="panel",
     ),
     Cause(
         "pixel_origin",
@@ -264,5 +269,6 @@ READOUT = (
             "of the camera": changed("camera", "centre_px", lambda old, px: old + px),
         },
         whole_steps=0.5,
+        own_station="panel",
     ),
 )

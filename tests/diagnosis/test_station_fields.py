@@ -1,0 +1,178 @@
+"""An effect that no cause has is located at its station, whatever its shape; nothing is located where nothing acts.
+
+The shapes are plane waves, humps and steps; the fields are polynomials.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_session import SIGMA_PX, explanation, fitted, hypothesis, measured, weighed, with_noise, with_readings
+
+from wlr_render.bench.simulate_session import simulate
+from wlr_render.captures.session import Session, SessionPlan
+from wlr_render.diagnosis.located_effects import FieldContest
+from wlr_render.diagnosis.observations import observe
+from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.station_fields import station_fields
+
+
+def wave(variable, period):
+    return np.sin(2 * np.pi * variable / period)
+
+
+def beside(values):
+    """The first of two components; the second is zero."""
+    return np.stack([values, np.zeros_like(values)], axis=-1)
+
+
+def nothing(bench, plan):
+    return simulate(bench, plan)
+
+
+def bent_panel(bench, plan):
+    """Waves over the panel, as of a warped one."""
+    read = simulate(bench, plan)
+    off = 0.6 * wave(read.panel_pixel[:, 0], 1000) * wave(read.panel_pixel[:, 1], 900)
+    return replace(read, panel_pixel=read.panel_pixel + beside(off))
+
+
+def misread_stripes(bench, plan):
+    """A few of every 64 pixels are off, as where one stripe of a Gray code is misread."""
+    read = simulate(bench, plan)
+    off = np.where(np.mod(read.panel_pixel[:, 0], 64) < 5, 3.0, 0.0)
+    return replace(read, panel_pixel=read.panel_pixel + beside(off))
+
+
+def magnified_red(bench, plan):
+    read = simulate(bench, plan)
+    off = 0.6 * (plan.display.channel == 0) * (read.panel_pixel[:, 0] - 700) / 500
+    return replace(read, panel_pixel=read.panel_pixel + beside(off))
+
+
+def lens(bench, plan):
+    """Waves over the camera's image, as of a lens that is not radial."""
+
+    def off(pixel):
+        return 0.4 * beside(wave(pixel[:, 0], 700) * wave(pixel[:, 1], 600))
+
+    imaged = replace(
+        plan, display=replace(plan.display, camera_pixel=plan.display.camera_pixel - off(plan.display.camera_pixel))
+    )
+    read = simulate(bench, imaged)
+    return replace(read, dot_pixel=read.dot_pixel + off(read.dot_pixel))
+
+
+def at_stage(bench, plan, error):
+    """The camera stands elsewhere than the stage says, in both parts."""
+    tables = [replace(table, stage=table.stage + error(table)) for table in (plan.display, plan.see_through)]
+    return simulate(bench, SessionPlan(*tables))
+
+
+def screw(bench, plan):
+    """A stage whose screw of 1.6 mm lead is out of round by 60 micrometres."""
+    return at_stage(bench, plan, lambda table: 6e-5 * wave(table.stage[:, :1] + 2e-4, 1.6e-3) * [1.0, 0.0, 0.0])
+
+
+def hump(bench, plan):
+    """A stage that is bent by 100 micrometres."""
+    return at_stage(
+        bench, plan, lambda table: 1e-4 * ((table.stage[:, :1] - bench.stage.origin[0]) / 4e-3) ** 2 * [0, 1, 0]
+    )
+
+
+def swing(bench, plan):
+    """The camera swings by 100 micrometres as the room warms and cools."""
+    return at_stage(bench, plan, lambda table: 1e-4 * wave(table.time_s[:, None], 1300.0) * [0.0, 0.0, 1.0])
+
+
+def warped_print(bench, plan):
+    dots = plan.see_through.dot
+    off = 4e-4 * beside(wave(dots[:, 0], 0.25) * wave(dots[:, 1] + 0.03, 0.3))
+    return simulate(bench, replace(plan, see_through=replace(plan.see_through, dot=dots + off)))
+
+
+def dent(bench, plan):
+    """A bump of the combiner 6 mm wide, of which the causes considered know nothing."""
+    return simulate(explanation(combiner_dent=[6.0, 3.0, -2.0, 6.0]).bench(bench), plan)
+
+
+EFFECTS = [
+    (bent_panel, "panel", "panel pixels"),
+    (misread_stripes, "panel", "panel pixels"),
+    (magnified_red, "panel", "panel pixels and colour"),
+    (lens, "camera", "camera pixels"),
+    (screw, "stage", "stage readings"),
+    (hump, "stage", "stage readings"),
+    (swing, "time", "time"),
+    (warped_print, "target", "place on the target"),
+    (dent, "combiner", "place on the combiner"),
+]
+
+
+def contest(bench, plan, read, causes=None):
+    observations = with_noise(observe(bench, Session("small", plan, read)), SIGMA_PX, np.random.default_rng(3))
+    readings = weighed(observations)
+    return FieldContest(readings, fitted(observations, causes or Explanation()), station_fields(readings))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("effect", "station", "coordinates"), EFFECTS, ids=[each[0].__name__ for each in EFFECTS])
+def test_an_effect_is_located_at_its_station(bench, plan, effect, station, coordinates):
+    first = contest(bench, plan, effect(bench, plan)).located(2.0)[0]
+    assert (first.field.station, first.field.coordinates) == (station, coordinates)
+    assert first.log10_odds > 4
+
+
+@pytest.mark.slow
+def test_nothing_is_located_where_nothing_acts(bench, plan):
+    quiet = contest(bench, plan, nothing(bench, plan))
+    assert quiet.located(2.0) == []
+    assert max(each.log10_odds for each in quiet.ranked()) < 1.0
+
+
+@pytest.mark.slow
+def test_a_displacement_is_returned_in_the_units_of_its_station(bench, plan):
+    won = contest(bench, plan, bent_panel(bench, plan))
+    (effect, *_) = won.located(2.0)
+    (values,) = won.values([effect], won.scatter_beside([effect]))
+    found, read = effect.displacement(values), simulate(bench, plan).panel_pixel
+    true = 0.6 * wave(read[:, 0], 1000) * wave(read[:, 1], 900)
+    assert np.std(found[: len(true), 0] - true) < 0.25 * np.std(true)
+    assert np.std(found[: len(true), 1]) < 0.25 * np.std(true)
+
+
+@pytest.mark.slow
+def test_a_cause_keeps_its_name_where_its_effect_is_there_and_loses_it_where_another_shape_is(bench, plan):
+    true = explanation(panel_scale=[0.3])
+    right = contest(bench, plan, simulate(true.bench(bench), plan), true)
+    assert right.odds_of_cause(0, "panel", right.located(2.0)) > 4
+    # A panel that is bent looks a little as if it were larger.
+    wrong = contest(bench, plan, bent_panel(bench, plan), true)
+    assert wrong.odds_of_cause(0, "panel", wrong.located(2.0)) < 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("off", "station", "coordinates"),
+    [
+        (lambda plan, pixel: 0.5 * beside(plan.world_from_device[:, 1, 2]), "head motion", "direction of gravity"),
+        (lambda plan, pixel: 0.4 * beside(wave(plan.viewpoint[:, 0], 5e-3)), "eye tracking", "tracked pupil"),
+        (lambda plan, pixel: 0.4 * beside(wave(plan.time_s, 9.0)), "time", "time"),
+    ],
+)
+def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordinates):
+    observations = measured(bench, run_time, SIGMA_PX, seed=2)
+    pixel = observations.session.readings.run_time_pixel.copy()
+    pixel[:, :2] += off(observations.session.plan.run_time, pixel)
+    observations = with_readings(observations, run_time_pixel=pixel)
+    readings = weighed(observations)
+    first = FieldContest(readings, fitted(observations, Explanation()), station_fields(readings)).ranked()[0]
+    assert (first.field.station, first.field.coordinates) == (station, coordinates)
+    assert first.log10_odds > 4
+
+
+def test_every_cause_has_a_station_that_a_session_shows(bench, plan, run_time):
+    shown = {field.station for field in station_fields(weighed(measured(bench, plan)))}
+    shown |= {field.station for field in station_fields(weighed(measured(bench, run_time)))}
+    assert {hypothesis(name).cause.station for name in ("combiner_tilt", "panel_shift", "latency")} <= shown

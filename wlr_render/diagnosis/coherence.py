@@ -1,0 +1,279 @@
+"""Effects too fine for a smooth field: residuals of different captures that agree at one place of a station.
+
+A smooth surface takes from every photograph what is smooth over its image. What it leaves is noise, independent from
+one capture to the next, unless something fine is fixed to a station: then residuals of different captures at one place
+of that station have a positive mean product. The station at which the products stand out most is where the effect is;
+the mean residual in each cell is its picture.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.residual_surfaces import surfaces
+from wlr_render.diagnosis.station_fields import footprints
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_CLIP = 4.0  # sigma: a wild reading counts no more than this
+_MOST_LEVERAGE = 0.8  # of a reading that its photograph's surface follows too closely to judge
+_CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
+_CELLS_PANEL = (80, 160)  # over the panel's width
+_CELLS_CAMERA = (80, 160)  # over the image's width
+_FOLDS = 8
+_CHARGE = float(np.log10(3.0))  # of the best of the widths that are tried
+_SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
+_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the cells that may have a mean
+_SIZES = tuple(np.geomspace(0.02, 100.0, 18))  # of the means, as variances over that of the noise
+_CELL_STANDS_OUT = 18.0  # two squares of unit normal variables exceed it in one cell of 8,000
+
+
+@dataclass(frozen=True, eq=False)
+class FineEffect:
+    """An effect that residuals of different captures have in common in cells of a station.
+
+    Attributes:
+        station, coordinates, unit: where, by which coordinates, and their unit.
+        part: of the session that shows it.
+        cell: width of a cell, in the unit.
+        log10_odds: for it against noise alone.
+        size: rms that the captures have in common over all cells, in units of sigma.
+        cells: (c, 2) middles of the cells, in the unit.
+        means: (c, 2) mean residual of each, in units of sigma, and errors: (c,) their standard errors.
+        place, width: (2,) and (): middle of the cells that stand out, and their rms distance from it, in the unit;
+            NaN where most of the station stands out.
+        next_station: the station of next best evidence; empty where there is no other.
+        odds_against_next: log10 odds against that station.
+        improvement: of captures left out by the means of the others; and the share of the excess that this removes.
+        rows: (m,) of the readings, and change: (m, 2) of them by the effect, in units of sigma.
+    """
+
+    station: str
+    coordinates: str
+    unit: str
+    part: str
+    cell: float
+    log10_odds: float
+    size: float
+    cells: FloatArray
+    means: FloatArray
+    errors: FloatArray
+    place: FloatArray
+    width: float
+    next_station: str
+    odds_against_next: float
+    improvement: HeldOutImprovement
+    share_removed: float
+    rows: IntArray
+    change: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Readings of one part by the cells of one station.
+
+    Attributes:
+        station, coordinates, unit, part, width: as in `FineEffect`.
+        place: (m, 2) of the readings at the station.
+        left: (m, 2) what surfaces leave of their residuals.
+        capture: (m,) of each.
+        rows: (m,) of them among all readings.
+    """
+
+    station: str
+    coordinates: str
+    unit: str
+    part: int
+    width: float
+    place: FloatArray
+    left: FloatArray
+    capture: IntArray
+    rows: IntArray
+
+    @cached_property
+    def middles(self) -> FloatArray:
+        """Middles of the cells that have readings, (c, 2)."""
+        return np.asarray((np.unique(np.floor(self.place / self.width), axis=0) + 0.5) * self.width)
+
+    @cached_property
+    def cell(self) -> IntArray:
+        """Cell of each reading (m,)."""
+        return np.unique(np.floor(self.place / self.width), axis=0, return_inverse=True)[1].ravel()
+
+    @cached_property
+    def noise(self) -> float:
+        """Variance of the noise by which the sum of a capture's readings in one cell varies, per reading.
+
+        Neighbours in one capture may share noise: it is measured from the sums. Their mean square has the tails of the
+        noise in it, which a median would miss, and some of the effect, which makes the odds for it smaller.
+        """
+        both, count = self.cell * (int(self.capture.max()) + 1) + self.capture, np.ones(len(self.cell))
+        owner = np.unique(both, return_inverse=True)[1]
+        total = np.stack([np.bincount(owner, self.left[:, axis]) for axis in (0, 1)], axis=1)
+        return float(np.mean(total**2 / np.bincount(owner, count)[:, None]))
+
+    def sums(self, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Number of some of the readings (c,) and sum of their residuals (c, 2) in each cell."""
+        count = np.bincount(self.cell[rows], minlength=len(self.middles)).astype(np.float64)
+        total = [np.bincount(self.cell[rows], self.left[rows, axis], len(self.middles)) for axis in (0, 1)]
+        return count, np.stack(total, axis=1)
+
+    @cached_property
+    def agreement(self) -> tuple[float, float, float]:
+        """Log10 odds for means of cells against noise alone; share of the cells that have one; its variance per axis.
+
+        Share and variance are unknown; all that are tried are equally likely beforehand.
+        """
+        count, total = self.sums(np.ones(len(self.cell), dtype=bool))
+        several = np.bincount(np.unique(np.stack([self.cell, self.capture]), axis=1)[0], minlength=len(count)) > 1
+        if not several.any() or self.noise == 0.0:
+            return 0.0, 0.0, 0.0
+        count, square = count[several], np.sum(total[several] ** 2, axis=1) / self.noise
+        logs, tried = [], list(product(_SHARES, _SIZES))
+        for share, size in tried:
+            factor = np.log1p(count * size) - 0.5 * square * size / (1.0 + count * size)
+            logs.append(
+                float(np.sum(np.logaddexp(np.log1p(-share) if share < 1.0 else -np.inf, np.log(share) - factor)))
+            )
+        best = int(np.argmax(logs))
+        odds = (float(np.logaddexp.reduce(logs)) - np.log(len(tried))) / np.log(10.0)
+        return odds, tried[best][0], tried[best][1] * self.noise
+
+    def described(self, odds: float, rival: str, against_rival: float) -> FineEffect:
+        """The effect with its picture and its improvement of captures left out."""
+        _, share, variance = self.agreement
+        count, total = self.sums(np.ones(len(self.cell), dtype=bool))
+        means, errors = total / count[:, None], np.sqrt(self.noise / count)
+        power = np.sum(means**2, axis=1) / errors**2
+        place, width = _spot(self.middles, np.where(power > _CELL_STANDS_OUT, power, 0.0), _SPOT * self.width)
+        before, after = self._left_out(share, variance)
+        excess = 2.0 * share * variance * len(self.left)
+        return FineEffect(
+            station=self.station,
+            coordinates=self.coordinates,
+            unit=self.unit,
+            part=PART_NAMES[self.part],
+            cell=self.width,
+            log10_odds=odds,
+            size=float(np.sqrt(share * variance)),
+            cells=self.middles,
+            means=means,
+            errors=errors,
+            place=place,
+            width=width,
+            next_station=rival,
+            odds_against_next=against_rival,
+            improvement=held_out_improvement(before, after),
+            share_removed=float((np.sum(before) - np.sum(after)) / max(excess, 1e-9)),
+            rows=self.rows,
+            change=self._means(np.ones(len(self.cell), dtype=bool), share, variance)[self.cell],
+        )
+
+    def _means(self, rows: BoolArray, share: float, variance: float) -> FloatArray:
+        """Expected mean (c, 2) of each cell by some of the readings."""
+        count, total = self.sums(rows)
+        square, size = np.sum(total**2, axis=1) / self.noise, variance / self.noise
+        log_factor = np.log1p(count * size) - 0.5 * square * size / (1.0 + count * size)
+        none = np.log1p(-share) if share < 1.0 else -np.inf
+        probable = np.exp(-np.logaddexp(0.0, none - np.log(share) + log_factor))
+        return np.asarray(total * (probable * size / (1.0 + count * size))[:, None])
+
+    def _left_out(self, share: float, variance: float) -> tuple[FloatArray, FloatArray]:
+        """Squares of each capture before and after taking off the means by the captures of the other folds."""
+        names, capture = np.unique(self.capture, return_inverse=True)
+        after = self.left.copy()
+        for number in range(_FOLDS):
+            mine = capture % _FOLDS == number
+            after[mine] -= self._means(~mine, share, variance)[self.cell[mine]]
+        sums = [np.bincount(capture, np.sum(each**2, axis=1), len(names)) for each in (self.left, after)]
+        return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
+
+
+def _spot(middles: FloatArray, power: FloatArray, reach: float) -> tuple[FloatArray, float]:
+    """Middle (2,) and rms radius of the cells around which most of the power lies; NaN where it is spread out."""
+    apart = np.linalg.norm(middles[:, None, :] - middles, axis=2) < reach
+    near = apart @ power
+    if not power.any() or near.max() < _MOSTLY * power.sum():
+        return np.full(2, np.nan), float("nan")
+    weight = power * apart[int(np.argmax(near))]
+    place = weight @ middles / weight.sum()
+    return place, float(np.sqrt(weight @ np.sum((middles - place) ** 2, axis=1) / weight.sum()))
+
+
+def fine_effect(predictor: Predictor, residual: FloatArray, least_log10_odds: float) -> FineEffect | None:
+    """Find an effect that is finer than any smooth field.
+
+    Args:
+        predictor: of all readings, with the sigma of their noise; outliers included, as something fine looks like them.
+        residual: (n, 2) what causes leave, in units of sigma.
+        least_log10_odds: below which it is not said to be there.
+
+    Returns:
+        The effect at the station where residuals agree most; None where they agree nowhere.
+    """
+    best: dict[tuple[str, int], _Cells] = {}
+    for cells in _all_cells(predictor, residual):
+        of_part = cells.station, cells.part
+        if of_part not in best or cells.agreement[0] > best[of_part].agreement[0]:
+            best[of_part] = cells
+    odds: dict[str, float] = {}
+    for (station, _), cells in best.items():  # the parts are independent
+        odds[station] = odds.get(station, 0.0) + max(cells.agreement[0] - _CHARGE, 0.0)
+    ranked = sorted(odds, key=lambda station: -odds[station])
+    if not ranked or odds[ranked[0]] < least_log10_odds + np.log10(len(best)):
+        return None
+    clearest = max((each for each in best.values() if each.station == ranked[0]), key=lambda each: each.agreement[0])
+    rival = ranked[1] if len(ranked) > 1 else ""
+    return clearest.described(odds[ranked[0]], rival, odds[ranked[0]] - odds.get(rival, 0.0))
+
+
+def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:
+    """The cells of every station and width that are tried."""
+    observations = predictor.observations
+    left, leverage = np.full(residual.shape, np.nan), np.ones(len(residual))
+    for surface in surfaces(observations, residual):
+        left[surface.rows], leverage[surface.rows] = surface.left, surface.leverage
+    judged = np.isfinite(left).all(axis=1) & (leverage < _MOST_LEVERAGE)
+    left = np.clip(left / np.sqrt(1.0 - leverage.clip(0.0, _MOST_LEVERAGE))[:, None], -_CLIP, _CLIP)
+    places = footprints(predictor)
+    for part in (DISPLAY, SEE_THROUGH):
+        mine = judged & (observations.part == part)
+        captures = len(np.unique(observations.group[mine]))
+        if captures < 4:
+            continue
+        for station, coordinates, unit, place, widths in _stations(observations, places, part):
+            rows = mine & np.isfinite(place).all(axis=1)
+            for width in widths if rows.any() else ():
+                numbers = np.flatnonzero(rows)
+                yield _Cells(
+                    station, coordinates, unit, part, width, place[rows], left[rows], observations.group[rows], numbers
+                )
+
+
+def _stations(
+    observations: Observations, places: FloatArray, part: int
+) -> Iterator[tuple[str, str, str, FloatArray, tuple[float, ...]]]:
+    """Stations that a part shows: name, coordinates, unit, places (n, 2), and widths of cells."""
+    yield "combiner", "place on the combiner", "mm", places, _CELLS_MM
+    widths = tuple(float(observations.nominal.camera.size_px[0] / count) for count in _CELLS_CAMERA)
+    yield "camera", "camera pixels", "px", observations.image_place, widths
+    plan, rows = observations.session.plan, observations.part == part
+    place = np.full((len(observations), 2), np.nan)
+    if part == DISPLAY and observations.session.readings.panel_pixel is not None:
+        place[rows] = observations.session.readings.panel_pixel
+        size = float(observations.nominal.optics.panel.pixels.width_px)
+        yield "panel", "panel pixels", "px", place, tuple(size / count for count in _CELLS_PANEL)
+    if part == SEE_THROUGH and plan.see_through is not None:
+        pitch = float(np.median(observations.nominal.target.pitch))
+        place[rows] = (
+            1e3
+            * pitch
+            * plan.see_through.dot
+            / observations.nominal.target.pitch[plan.see_through.target_pose][:, None]
+        )
+        yield "target", "place on the target", "mm", place, (1e3 * pitch,)

@@ -1,0 +1,140 @@
+"""Located effects as a report states them: place, size, usual sources, and gain on held-out captures."""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from wlr_render.diagnosis.coherence import FineEffect
+from wlr_render.diagnosis.diagnosis import EffectMap, StationEffect
+from wlr_render.diagnosis.located_effects import FieldContest, LocatedEffect
+from wlr_render.diagnosis.observations import PART_NAMES
+from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.numerics.arrays import FloatArray
+
+_LIKELY = {
+    ("panel", "shift"): (
+        "a panel warped by its bonding",
+        "a flexible printed circuit that pulls",
+        "a wrong code table",
+    ),
+    ("panel", "shift that repeats"): ("a misread stripe of the code", "moire of the panel and the camera"),
+    ("panel", "shift of each colour"): ("dispersion of the optics", "subpixels of one colour that stand elsewhere"),
+    ("panel", "delay"): ("rows that light up in turn", "pixels that answer slowly"),
+    ("combiner", "height of its outer"): (
+        "a wedge of the substrate",
+        "a gradient of its index",
+        "its outer face's form",
+    ),
+    ("combiner", "height"): ("moulding flow", "stress by its mount", "a coating of uneven thickness"),
+    ("combiner", "fine"): ("a bubble", "a scratch", "ripples of the mould", "a coating defect"),
+    ("camera", "shift"): ("a decentred element of the lens", "a window before the camera", "a tilted sensor"),
+    ("camera", "delay"): ("a rolling shutter",),
+    ("target", "displacement"): ("the printer", "paper that has moved with humidity", "the board's mounting"),
+    ("stage", "pose"): ("pitch and yaw with travel", "sag", "backlash"),
+    ("stage", "shift along"): ("the lead screw",),
+    ("time", "shift of the panel"): ("temperature", "creep of the panel's mount"),
+    ("time", "pose"): ("temperature", "a mount that creeps", "a drifting tracker"),
+    ("time", "shift"): ("temperature", "a drifting tracker"),
+    ("head motion", "shift"): ("a hinge or frame that flexes", "a filter of the head tracker"),
+    ("head motion", "delay"): ("time stamps", "prediction of the head's motion"),
+    ("eye tracking", "shift"): ("errors of the eye tracker that depend on gaze", "the pupil's motion with gaze"),
+}
+"""Usual sources of a shape, by station and the start of what is displaced."""
+
+SEPARATED_BY = {
+    "panel": "a photograph of the bare panel that shows a lit grid",
+    "combiner": "display captures from more viewpoints: what is on the combiner moves over the panel with them",
+    "camera": "the same captures with the camera turned by 90 degrees about its axis",
+    "target": "the same captures with the target turned by 180 degrees in its plane",
+    "stage": "the same positions by another stage, or a mirror on the carriage and an autocollimator",
+    "time": "the same captures in another order, the first ones repeated at the end",
+    "head motion": "the same rates of the head in other directions of gravity",
+    "eye tracking": "the same gaze from several places of the headset",
+}
+"""Measurement that tells an effect at a station from others."""
+
+
+def station_effects(
+    contest: FieldContest, located: Sequence[LocatedEffect], scatter: Scatter, fine: FineEffect | None
+) -> list[StationEffect]:
+    """Return the records of effects, largest odds first.
+
+    Args:
+        contest: in which the smooth effects were located.
+        located: these effects.
+        scatter: sizes of what is random with all of them at work.
+        fine: the effect that is too fine for a field, if there is one.
+    """
+    values = contest.values(located, scatter) if located else []
+    records = [
+        _smooth(contest, effect, found, scatter, [each for each in located if each is not effect])
+        for effect, found in zip(located, values, strict=True)
+    ]
+    records += [_fine(fine)] if fine is not None else []
+    return sorted(records, key=lambda each: -each.log10_odds)
+
+
+def _smooth(
+    contest: FieldContest,
+    effect: LocatedEffect,
+    values: FloatArray,
+    scatter: Scatter,
+    beside: Sequence[LocatedEffect],
+) -> StationEffect:
+    field, acts = effect.field, effect.field.acts
+    displaced = effect.displacement(values)[acts]
+    improvement, share = contest.held_out(effect, scatter, beside)
+    part = contest.readings.observations.part[acts]
+    moves = np.any(effect.columns[acts] != 0.0, axis=(1, 2))
+    return StationEffect(
+        station=field.station,
+        coordinates=field.coordinates,
+        displaced=field.form,
+        form="smooth",
+        parts=_names(part[moves]),
+        log10_odds=float(effect.log10_odds),
+        next_station=effect.next_station,
+        odds_against_next_station=float(effect.odds_against_next),
+        size=float(np.sqrt(np.mean(np.sum(displaced[:, :3] ** 2, axis=1)))),
+        unit=field.unit.split(",")[0],
+        length=None,
+        place=None,
+        held_out_improvement=improvement,
+        share_of_excess_removed=share,
+        likely=_likely(field.station, field.form),
+        map=EffectMap(field.place[acts], displaced, field.coordinates, field.unit),
+    )
+
+
+def _fine(fine: FineEffect) -> StationEffect:
+    located = bool(np.isfinite(fine.width))
+    return StationEffect(
+        station=fine.station,
+        coordinates=fine.coordinates,
+        displaced="readings in cells",
+        form="fine",
+        parts=(fine.part,),
+        log10_odds=float(fine.log10_odds),
+        next_station=fine.next_station,
+        odds_against_next_station=float(fine.odds_against_next),
+        size=fine.size,
+        unit="sigma",
+        length=2.0 * fine.width if located else fine.cell,
+        place=(float(fine.place[0]), float(fine.place[1])) if located else None,
+        held_out_improvement=fine.improvement,
+        share_of_excess_removed=fine.share_removed,
+        likely=_LIKELY[("combiner", "fine")] if fine.station == "combiner" else _likely(fine.station, ""),
+        map=EffectMap(fine.cells, fine.means, fine.coordinates, "sigma"),
+        length_unit=fine.unit,
+    )
+
+
+def _likely(station: str, form: str) -> tuple[str, ...]:
+    """Usual sources of an effect: of those of its station, the ones whose start fits best."""
+    fitting = [key for key in _LIKELY if key[0] == station and form.startswith(key[1])]
+    key = max(fitting, key=lambda each: len(each[1]), default=None)
+    return _LIKELY[key] if key else next((likely for each, likely in _LIKELY.items() if each[0] == station), ())
+
+
+def _names(parts: Iterable[int]) -> tuple[str, ...]:
+    return tuple(PART_NAMES[int(part)] for part in np.unique(np.asarray(list(parts), dtype=np.int64)))

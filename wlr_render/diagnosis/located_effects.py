@@ -1,0 +1,370 @@
+"""Effects that are located at a station by evidence: fields compete with each other, with causes, and with chance.
+
+All fields and the causes of a fit are columns of one linear model with random motions of the captures
+(`scatter`). The evidence of a field is that of the readings with its coefficients, whose common size is unknown,
+integrated out; what is known already (causes, effects located before) is integrated out beside it. Everything follows
+from one set of sums over the readings.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from wlr_render.diagnosis.cause_selection import LOG10_ODDS
+from wlr_render.diagnosis.fit import Fit, off_prior
+from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
+from wlr_render.diagnosis.scatter import (
+    Marginal,
+    Scatter,
+    ScatterSums,
+    best_scatter,
+    marginal,
+    minus_two_log_evidence,
+    surprise,
+)
+from wlr_render.diagnosis.station_fields import StationField
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
+
+_FOLDS = 8
+_SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
+_LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the field
+_MOST_EFFECTS = 3  # that are located in one session
+_FAIR_SHARE = 0.25  # of the first effect's log odds
+_PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
+_OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+_LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedEffect:
+    """A field that the readings show.
+
+    Attributes:
+        field: where and how it acts.
+        degree: up to which its functions count.
+        size: most probable size of its coefficients, in units of sigma.
+        log10_odds: for it against none, beside what was known.
+        next_station: the station of next best evidence; empty where there is no other.
+        odds_against_next: log10 odds against that station.
+    """
+
+    field: StationField
+    degree: int
+    size: float
+    log10_odds: float
+    next_station: str = ""
+    odds_against_next: float = float("inf")
+
+    @property
+    def columns(self) -> FloatArray:
+        """(n, 2, c) of the functions that count."""
+        return self.field.columns[:, :, self.field.order <= self.degree]
+
+    def displacement(self, values: FloatArray) -> FloatArray:
+        """Return the displacement (n, d) at the station, in the field's unit, by coefficients (c,)."""
+        every = np.zeros(self.field.order.size)
+        every[self.field.order <= self.degree] = values
+        return self.field.displacement(every)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldContest:
+    """The causes of a fit and all fields over the same readings.
+
+    Attributes:
+        readings: the readings.
+        found: the fit to them.
+        fields: that compete.
+    """
+
+    readings: WeighedReadings
+    found: Fit
+    fields: Sequence[StationField]
+
+    @cached_property
+    def _sums(self) -> ScatterSums:
+        columns = np.concatenate([self.found.at.jacobian, *(field.columns for field in self.fields)], axis=2)
+        return self.readings.sums(self.found.at.residual, columns)
+
+    @cached_property
+    def _first(self) -> IntArray:
+        """Column at which each field begins."""
+        return np.cumsum([self._causes, *(field.order.size for field in self.fields)])[: len(self.fields)]
+
+    @property
+    def _causes(self) -> int:
+        return int(self.found.at.free.size)
+
+    @cached_property
+    def _mean(self) -> FloatArray:
+        """Means of the causes' priors less their values, in prior sigmas."""
+        return np.asarray(-off_prior(self.found.explanation)[self.found.at.free])
+
+    @cached_property
+    def _scatters(self) -> list[tuple[Scatter, Marginal, float]]:
+        """Sizes of what is random that are tried, each with the sums over its readings and its surprise."""
+        scatter = self.found.scatter
+        noises = [np.ones_like(scatter.noise)]
+        if np.max(scatter.noise) > _LARGER_NOISE:
+            noises.append(scatter.noise)
+        tried = [
+            Scatter(noise, less * scatter.shift_um, less * scatter.turn_urad, scatter.moved)
+            for less, noise in product(_LESS_MOTION, noises)
+        ]
+        return [(each, marginal(self._sums, each), surprise(each, self._sums)) for each in tried]
+
+    def _columns(self, number: int, degree: int) -> IntArray:
+        return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].order <= degree))
+
+    def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Columns, means and prior sigmas of some of the causes' values and of effects."""
+        columns, mean, sigma = [np.flatnonzero(causes)], [self._mean[causes]], [np.ones(int(causes.sum()))]
+        for effect in effects:
+            columns.append(self._columns(self.fields.index(effect.field), effect.degree))
+            mean.append(np.zeros(columns[-1].size))
+            sigma.append(np.full(columns[-1].size, effect.size))
+        return np.concatenate(columns), np.concatenate(mean), np.concatenate(sigma)
+
+    def located(self, least_log10_odds: float) -> list[LocatedEffect]:
+        """Return the effects that the readings show beside the causes, in the order of their evidence.
+
+        Each has good odds and predicts captures that are left out of its fit better than nothing does: what only
+        resembles a field of that station does not. A further one has a fair share of the first one's odds: what a field
+        describes imperfectly leaves a little everywhere.
+        """
+        effects: list[LocatedEffect] = []
+        while len(effects) < _MOST_EFFECTS:
+            best = self._best(effects)
+            least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects else 0.0)
+            if best is None or best.log10_odds < least:
+                break
+            scatter = self.scatter_beside([*effects, best])
+            if self.held_out(best, scatter, effects)[0].significance < _PREDICTS:
+                break
+            effects.append(best)
+        return effects
+
+    def _best(self, beside: Sequence[LocatedEffect]) -> LocatedEffect | None:
+        """The field of best evidence beside the causes and others; None where there is none."""
+        ranked = self.ranked(beside)
+        if not ranked:
+            return None
+        others = [each for each in ranked if each.field.station != ranked[0].field.station]
+        if not others:
+            return ranked[0]
+        return replace(
+            ranked[0],
+            next_station=others[0].field.station,
+            odds_against_next=ranked[0].log10_odds - others[0].log10_odds,
+        )
+
+    def ranked(self, beside: Sequence[LocatedEffect] = ()) -> list[LocatedEffect]:
+        """Return every field with its best degree and size, best first; all that are tried are charged alike."""
+        known = self._known(beside, np.ones(self._causes, dtype=bool))
+        taken = {id(each.field) for each in beside}
+        tried = [
+            (number, degree)
+            for number, field in enumerate(self.fields)
+            for degree in field.degrees
+            if id(field) not in taken
+        ]
+        if not tried:
+            return []
+        none = self._least(known)
+        charge = float(np.log10(len(tried)))
+        best: dict[int, LocatedEffect] = {}
+        for number, degree in tried:
+            least, size = self._least_of(self._columns(number, degree), known)
+            odds = LOG10_ODDS * (none - least) - charge
+            if number not in best or odds > best[number].log10_odds:
+                best[number] = LocatedEffect(self.fields[number], degree, size, odds)
+        return sorted(best.values(), key=lambda each: -each.log10_odds)
+
+    def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Return log10 odds for a cause, alone or beside a field, against the fields of its own station.
+
+        The fields have the cause's span as well: otherwise they could not imitate it, and its name would always win.
+
+        Args:
+            number: of the cause in the fit.
+            station: its station.
+            beside: effects located beside it; those of its own station are its rivals.
+        """
+        mine = self.found.owner == number
+        elsewhere = [each for each in beside if each.field.station != station]
+        rest = self._known(elsewhere, ~mine)
+        named = self._known(elsewhere, np.ones(self._causes, dtype=bool))
+        span = np.flatnonzero(mine)
+        # The cause's own values count from none.
+        at_none = self._mean.copy()
+        at_none[mine] = -self.found.effects[mine]
+        tried = [
+            (number, degree)
+            for number, field in enumerate(self.fields)
+            for degree in field.degrees
+            if field.station == station
+        ]
+        if not tried:
+            return float("inf")
+        charge = 2.0 * float(np.log(len(tried)))
+        alone, beside_field = self._least(named), np.inf
+        nothing = self._least(rest, span, at_none[mine])
+        field = field_alone = np.inf
+        for each, degree in tried:
+            columns = self._columns(each, degree)
+            added = span[self._beyond(columns, span) > _OWN_SHAPE]
+            beside_field = min(beside_field, self._least_of(columns, named)[0] + charge)
+            field = min(field, self._least_of(columns, rest, span, at_none[mine], added)[0] + charge)
+            field_alone = min(field_alone, self._least_of(columns, rest, span, at_none[mine])[0] + charge)
+        # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
+        # part of that field which happens to look like it.
+        with_name = min(alone, beside_field) if alone < field_alone else alone
+        return float(LOG10_ODDS * (min(nothing, field) - with_name))
+
+    def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
+        """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
+        _, sums, _ = self._scatters[0]
+        own = sums.information[np.ix_(columns, columns)]
+        across = sums.information[np.ix_(columns, span)]
+        ridge = 1e-9 * float(np.trace(own)) * np.eye(len(columns))
+        inside = np.sum(across * np.linalg.solve(own + ridge, across), axis=0)
+        return np.asarray(np.sqrt((1.0 - inside / np.diag(sums.information)[span]).clip(0.0)))
+
+    def _least(
+        self,
+        known: tuple[IntArray, FloatArray, FloatArray],
+        removed: IntArray | None = None,
+        by: FloatArray | None = None,
+    ) -> float:
+        """-2 log evidence of what is known alone; `removed` columns are put to values `by` that do nothing."""
+        return min(
+            minus_two_log_evidence(_of(_moved(sums, removed, by), known[0]), known[1], known[2]) + cost
+            for _, sums, cost in self._scatters
+        )
+
+    def _least_of(
+        self,
+        columns: IntArray,
+        known: tuple[IntArray, FloatArray, FloatArray],
+        span: IntArray | None = None,
+        by: FloatArray | None = None,
+        added: IntArray | None = None,
+    ) -> tuple[float, float]:
+        """-2 log evidence of a field beside what is known, over all sizes, and its most probable size.
+
+        `span` are a cause's columns, put to values `by` that do nothing; `added` are those of them that the field has
+        as well, at unit rms.
+        """
+        added = np.zeros(0, dtype=np.int64) if added is None else added
+        best = (np.inf, 0.0)
+        for _, sums, cost in self._scatters:
+            moved = _moved(sums, span, by)
+            folded = _folded(moved, known, np.r_[columns, added])
+            scale = np.ones(len(folded.gradient))
+            scale[len(columns) :] = 1.0 / np.sqrt(np.mean(self.found.at.jacobian[:, :, added] ** 2, axis=(0, 1)))
+            values, axes = np.linalg.eigh(scale[:, None] * folded.information * scale)
+            pull, values = axes.T @ (scale * folded.gradient), values.clip(0.0)
+            square = _SIZES[:, None] ** 2
+            # All sizes are equally likely beforehand.
+            costs = np.sum(np.log1p(square * values) - pull**2 * square / (1.0 + square * values), axis=1)
+            least = -2.0 * float(np.logaddexp.reduce(-0.5 * costs) - np.log(len(_SIZES)))
+            best = min(best, (folded.minus_two_log + cost + least, float(_SIZES[int(np.argmin(costs))])))
+        return best
+
+    def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
+        """Return the sizes of what is random with the causes and effects at work."""
+        columns, mean, sigma = self._known(effects, np.ones(self._causes, dtype=bool))
+        return best_scatter(self._sums.of_columns(columns), self.found.scatter, mean, sigma)[0]
+
+    def values(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> list[FloatArray]:
+        """Return the most probable coefficients (c,) of effects that act together, beside the causes."""
+        columns, mean, sigma = self._known(effects, np.ones(self._causes, dtype=bool))
+        sums = marginal(self._sums.of_columns(columns), scatter)
+        values = np.linalg.solve(sums.information + np.diag(sigma**-2.0), sums.gradient + mean / sigma**2)
+        ends = np.cumsum([self._causes, *(effect.columns.shape[2] for effect in effects)])
+        return np.split(values, ends[:-1])[1:]
+
+    def held_out(
+        self, effect: LocatedEffect, scatter: Scatter, beside: Sequence[LocatedEffect] = ()
+    ) -> tuple[HeldOutImprovement, float]:
+        """Return the improvement of captures left out of an effect's fit, and the share of their excess it removes.
+
+        Args:
+            effect: the effect.
+            scatter: sizes of what is random with all effects at work.
+            beside: effects that are at work already, as all captures show them.
+        """
+        group, residual = self.readings.observations.group, self.found.at.residual
+        for other, values in zip(beside, self.values(beside, scatter) if beside else [], strict=True):
+            residual = residual - other.columns @ values
+        whiten = self.readings.whitening(scatter)
+        white, left = whiten(effect.columns), whiten(residual)
+        after = _left_out(white, left, group, effect.size)
+        acts = np.isin(group, np.unique(group[np.any(effect.columns != 0.0, axis=(1, 2))]))
+        before_sum, after_sum = (float(np.sum(each[acts] ** 2)) for each in (left, after))
+        expected = 2.0 * float(acts.sum())
+        removed = before_sum - after_sum
+        share = removed / max(before_sum - expected, removed, 1e-9)
+        squares = [_squares(each[acts], group[acts]) for each in (left, after)]
+        return held_out_improvement(*squares), share
+
+
+def _of(sums: Marginal, columns: IntArray) -> Marginal:
+    return Marginal(sums.minus_two_log, sums.information[np.ix_(columns, columns)], sums.gradient[columns])
+
+
+def _moved(sums: Marginal, columns: IntArray | None, by: FloatArray | None) -> Marginal:
+    """The same readings, less what some columns do at values `by`."""
+    if columns is None or by is None or not columns.size:
+        return sums
+    across = sums.information[:, columns] @ by
+    value = sums.minus_two_log - 2.0 * float(by @ sums.gradient[columns]) + float(by @ across[columns])
+    return Marginal(value, sums.information, sums.gradient - across)
+
+
+def _folded(sums: Marginal, known: tuple[IntArray, FloatArray, FloatArray], columns: IntArray) -> Marginal:
+    """What the readings say of some columns where known ones, of means and prior sigmas, are integrated out."""
+    beside, mean, sigma = known
+    own = _of(sums, columns)
+    if not beside.size:
+        return own
+    base = _of(sums, beside)
+    normal = base.information + np.diag(sigma**-2.0)
+    across = sums.information[np.ix_(columns, beside)]
+    solved = np.linalg.solve(normal, np.column_stack([base.gradient + mean / sigma**2, across.T]))
+    return Marginal(
+        minus_two_log_evidence(base, mean, sigma),
+        own.information - across @ solved[:, 1:],
+        own.gradient - across @ solved[:, 0],
+    )
+
+
+def _squares(residual: FloatArray, group: IntArray) -> FloatArray:
+    """Sum of squares of each capture that has readings."""
+    return np.array([np.sum(residual[rows] ** 2) for rows in rows_by_label(group)[1]])
+
+
+def _left_out(columns: FloatArray, left: FloatArray, group: IntArray, size: float) -> FloatArray:
+    """White residual (n, 2) after a field, each capture by a fit to the captures of the other folds.
+
+    Args:
+        columns: (n, 2, c) of the field, white.
+        left: (n, 2) white residual.
+        group: (n,) capture of each reading.
+        size: of the coefficients, which have normal priors.
+    """
+    after, (_, captures) = left.copy(), rows_by_label(group)
+    # Captures follow each other in space and time; taking turns spreads every fold over both.
+    folds = [np.concatenate(captures[number::_FOLDS]) for number in range(min(_FOLDS, len(captures)))]
+    flat = [columns[rows].reshape(2 * len(rows), -1) for rows in folds]
+    grams = [each.T @ each for each in flat]
+    moments = [each.T @ left[rows].ravel() for each, rows in zip(flat, folds, strict=True)]
+    prior = np.eye(columns.shape[2]) / size**2
+    for number, rows in enumerate(folds):
+        gram, moment = sum(grams) - grams[number], sum(moments) - moments[number]
+        after[rows] -= columns[rows] @ np.linalg.solve(gram + prior, moment)
+    return after
