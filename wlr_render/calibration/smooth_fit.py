@@ -60,6 +60,7 @@ _DOUBTFUL = 0.5  # of the largest score
 _ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # nothing stands out that is less than so many times these
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
 _BAD_STAGE_M, _BAD_STAGE_RAD = 1e-4, 3e-4  # repeatability per axis
+_SETTLED = 0.02  # largest distance of a logarithm from its optimum where the search for it ends
 _SIDES_DIFFER = 0.1  # logarithm of the sizes of the motions of a headset's display captures over the others'
 _MOST = 0.25  # of the captures may stand out
 _FEW_ORDERS = 3  # in all, of the fit that finds captures far off
@@ -158,7 +159,9 @@ class SmoothFit:
         curvature = np.maximum(self._motion_curvature, 1e-9)
         off = np.log(self._motion_factors)
         alone = off + (off - mean) / sigma**2 / curvature
-        sigmas = np.abs(alone) / np.sqrt(known.log_sigma**2 + 1.0 / curvature)
+        # Readings that say nothing have nearly no curvature: what the search left to go would look like a pull.
+        unfinished = _SETTLED / sigma**2 / curvature
+        sigmas = np.abs(alone) / np.sqrt(known.log_sigma**2 + 1.0 / curvature + unfinished**2)
         return MotionAgreement(float(shift_m), float(turn_rad), *map(float, self._motion_factors), *map(float, sigmas))
 
     @property
