@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.bench_effects import KINDS
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.bench.bench_keys import SECTIONS
 from wlr_render.errors import BadInputError
@@ -163,6 +164,15 @@ def test_priors_are_pairs_or_tables(tmp_path):
     assert bench.priors == {"a": {"x": (1.0, 2.0), "y": (3.0, 4.0)}, "b": {"z": (0.0, 0.5)}}
 
 
+EFFECT = """[[effect]]
+station = "time"
+displaces = "shift"
+low = [0]
+high = [5]
+orders = [[1]]
+coefficients = [[0.1, 0.2]]
+[target]"""
+
 FAULTS = {
     "unit": ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a bench file is in mm"),
     "version": ("version = 1", "version = 2", "'version' is 2"),
@@ -201,6 +211,20 @@ FAULTS = {
         "a matrix of determ",
     ),
     "device elsewhere": ('"northstar"', '"../mine.toml"', "'../mine.toml' leads out of the folder"),
+    "effect's station": (
+        "[target]",
+        '[[effect]]\nstation = "lens"\n[target]',
+        "'station' is 'lens'; it must be one of",
+    ),
+    "effect's kind": (
+        "[target]",
+        '[[effect]]\nstation = "stage"\ndisplaces = "shift"\n[target]',
+        "'displaces' is 'shift'; it must be one of pose",
+    ),
+    "effect's box": ("[target]", EFFECT.replace("[5]", "[0]"), "'low' must be below 'high' in each of time, s"),
+    "effect's orders": ("[target]", EFFECT.replace("[[1]]", "[[0.5]]"), "'orders' must be at most 1000 lists of whole"),
+    "effect's terms": ("[target]", EFFECT.replace("[[1]]", "[[1], [2]]"), "one list of 2 numbers (decoded position u"),
+    "effect's key": ("[target]", EFFECT.replace("low", "lower"), "key 'low' is missing (found 'lower' instead)"),
     "no stage": ("[stage]\norigin = [32, 1, 33]", "", "key 'stage' is missing"),
 }
 
@@ -223,3 +247,14 @@ def test_the_documentation_has_every_key():
             keys = ", ".join(f"`{key}`" for key in entry.keys)
             assert meanings.pop((f"[{name}]", keys)) == f"{entry.meaning} |"
     assert list(meanings) == [("[tracking]", "`rotation`, `translation`")]
+
+
+def test_the_documentation_has_every_effect():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    for (station, displaces), kind in KINDS.items():
+        (row,) = (
+            line
+            for line in text.splitlines()
+            if line.startswith(f'| "{station}" |') and f'"{displaces}"' in line.split("|")[2]
+        )
+        assert [cell.strip() for cell in row.split("|")[3:5]] == [kind.coordinates, kind.displacement]

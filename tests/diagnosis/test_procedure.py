@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
 
+from wlr_render.bench.session_folder import load_session
 from wlr_render.diagnosis import prediction
 from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
 from wlr_render.diagnosis.fit import few_captures_factor, reduced_chi_squared
 from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.procedure import diagnose
 
 
 def test_the_record_of_an_explained_session_holds_the_truth(explained):
@@ -52,8 +54,24 @@ def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located):
     assert first.size == pytest.approx(4.0 / np.sqrt(2.0), rel=0.2)  # of a sine of 4 pixels
     assert first.share_of_excess_removed > 0.7
     assert first.held_out_improvement.significance > 3
-    assert located.corrected is located.observations.nominal
+    assert first.is_in_bench
     assert all(floor.used_px == pytest.approx(2 * SIGMA_PX, rel=0.2) for floor in located.noise_floors)
+
+
+@pytest.mark.slow
+def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(bench, plan, tmp_path):
+    observations = measured(bench, plan, SIGMA_PX, seed=17)
+    read = observations.session.readings
+    read.panel_pixel[:, 0] += 0.8 * np.sin(2 * np.pi * read.panel_pixel[:, 0] / 1000)
+    bent = diagnosed(observations, ("target_scale",))
+    assert bent.is_corrected
+    assert bent.after.over_noise < 1.1 < bent.before.over_noise
+    bent.save(tmp_path)
+    nominal, session = load_session(tmp_path / "corrected")
+    (effect,) = nominal.effects
+    assert (effect.station, effect.displaces) == ("panel", "shift")
+    again = diagnose(nominal, session, causes={}, settings=bent.settings)
+    assert (again.verdict, again.effects) == (NO_EFFECT, ())
 
 
 def test_a_clean_session_has_detection_limits(nothing):

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
@@ -195,6 +196,7 @@ class Bench:
         camera, stage, target, tracking, mount, readout, eye_tracking, clock: the parts; see there.
         wavelengths_um: (3,) vacuum wavelengths of red, green and blue light, micrometres.
         target_wavelength_um: wavelength in which targets and real dots are observed.
+        effects: smooth displacements at its stations that no attribute of a part states.
         priors: (mean, sigma) by name of a cause and of its parameter, in the parameter's unit: how well it is known.
     """
 
@@ -210,6 +212,7 @@ class Bench:
     clock: Clock = field(default_factory=Clock)
     wavelengths_um: tuple[float, float, float] = (0.65, 0.55, 0.45)
     target_wavelength_um: float = 0.55
+    effects: tuple[BenchEffect, ...] = ()
     priors: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 
     @property

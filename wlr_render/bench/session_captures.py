@@ -15,10 +15,13 @@ from wlr_render.bench.simulate_session import (
     decoded,
     display_dirs,
     dot_geometry,
+    imaged,
+    mounted,
     printed_places,
     slips,
     stage_readings,
     undecoded,
+    unshifted,
 )
 from wlr_render.captures.correspondences import Captures, Conditions, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.observation_table import ObservationTable, observation_table
@@ -100,7 +103,7 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
     kept = np.asarray(np.isfinite(dot_pixel).all(axis=1))
     rows, pixel = select_rows(plan, kept), dot_pixel[kept]
     viewpoint, point, device_from_camera = dot_geometry(bench, rows)
-    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(pixel))
+    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, pixel)))
     height = np.zeros(len(rows)) if rows.height is None else rows.height
     return SeeThroughCaptures(
         device=bench.device.name,
@@ -191,15 +194,16 @@ def _camera_readings(
         name: name of the session.
     """
     stage = np.round(stage_readings(bench, plan, captures.viewpoint), _DECIMALS)
+    plan = replace(plan, stage=stage)
     as_stated = camera_orientations(bench, plan)
     turned = _recorded(captures).device_from_camera
     turned = np.where(np.isfinite(turned), turned, as_stated)
     in_camera = np.einsum("nji,nj->ni", turned, captures.view_dir)
     if np.any(in_camera[:, 2] >= 0):
         raise BadInputError(f"{name}: by [camera] 'rotation' of the bench, the camera looks back; correct it.")
-    pixel = bench.camera.pixel_of_tangents(tangents_of_dir(in_camera))
+    pixel = imaged(bench, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)))
     unslipped = np.swapaxes(slips(bench, plan.time_s), 1, 2)
-    orientation = np.round(unslipped @ turned @ bench.camera.device_from_camera.T, _DECIMALS)
+    orientation = np.round(unslipped @ turned @ np.swapaxes(mounted(bench, plan), 1, 2), _DECIMALS)
     return stage, None if np.array_equal(orientation, np.tile(np.eye(3), (len(plan), 1, 1))) else orientation, pixel
 
 

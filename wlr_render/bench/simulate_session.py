@@ -1,12 +1,14 @@
 """Predict every reading of a session on a bench, without noise."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench_effects import before_shift, displacement, optics_with_effects
 from wlr_render.bench.simulate_run_time import run_time_readings
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
@@ -20,6 +22,7 @@ from wlr_render.optics.tracer import trace
 _TANGENT_STEP = 1e-5  # step of the finite differences, tangents
 _TOLERANCE = 1e-10  # radians as seen from the camera: a millionth of a camera pixel
 _ITERATIONS = 8
+_ROUNDS = 6  # of the search for the reading whose error depends on itself
 
 _QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # invisible points are NaN on purpose
 
@@ -163,16 +166,17 @@ def _with_dots(bench: Bench, plan: SessionPlan, dots: FloatArray | None) -> Read
 
 def _observed_points(bench: Bench, plan: SeeThroughPlan) -> ObservedPoints:
     viewpoint, point, _ = dot_geometry(bench, plan)
-    return ObservedPoints(bench.optics, bench.target_wavelength_um, viewpoint, point)
+    optics = optics_with_effects(bench.optics, bench.effects)
+    return ObservedPoints(optics, bench.target_wavelength_um, viewpoint, point)
 
 
 def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Return the decoded panel position (n, 2) for each display row: one trace."""
     viewpoint, view_dir = camera_positions(bench, plan), display_dirs(bench, plan)
-    pixel = np.full((len(plan), 2), np.nan)
+    pixel, optics = np.full((len(plan), 2), np.nan), optics_with_effects(bench.optics, bench.effects)
     for channel in np.unique(plan.channel):
         rows = plan.channel == channel
-        display = TracedDisplay(bench.optics, bench.wavelengths_um[channel])
+        display = TracedDisplay(optics, bench.wavelengths_um[channel])
         emitted, status = display.plane_pixel(view_dir[rows], viewpoint[rows])
         # A ray past the edge of an aperture is kept: the position of the edge is not measured.
         lost = (status != Status.OK) & (status != Status.CLIPPED)
@@ -183,12 +187,21 @@ def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
 def decoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
     """Return the decoded positions (n, 2) of light that leaves the cold panel at pixels (n, 2)."""
     centre, scale = _readout(bench, plan)
-    return np.asarray(centre + scale * (pixel - _creep_px(bench, plan) - centre) + bench.readout.origin_px)
+    shown = centre + scale * (pixel - _creep_px(bench, plan) - centre) + bench.readout.origin_px
+    for shift in (_panel_shift(bench)(shown), displacement(bench.effects, "time", "shift", plan.time_s[:, None])):
+        shown = shown if shift is None else shown + shift
+    return np.asarray(shown)
+
+
+def _panel_shift(bench: Bench) -> Callable[[FloatArray], FloatArray | None]:
+    return lambda pixel: displacement(bench.effects, "panel", "shift", pixel)
 
 
 def undecoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
     """Return the inverse of `decoded`."""
     centre, scale = _readout(bench, plan)
+    drift = displacement(bench.effects, "time", "shift", plan.time_s[:, None])
+    pixel = before_shift(pixel if drift is None else pixel - drift, _panel_shift(bench))
     return np.asarray(centre + (pixel - bench.readout.origin_px - centre) / scale + _creep_px(bench, plan))
 
 
@@ -208,7 +221,18 @@ def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> Floa
     """Return the camera pixel (n, 2) of each dot that is seen in the direction of its tangents (n, 2), device frame."""
     _, _, device_from_camera = dot_geometry(bench, plan)
     in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
-    return bench.camera.pixel_of_tangents(tangents_of_dir(in_camera))
+    return imaged(bench, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)))
+
+
+def imaged(bench: Bench, pixel: FloatArray) -> FloatArray:
+    """Return the pixels (n, 2) at which the camera has points whose perfect pixels are (n, 2)."""
+    shift = displacement(bench.effects, "camera", "shift", pixel)
+    return pixel if shift is None else np.asarray(pixel + shift)
+
+
+def unshifted(bench: Bench, pixel: FloatArray) -> FloatArray:
+    """Return the inverse of `imaged`."""
+    return before_shift(pixel, lambda place: displacement(bench.effects, "camera", "shift", place))
 
 
 def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -216,7 +240,7 @@ def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatA
     viewpoint, device_from_camera = camera_positions(bench, plan), camera_orientations(bench, plan)
     point = _dots(bench, plan)
     if plan.bare_pixel is not None:
-        in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(plan.bare_pixel))
+        in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, plan.bare_pixel)))
         ray = np.einsum("nij,nj->ni", device_from_camera, in_camera)
         point = viewpoint + np.linalg.norm(point - viewpoint, axis=1, keepdims=True) * ray
     return viewpoint, point, device_from_camera
@@ -230,24 +254,47 @@ def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatA
 
 def stage_readings(bench: Bench, plan: DisplayPlan | SeeThroughPlan, position: FloatArray) -> FloatArray:
     """Return the inverse of `camera_positions`: readings (n, 3) at camera positions (n, 3)."""
-    origin = bench.stage.origin
-    moved = position - _displacements(bench, plan) - origin
-    return np.asarray(origin + moved @ np.linalg.inv(bench.stage.axes).T)
+    origin, axes = bench.stage.origin, np.linalg.inv(bench.stage.axes).T
+    reading = position
+    for _ in range(_ROUNDS if bench.effects else 1):
+        moved = position - _displacements(bench, replace(plan, stage=reading)) - origin
+        reading = origin + moved @ axes
+    return np.asarray(reading)
 
 
 def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
     """Return camera positions minus stage positions, (n, 3): pupil offset, backlash and slip."""
     moved = np.where((plan.time_s >= bench.mount.slip_time_s)[:, None], bench.mount.slip, 0.0)
     moved[:, 0] += np.where(plan.travel > 0, *bench.stage.backlash)
+    error = _pose_error(bench, plan)
+    if error is not None:
+        moved += error[:, :3]
     return np.asarray(moved + bench.camera.pupil_offset)
+
+
+def _pose_error(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray | None:
+    """Return shifts (metres) and turns (radians) of the camera, (n, 6), by effects of the stage and of time."""
+    of_stage = displacement(bench.effects, "stage", "pose", plan.stage)
+    of_time = displacement(bench.effects, "time", "pose", plan.time_s[:, None])
+    if of_stage is None or of_time is None:
+        return of_time if of_stage is None else of_stage
+    return np.asarray(of_stage + of_time)
 
 
 def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
     """Return the true rotations device_from_camera (n, 3, 3) of the camera, slip included."""
-    turned = np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
+    turned = mounted(bench, plan)
     if plan.orientation is not None:
         turned = plan.orientation @ turned
     return slips(bench, plan.time_s) @ turned if bench.mount.slip_rotation.any() else turned
+
+
+def mounted(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+    """Return the rotations (n, 3, 3) of the camera on its mount: without slips and orientations of the plan."""
+    error = _pose_error(bench, plan)
+    if error is None:
+        return np.broadcast_to(bench.camera.device_from_camera, (len(plan), 3, 3))
+    return np.asarray(rotations_of_vectors(error[:, 3:]) @ bench.camera.device_from_camera)
 
 
 def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
@@ -258,9 +305,10 @@ def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
 
 def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Return the true unit view directions (n, 3) of the camera in each display row, device frame."""
-    if plan.orientation is None and not bench.mount.slip_rotation.any():
-        return bench.camera.view_dir_of_pixel(plan.camera_pixel)
-    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(plan.camera_pixel))
+    pixel = unshifted(bench, plan.camera_pixel)
+    if plan.orientation is None and not bench.mount.slip_rotation.any() and not bench.effects:
+        return bench.camera.view_dir_of_pixel(pixel)
+    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(pixel))
     return np.asarray(np.einsum("nij,nj->ni", camera_orientations(bench, plan), in_camera))
 
 
@@ -273,7 +321,18 @@ def printed_places(bench: Bench, plan: SeeThroughPlan, point: FloatArray) -> tup
     target_from_device = inverse(bench.tracking.true_from_reported @ target.device_from_target)[plan.target_pose]
     in_target = np.einsum("nij,nj->ni", target_from_device[:, :3, :3], point) + target_from_device[:, :3, 3]
     bow = np.broadcast_to(target.bow, (len(target.device_from_target), 2))[plan.target_pose]
-    return in_target[:, :2] / target.scale, in_target[:, 2] - np.sum(bow * in_target[:, :2] ** 2, axis=1)
+
+    def shift(place: FloatArray) -> FloatArray | None:
+        return _print_shift(bench, plan, place[:, :2] / target.scale)
+
+    flat = before_shift(in_target, shift)
+    return flat[:, :2] / target.scale, flat[:, 2] - np.sum(bow * flat[:, :2] ** 2, axis=1)
+
+
+def _print_shift(bench: Bench, plan: SeeThroughPlan, dot: FloatArray) -> FloatArray | None:
+    """Return displacements (n, 3) of dots printed at (n, 2), metres in the target's axes."""
+    pitches = dot / bench.target.pitch[plan.target_pose][:, None]
+    return displacement(bench.effects, "target", "shift", pitches, plan.target_pose)
 
 
 def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
@@ -283,5 +342,8 @@ def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:
     bow = np.broadcast_to(target.bow, (len(target.device_from_target), 2))[plan.target_pose]
     height = np.sum(bow * flat * flat, axis=1) + (0.0 if plan.height is None else plan.height)
     in_target = np.column_stack([flat, height])
+    shift = _print_shift(bench, plan, plan.dot)
+    if shift is not None:
+        in_target += shift
     device_from_target = (bench.tracking.true_from_reported @ target.device_from_target)[plan.target_pose]
     return np.asarray(np.einsum("nij,nj->ni", device_from_target[:, :3, :3], in_target) + device_from_target[:, :3, 3])

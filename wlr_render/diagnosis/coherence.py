@@ -26,6 +26,8 @@ _CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
 _CELLS_PANEL = (80, 160)  # over the panel's width
 _CELLS_CAMERA = (80, 160)  # over the image's width
 _FOLDS = 8
+_BEYOND_DOUBT, _PREDICTS = 20.0, 2.0
+"""Log10 odds, or else standard errors by which captures left out must be predicted better, of a fine effect."""
 _CHARGE = float(np.log10(3.0))  # of the best of the widths that are tried
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
 _SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the cells that may have a mean
@@ -229,7 +231,10 @@ def fine_effect(predictor: Predictor, residual: FloatArray, least_log10_odds: fl
         return None
     clearest = max((each for each in best.values() if each.station == ranked[0]), key=lambda each: each.agreement[0])
     rival = ranked[1] if len(ranked) > 1 else ""
-    return clearest.described(odds[ranked[0]], rival, odds[ranked[0]] - odds.get(rival, 0.0))
+    found = clearest.described(odds[ranked[0]], rival, odds[ranked[0]] - odds.get(rival, 0.0))
+    # Readings of one point at one pixel may err alike in neighbouring captures, without anything at a station.
+    is_plain = found.log10_odds > _BEYOND_DOUBT or found.improvement.significance > _PREDICTS
+    return found if is_plain else None
 
 
 def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:

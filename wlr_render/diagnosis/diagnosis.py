@@ -138,6 +138,7 @@ class StationEffect:
         held_out_improvement: of captures left out of its fit.
         share_of_excess_removed: share of what exceeds noise and repeatability in these captures that it removes.
         likely: usual sources of such an effect.
+        is_in_bench: whether the corrected bench has it.
         map: its displacement over the station.
     """
 
@@ -158,6 +159,7 @@ class StationEffect:
     likely: tuple[str, ...]
     map: EffectMap = field(metadata={"json": False})
     length_unit: str = ""
+    is_in_bench: bool = False
 
 
 @dataclass(frozen=True)
@@ -346,7 +348,7 @@ class Diagnosis:
     settings: Settings = field(metadata={"json": False})
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write diagnosis.html, .md and .json and, where causes were found, the corrected session `corrected`.
+        """Write diagnosis.html, .md and .json and, if something is corrected, the session `corrected`.
 
         Returns:
             The files of the report, and the folder of the corrected session.
@@ -357,6 +359,11 @@ class Diagnosis:
         from wlr_render.diagnosis.report import save_diagnosis  # imports this module
 
         return save_diagnosis(self, folder)
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether the corrected bench is not the nominal one: by causes, or by effects that a bench file states."""
+        return self.corrected is not self.observations.nominal
 
     @property
     def advice(self) -> list[str]:

@@ -285,7 +285,7 @@ def captures_plot(diagnosis: Diagnosis) -> Plot:
     """Rms residual of each capture over its noise, before and after."""
     names = [each.capture for each in diagnosis.captures]
     shown = [("bench as described", _BEFORE, [each.rms_before for each in diagnosis.captures])]
-    if diagnosis.causes:
+    if diagnosis.is_corrected:
         shown.append(("corrected bench", _AFTER, [each.rms_after for each in diagnosis.captures]))
     marks = ["x" if each.excluded else "circle" for each in diagnosis.captures]
     data: Sequence[dict[str, Any]] = [

@@ -102,6 +102,7 @@ def _smooth(
         held_out_improvement=improvement,
         share_of_excess_removed=share,
         likely=_likely(field.station, field.form),
+        is_in_bench=field.in_bench is not None,
         map=EffectMap(field.place[acts], displaced, field.coordinates, field.unit),
     )
 

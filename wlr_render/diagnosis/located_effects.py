@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.cause_selection import LOG10_ODDS
 from wlr_render.diagnosis.fit import Fit, off_prior
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
@@ -66,9 +67,16 @@ class LocatedEffect:
 
     def displacement(self, values: FloatArray) -> FloatArray:
         """Return the displacement (n, d) at the station, in the field's unit, by coefficients (c,)."""
+        return self.field.displacement(self._every(values))
+
+    def in_bench(self, values: FloatArray) -> tuple[BenchEffect, ...]:
+        """Return the effects of a bench that do the same by coefficients (c,); none where no bench file states such."""
+        return () if self.field.in_bench is None else self.field.in_bench(self._every(values))
+
+    def _every(self, values: FloatArray) -> FloatArray:
         every = np.zeros(self.field.order.size)
         every[self.field.order <= self.degree] = values
-        return self.field.displacement(every)
+        return every
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,12 +289,12 @@ class FieldContest:
         return best_scatter(self._sums.of_columns(columns), self.found.scatter, mean, sigma)[0]
 
     def values(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> list[FloatArray]:
-        """Return the most probable coefficients (c,) of effects that act together, beside the causes."""
-        columns, mean, sigma = self._known(effects, np.ones(self._causes, dtype=bool))
+        """Return the most probable coefficients (c,) of effects that act together, the causes being as fitted."""
+        columns, mean, sigma = self._known(effects, np.zeros(self._causes, dtype=bool))
         sums = marginal(self._sums.of_columns(columns), scatter)
         values = np.linalg.solve(sums.information + np.diag(sigma**-2.0), sums.gradient + mean / sigma**2)
-        ends = np.cumsum([self._causes, *(effect.columns.shape[2] for effect in effects)])
-        return np.split(values, ends[:-1])[1:]
+        ends = np.cumsum([effect.columns.shape[2] for effect in effects])
+        return np.split(values, ends[:-1])
 
     def held_out(
         self, effect: LocatedEffect, scatter: Scatter, beside: Sequence[LocatedEffect] = ()

@@ -166,6 +166,12 @@ class Predictor:
         """Measured minus predicted, (n, 2), in units of sigma."""
         return self.residual_of(self.state(explanation))
 
+    def residual_of_bench(self, bench: Bench) -> FloatArray:
+        """Likewise, of any bench of the same headset."""
+        near, todo = self._nominal, self._touched(bench, self._nominal)
+        dot_views = None if todo.see_through is None else DotViews(bench, todo.see_through, near.dot_views)
+        return self.observations.residual(_merged(simulate(bench, todo, dot_views), near.readings))
+
     def residual_of(self, state: State) -> FloatArray:
         """Likewise, of a state."""
         return self.observations.residual(state.readings)

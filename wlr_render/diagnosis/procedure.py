@@ -6,7 +6,7 @@ at the stations that no cause has, and what stays unexplained; in that order.
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -103,7 +103,8 @@ def diagnose(
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
     observations = all_readings.observations
-    before, after = (all_readings.residual(each) for each in (Explanation(), found.explanation))
+    corrected = located.bench(found.explanation.bench(nominal))
+    before, after = all_readings.residual(Explanation()), all_readings.residual_of_bench(corrected)
     used = ~prepared.noise.outlier & not_excluded(observations, excluded)
     motion = usual_motion(all_readings, found)
     limits: tuple[DetectionLimit, ...] = ()
@@ -135,7 +136,7 @@ def diagnose(
         residual_after=after,
         usual_motion=motion,
         used=used,
-        corrected=found.explanation.bench(nominal),
+        corrected=corrected,
         readings=readings,
         fit=found,
         settings=settings,
@@ -254,6 +255,14 @@ class _Located:
     scatter: Scatter | None = None
     tried: tuple[TriedField, ...] = ()
     dropped: tuple[str, ...] = ()
+
+    def bench(self, corrected: Bench) -> Bench:
+        """A bench with the effects at work that a bench file can state."""
+        if self.contest is None or self.scatter is None or not self.effects:
+            return corrected
+        pairs = zip(self.effects, self.contest.values(self.effects, self.scatter), strict=True)
+        added = [each for effect, values in pairs for each in effect.in_bench(values)]
+        return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
 
     def records(self, fine: FineEffect | None) -> list[StationEffect]:
         """The effects as the report states them; what a smooth one leaves is no fine one of its own."""

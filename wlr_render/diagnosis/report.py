@@ -122,7 +122,7 @@ def _values(diagnosis: Diagnosis) -> list[Block]:
 
 def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -> list[Block]:
     """Commands to go on with the corrected session, for the working directory of this run."""
-    if not diagnosis.causes:
+    if not diagnosis.is_corrected:
         return []
     plan = diagnosis.observations.session.plan
     corrected = folder / CORRECTED
@@ -144,7 +144,7 @@ def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
-    """Write the report of a diagnosis and, where it has causes, the corrected session; see `Diagnosis.save`."""
+    """Write the report of a diagnosis and, if something is corrected, the corrected session; see `Diagnosis.save`."""
     folder = output_folder(folder)
     files = write_corrected(folder / CORRECTED, diagnosis)
     report = diagnosis_report(diagnosis, improvement_found(diagnosis), folder=folder)
@@ -163,7 +163,7 @@ def write_corrected(folder: Path, diagnosis: Diagnosis) -> list[Path]:
     """Write the corrected bench with the readings that count, as a session; an earlier diagnosis's is removed."""
     if folder.is_dir():
         remove_session(folder)
-    if not diagnosis.causes:
+    if not diagnosis.is_corrected:
         return []
     # What was expected of these causes is now in the bench itself.
     names = {cause.name for cause in diagnosis.causes}

@@ -65,7 +65,7 @@ class PartView:
 
     Attributes:
         name: of the part.
-        states: by the bench as described and, where causes were found, by the corrected one.
+        states: by the bench as described and, where something is corrected, by the corrected one.
         sigma_arcmin: noise, per axis.
         motion: (m, 2, 6) change of the readings, right and down in arcminutes, by the usual motion of their capture.
         group: (m,) the capture of each reading, by number.
@@ -196,7 +196,7 @@ def _motion(diagnosis: Diagnosis, part: int) -> tuple[FloatArray, IntArray]:
 def _residuals(diagnosis: Diagnosis) -> list[tuple[str, FloatArray]]:
     """Residuals (n, 2) of all parts by each bench that there is."""
     before = ("bench as described", diagnosis.residual_before)
-    return [before, ("corrected bench", diagnosis.residual_after)] if diagnosis.causes else [before]
+    return [before, ("corrected bench", diagnosis.residual_after)] if diagnosis.is_corrected else [before]
 
 
 def _seen(diagnosis: Diagnosis, part: int, residual: FloatArray) -> FloatArray:

@@ -13,12 +13,12 @@ from functools import partial
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_run_time import drawn_pixels
 from wlr_render.bench.simulate_session import camera_positions, display_dirs, dot_pixels, simulate_to_first_order
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.causes.form import surfaces_raised
 from wlr_render.diagnosis.causes.optics import of_optics
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
@@ -26,9 +26,11 @@ from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, total_degree
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.optics.assembly import combiner_middle
-from wlr_render.optics.device import EyeOptics, Interaction, Path
+from wlr_render.optics.combiner_form import SURFACES, surfaces_raised
+from wlr_render.optics.device import EyeOptics, Path
+from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.tracer import trace
 
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
@@ -52,6 +54,7 @@ class StationField:
         place: (n, v) coordinates of each reading; those in `acts` (n,) feel the field.
         unit: of the displacement.
         displacement: coefficients (c,) -> (n, d) displacement in the unit.
+        in_bench: coefficients (c,) -> effects of a bench that do the same; None where no bench file can state them.
     """
 
     station: str
@@ -64,6 +67,7 @@ class StationField:
     acts: BoolArray
     unit: str
     displacement: Callable[[FloatArray], FloatArray]
+    in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]] | None = None
 
 
 def station_fields(readings: WeighedReadings) -> list[StationField]:
@@ -90,6 +94,8 @@ class _Terms:
         place: (n, v) coordinates of each reading; zero where the functions are.
         values: (n, t) functions. order: (t,) of each.
         degrees: that are tried, ascending.
+        polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each target pose,
+            if there are `copies`.
     """
 
     coordinates: str
@@ -97,6 +103,8 @@ class _Terms:
     values: FloatArray
     order: IntArray
     degrees: tuple[int, ...]
+    polynomials: tuple[IntArray, Box] | None = None
+    copies: int = 1
 
     def over(self, mask: BoolArray) -> "_Terms":
         """The functions at some of the readings (n,), zero elsewhere; they are given for these (m,) only."""
@@ -106,19 +114,38 @@ class _Terms:
 def _smooth(coordinates: str, variables: FloatArray, *degrees: int) -> _Terms:
     """Polynomials of variables (n, v) up to the last of the degrees."""
     orders = total_degree(variables.shape[1], degrees[-1])
-    values = basis(variables, orders, Box.around(variables))
-    return _Terms(coordinates, variables, values, np.asarray(orders.sum(axis=1)), degrees)
+    box = Box.around(variables)
+    values = basis(variables, orders, box)
+    return _Terms(coordinates, variables, values, np.asarray(orders.sum(axis=1)), degrees, (orders, box))
 
 
-def _field(station: str, form: str, unit: str, terms: _Terms, lever: FloatArray) -> StationField:
-    """A field of terms, each acting through all components of a lever (n, 2, k): sigma per unit."""
+def _as_effects(
+    station: str, displaces: str, orders: IntArray, box: Box, components: int, copies: int, values: FloatArray
+) -> tuple[BenchEffect, ...]:
+    """Effects of a bench by coefficients of all terms and components; of each target pose, where there are copies."""
+    parts = np.split(values.reshape(-1, components), copies)
+    poses = range(copies) if copies > 1 else (-1,)
+    return tuple(
+        BenchEffect(station, displaces, Polynomial(orders, box, part), pose)
+        for part, pose in zip(parts, poses, strict=True)
+    )
+
+
+def _field(station: str, form: str, unit: str, terms: _Terms, lever: FloatArray, displaces: str = "") -> StationField:
+    """A field of terms, each acting through all components of a lever (n, 2, k): sigma per unit.
+
+    `displaces` is what an effect of a bench at that station displaces alike; empty where there is none.
+    """
     columns = (lever[:, :, None, :] * terms.values[:, None, :, None]).reshape(len(lever), 2, -1)
     components = np.repeat(terms.values[:, :, None], lever.shape[2], axis=2)
 
     def displacement(values: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("ntk,tk->nk", components, values.reshape(-1, lever.shape[2])))
 
-    order = np.repeat(terms.order, lever.shape[2])
+    in_bench = None
+    if displaces and terms.polynomials is not None:
+        in_bench = partial(_as_effects, station, displaces, *terms.polynomials, lever.shape[2], terms.copies)
+    order, acts = np.repeat(terms.order, lever.shape[2]), np.any(terms.values != 0.0, axis=1)
     return _scaled(
         StationField(
             station,
@@ -128,9 +155,10 @@ def _field(station: str, form: str, unit: str, terms: _Terms, lever: FloatArray)
             order,
             terms.degrees,
             terms.place,
-            np.any(terms.values != 0.0, axis=1),
+            acts,
             unit,
             displacement,
+            in_bench,
         )
     )
 
@@ -140,15 +168,21 @@ def _scaled(field: StationField) -> StationField:
     size = np.sqrt(np.mean(field.columns**2, axis=(0, 1)))
     moves = np.isfinite(size) & (size > _IDLE)
 
+    def whole(values: FloatArray) -> FloatArray:
+        every = np.zeros(len(size))
+        every[moves] = values / size[moves]
+        return every
+
     def displacement(values: FloatArray) -> FloatArray:
-        all_values = np.zeros(len(size))
-        all_values[moves] = values / size[moves]
-        return field.displacement(all_values)
+        return field.displacement(whole(values))
+
+    of_field = field.in_bench
+    in_bench = None if of_field is None else lambda values: of_field(whole(values))
 
     highest = int(field.order[moves].max(initial=0))
     degrees = tuple(each for each in field.degrees if each < highest) + (highest,)
     columns, order = field.columns[:, :, moves] / size[moves], field.order[moves]
-    return replace(field, columns=columns, order=order, degrees=degrees, displacement=displacement)
+    return replace(field, columns=columns, order=order, degrees=degrees, displacement=displacement, in_bench=in_bench)
 
 
 def _over(mask: BoolArray, values: FloatArray) -> FloatArray:
@@ -171,7 +205,7 @@ def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
     assert pixel is not None
     rows, lever = observations.part == DISPLAY, _panel_lever(observations)
     smooth = _smooth("panel pixels", pixel, 1, 2, 4, 6, 8)
-    yield _field("panel", "shift", "panel px", smooth.over(rows), lever)
+    yield _field("panel", "shift", "panel px", smooth.over(rows), lever, "shift")
     phase = np.mod(pixel, _CODE_PERIOD_PX).astype(int)
     for axis, name in enumerate(("columns", "rows")):
         stripes = np.eye(_CODE_PERIOD_PX)[phase[:, axis]]
@@ -187,7 +221,8 @@ def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
     if len(channels) > 1:
         some = _smooth("panel pixels and colour", pixel, 4)
         each = np.concatenate([some.values * (plan.channel == channel)[:, None] for channel in channels], axis=1)
-        terms = replace(some, values=each, order=np.tile(some.order, len(channels)), degrees=(1, 2, 4))
+        order = np.tile(some.order, len(channels))
+        terms = replace(some, values=each, order=order, degrees=(1, 2, 4), polynomials=None)
         yield _field("panel", "shift of each colour", "panel px", terms.over(rows), lever)
 
 
@@ -203,12 +238,12 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     terms = _smooth("camera pixels", place, 1, 2, 4, 6, 8)
     sign = np.where(observations.part == DISPLAY, -1.0, 1.0) * still / observations.sigma_px
     lever = sign[:, None, None] * np.eye(2)
-    field = _field("camera", "shift of the image", "px", terms, lever)
+    field = _field("camera", "shift of the image", "px", terms, lever, "shift")
     plan = observations.session.plan.see_through
     if plan is not None and plan.bare_pixel is not None:
         bare = terms.values.copy()
         bare[observations.part == SEE_THROUGH] -= basis(plan.bare_pixel, total_degree(2, 8), Box.around(place))
-        field = replace(_field("camera", "shift of the image", "px", replace(terms, values=bare), lever), place=place)
+        field = _field("camera", "shift of the image", "px", replace(terms, values=bare), lever, "shift")
     yield field
 
 
@@ -220,14 +255,15 @@ def _stage_fields(readings: WeighedReadings) -> Iterator[StationField]:
         "stage",
         "pose of the camera",
         _POSE_UNIT,
-        _smooth("stage readings", stage[still], 1, 2, 3, 4).over(still),
+        _smooth("stage readings", 1e3 * stage[still], 1, 2, 3, 4).over(still),
         motions,
+        "pose",
     )
     for axis, name in enumerate("xyz"):
         phases = [2.0 * np.pi * stage[:, axis] / period for period in _SCREW_PERIODS_M]
         waves = np.stack([wave(phase) * still for phase in phases for wave in (np.sin, np.cos)], axis=1)
         order = np.zeros(waves.shape[1], dtype=np.int64)
-        terms = _Terms("stage readings", stage[:, [axis]], waves, order, (0,))
+        terms = _Terms("stage readings", 1e3 * stage[:, [axis]], waves, order, (0,))
         yield _field("stage", f"shift along {name}, with periods of screws", "um", terms, motions[:, :, [axis]])
     travel = _of_captures(observations, "travel", 1)
     if len(np.unique(travel[still])) > 1:
@@ -251,9 +287,9 @@ def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     panel = observations.part == DISPLAY
     if panel.any() and len(np.unique(time[panel])) > 3:
         terms = _smooth("time", time[panel], 2, 5, 10, 16).over(panel)
-        yield _field("time", "shift of the panel", "panel px", terms, _panel_lever(observations))
+        yield _field("time", "shift of the panel", "panel px", terms, _panel_lever(observations), "shift")
     terms = _smooth("time", time[still], 1, 2, 5, 8, 12).over(still)
-    yield _field("time", "pose of the camera", _POSE_UNIT, terms, motions)
+    yield _field("time", "pose of the camera", _POSE_UNIT, terms, motions, "pose")
 
 
 def _of_captures(observations: Observations, name: str, width: int) -> FloatArray:
@@ -273,13 +309,16 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
     rows, poses = observations.part == SEE_THROUGH, np.unique(plan.target_pose)
     lever = _over(rows, _dot_lever(readings.predictor, plan))
     pitches = plan.dot / observations.nominal.target.pitch[plan.target_pose][:, None]
-    shared = _smooth("place on the target", pitches, 1, 2, 4, 6)
-    yield _field("target", "displacement, the same at each pose", "mm", shared.over(rows), lever)
+    shared = _smooth("place on the target", pitches, 1, 2, 4, 6, 8)
+    yield _field("target", "displacement, the same at each pose", "mm", shared.over(rows), lever, "shift")
     # A pose to each capture leaves nothing to hold out.
     if 1 < len(poses) <= len(np.unique(plan.capture)) / 2:
-        own = np.concatenate([shared.values * (plan.target_pose == pose)[:, None] for pose in poses], axis=1)
-        terms = replace(shared, values=own, order=np.tile(shared.order, len(poses)))
-        yield _field("target", "displacement of its own at each pose", "mm", terms.over(rows), lever)
+        one = _smooth("place on the target", pitches, 1, 2, 4, 6)
+        own = np.concatenate([one.values * (plan.target_pose == pose)[:, None] for pose in poses], axis=1)
+        polynomials = one.polynomials if np.array_equal(poses, np.arange(len(poses))) else None
+        order = np.tile(one.order, len(poses))
+        terms = replace(one, values=own, order=order, polynomials=polynomials, copies=len(poses))
+        yield _field("target", "displacement of its own at each pose", "mm", terms.over(rows), lever, "shift")
 
 
 def _dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
@@ -297,28 +336,14 @@ def _dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
     return np.nan_to_num(np.stack(columns, axis=-1)) / predictor.observations.sigma_of(SEE_THROUGH)[:, :, None]
 
 
-def _all_surfaces(optics: EyeOptics) -> set[str]:
-    return {surface.name for surface in optics.surfaces()}
-
-
-def _reflecting(optics: EyeOptics) -> set[str]:
-    return {step.surface.name for step in optics.display.steps if step.interaction is not Interaction.REFRACT}
-
-
-def _outermost(optics: EyeOptics) -> set[str]:
-    return {step.surface.name for step in optics.see_through.steps[-1:]}
-
-
-_SURFACES = {
-    "height of all its surfaces": _all_surfaces,
-    "height of its reflecting surfaces": _reflecting,
-    "height of its outer surface": _outermost,
-}
-"""Surfaces of the combiner that a height is added to."""
-
-
-def _with_height(optics: EyeOptics, values: FloatArray, *, names: Callable[[EyeOptics], set[str]]) -> EyeOptics:
-    return surfaces_raised(optics, values, names(optics))
+def _with_height(optics: EyeOptics, values: FloatArray, *, surfaces: str) -> EyeOptics:
+    """The optics with a height (um) and its slopes along x and y (um/mm), from the middle, added to some surfaces."""
+    if not values.any():
+        return optics
+    piston, slope_x, slope_y = np.asarray(values) * [1e-6, 1e-3, 1e-3]
+    coefficients = np.array([[piston, slope_y], [slope_x, 0.0]])
+    names = SURFACES[surfaces](optics)
+    return surfaces_raised(optics, names, lambda sign: XYPolynomial(sign * coefficients))
 
 
 _HEIGHT = Cause(
@@ -328,7 +353,7 @@ _HEIGHT = Cause(
     (Parameter("piston", "um", 10.0), Parameter("slope_x", "um/mm", 10.0), Parameter("slope_y", "um/mm", 10.0)),
     source="",
     separated_by="",
-    variants={form: of_optics(partial(_with_height, names=names)) for form, names in _SURFACES.items()},
+    variants={surfaces: of_optics(partial(_with_height, surfaces=surfaces)) for surfaces in SURFACES},
 )
 """Lever of the combiner: the derivative of every reading by a height, and by its slopes, at the reading's footprint."""
 
@@ -352,18 +377,20 @@ def _combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
     def height(values: FloatArray) -> FloatArray:
         return np.asarray(value @ values)[:, None]
 
-    for form, names in _SURFACES.items():
-        surfaces = names(readings.observations.nominal.optics)
-        if not surfaces or surfaces in done:
+    for surfaces, names_of in SURFACES.items():
+        names = names_of(readings.observations.nominal.optics)
+        if not names or names in done:
             continue
-        done.append(surfaces)
-        lever = _lever(readings.predictor, Hypothesis(_HEIGHT, form))
+        done.append(names)
+        lever = _lever(readings.predictor, Hypothesis(_HEIGHT, surfaces))
         # The levers of the slopes are those of heights x and y about the middle: less the heights themselves.
         lever[:, :, 1:] -= lever[:, :, :1] * place[:, None, :]
         parts = (lever[:, :, [k]] * each[:, None, :] for k, each in enumerate((value, *slopes)))
         columns = np.asarray(sum(parts)) * met[:, None, None]
         coordinates, degrees = "place on the combiner", (2, 4, 6, 8, 10, 12)
-        yield _scaled(StationField("combiner", coordinates, form, columns, order, degrees, place, met, "um", height))
+        form, in_bench = f"height of {surfaces}", partial(_as_effects, "combiner", surfaces, orders, box, 1, 1)
+        field = StationField("combiner", coordinates, form, columns, order, degrees, place, met, "um", height, in_bench)
+        yield _scaled(field)
 
 
 def footprints(predictor: Predictor) -> FloatArray:

@@ -25,7 +25,11 @@ _RANKED = 6  # of each place that are shown
 def residuals_table(diagnosis: Diagnosis) -> ReportTable:
     """Residual with both benches, beside what noise alone would give."""
     states = [("bench as described", diagnosis.before), ("corrected bench", diagnosis.after)]
-    states = [*states[: 2 if diagnosis.causes else 1], ("noise", diagnosis.noise), ("expected", diagnosis.expected)]
+    states = [
+        *states[: 2 if diagnosis.is_corrected else 1],
+        ("noise", diagnosis.noise),
+        ("expected", diagnosis.expected),
+    ]
     unknown = undetermined_parts(diagnosis)
     measures = [(f"{name} ({_UNITS[unit]})", attribute, part in unknown) for part, name, attribute, unit in RESIDUALS]
     rows: list[list[Cell]] = []
@@ -172,7 +176,7 @@ def captures_table(diagnosis: Diagnosis) -> ReportTable:
     """One row for each capture."""
     white = _whitened_rms(diagnosis)
     # Without causes both benches are one.
-    states = ("rms before (sigma)", "rms after (sigma)") if diagnosis.causes else ("rms (sigma)",)
+    states = ("rms before (sigma)", "rms after (sigma)") if diagnosis.is_corrected else ("rms (sigma)",)
     rows: list[list[Cell]] = [
         [
             each.capture,

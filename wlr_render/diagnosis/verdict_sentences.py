@@ -169,7 +169,8 @@ def _about_effect(effect: StationEffect) -> list[str]:
             f"Its correction takes {gain:.0f} % off the residual of captures left out, {share:.0f} % of their excess "
             "over noise."
         )
-    steps = [f"Effects {where} of this kind come from {' or '.join(effect.likely)}: look for that. {worth}"]
+    in_bench = " The corrected session's bench.toml has it as an [[effect]]." if effect.is_in_bench else ""
+    steps = [f"Effects {where} of this kind come from {' or '.join(effect.likely)}: look for that. {worth}{in_bench}"]
     if _is_ambiguous(effect):
         apart = [SEPARATED_BY[each] for each in (effect.station, effect.next_station) if each in SEPARATED_BY]
         steps.append(f"To tell the {effect.station} from the {effect.next_station}: {'; or '.join(apart)}.")

@@ -4,20 +4,17 @@ Device frame; x to the right and y up from the combiner's middle, where the line
 Surfaces are raised away from the eye.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
-from wlr_render.diagnosis.causes.optics import of_optics, outward
-from wlr_render.geometry.transforms import rigid
+from wlr_render.diagnosis.causes.optics import of_optics
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.assembly import combiner_middle
-from wlr_render.optics.device import EyeOptics, Interaction, PlacedSurface
-from wlr_render.optics.raised import FormError, raised
-from wlr_render.optics.sag_surfaces import GaussianBump, SagSurface, XYPolynomial
+from wlr_render.optics.combiner_form import SURFACES, surfaces_raised
+from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.sag_surfaces import GaussianBump, XYPolynomial
 
 FORM_RADIUS_MM = 20.0
 """Form errors of the combiner are stated so far from its middle."""
@@ -54,10 +51,9 @@ def _of_form(optics: EyeOptics, values: FloatArray, *, of_mirrors_only: bool = F
     """The combiner with form errors, in all its surfaces or in those that the display is reflected by."""
     if not values.any():
         return optics
-    mirrors = {step.surface.name for step in optics.display.steps if step.interaction is not Interaction.REFRACT}
-    names = mirrors if of_mirrors_only else {surface.name for surface in optics.surfaces()}
+    names = SURFACES["reflecting surfaces" if of_mirrors_only else "all surfaces"](optics)
     coefficients = _form_coefficients(values)
-    return _raised(optics, names, lambda sign: XYPolynomial(sign * coefficients), np.zeros(2))
+    return surfaces_raised(optics, names, lambda sign: XYPolynomial(sign * coefficients))
 
 
 def _dented(optics: EyeOptics, values: FloatArray) -> EyeOptics:
@@ -66,40 +62,10 @@ def _dented(optics: EyeOptics, values: FloatArray) -> EyeOptics:
     if depth_um == 0.0:
         return optics
     width = 1e-3 * max(float(width_mm), _NARROWEST_MM)
-    names = {surface.name for surface in optics.surfaces()}
-    return _raised(
+    names = SURFACES["all surfaces"](optics)
+    return surfaces_raised(
         optics, names, lambda sign: GaussianBump(sign * 1e-6 * float(depth_um), width), 1e-3 * np.array(place_mm)
     )
-
-
-def surfaces_raised(optics: EyeOptics, values: FloatArray, names: set[str]) -> EyeOptics:
-    """Surfaces of the given names raised by a height (um) and its slopes along x and y (um/mm), from the middle."""
-    if not values.any():
-        return optics
-    piston, slope_x, slope_y = np.asarray(values) * [1e-6, 1e-3, 1e-3]
-    coefficients = np.array([[piston, slope_y], [slope_x, 0.0]])
-    return _raised(optics, names, lambda sign: XYPolynomial(sign * coefficients), np.zeros(2))
-
-
-def _raised(optics: EyeOptics, names: set[str], error: Callable[[float], SagSurface], place: FloatArray) -> EyeOptics:
-    """Surfaces raised away from the eye; `error` maps the side of the normal (+1 is away) to the height to be added.
-
-    Args:
-        optics: the optics.
-        names: of the surfaces.
-        error: see above.
-        place: (2,) origin of the error from the combiner's middle, metres.
-    """
-    middle = combiner_middle(optics)
-    device_from_error = rigid(np.eye(3), middle + np.append(place, 0.0))
-
-    def with_error(surface: PlacedSurface) -> PlacedSurface:
-        if surface.name not in names:
-            return surface
-        added = FormError(error(outward(surface, middle)), surface.surface_from_device @ device_from_error)
-        return replace(surface, shape=raised(surface.shape, added))
-
-    return optics.with_surfaces(with_error)
 
 
 FORM = (

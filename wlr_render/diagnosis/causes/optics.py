@@ -15,6 +15,7 @@ from wlr_render.diagnosis.cause import Cause, Parameter, Perturb, Role, changed
 from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics import assembly
+from wlr_render.optics.combiner_form import outward
 from wlr_render.optics.device import (
     ClearAperture,
     EyeOptics,
@@ -92,18 +93,6 @@ def _combiner_thickened(
         return replace(surface, shape=Offset(shape, offset))
 
     return _with_optics(bench, bench.optics.with_surfaces(thickened))
-
-
-def outward(surface: PlacedSurface, middle: FloatArray, along_axis: bool = False) -> float:
-    """+1 if the surface's normal, or its axis, leads into the world where the eye looks through it, else -1.
-
-    `middle` (3,) is where it looks through, `assembly.combiner_middle`.
-    """
-    pose = surface.surface_from_device
-    local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]
-    normal = surface.shape.normal(local)[:, 0]
-    ahead = surface.device_from_surface[:3, :3] @ normal @ _FORWARD
-    return float(np.sign(ahead * normal[2] if along_axis else ahead)) or 1.0
 
 
 def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg: FloatArray) -> Bench:

@@ -1,0 +1,120 @@
+"""Effects at the stations of a bench: what they displace, that captures take them off again, and their file."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.bench_effects import KINDS, BenchEffect
+from wlr_render.bench.bench_file import load_bench, save_bench
+from wlr_render.bench.session_captures import observations_of, session_of
+from wlr_render.bench.simulate_session import simulate
+from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
+from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
+from wlr_render.optics.device_file import load_device
+
+BOXES = {
+    "panel": ([0.0, 0.0], [1440.0, 1600.0]),
+    "camera": ([0.0, 0.0], [1280.0, 1024.0]),
+    "target": ([-3.0, -3.0], [3.0, 3.0]),
+    "stage": ([20.0, -10.0, 20.0], [45.0, 10.0, 45.0]),
+    "time": ([0.0], [2000.0]),
+    "combiner": ([-20.0, -20.0], [20.0, 20.0]),
+}
+SIZES = {"panel": 0.5, "camera": 0.3, "target": 0.2, "stage": 30.0, "time": 5.0, "combiner": 0.5}
+
+
+def effect(station, displaces, degree=2, seed=1):
+    """A random effect of ordinary size."""
+    kind, (low, high) = KINDS[station, displaces], BOXES[station]
+    orders = total_degree(len(low), degree)
+    coefficients = SIZES[station] * np.random.default_rng(seed).normal(size=(len(orders), len(kind.per_displacement)))
+    return BenchEffect(station, displaces, Polynomial(orders, Box(np.array(low), np.array(high)), coefficients))
+
+
+@pytest.fixture(scope="module")
+def bench():
+    device = load_device("northstar")
+    middle = device.eyes["right"].eye_box.centre
+    camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([900.0, 900.0]), np.array([640.0, 300.0]), 0.1)
+    poses = rigid(rotations_of_vectors(np.array([[0.1, -0.2, 0.05]])), middle + np.array([[0.0, -0.08, -0.6]]))
+    return Bench(device, "right", camera, Stage(middle), Target(poses, np.array([0.03])))
+
+
+@pytest.fixture(scope="module")
+def plan(bench):
+    """Three captures of the panel and of the target."""
+    place = bench.stage.origin + 1e-3 * np.array([[-2.0, 1.0, 0.0], [2.0, -1.0, 1.0], [0.0, 2.0, -1.0]])
+    u, v = np.meshgrid(np.linspace(400, 900, 5), np.linspace(250, 800, 4))
+    grid = np.stack([u, v], axis=-1).reshape(-1, 2)
+    capture = np.repeat(np.arange(3), len(grid))
+    ones = np.ones(len(capture))
+    display = DisplayPlan(
+        capture, 100.0 * capture, ones, place[capture], np.ones(len(capture), int), np.tile(grid, (3, 1))
+    )
+    x, y = np.meshgrid(np.arange(-2, 3), np.arange(-2, 3))
+    dots = 0.03 * np.tile(np.stack([x, y], axis=-1).reshape(-1, 2), (3, 1))
+    capture = np.repeat(np.arange(3), 25)
+    poses = np.zeros(len(capture), dtype=int)
+    see_through = SeeThroughPlan(capture, 1000.0 + 100.0 * capture, np.ones(len(capture)), place[capture], poses, dots)
+    return SessionPlan(display, see_through)
+
+
+@pytest.mark.parametrize(("station", "displaces"), KINDS)
+def test_captures_of_a_bench_with_an_effect_are_those_of_a_bench_without(bench, plan, station, displaces):
+    """The effects of all stations but the combiner are the bench's: what is handed to calibration has none of them."""
+    disturbed = replace(bench, effects=(effect(station, displaces),))
+    read = simulate(disturbed, plan)
+    changed = [np.nanmax(np.abs(a - b)) for a, b in zip(read.parts[:2], simulate(bench, plan).parts[:2], strict=True)]
+    assert max(changed) > 0.01
+    if station == "combiner":
+        return
+    table = observations_of(disturbed, Session("s", plan, read))
+    back = session_of(disturbed, table, "s")
+    again = simulate(disturbed, back.plan)
+    for measured, simulated in zip(back.readings.parts[:2], again.parts[:2], strict=True):
+        np.testing.assert_allclose(simulated, measured, atol=2e-4)
+    # The headset's own optics, without any effect, lead from these viewpoints and directions to these readings.
+    exact = session_of(bench, table, "s")
+    for measured, simulated in zip(exact.readings.parts[:2], simulate(bench, exact.plan).parts[:2], strict=True):
+        np.testing.assert_allclose(simulated, measured, atol=2e-4)
+
+
+def test_a_shift_of_the_panel_is_read_in_pixels(bench, plan):
+    constant = Polynomial(np.array([[0, 0]]), Box(np.zeros(2), np.full(2, 1000.0)), np.array([[0.7, -0.2]]))
+    disturbed = replace(bench, effects=(BenchEffect("panel", "shift", constant),))
+    off = simulate(disturbed, plan).panel_pixel - simulate(bench, plan).panel_pixel
+    np.testing.assert_allclose(
+        off[np.isfinite(off).all(axis=1)], [[0.7, -0.2]] * int(np.isfinite(off).all(axis=1).sum())
+    )
+
+
+def test_a_tilt_of_the_combiners_height_turns_the_reflection_by_twice_as_much(bench, plan):
+    """A height of 1 um per mm turns the surface by 1 mrad; on the display a constant height does much less."""
+    box = Box(np.full(2, -20.0), np.full(2, 20.0))
+    sizes = []
+    for order in ([0, 0], [1, 0]):
+        tilted = BenchEffect("combiner", "all surfaces", Polynomial(np.array([order]), box, np.array([[20.0]])))
+        off = simulate(replace(bench, effects=(tilted,)), plan).panel_pixel - simulate(bench, plan).panel_pixel
+        sizes.append(np.sqrt(np.nanmean(off**2)))
+    assert sizes[1] > 5 * sizes[0]
+
+
+def test_an_effect_of_one_target_pose_leaves_the_others_alone(bench, plan):
+    one = replace(effect("target", "shift"), target_pose=1)
+    same = simulate(replace(bench, effects=(one,)), plan).dot_pixel
+    np.testing.assert_array_equal(same, simulate(bench, plan).dot_pixel)
+
+
+def test_effects_are_written_and_read_back(bench, tmp_path):
+    effects = (*(effect(*kind) for kind in KINDS), replace(effect("target", "shift"), target_pose=0))
+    found = load_bench(save_bench(replace(bench, effects=effects), tmp_path / "bench.toml"))
+    assert [(each.station, each.displaces, each.target_pose) for each in found.effects] == [
+        (each.station, each.displaces, each.target_pose) for each in effects
+    ]
+    for one, other in zip(found.effects, effects, strict=True):
+        np.testing.assert_array_equal(one.polynomial.orders, other.polynomial.orders)
+        np.testing.assert_allclose(one.polynomial.coefficients, other.polynomial.coefficients, rtol=1e-12)
+        np.testing.assert_allclose(one.polynomial.box.high, other.polynomial.box.high)

@@ -1,0 +1,91 @@
+"""Form errors of a combiner: heights added to its surfaces, over the place from its middle.
+
+Heights raise a surface away from the eye. Places are to the right and up from where the line of sight straight ahead
+meets the combiner, in the device frame.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wlr_render.geometry.transforms import rigid
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.optics.assembly import combiner_middle
+from wlr_render.optics.device import EyeOptics, Interaction, PlacedSurface
+from wlr_render.optics.raised import FormError, raised
+from wlr_render.optics.sag_surfaces import SagSurface
+
+_FORWARD = np.array([0.0, 0.0, -1.0])
+_MM, _UM = 1e-3, 1e-6
+
+
+def _all(optics: EyeOptics) -> set[str]:
+    return {surface.name for surface in optics.surfaces()}
+
+
+def _reflecting(optics: EyeOptics) -> set[str]:
+    return {step.surface.name for step in optics.display.steps if step.interaction is not Interaction.REFRACT}
+
+
+def _outermost(optics: EyeOptics) -> set[str]:
+    return {step.surface.name for step in optics.see_through.steps[-1:]}
+
+
+SURFACES = {"all surfaces": _all, "reflecting surfaces": _reflecting, "outer surface": _outermost}
+"""Names of the surfaces of an eye's optics that a height is added to."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothSag(SagSurface):
+    """A height in micrometres as a polynomial of the place in millimetres, continued to first order outside its box.
+
+    Attributes:
+        polynomial: one output.
+        sign: of the height along the surface's normal.
+    """
+
+    polynomial: Polynomial
+    sign: float
+
+    def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the sag and slopes; see `SagSurface`."""
+        height, slopes = self.polynomial.with_jacobian(np.stack([x, y], axis=-1) / _MM)
+        unit = self.sign * _UM
+        return unit * height[:, 0], unit / _MM * slopes[:, 0, 0], unit / _MM * slopes[:, 0, 1]
+
+
+def surfaces_raised(
+    optics: EyeOptics, names: set[str], error: Callable[[float], SagSurface], place: FloatArray | None = None
+) -> EyeOptics:
+    """Return the optics with a height added to some surfaces.
+
+    Args:
+        optics: the optics.
+        names: of the surfaces.
+        error: maps the side of a surface's normal (+1 is away from the eye) to the height to be added.
+        place: (2,) origin of the error from the combiner's middle, metres.
+    """
+    middle = combiner_middle(optics)
+    device_from_error = rigid(np.eye(3), middle + np.append(np.zeros(2) if place is None else place, 0.0))
+
+    def with_error(surface: PlacedSurface) -> PlacedSurface:
+        if surface.name not in names:
+            return surface
+        added = FormError(error(outward(surface, middle)), surface.surface_from_device @ device_from_error)
+        return replace(surface, shape=raised(surface.shape, added))
+
+    return optics.with_surfaces(with_error)
+
+
+def outward(surface: PlacedSurface, middle: FloatArray, along_axis: bool = False) -> float:
+    """Return +1 if a surface's normal, or its axis, leads into the world where the eye looks through it, else -1.
+
+    `middle` (3,) is where it looks through, `assembly.combiner_middle`.
+    """
+    pose = surface.surface_from_device
+    local = (pose[:3, :3] @ middle + pose[:3, 3])[:, None]
+    normal = surface.shape.normal(local)[:, 0]
+    ahead = surface.device_from_surface[:3, :3] @ normal @ _FORWARD
+    return float(np.sign(ahead * normal[2] if along_axis else ahead)) or 1.0
