@@ -153,6 +153,21 @@ def test_a_cause_keeps_its_name_where_its_effect_is_there_and_loses_it_where_ano
 
 
 @pytest.mark.slow
+def test_a_cause_elsewhere_that_a_located_field_explains_as_well_gets_no_name(bench, plan):
+    """A camera that swings about a place beside the stated one, in the course of the session, is no wrong pupil."""
+
+    def off(table):
+        return 1e-4 * (0.6 + wave(table.time_s[:, None], 1300.0)) * [0.0, 0.0, 1.0]
+
+    won = contest(bench, plan, at_stage(bench, plan, off), explanation(camera_pupil_offset=[0.0, 0.0, 0.06]))
+    effects = won.located(2.0)
+    assert effects[0].field.station == "time"
+    assert won.odds_of_cause(0, "camera", effects) < 2
+    alone = contest(bench, plan, at_stage(bench, plan, lambda table: [0.0, 0.0, 6e-5]), won.found.explanation)
+    assert alone.odds_of_cause(0, "camera", alone.located(2.0)) > 2
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("off", "station", "coordinates"),
     [

@@ -9,7 +9,9 @@ import numpy as np
 
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.observations import Observations
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray, IntArray, rows_by_label
+
+_FOLDS = 8
 
 
 @dataclass(frozen=True)
@@ -90,3 +92,30 @@ def jackknife(found: Fit, group: IntArray, groups: int) -> FloatArray:
     if count < 2:
         return np.full(found.at.free.size, np.nan)
     return np.asarray(np.sqrt((count - 1) * np.mean((changes - changes.mean(axis=0)) ** 2, axis=0)))
+
+
+def squares_of_captures(residual: FloatArray, group: IntArray) -> FloatArray:
+    """Return the sum of squares of each capture that has readings."""
+    return np.array([np.sum(residual[rows] ** 2) for rows in rows_by_label(group)[1]])
+
+
+def left_out_residual(columns: FloatArray, left: FloatArray, group: IntArray, size: float) -> FloatArray:
+    """Return the white residual (n, 2) after a field, each capture by a fit to the captures of the other folds.
+
+    Args:
+        columns: (n, 2, c) of the field, white.
+        left: (n, 2) white residual.
+        group: (n,) capture of each reading.
+        size: of the coefficients, which have normal priors.
+    """
+    after, (_, captures) = left.copy(), rows_by_label(group)
+    # Captures follow each other in space and time; taking turns spreads every fold over both.
+    folds = [np.concatenate(captures[number::_FOLDS]) for number in range(min(_FOLDS, len(captures)))]
+    flat = [columns[rows].reshape(2 * len(rows), -1) for rows in folds]
+    grams = [each.T @ each for each in flat]
+    moments = [each.T @ left[rows].ravel() for each, rows in zip(flat, folds, strict=True)]
+    prior = np.eye(columns.shape[2]) / size**2
+    for number, rows in enumerate(folds):
+        gram, moment = sum(grams) - grams[number], sum(moments) - moments[number]
+        after[rows] -= columns[rows] @ np.linalg.solve(gram + prior, moment)
+    return after

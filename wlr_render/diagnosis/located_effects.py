@@ -16,7 +16,12 @@ import numpy as np
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.cause_selection import LOG10_ODDS
 from wlr_render.diagnosis.fit import Fit, off_prior
-from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
+from wlr_render.diagnosis.held_out import (
+    HeldOutImprovement,
+    held_out_improvement,
+    left_out_residual,
+    squares_of_captures,
+)
 from wlr_render.diagnosis.scatter import (
     Marginal,
     Scatter,
@@ -28,9 +33,8 @@ from wlr_render.diagnosis.scatter import (
 )
 from wlr_render.diagnosis.station_fields import StationField
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_FOLDS = 8
 _SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
 _LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the field
 _MOST_EFFECTS = 3  # that are located in one session
@@ -38,6 +42,10 @@ _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
 _LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
+
+
+_Known = tuple[IntArray, FloatArray, FloatArray]
+"""Columns that are integrated out, with the means and sigmas of their coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +136,7 @@ class FieldContest:
     def _columns(self, number: int, degree: int) -> IntArray:
         return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].order <= degree))
 
-    def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> _Known:
         """Columns, means and prior sigmas of some of the causes' values and of effects."""
         columns, mean, sigma = [np.flatnonzero(causes)], [self._mean[causes]], [np.ones(int(causes.sum()))]
         for effect in effects:
@@ -193,45 +201,65 @@ class FieldContest:
         return sorted(best.values(), key=lambda each: -each.log10_odds)
 
     def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
-        """Return log10 odds for a cause, alone or beside a field, against the fields of its own station.
-
-        The fields have the cause's span as well: otherwise they could not imitate it, and its name would always win.
+        """Return log10 odds for a cause against the fields of its own station, and of those where effects are located.
 
         Args:
             number: of the cause in the fit.
             station: its station.
-            beside: effects located beside it; those of its own station are its rivals.
+            beside: effects located beside it.
         """
-        mine = self.found.owner == number
-        elsewhere = [each for each in beside if each.field.station != station]
-        rest = self._known(elsewhere, ~mine)
-        named = self._known(elsewhere, np.ones(self._causes, dtype=bool))
-        span = np.flatnonzero(mine)
-        # The cause's own values count from none.
-        at_none = self._mean.copy()
-        at_none[mine] = -self.found.effects[mine]
-        tried = [
-            (number, degree)
-            for number, field in enumerate(self.fields)
-            for degree in field.degrees
-            if field.station == station
-        ]
+        others = {each.field.station for each in beside} - {station}
+        odds = [self._odds_at_its_station(number, station, beside)]
+        return min([*odds, *(self._odds_beside(number, other, beside) for other in others)])
+
+    def _odds_at_its_station(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause, alone or beside a field, against the fields of its own station.
+
+        The fields have the cause's span as well: otherwise they could not imitate it, and its name would always win.
+        """
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station)
         if not tried:
             return float("inf")
         charge = 2.0 * float(np.log(len(tried)))
-        alone, beside_field = self._least(named), np.inf
-        nothing = self._least(rest, span, at_none[mine])
-        field = field_alone = np.inf
-        for each, degree in tried:
-            columns = self._columns(each, degree)
+        alone, nothing = self._least(named), self._least(rest, span, at_none)
+        beside_field = field = field_alone = np.inf
+        for columns in tried:
             added = span[self._beyond(columns, span) > _OWN_SHAPE]
             beside_field = min(beside_field, self._least_of(columns, named)[0] + charge)
-            field = min(field, self._least_of(columns, rest, span, at_none[mine], added)[0] + charge)
-            field_alone = min(field_alone, self._least_of(columns, rest, span, at_none[mine])[0] + charge)
+            field = min(field, self._least_of(columns, rest, span, at_none, added)[0] + charge)
+            field_alone = min(field_alone, self._least_of(columns, rest, span, at_none)[0] + charge)
         # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
         # part of that field which happens to look like it.
         with_name = min(alone, beside_field) if alone < field_alone else alone
         return float(LOG10_ODDS * (min(nothing, field) - with_name))
+
+    def _odds_beside(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause against none where a field of another station may explain the same."""
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station)
+        with_name = min(self._least_of(columns, named)[0] for columns in tried)
+        without = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
+        return float(LOG10_ODDS * (without - with_name))
+
+    def _tried_at(self, station: str) -> list[IntArray]:
+        """Columns of all fields of a station, by degree."""
+        return [
+            self._columns(number, degree)
+            for number, field in enumerate(self.fields)
+            for degree in field.degrees
+            if field.station == station
+        ]
+
+    def _with_and_without(
+        self, number: int, station: str, beside: Sequence[LocatedEffect]
+    ) -> tuple[_Known, _Known, IntArray, FloatArray]:
+        """What is known with a cause and without it, but for effects of a station; its columns, and values of none."""
+        mine = self.found.owner == number
+        elsewhere = [each for each in beside if each.field.station != station]
+        named = self._known(elsewhere, np.ones(self._causes, dtype=bool))
+        # The cause's own values count from none.
+        return named, self._known(elsewhere, ~mine), np.flatnonzero(mine), -self.found.effects[mine]
 
     def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
         """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
@@ -244,7 +272,7 @@ class FieldContest:
 
     def _least(
         self,
-        known: tuple[IntArray, FloatArray, FloatArray],
+        known: _Known,
         removed: IntArray | None = None,
         by: FloatArray | None = None,
     ) -> float:
@@ -257,7 +285,7 @@ class FieldContest:
     def _least_of(
         self,
         columns: IntArray,
-        known: tuple[IntArray, FloatArray, FloatArray],
+        known: _Known,
         span: IntArray | None = None,
         by: FloatArray | None = None,
         added: IntArray | None = None,
@@ -311,13 +339,13 @@ class FieldContest:
             residual = residual - other.columns @ values
         whiten = self.readings.whitening(scatter)
         white, left = whiten(effect.columns), whiten(residual)
-        after = _left_out(white, left, group, effect.size)
+        after = left_out_residual(white, left, group, effect.size)
         acts = np.isin(group, np.unique(group[np.any(effect.columns != 0.0, axis=(1, 2))]))
         before_sum, after_sum = (float(np.sum(each[acts] ** 2)) for each in (left, after))
         expected = 2.0 * float(acts.sum())
         removed = before_sum - after_sum
         share = removed / max(before_sum - expected, removed, 1e-9)
-        squares = [_squares(each[acts], group[acts]) for each in (left, after)]
+        squares = [squares_of_captures(each[acts], group[acts]) for each in (left, after)]
         return held_out_improvement(*squares), share
 
 
@@ -334,7 +362,7 @@ def _moved(sums: Marginal, columns: IntArray | None, by: FloatArray | None) -> M
     return Marginal(value, sums.information, sums.gradient - across)
 
 
-def _folded(sums: Marginal, known: tuple[IntArray, FloatArray, FloatArray], columns: IntArray) -> Marginal:
+def _folded(sums: Marginal, known: _Known, columns: IntArray) -> Marginal:
     """What the readings say of some columns where known ones, of means and prior sigmas, are integrated out."""
     beside, mean, sigma = known
     own = _of(sums, columns)
@@ -349,30 +377,3 @@ def _folded(sums: Marginal, known: tuple[IntArray, FloatArray, FloatArray], colu
         own.information - across @ solved[:, 1:],
         own.gradient - across @ solved[:, 0],
     )
-
-
-def _squares(residual: FloatArray, group: IntArray) -> FloatArray:
-    """Sum of squares of each capture that has readings."""
-    return np.array([np.sum(residual[rows] ** 2) for rows in rows_by_label(group)[1]])
-
-
-def _left_out(columns: FloatArray, left: FloatArray, group: IntArray, size: float) -> FloatArray:
-    """White residual (n, 2) after a field, each capture by a fit to the captures of the other folds.
-
-    Args:
-        columns: (n, 2, c) of the field, white.
-        left: (n, 2) white residual.
-        group: (n,) capture of each reading.
-        size: of the coefficients, which have normal priors.
-    """
-    after, (_, captures) = left.copy(), rows_by_label(group)
-    # Captures follow each other in space and time; taking turns spreads every fold over both.
-    folds = [np.concatenate(captures[number::_FOLDS]) for number in range(min(_FOLDS, len(captures)))]
-    flat = [columns[rows].reshape(2 * len(rows), -1) for rows in folds]
-    grams = [each.T @ each for each in flat]
-    moments = [each.T @ left[rows].ravel() for each, rows in zip(flat, folds, strict=True)]
-    prior = np.eye(columns.shape[2]) / size**2
-    for number, rows in enumerate(folds):
-        gram, moment = sum(grams) - grams[number], sum(moments) - moments[number]
-        after[rows] -= columns[rows] @ np.linalg.solve(gram + prior, moment)
-    return after

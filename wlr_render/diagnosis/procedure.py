@@ -5,7 +5,7 @@ at the stations that no cause has, and what stays unexplained; in that order.
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -114,7 +114,7 @@ def diagnose(
         session=session.name,
         device=nominal.device.name,
         eye=nominal.eye,
-        verdict=_verdict(bool(named), bool(effects), bool(left) or bool(too_many)),
+        verdict=_verdict(bool(named), effects, bool(left) or bool(too_many), settings),
         causes=tuple(sorted(named, key=lambda cause: -cause.effect_over_noise)),
         effects=tuple(effects),
         excluded=excluded,
@@ -351,9 +351,10 @@ def _excluded(
     )
 
 
-def _verdict(has_causes: bool, has_effects: bool, has_more: bool) -> str:
+def _verdict(has_causes: bool, effects: Sequence[StationEffect], has_more: bool, settings: Settings) -> str:
     if has_more:
-        return PARTLY if has_causes or has_effects else UNEXPLAINED
-    if has_effects:
-        return LOCATED
+        return PARTLY if has_causes or effects else UNEXPLAINED
+    if effects:
+        share = max(each.share_of_excess_removed for each in effects)
+        return LOCATED if share >= settings.min_share_located else PARTLY
     return EXPLAINED if has_causes else NO_EFFECT

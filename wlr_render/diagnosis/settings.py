@@ -23,6 +23,8 @@ class Settings:
             cause's name against the fields of its own station: 2 is a chance of one in a hundred for each.
         min_share_explained: share of what exceeds the noise of a part that a cause must explain, unless the rest is
             noise.
+        min_share_located: share of the excess of captures left out that a located effect must remove, or something is
+            left: motions of the captures may hide it.
         min_relative_gain: share of the best candidate's first-order gain below which a candidate is not fitted.
         max_fits: candidates that are fitted for each place.
         max_contenders: candidates that are fitted again to all readings.
@@ -49,6 +51,7 @@ class Settings:
     max_causes: int = 5
     least_log10_odds: float = 2.0
     min_share_explained: float = 0.3
+    min_share_located: float = 0.5
     min_relative_gain: float = 0.3
     max_fits: int = 6
     max_contenders: int = 3
