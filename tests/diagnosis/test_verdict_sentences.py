@@ -179,13 +179,15 @@ def test_the_motions_of_a_part_with_an_effect_are_no_repeatability(located):
     text = bench_sentence(found)
     assert "Repeatability of the display is not determined, as no cause explains its residual." in text
     assert "See-through: positions repeat to " in text
-    assert re.search(r"\. Display residual \S+ panel px; see-through residual \S+', expected ", verdict_sentence(found))
+    # The part that the effect's correction changes, without what would be expected of it.
+    assert re.search(r"\. Display residual \S+ panel px -> \S+ panel px\.$", verdict_sentence(found))
     assert [row[0] for row in repeatability_table(found).rows] == ["display (not determined)", "see-through"]
     residuals = tables.residuals_table(found)
     expected = {row[0]: row[residuals.columns.index("expected")] for row in residuals.rows}
     assert expected["display (panel px)"] is None is expected["all readings (sigma)"]
     assert expected["see-through (arcmin)"] == found.expected.see_through_rms_arcmin
-    times = next(row for row in residuals.rows if row[0] == "display (panel px)")[3]
+    display = next(row for row in residuals.rows if row[0] == "display (panel px)")
+    times = display[residuals.columns.index("corrected bench / noise")]
     left = replace(found, verdict="unexplained", effects=(), unexplained=Unexplained("display", 0.5, 1.3))
     assert f"The display residual is {cell_text(times)} times the noise" in verdict_sentence(left)
     (ordinary,) = {"explained"} - {found.verdict}
