@@ -24,11 +24,6 @@ from wlr_render.rendering.scene import Scene
 
 pytest_plugins = ["small_headsets"]
 
-# Bytecode is kept, also where Python is told not to: each worker, and each process that a test starts, would compile
-# all that it imports again.
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 SLOW_S = 5.0
