@@ -3,7 +3,6 @@
 import contextlib
 import os
 import re
-import sys
 
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -13,7 +13,7 @@ from oracle.unlisted_effects import STATIONS
 from benchmarks.diagnosis.trial import observed
 from benchmarks.diagnosis.truths import truth_of
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
+from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT, PARTLY
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
 
@@ -72,20 +72,26 @@ def test_nothing_hidden_is_no_effect_and_says_what_would_have_been_found():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("device", "effect"),
+    ("device", "effect", "verdict"),
     [
         (
             "northstar",
             Effect("target_wrinkle", {"height_mm": 8.0, "x_ratio": 0.2, "y_ratio": -0.1, "width_ratio": 0.3}),
+            LOCATED,
         ),
-        ("freeform40", Effect("combiner_bubble", {"height_mm": 0.006, "x_mm": -2.0, "y_mm": 1.0, "radius_mm": 2.5})),
-        ("birdbath28", Effect("panel_swings", {"x_mm": 0.03, "y_mm": -0.02, "period_s": 1100.0})),
+        # With few readings in a cell their means remove less than half of what the bubble does.
+        (
+            "freeform40",
+            Effect("combiner_bubble", {"height_mm": 0.006, "x_mm": -2.0, "y_mm": 1.0, "radius_mm": 2.5}),
+            PARTLY,
+        ),
+        ("birdbath28", Effect("panel_swings", {"x_mm": 0.03, "y_mm": -0.02, "period_s": 1100.0}), LOCATED),
     ],
     ids=lambda value: getattr(value, "name", value),
 )
-def test_what_no_cause_stands_for_is_located_without_a_name(device, effect):
+def test_what_no_cause_stands_for_is_located_without_a_name(device, effect, verdict):
     said = diagnosed(small(device), effect, causes={})
-    assert (said.verdict, names(said)) == (LOCATED, set())
+    assert (said.verdict, names(said)) == (verdict, set())
     assert said.effects[0].station == STATIONS[effect.name]
     assert said.effects[0].log10_odds > 4
 
