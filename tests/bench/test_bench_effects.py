@@ -91,6 +91,16 @@ def test_a_shift_of_the_panel_is_read_in_pixels(bench, plan):
     )
 
 
+def test_a_shift_of_the_whole_image_is_not_seen_where_the_bare_photograph_has_it_too(bench, plan):
+    constant = Polynomial(np.array([[0, 0]]), Box(np.zeros(2), np.full(2, 1000.0)), np.array([[0.7, -0.2]]))
+    disturbed = replace(bench, effects=(BenchEffect("camera", "shift", constant),))
+    bare = replace(plan.see_through, bare_pixel=simulate(bench, plan).dot_pixel)
+    for rows, least, most in ((plan.see_through, 0.6, 0.8), (bare, 0.0, 0.05)):
+        one = SessionPlan(see_through=rows)
+        off = simulate(disturbed, one).dot_pixel - simulate(bench, one).dot_pixel
+        assert least <= np.nanmax(np.abs(off)) < most
+
+
 def test_a_tilt_of_the_combiners_height_turns_the_reflection_by_twice_as_much(bench, plan):
     """A height of 1 um per mm turns the surface by 1 mrad; on the display a constant height does much less."""
     box = Box(np.full(2, -20.0), np.full(2, 20.0))

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, explanation, fitted, hypothesis, measured, weighed, with_noise, with_readings
+from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_noise, with_readings
 
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan
+from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.located_effects import FieldContest
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation
@@ -128,7 +129,7 @@ def test_an_effect_is_located_at_its_station(bench, plan, effect, station, coord
 def test_nothing_is_located_where_nothing_acts(bench, plan):
     quiet = contest(bench, plan, nothing(bench, plan))
     assert quiet.located(2.0) == []
-    assert max(each.log10_odds for each in quiet.ranked()) < 1.0
+    assert max(each.log10_odds for each in quiet.ranked) < 1.0
 
 
 @pytest.mark.slow
@@ -182,7 +183,7 @@ def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordin
     pixel[:, :2] += off(observations.session.plan.run_time, pixel)
     observations = with_readings(observations, run_time_pixel=pixel)
     readings = weighed(observations)
-    first = FieldContest(readings, fitted(observations, Explanation()), station_fields(readings)).ranked()[0]
+    first = FieldContest(readings, fitted(observations, Explanation()), station_fields(readings)).ranked[0]
     assert (first.field.station, first.field.coordinates) == (station, coordinates)
     assert first.log10_odds > 4
 
@@ -190,4 +191,4 @@ def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordin
 def test_every_cause_has_a_station_that_a_session_shows(bench, plan, run_time):
     shown = {field.station for field in station_fields(weighed(measured(bench, plan)))}
     shown |= {field.station for field in station_fields(weighed(measured(bench, run_time)))}
-    assert {hypothesis(name).cause.station for name in ("combiner_tilt", "panel_shift", "latency")} <= shown
+    assert {cause.station for cause in CAUSES.values()} <= shown

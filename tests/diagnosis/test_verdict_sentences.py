@@ -52,7 +52,7 @@ def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
         "Effect located: an effect on the panel that no listed cause has: shift, a smooth function "
     )
     assert "panel px rms (log10 odds > 20)" in sentence
-    assert any("come from a panel warped by its bonding" in step for step in advice(located))
+    assert any("often come from a panel warped by its bonding" in step for step in advice(located))
     assert any("render with models fitted to the session" in step for step in advice(located))
     left = Unexplained("display", 0.5, 1.3)
     partly = replace(explained, verdict="partly explained", unexplained=left)
@@ -66,6 +66,39 @@ def test_stations_that_the_session_hardly_tells_apart_are_both_named(located):
     said = replace(located, effects=(unsure,))
     assert "; the session hardly tells it from an effect in the camera" in verdict_sentence(said)
     assert any("To tell the panel from the camera: a photograph of the bare panel" in step for step in advice(said))
+
+
+def test_what_an_effect_leaves_is_said(located):
+    said = verdict_sentence(replace(located, verdict="partly explained"))
+    assert "remove less than half of the excess of captures left out" in said
+    assert "less than half" not in verdict_sentence(located)
+
+
+def test_noise_far_above_the_stated_one_is_never_called_the_benchs(nothing):
+    first, *others = nothing.noise_floors
+    unmeasured = replace(first, measured_px=float("nan"))
+    noisy = [replace(each, measured_px=2.0 * each.stated_px) for each in others]
+    said = verdict_sentence(replace(nothing, noise_floors=(unmeasured, *noisy)))
+    assert said.startswith("No effect found, but the readings are 2 times as noisy as the bench states")
+
+
+def test_repeatability_that_no_stage_has_and_parts_that_differ_are_warned_of(nothing):
+    """Two parts on one stage must repeat alike; a size within its error is no finding."""
+    display, see_through = nothing.motions
+    alike = replace(
+        nothing,
+        motions=(
+            replace(display, shift_um=9.0, shift_error_um=1.0),
+            replace(see_through, shift_um=8.0, shift_error_um=1.0),
+        ),
+    )
+    assert not any("repeat" in each for each in warnings(alike))
+    far = replace(display, shift_um=80.0, shift_error_um=8.0)
+    told = warnings(replace(alike, motions=(far, alike.motions[1])))
+    assert any("display part repeat to 80 um only; ordinary stages repeat to 30 um" in each for each in told)
+    assert any("with one stage: one of the parts has an effect that looks like motion" in each for each in told)
+    unsure = warnings(replace(alike, motions=(replace(far, shift_error_um=75.0), alike.motions[1])))
+    assert not any("um only" in each or "looks like motion" in each for each in unsure)
 
 
 def test_a_spot_is_stated_with_its_place_and_width(located):

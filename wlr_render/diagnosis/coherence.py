@@ -1,9 +1,9 @@
 """Effects too fine for a smooth field: residuals of different captures that agree at one place of a station.
 
 A smooth surface takes from every photograph what is smooth over its image. What it leaves is noise, independent from
-one capture to the next, unless something fine is fixed to a station: then residuals of different captures at one place
-of that station have a positive mean product. The station at which the products stand out most is where the effect is;
-the mean residual in each cell is its picture.
+one capture to the next, unless something fine is fixed to a station: then residuals of different captures in one cell
+of that station have a mean. The station whose cells have means at the best odds is where the effect is; the means are
+its picture.
 """
 
 from collections.abc import Iterator

@@ -166,7 +166,7 @@ class FieldContest:
 
     def _best(self, beside: Sequence[LocatedEffect]) -> LocatedEffect | None:
         """The field of best evidence beside the causes and others; None where there is none."""
-        ranked = self.ranked(beside)
+        ranked = self._ranked_beside(beside) if beside else self.ranked
         if not ranked:
             return None
         others = [each for each in ranked if each.field.station != ranked[0].field.station]
@@ -178,8 +178,13 @@ class FieldContest:
             odds_against_next=ranked[0].log10_odds - others[0].log10_odds,
         )
 
-    def ranked(self, beside: Sequence[LocatedEffect] = ()) -> list[LocatedEffect]:
-        """Return every field with its best degree and size, best first; all that are tried are charged alike."""
+    @cached_property
+    def ranked(self) -> list[LocatedEffect]:
+        """Every field beside the causes, with its best degree and size, best first."""
+        return self._ranked_beside(())
+
+    def _ranked_beside(self, beside: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+        """Every field beside the causes and some effects, best first; all that are tried are charged alike."""
         known = self._known(beside, np.ones(self._causes, dtype=bool))
         taken = {id(each.field) for each in beside}
         tried = [

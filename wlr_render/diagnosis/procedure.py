@@ -97,8 +97,9 @@ def diagnose(
     located = _located(search, found)
     if located.dropped:
         found, rankings = located.found, _rankings(search, located.found, selection.first)
-    left = _unexplained(search, located, prepared, settings)
-    effects = located.records(prepared.fine)
+    fine = located.fine_beside(prepared.fine)
+    left = _unexplained(search, located, prepared, fine, settings)
+    effects = located.records(fine)
     named = tuple(found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
@@ -264,13 +265,16 @@ class _Located:
         added = [each for effect, values in pairs for each in effect.in_bench(values)]
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
 
+    def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:
+        """A fine effect, unless a smooth one has better odds: what is left of that one agrees between captures, too."""
+        smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
+        return None if fine is None or fine.log10_odds < smooth else fine
+
     def records(self, fine: FineEffect | None) -> list[StationEffect]:
-        """The effects as the report states them; what a smooth one leaves is no fine one of its own."""
+        """The effects as the report states them."""
         if self.contest is None or self.scatter is None:
             return []
-        smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
-        own = None if fine is None or fine.log10_odds < smooth else fine
-        return station_effects(self.contest, self.effects, self.scatter, own)
+        return station_effects(self.contest, self.effects, self.scatter, fine)
 
 
 def _located(search: Search, found: Fit) -> _Located:
@@ -282,14 +286,13 @@ def _located(search: Search, found: Fit) -> _Located:
         if thinned is None:
             return _Located(found, dropped=tuple(dropped))
         contest = FieldContest(readings, thinned, fields)
-        ranked = contest.ranked()
         effects = contest.located(least)
         odds = [
             contest.odds_of_cause(number, hypothesis.cause.station, effects)
             for number, hypothesis in enumerate(found.explanation.hypotheses)
         ]
         if not odds or min(odds) > least:
-            tried = [(each.field, each.degree, each.log10_odds) for each in ranked]
+            tried = [(each.field, each.degree, each.log10_odds) for each in contest.ranked]
             return _Located(
                 found,
                 contest,
@@ -307,14 +310,18 @@ def _located(search: Search, found: Fit) -> _Located:
         found = search.refitted(found.explanation.without(weakest), found.scatter)
 
 
-def _unexplained(search: Search, located: _Located, prepared: _Prepared, settings: Settings) -> list[Unexplained]:
-    """The parts of the session whose residual is more than noise and repeatability with causes and effects at work."""
+def _unexplained(
+    search: Search, located: _Located, prepared: _Prepared, fine: FineEffect | None, settings: Settings
+) -> list[Unexplained]:
+    """The parts whose residual is more than noise and repeatability with causes, effects and a fine effect at work."""
     left: list[Unexplained] = []
     observations, raw = search.full.observations, located.found.at.residual
     scatter = located.scatter or located.found.scatter
     for part in np.unique(observations.part):
         error = _variance_error(observations, int(part), prepared.noise.floor(part), settings)
-        excess = float(scatter.noise[part] ** 2 - 1.0) - prepared.fine_variance.get(int(part), 0.0)
+        excess = float(scatter.noise[part] ** 2 - 1.0)
+        if fine is not None:
+            excess -= prepared.fine_variance.get(int(part), 0.0)
         moves = max(scatter.shift_um[part] / UNUSUAL_SHIFT, scatter.turn_urad[part] / UNUSUAL_TURN)
         if excess > max(settings.significant_se * error, settings.material_excess) or moves > 1.0:
             rms = float(np.sqrt(np.mean(raw[observations.part == part] ** 2)))

@@ -55,7 +55,8 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict and its causes in one sentence, then the residuals and what is left of them."""
     causes, left, moved = diagnosis.causes, diagnosis.unexplained, diagnosis.too_many_moved
     if diagnosis.verdict == NO_EFFECT:
-        noise = max(floor.measured_px / floor.stated_px for floor in diagnosis.noise_floors)
+        floors = [floor for floor in diagnosis.noise_floors if floor.measured_px > 0.0]  # NaN where not measured
+        noise = max((floor.measured_px / floor.stated_px for floor in floors), default=1.0)
         found = "No effect found: the bench as described predicts the session to its noise and repeatability"
         if noise > _MUCH_NOISE:
             found = f"No effect found, but the readings are {cell_text(noise)} times as noisy as the bench states"
@@ -73,6 +74,11 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     sentences = [f"{head}: {named or nothing}", _capital(_changes(diagnosis))]
     if left is not None:
         sentences.append(_capital(_left_over(diagnosis, left)))
+    elif diagnosis.verdict == PARTLY and not moved:
+        sentences.append(
+            "The effects remove less than half of the excess of captures left out: motions of the captures may hide "
+            "the rest"
+        )
     if moved:
         sentences.append(
             f"{len(moved)} of {_captures_beside(diagnosis, moved)} captures stand out, too many to tell which "
@@ -170,7 +176,8 @@ def _about_effect(effect: StationEffect) -> list[str]:
             "over noise."
         )
     in_bench = " The corrected session's bench.toml has it as an [[effect]]." if effect.is_in_bench else ""
-    steps = [f"Effects {where} of this kind come from {' or '.join(effect.likely)}: look for that. {worth}{in_bench}"]
+    likely = " or ".join(effect.likely)
+    steps = [f"Effects {where} of this kind often come from {likely}: look for that first. {worth}{in_bench}"]
     if _is_ambiguous(effect):
         apart = [SEPARATED_BY[each] for each in (effect.station, effect.next_station) if each in SEPARATED_BY]
         steps.append(f"To tell the {effect.station} from the {effect.next_station}: {'; or '.join(apart)}.")
