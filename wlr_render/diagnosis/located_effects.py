@@ -208,12 +208,16 @@ class FieldContest:
     def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Return log10 odds for a cause against the fields of its own station, and of those where effects are located.
 
+        Where the session shows no field of its station (the combiner of a device without optics), it must stand beside
+        the fields of every station.
+
         Args:
             number: of the cause in the fit.
             station: its station.
             beside: effects located beside it.
         """
-        others = {each.field.station for each in beside} - {station}
+        shown = {field.station for field in self.fields}
+        others = {each.field.station for each in beside} - {station} if station in shown else shown
         odds = [self._odds_at_its_station(number, station, beside)]
         return min([*odds, *(self._odds_beside(number, other, beside) for other in others)])
 

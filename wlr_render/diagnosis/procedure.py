@@ -56,6 +56,7 @@ from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
 
+_BEYOND_DOUBT = 20.0  # log10 odds of a field from which the readings have structure, whatever it is
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 
 
@@ -100,6 +101,7 @@ def diagnose(
     fine = located.fine_beside(prepared.fine)
     left = _unexplained(search, located, prepared, fine, settings)
     effects = located.records(fine)
+    structure = located.structure(effects)
     named = tuple(found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
@@ -115,7 +117,7 @@ def diagnose(
         session=session.name,
         device=nominal.device.name,
         eye=nominal.eye,
-        verdict=_verdict(bool(named), effects, bool(left) or bool(too_many), settings),
+        verdict=_verdict(bool(named), effects, bool(left) or bool(too_many) or bool(structure), settings),
         causes=tuple(sorted(named, key=lambda cause: -cause.effect_over_noise)),
         effects=tuple(effects),
         excluded=excluded,
@@ -129,7 +131,7 @@ def diagnose(
         unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
         fields=located.tried,
         detection_limits=limits,
-        reasons=(*_about_readings(prepared.noise.outlier), *located.dropped, selection.reason),
+        reasons=(*_about_readings(prepared.noise.outlier), *located.dropped, *structure, selection.reason),
         captures=capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
         correlations=correlations(found),
         observations=observations,
@@ -269,6 +271,16 @@ class _Located:
         """A fine effect, unless a smooth one has better odds: what is left of that one agrees between captures, too."""
         smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
         return None if fine is None or fine.log10_odds < smooth else fine
+
+    def structure(self, effects: Sequence[StationEffect]) -> tuple[str, ...]:
+        """A sentence on a field that is beyond doubt and yet no effect, as it does not predict captures left out."""
+        best = self.tried[0] if self.tried else None
+        if effects or best is None or best.log10_odds < _BEYOND_DOUBT:
+            return ()
+        return (
+            f"a field of {best.coordinates} ({best.station}: {best.displaced}) has log10 odds of {best.log10_odds:.0f} "
+            "and does not predict captures left out: something is left that no cause and no field describes",
+        )
 
     def records(self, fine: FineEffect | None) -> list[StationEffect]:
         """The effects as the report states them."""

@@ -243,7 +243,8 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     if plan is not None and plan.bare_pixel is not None:
         bare = terms.values.copy()
         bare[observations.part == SEE_THROUGH] -= basis(plan.bare_pixel, total_degree(2, 8), Box.around(place))
-        field = _field("camera", "shift of the image", "px", replace(terms, values=bare), lever, "shift")
+        # Next to nothing is left of g then, so that no bench could be corrected by it.
+        field = _field("camera", "shift of the image", "px", replace(terms, values=bare), lever)
     yield field
 
 

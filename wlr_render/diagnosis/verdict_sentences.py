@@ -74,6 +74,8 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     sentences = [f"{head}: {named or nothing}", _capital(_changes(diagnosis))]
     if left is not None:
         sentences.append(_capital(_left_over(diagnosis, left)))
+    elif diagnosis.verdict == PARTLY and not diagnosis.effects and not moved:
+        sentences.append("The readings have structure that no cause and no field describes")
     elif diagnosis.verdict == PARTLY and not moved:
         sentences.append(
             "The effects remove less than half of the excess of captures left out: motions of the captures may hide "
