@@ -41,6 +41,7 @@ _MOST_EFFECTS = 3  # that are located in one session
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+_NEARLY_ALL = 0.9  # of the evidence for a field, from which a cause of its station keeps its name beside it
 _LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
 
 
@@ -238,9 +239,10 @@ class FieldContest:
             beside_field = min(beside_field, self._least_of(columns, named)[0] + charge)
             field = min(field, self._least_of(columns, rest, span, at_none, added)[0] + charge)
             field_alone = min(field_alone, self._least_of(columns, rest, span, at_none)[0] + charge)
-        # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
-        # part of that field which happens to look like it.
-        with_name = min(alone, beside_field) if alone < field_alone else alone
+        # Beside a field of its own station a cause keeps its name only if it is the better of the two, or does nearly
+        # all that the field does: else it is a part of that field which happens to look like it.
+        by_cause, by_field = nothing - alone, nothing - field_alone
+        with_name = min(alone, beside_field) if by_cause > min(by_field, _NEARLY_ALL * by_field) else alone
         return float(LOG10_ODDS * (min(nothing, field) - with_name))
 
     def _odds_beside(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:

@@ -15,7 +15,13 @@ import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_run_time import drawn_pixels
-from wlr_render.bench.simulate_session import camera_positions, display_dirs, dot_pixels, simulate_to_first_order
+from wlr_render.bench.simulate_session import (
+    camera_positions,
+    display_dirs,
+    dot_geometry,
+    dot_pixels,
+    simulate_to_first_order,
+)
 from wlr_render.captures.session import SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes import CAUSES
@@ -236,16 +242,13 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     place = np.nan_to_num(observations.image_place)
     still = observations.part != RUN_TIME
     terms = _smooth("camera pixels", place, 1, 2, 4, 6, 8)
-    sign = np.where(observations.part == DISPLAY, -1.0, 1.0) * still / observations.sigma_px
-    lever = sign[:, None, None] * np.eye(2)
-    field = _field("camera", "shift of the image", "px", terms, lever, "shift")
     plan = observations.session.plan.see_through
     if plan is not None and plan.bare_pixel is not None:
-        bare = terms.values.copy()
-        bare[observations.part == SEE_THROUGH] -= basis(plan.bare_pixel, total_degree(2, 8), Box.around(place))
-        # Next to nothing is left of g then, so that no bench could be corrected by it.
-        field = _field("camera", "shift of the image", "px", replace(terms, values=bare), lever)
-    yield field
+        # A dot on the ray of its bare pixel was seen there by the same camera: what moves both images moves no reading.
+        still = still & (observations.part != SEE_THROUGH)
+    sign = np.where(observations.part == DISPLAY, -1.0, 1.0) * still / observations.sigma_px
+    lever = sign[:, None, None] * np.eye(2)
+    yield _field("camera", "shift of the image", "px", terms, lever, "shift")
 
 
 def _stage_fields(readings: WeighedReadings) -> Iterator[StationField]:
@@ -361,6 +364,9 @@ _HEIGHT = Cause(
 
 def _combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
     """Heights of the combiner's surfaces over the place where the line of sight of each reading meets the first one."""
+    if not readings.observations.nominal.optics.display.steps:
+        yield from _view_fields(readings)
+        return
     place_mm = footprints(readings.predictor)
     met = np.asarray(np.isfinite(place_mm).all(axis=1))
     if not met.any():
@@ -392,6 +398,24 @@ def _combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
         form, in_bench = f"height of {surfaces}", partial(_as_effects, "combiner", surfaces, orders, box, 1, 1)
         field = StationField("combiner", coordinates, form, columns, order, degrees, place, met, "um", height, in_bench)
         yield _scaled(field)
+
+
+def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
+    """Deflections of the view by optics that are not known: a turn and a shift of each line of sight, up and right."""
+    observations, state = readings.observations, readings.predictor.state(Explanation())
+    plan = observations.session.plan.see_through
+    if plan is None or state.dot_views is None:
+        return
+    rows, tangents = observations.part == SEE_THROUGH, state.dot_views.tangents
+    viewpoint, dot, _ = dot_geometry(state.bench, plan)
+    here = dot_pixels(state.bench, plan, tangents)
+    step = 1e-4  # of tangents
+    by_tangent = [(dot_pixels(state.bench, plan, tangents + step * axis) - here) / step for axis in np.eye(2)]
+    turn = 1e-3 * np.stack(by_tangent, axis=-1)
+    shift = turn / (viewpoint - dot)[:, 2, None, None]
+    lever = np.concatenate([turn, shift], axis=2) / observations.sigma_of(SEE_THROUGH)[:, :, None]
+    terms = _smooth("direction of view", tangents, 1, 2, 3, 4, 6).over(rows)
+    yield _field("combiner", "turn and shift of the line of sight", "mrad, mm", terms, _over(rows, lever))
 
 
 def footprints(predictor: Predictor) -> FloatArray:

@@ -1,6 +1,6 @@
 """Readings of a session with the errors that a bench gives them: noise, shared noise, and motions of the camera."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,7 +85,11 @@ class WeighedReadings:
 
 
 def camera_motions(predictor: Predictor) -> FloatArray:
-    """Change of the readings (n, 2, 6) in sigma by a micrometre or a microradian of the camera; zero at run time."""
+    """Change of the readings (n, 2, 6) in sigma by a micrometre or a microradian of the camera; zero at run time.
+
+    Where dots are placed by a photograph without the headset, it is a motion between the two photographs.
+    """
+    predictor = _of_placed_dots(predictor)
     nothing = Explanation()
     state, columns = predictor.state(nothing), []
     for name in _POSE:
@@ -97,3 +101,13 @@ def camera_motions(predictor: Predictor) -> FloatArray:
     motions = np.concatenate(columns, axis=-1)
     motions[predictor.observations.part == RUN_TIME] = 0.0
     return np.asarray(motions)
+
+
+def _of_placed_dots(predictor: Predictor) -> Predictor:
+    """A predictor of the same readings whose dots are where the stated poses of the target place them."""
+    observations = predictor.observations
+    session, plan = observations.session, observations.session.plan.see_through
+    if plan is None or plan.bare_pixel is None:
+        return predictor
+    placed = replace(session.plan, see_through=replace(plan, bare_pixel=None))
+    return Predictor(replace(observations, session=replace(session, plan=placed)))
