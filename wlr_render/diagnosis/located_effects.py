@@ -207,18 +207,17 @@ class FieldContest:
         return sorted(best.values(), key=lambda each: -each.log10_odds)
 
     def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
-        """Return log10 odds for a cause against the fields of its own station, and of those where effects are located.
+        """Return log10 odds for a cause against the fields of its own station, and of every other one.
 
-        Where the session shows no field of its station (the combiner of a device without optics), it must stand beside
-        the fields of every station.
+        A prism in the view turns it as a wrong pose of the target does: a name that a field of another station
+        could take is not earned.
 
         Args:
             number: of the cause in the fit.
             station: its station.
             beside: effects located beside it.
         """
-        shown = {field.station for field in self.fields}
-        others = {each.field.station for each in beside} - {station} if station in shown else shown
+        others = {field.station for field in self.fields} - {station}
         odds = [self._odds_at_its_station(number, station, beside)]
         return min([*odds, *(self._odds_beside(number, other, beside) for other in others)])
 
