@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from wlr_render import __version__
 from wlr_render.atomic_files import write_figure
 from wlr_render.rendering.image_files import write_png
-from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
+from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text, quantity, table
 from wlr_render.report.plots import bars
 from wlr_render.report.records import json_text, to_jsonable
 from wlr_render.report.save import markdown_table, save_report
@@ -190,6 +190,29 @@ def test_numbers_of_a_list_share_a_line():
     text = json_text(value)
     assert json.loads(text) == value
     assert '"x": [1.0, 2.5],' in text
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "digits", "text"),
+    [
+        (0.12152, 0.000803, 1, "0.1215 +- 0.0008"),
+        (11.7, 2.0, 1, "12 +- 2"),
+        (9.04, 0.97, 1, "9 +- 1"),
+        (-0.304421, 0.000604, 2, "-0.30442 +- 0.00060"),
+        (123.0, 45.0, 2, "123 +- 45"),
+        (0.108, float("nan"), 1, "0.108"),
+        (1290.0, 0.0, 2, "1290"),
+    ],
+)
+def test_a_value_is_rounded_by_its_error(value, error, digits, text):
+    assert quantity(value, error, digits) == text
+
+
+def test_a_table_of_records_has_a_row_each(saved):
+    made = table("Files", saved.files, {"name": "name", "stem is": lambda path: path.stem.upper()}, ["A note."])
+    assert made == ReportTable(
+        "Files", ("name", "stem is"), [[path.name, "REPORT"] for path in saved.files], ["A note."]
+    )
 
 
 @needs_browser

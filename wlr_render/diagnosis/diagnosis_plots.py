@@ -130,7 +130,7 @@ def effect_map(effect: StationEffect) -> Plot:
 
 
 def _slider_order(part: PartView) -> str:
-    """The order of the maps of a part, as a caption states it."""
+    """Return the order of the maps of a part, as a caption states it."""
     return {
         "display": "the capture in the middle of all; each further one is the farthest from those before it",
         "see-through": "the nearest target pose and ends with the farthest",
@@ -338,7 +338,7 @@ def _arrows(at: FloatArray, arrow: FloatArray, scale: float) -> tuple[list[float
 
 
 def _round_number(value: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
+    """Return the largest of 1, 2 and 5 times a power of ten that does not exceed a value."""
     power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
     return float(power * max(step for step in (1, 2, 5) if step * power <= max(value, 1e-9) * (1 + 1e-9)))
 

@@ -131,7 +131,7 @@ def _fine(fine: FineEffect) -> StationEffect:
 
 
 def _likely(station: str, form: str) -> tuple[str, ...]:
-    """Usual sources of an effect: of those of its station, the ones whose start fits best."""
+    """Return the usual sources of an effect: of those of its station, the ones whose start fits best."""
     fitting = [key for key in _LIKELY if key[0] == station and form.startswith(key[1])]
     key = max(fitting, key=lambda each: len(each[1]), default=None)
     return _LIKELY[key] if key else next((likely for each, likely in _LIKELY.items() if each[0] == station), ())

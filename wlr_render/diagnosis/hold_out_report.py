@@ -5,6 +5,7 @@ out.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,114 +16,139 @@ from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.outliers import not_excluded
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.report.blocks import Cell, ReportTable
+from wlr_render.report.blocks import ReportTable, table
 
 
-def hold_out_sentences(table: ReportTable) -> Iterator[str]:
-    """Yield, for each kind of prediction, a sentence on the row that exceeds the noise most."""
-    worst: dict[Cell, Sequence[Cell]] = {}
-    for row in table.rows:
-        worst[row[0]] = max(worst.get(row[0], row), row, key=lambda each: float(each[4] or 0) / float(each[5] or 1))
-    for fitted_to, tested_on, _, *errors in worst.values():
-        before, after, noise = (f"{cell:.2g}'" for cell in errors)
+@dataclass(frozen=True)
+class HeldOutResidual:
+    """Readings that were held out of a fit, and rms angles of their residual in arcminutes, both axes together.
+
+    Attributes:
+        fitted_to, tested_on: words for the readings of the fit and for these.
+        readings: how many.
+        before, after: measured minus simulated, by the bench as described and as corrected.
+        noise: expected of the noise alone.
+    """
+
+    fitted_to: str
+    tested_on: str
+    readings: int
+    before: float
+    after: float
+    noise: float
+
+
+def held_out_residuals(diagnosis: Diagnosis) -> list[HeldOutResidual]:
+    """Return the residuals of each capture by the fit to all others, then of target distances held out or alone."""
+    observations, counted = diagnosis.readings.observations, _counted(diagnosis)
+    after = held_out_residual(diagnosis.fit, observations)
+    rows = [
+        _residual(diagnosis, ("all other captures", f"each {PART_NAMES[part]} capture"), part, tested, after)
+        for part in np.unique(observations.part)
+        for tested in [counted & (observations.part == part)]
+    ]
+    for words, tested in _splits(diagnosis):
+        refitted = fit(diagnosis.readings.of_rows(~tested), diagnosis.fit.explanation, diagnosis.fit.scatter)
+        if refitted is not None:
+            after = diagnosis.readings.predictor.residual(refitted.explanation)
+            rows.append(_residual(diagnosis, words, SEE_THROUGH, tested, after))
+    return rows
+
+
+def _counted(diagnosis: Diagnosis) -> BoolArray:
+    """Return the mask (n,) of readings of captures that did not move."""
+    return not_excluded(diagnosis.readings.observations, diagnosis.excluded)
+
+
+def _splits(diagnosis: Diagnosis) -> Iterator[tuple[tuple[str, str], BoolArray]]:
+    """Yield words for the target distances fitted to and tested on, and the mask (n,) of readings to test."""
+    counted = _counted(diagnosis)
+    at_distance = diagnosis.readings.observations.target_distances()
+    distance = {name: rows & counted for name, rows in at_distance.items() if np.any(rows & counted)}
+    if len(distance) < 2:
+        return
+    for name, rows in distance.items():
+        yield ("all other distances", name), rows
+    everything = np.any(list(distance.values()), axis=0)
+    for name, rows in distance.items() if len(distance) > 2 else ():
+        yield (f"{name} only", "all other distances"), everything & ~rows
+
+
+def _residual(
+    diagnosis: Diagnosis, words: tuple[str, str], part: int, tested: BoolArray, after: FloatArray
+) -> HeldOutResidual:
+    """Return the rms angles of the tested readings (n,) of a part; `after` is (n, 2) in units of sigma."""
+    observations = diagnosis.readings.observations
+    before = diagnosis.readings.predictor.residual(Explanation())
+    rows = tested[observations.part == part]
+    angles = (observations.arcminutes(each, part)[rows] for each in (before, after, np.ones_like(after)))
+    return HeldOutResidual(
+        *words, int(rows.sum()), *(float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for each in angles)
+    )
+
+
+def hold_out_sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
+    """Yield, for each kind of fit, a sentence on the readings whose residual exceeds the noise most."""
+    for fitted_to in dict.fromkeys(each.fitted_to for each in residuals):
+        alike = (each for each in residuals if each.fitted_to == fitted_to)
+        worst = max(alike, key=lambda each: each.after / each.noise)
         yield (
-            f"Fitted to {fitted_to}, the causes found predict {tested_on} to {after} rms; the bench as described is "
-            f"wrong by {before}, and the noise is {noise}."
+            f"Fitted to {fitted_to}, the causes found predict {worst.tested_on} to {worst.after:.2g}' rms; the bench "
+            f"as described is wrong by {worst.before:.2g}', and the noise is {worst.noise:.2g}'."
         )
 
 
-def hold_out_table(found: Diagnosis) -> ReportTable:
-    """Return rms angles of held-out readings, measured minus simulated, by the bench as described and as corrected."""
-    rows = _by_capture(found)
-    for fitted_to, tested_on, tested in _splits(found):
-        rest = found.readings.of_rows(~tested)
-        refitted = fit(rest, found.fit.explanation, found.fit.scatter)
-        if refitted is None:
-            continue
-        after = found.readings.predictor.residual(refitted.explanation)
-        rows.append([fitted_to, tested_on, *_figures(found, SEE_THROUGH, tested, after)])
-    columns = (
-        "fitted to",
-        "tested on",
-        "readings",
-        "bench as described (arcmin)",
-        "corrected (arcmin)",
-        "noise (arcmin)",
+def hold_out_table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -> ReportTable:
+    """Return the residuals of held-out readings by the bench as described and as corrected."""
+    return table(
+        f"Held out of {diagnosis.session}",
+        residuals,
+        {
+            "fitted to": "fitted_to",
+            "tested on": "tested_on",
+            "readings": "readings",
+            "bench as described (arcmin)": "before",
+            "corrected (arcmin)": "after",
+            "noise (arcmin)": "noise",
+        },
+        _notes(diagnosis),
     )
-    return ReportTable(f"Held out of {found.session}", columns, rows, _notes(found))
 
 
-def hold_out_values(found: Diagnosis) -> ReportTable:
+def hold_out_values(diagnosis: Diagnosis) -> ReportTable:
     """Return the values found, with the standard errors of the fit and of leaving out each capture in turn."""
-    observations, whole = found.readings.observations, found.fit
-    errors = np.full(len(whole.explanation.vector()), np.nan)
-    errors[whole.at.free] = jackknife(whole, observations.group, len(observations.captures))
-    by_name = dict(zip(_value_names(whole.explanation), errors, strict=True))
-    rows: list[list[Cell]] = [
-        [cause.name, each.name, each.value, each.unit, each.sigma, float(by_name[cause.name, each.name])]
-        for cause in found.causes
-        for each in cause.parameters
-    ]
-    columns = ("cause", "parameter", "value", "unit", "one sigma by the diagnosis", "one sigma by the captures")
+    observations, fitted = diagnosis.readings.observations, diagnosis.fit
+    causes = [hypothesis.cause for hypothesis in fitted.explanation.hypotheses]
+    names = [(cause.name, parameter.name) for cause in causes for parameter in cause.parameters]
+    errors = np.full(len(names), np.nan)
+    errors[fitted.at.free] = jackknife(fitted, observations.group, len(observations.captures))
+    by_name = dict(zip(names, errors, strict=True))
     note = (
         "By the captures: jackknife, from the change of each value when one capture is left out. A larger figure than "
         "that of the diagnosis means that captures differ by more than the noise of their readings."
     )
-    return ReportTable("Values found, and how captures scatter about them", columns, rows, (note,))
+    return table(
+        "Values found, and how captures scatter about them",
+        [(cause, each) for cause in diagnosis.causes for each in cause.parameters],
+        {
+            "cause": lambda row: row[0].name,
+            "parameter": lambda row: row[1].name,
+            "value": lambda row: row[1].value,
+            "unit": lambda row: row[1].unit,
+            "one sigma by the diagnosis": lambda row: row[1].sigma,
+            "one sigma by the captures": lambda row: float(by_name[row[0].name, row[1].name]),
+        },
+        (note,),
+    )
 
 
-def _value_names(explanation: Explanation) -> list[tuple[str, str]]:
-    """Cause and parameter of each value."""
-    causes = [hypothesis.cause for hypothesis in explanation.hypotheses]
-    return [(cause.name, parameter.name) for cause in causes for parameter in cause.parameters]
-
-
-def _by_capture(found: Diagnosis) -> list[list[Cell]]:
-    """For each part of the session: every capture as the fit to all others predicts it."""
-    observations, rows = found.readings.observations, list[list[Cell]]()
-    after = held_out_residual(found.fit, observations)
-    for part in np.unique(observations.part):
-        figures = _figures(found, part, _counted(found) & (observations.part == part), after)
-        rows.append(["all other captures", f"each {PART_NAMES[part]} capture", *figures])
-    return rows
-
-
-def _counted(found: Diagnosis) -> BoolArray:
-    """Readings (n,) of captures that did not move."""
-    return not_excluded(found.readings.observations, found.excluded)
-
-
-def _splits(found: Diagnosis) -> Iterator[tuple[str, str, BoolArray]]:
-    """What is fitted to, what is tested on, and its readings (n,): target distances held out, and fitted to alone."""
-    counted = _counted(found)
-    at_distance = found.readings.observations.target_distances()
-    distance = {name: rows & counted for name, rows in at_distance.items() if np.any(rows & counted)}
-    if len(distance) < 2:
-        return
-    everything = np.any(list(distance.values()), axis=0)
-    for name, rows in distance.items():
-        yield "all other distances", name, rows
-    for name, rows in distance.items() if len(distance) > 2 else ():
-        yield f"{name} only", "all other distances", everything & ~rows
-
-
-def _figures(found: Diagnosis, part: int, tested: BoolArray, after: FloatArray) -> list[Cell]:
-    """A count of readings, and rms angles of their residual by both benches and of the noise, arcminutes."""
-    observations = found.readings.observations
-    before = found.readings.predictor.residual(Explanation())
-    rows = tested[observations.part == part]
-    noise = np.ones_like(after)
-    angles = (observations.arcminutes(each, part)[rows] for each in (before, after, noise))
-    return [int(rows.sum()), *(float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for each in angles)]
-
-
-def _notes(found: Diagnosis) -> tuple[str, ...]:
-    observations, excluded = found.observations, [moved.capture for moved in found.excluded]
-    kept = not_excluded(observations, found.excluded)
-    acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in found.causes)
+def _notes(diagnosis: Diagnosis) -> tuple[str, ...]:
+    observations, excluded = diagnosis.observations, [moved.capture for moved in diagnosis.excluded]
+    kept = not_excluded(observations, diagnosis.excluded)
+    acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in diagnosis.causes)
     captures = ", ".join(str(capture) for capture in excluded) or "no capture"
     return (
         f"Rms of the angle, both axes together. At work: {acting}.",
-        f"Neither fitted nor tested: {captures}; {int(np.sum(kept & ~found.used))} single readings far from their "
+        f"Neither fitted nor tested: {captures}; {int(np.sum(kept & ~diagnosis.used))} single readings far from their "
         "neighbours.",
     )

@@ -117,7 +117,7 @@ def _pair(
 
 
 def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
-    """Whether both benches yield identical captures, so that one fit can serve both."""
+    """Return whether both benches yield identical captures, so that one fit can serve both."""
     arrays = [(getattr(before, field.name), getattr(after, field.name)) for field in fields(before)]
     return all(np.array_equal(a, b) for a, b in arrays if isinstance(a, np.ndarray))
 
@@ -200,13 +200,13 @@ def _eye(bench: Bench, display: DisplayMapping, see_through: SeeThroughMapping) 
 
 
 def _traced(bench: Bench) -> Eye:
-    """The device as the session's captures saw it: its panel in green, the world in the targets' light."""
+    """Return the device as the captures saw it: its panel in green, the world in the targets' light."""
     display = TracedDisplay(bench.optics, bench.wavelengths_um[_GREEN])
     return _eye(bench, display, TracedSeeThrough(bench.optics, bench.target_wavelength_um))
 
 
 def _places(truth: Eye, model: Eye) -> tuple[FloatArray, FloatArray]:
-    """Viewpoints (n, 3) in the eye box and real points (n, 3) that the panel covers, none outside the model's fit."""
+    """Return viewpoints (n, 3) in the eye box and real points (n, 3) on the panel's field, inside the model's fit."""
     rng = np.random.default_rng(0)
     eyes = random_in_eye_box(truth.eye_box, _VIEWPOINTS, rng)[:, None, None]
     shown = mapping_error.observations_of_pixels(truth.display, eyes, truth.display.panel.grid(*_PIXELS)[None])
@@ -226,6 +226,6 @@ def _rendered(judge: Eye, before: Eye, after: Eye, viewpoint: FloatArray, point:
 
 
 def _lit_pixel(eye: Eye, viewpoint: FloatArray, point: FloatArray) -> FloatArray:
-    """The panel position (n, 2) that rendering with an eye's mappings lights for a real point."""
+    """Return the panel position (n, 2) that rendering with an eye's mappings lights for a real point."""
     seen = eye.see_through.view_dir_of_real_point(point, viewpoint)
     return eye.display.pixel_of_view_dir(seen.value, viewpoint).value

@@ -48,7 +48,7 @@ class Variance:
 
 
 def is_significant(difference: float, error: float, settings: Settings = DEFAULT) -> bool:
-    """Whether two variances differ by more than chance, and by enough to matter.
+    """Return whether two variances differ by more than chance, and by enough to matter.
 
     Args:
         difference: of their logarithms, of either sign.
@@ -94,7 +94,7 @@ class NoiseFloor:
     shared_is_smooth: bool = True
 
     def shared_correlation(self, place: FloatArray) -> FloatArray:
-        """Correlation of the shared noise between places (m, 2) of the image, (m, m)."""
+        """Return the correlation (m, m) of the shared noise between places (m, 2) of the image."""
         return shared_correlation(place, self.shared_reach_px, self.shared_is_smooth)
 
 
@@ -105,7 +105,7 @@ class Noise:
     Attributes:
         floors: of each part that the session has.
         sigma_px: (n,) of each reading per axis, camera pixels.
-        outlier: (n,) readings far from their neighbours, which are none.
+        outlier: (n,) True for readings too far from their neighbours to be noise.
     """
 
     floors: tuple[NoiseFloor, ...]
@@ -113,12 +113,12 @@ class Noise:
     outlier: BoolArray
 
     def floor(self, part: int) -> NoiseFloor:
-        """The noise of a part by its number."""
+        """Return the noise of a part by its number."""
         return next(each for each in self.floors if each.part == PART_NAMES[part])
 
 
 def noise_of(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Noise:
-    """Noise of a session's readings from a residual (n, 2) in units of the stated sigma."""
+    """Estimate the noise of a session's readings from a residual (n, 2) in units of the stated sigma."""
     found = list(surfaces(observations, residual, settings))
     outlier, shape = np.zeros(len(observations), dtype=bool), np.ones(len(observations))
     for surface in found:
@@ -169,14 +169,14 @@ def _floor(
 
 
 def _over_field(observations: Observations, rows: IntArray, rim: float) -> FloatArray:
-    """Factor of the noise at each of the rows that grows from 1 in the middle of the image to `rim` in its corner."""
+    """Return the factor of the noise at the rows: it grows from 1 in the middle of the image to `rim` in its corner."""
     centre = 0.5 * np.asarray(observations.nominal.camera.size_px, dtype=np.float64)
     place = np.nan_to_num(observations.image_place[rows] - centre)
     return np.asarray(1.0 + (rim - 1.0) * np.sum(place**2, axis=1) / float(centre @ centre))
 
 
 def _rim_factor(observations: Observations, own: list[Surface]) -> float:
-    """Growth of the noise to the corner by likelihood; 1 where it is not clear. Every photograph has its own size."""
+    """Return the growth of the noise to the corner by likelihood; 1 where it is not clear."""
     if not own:
         return 1.0
     squares = np.concatenate([each.squares / np.mean(each.squares).clip(1e-300) for each in own])
@@ -192,7 +192,7 @@ def _rim_factor(observations: Observations, own: list[Surface]) -> float:
 
 
 def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArray, float]:
-    """Factor of each photograph's noise, and how much they differ: the standard deviation of their logarithms.
+    """Return the factor of each photograph's noise, and the standard deviation of the factors' logarithms.
 
     Their logarithms are normal about a common mean with a spread that is found, and each is shrunk by it.
     """
@@ -215,7 +215,7 @@ def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArr
 
 
 def shared_correlation(place: FloatArray, reach_px: float, smooth: bool) -> FloatArray:
-    """Correlation of the shared noise between places (m, 2) of the image, (m, m).
+    """Return the correlation (m, m) of the shared noise between places (m, 2) of the image.
 
     Gaussian where it is smooth, else Matern's of order 3/2 (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes
     for Machine Learning", 2006, 4.2).
@@ -230,7 +230,7 @@ def shared_correlation(place: FloatArray, reach_px: float, smooth: bool) -> Floa
 def _shared(
     observations: Observations, residual: FloatArray, own: list[Surface], shape: FloatArray
 ) -> tuple[float, float, bool, float]:
-    """Share of the variance that neighbours have in common, its reach, whether it is smooth, and what surfaces leave.
+    """Return the share of the variance common to neighbours, its reach, its smoothness, and the share surfaces leave.
 
     By the likelihood of what very smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood
     approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
@@ -265,7 +265,7 @@ def _shared(
 
 
 def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:
-    """Residual (n, 2) less what photographs of one colour or target pose have in common, which is no noise.
+    """Return the residual (n, 2) less the part common to photographs of one colour or target pose, which is not noise.
 
     That is a smooth function of the camera pixel which changes with the stage's position.
     """
@@ -292,14 +292,14 @@ def _incoherent(observations: Observations, residual: FloatArray, own: list[Surf
 
 
 def _spacing(place: FloatArray) -> float:
-    """Distance between neighbouring places (m, 2)."""
+    """Return the distance between neighbouring places (m, 2)."""
     apart = np.linalg.norm(place[:, None] - place, axis=-1)
     apart[np.diag_indices_from(apart)] = np.inf
     return float(np.median(apart.min(axis=1)))
 
 
 def _kept(observations: Observations, surface: Surface, share: float, reach: float, smooth: bool) -> float:
-    """What a surface leaves of noise of unit variance, per degree of freedom."""
+    """Return the mean square per degree of freedom that a surface leaves of noise of unit variance."""
     if share == 0.0:
         return 1.0
     place = observations.image_place[surface.rows[surface.good]]
@@ -311,7 +311,7 @@ def _kept(observations: Observations, surface: Surface, share: float, reach: flo
 def _contrasts(
     observations: Observations, residual: FloatArray, surface: Surface, shape: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Contrasts (c, 2) of a photograph's readings that no very smooth surface changes.
+    """Return contrasts (c, 2) of a photograph's readings that no very smooth surface changes.
 
     And how they follow from the readings (m, c), and the readings' places (m, 2): those nearest to each other.
     """
@@ -327,7 +327,7 @@ def _contrasts(
 
 
 def _combined(within: Variance, repeats: Variance, settings: Settings) -> Variance:
-    """The mean weighted by inverse variance; the smaller one alone where the two contradict each other.
+    """Return the mean weighted by inverse variance; the smaller one alone where the two contradict each other.
 
     Repeats do not take a fixed pattern that is finer than a photograph's points for noise; and what differs between
     two photographs by more than within each is no noise.
@@ -345,7 +345,7 @@ def _combined(within: Variance, repeats: Variance, settings: Settings) -> Varian
 
 
 def _within(own: list[Surface], shape: FloatArray, kept: float) -> Variance:
-    """Variance over that of `shape`: the median over the photographs, so that one may be bad.
+    """Return the variance over that of `shape`: the median over the photographs, so that one may be bad.
 
     Args:
         own: surfaces of the part.
@@ -371,7 +371,7 @@ def _within(own: list[Surface], shape: FloatArray, kept: float) -> Variance:
 def _repeats(
     observations: Observations, residual: FloatArray, shape: FloatArray, kept: float, settings: Settings
 ) -> Variance:
-    """From display points seen at the same camera pixel from the same place more than once, over sigma.
+    """Return the variance by display points seen more than once at one camera pixel from one place.
 
     What differs smoothly over a photograph is taken off: the bench has moved between the two, and that is no noise.
     """

@@ -78,7 +78,7 @@ class Observations:
 
     @np.errstate(invalid="ignore")
     def residual(self, predicted: Readings) -> FloatArray:
-        """Measured minus predicted, (n, 2), in units of sigma; NaN where there is no prediction."""
+        """Return measured minus predicted, (n, 2), in units of sigma; NaN where there is no prediction."""
         measured, parts = self.session.readings, []
         if measured.panel_pixel is not None and predicted.panel_pixel is not None:
             difference = (measured.panel_pixel - predicted.panel_pixel)[:, :, None]
@@ -92,7 +92,7 @@ class Observations:
         return np.concatenate(parts)
 
     def sigma_of(self, part: int) -> FloatArray:
-        """Standard deviation of a part's readings, (n_part, 1) camera pixels."""
+        """Return the standard deviations of a part's readings, (n_part, 1) camera pixels."""
         return np.asarray(self.sigma_px[self.part == part][:, None])
 
     @cached_property
@@ -114,17 +114,17 @@ class Observations:
         return place
 
     def panel_pixels(self, residual: FloatArray) -> FloatArray:
-        """Residual of the display readings in panel pixels, (n_display, 2)."""
+        """Return the residual of the display readings in panel pixels, (n_display, 2)."""
         own = residual[self.part == DISPLAY] * self.sigma_of(DISPLAY)
         return np.asarray((self.panel_from_camera @ own[:, :, None])[:, :, 0])
 
     def arcminutes(self, residual: FloatArray, part: int) -> FloatArray:
-        """Residual of a part's readings in arcminutes at the middle of the camera's image, (n_part, 2)."""
+        """Return the residual of a part's readings in arcminutes at the middle of the camera's image, (n_part, 2)."""
         own = residual[self.part == part] * self.sigma_of(part)
         return np.asarray(own / (self.nominal.camera.focal_px * ARCMIN))
 
     def target_distance(self) -> FloatArray:
-        """Distance from the camera to the target at each see-through reading, averaged over the pose, metres (m,)."""
+        """Return the metres (m,) from camera to target of each see-through reading, averaged over the pose."""
         plan = self.session.plan.see_through
         if plan is None:
             return np.zeros(0)
@@ -134,7 +134,7 @@ class Observations:
         return np.asarray((np.bincount(pose, np.linalg.norm(point - viewpoint, axis=1)) / count)[pose])
 
     def target_distances(self) -> dict[str, BoolArray]:
-        """Readings (n,) of the target at each distance from the camera, by name, nearest first."""
+        """Return masks (n,) of the readings at each distance of the target from the camera, by name, nearest first."""
         of_row = self.target_distance()
         distances, named = np.unique(of_row), dict[str, BoolArray]()
         steps = np.flatnonzero(distances[1:] > _SAME_DISTANCE * distances[:-1]) + 1
@@ -145,11 +145,11 @@ class Observations:
         return named
 
     def with_sigma(self, sigma_px: FloatArray) -> "Observations":
-        """The same readings with other noise."""
+        """Return the same readings with other noise (n,), camera pixels."""
         return replace(self, sigma_px=sigma_px)
 
     def spread(self, most: int) -> BoolArray:
-        """Mask (n,) of at most about `most` readings, spread evenly over every capture and part."""
+        """Return a mask (n,) of at most about `most` readings, spread evenly over every capture and part."""
         keep = np.ones(len(self), dtype=bool)
         if len(self) <= most:
             return keep
@@ -162,7 +162,7 @@ class Observations:
         return keep
 
     def of_rows(self, keep: BoolArray) -> "Observations":
-        """The readings that a mask (n,) names."""
+        """Return the readings that a mask (n,) selects."""
         plan, masks = self.session.plan, [keep[self.part == p] for p in range(len(PART_NAMES))]
         kept_plan = SessionPlan(
             None if plan.display is None else select_rows(plan.display, masks[DISPLAY]),
@@ -180,7 +180,7 @@ class Observations:
 
 
 def readings_of_rows(readings: Readings, masks: Sequence[BoolArray]) -> Readings:
-    """The rows of each part that a mask names."""
+    """Return the rows of each part that its mask selects."""
     return Readings(*(None if part is None else part[mask] for part, mask in zip(readings.parts, masks, strict=True)))
 
 
@@ -194,7 +194,7 @@ def observe(nominal: Bench, session: Session) -> Observations:
 
 
 def observe_predicted(nominal: Bench, session: Session, predicted: Readings) -> tuple[Observations, BoolArray]:
-    """As `observe`, where the nominal bench's readings are known; and which of all rows (n,) were kept.
+    """Prepare a session like `observe`, from known predictions; also return which of all rows (n,) were kept.
 
     Raises:
         BadInputError: it can predict none.
@@ -217,7 +217,7 @@ def observe_predicted(nominal: Bench, session: Session, predicted: Readings) -> 
 
 
 def _stated_sigma(nominal: Bench, plan: SessionPlan, part: IntArray) -> FloatArray:
-    """Standard deviation of each reading (n,) as the bench or the reading itself states it, camera pixels."""
+    """Return the standard deviation (n,) that the bench or the reading itself states, camera pixels."""
     # At run time two dots are compared.
     sigma = nominal.camera.point_sigma_px * np.where(part == RUN_TIME, np.sqrt(2.0), 1.0)
     for number, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
@@ -227,7 +227,7 @@ def _stated_sigma(nominal: Bench, plan: SessionPlan, part: IntArray) -> FloatArr
 
 
 def all_parts(plan: SessionPlan) -> IntArray:
-    """Index into `PART_NAMES` of each reading of a plan (n,)."""
+    """Return the index into `PART_NAMES` of each reading of a plan (n,)."""
     counts = [0 if part is None else len(part) for part in plan.parts]
     return np.repeat(np.arange(len(PART_NAMES)), counts)
 
@@ -246,7 +246,7 @@ def _names(plan: SessionPlan) -> list[CaptureName]:
 
 @np.errstate(invalid="ignore")
 def _panel_from_camera(bench: Bench, plan: SessionPlan) -> FloatArray:
-    """Local Jacobian (n, 2, 2) of panel pixel by camera pixel."""
+    """Return the local Jacobian (n, 2, 2) of panel pixel by camera pixel."""
     if plan.display is None:
         return np.zeros((0, 2, 2))
     columns = []

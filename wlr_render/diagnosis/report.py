@@ -13,10 +13,9 @@ from wlr_render.diagnosis import tables, verdict_sentences
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
 from wlr_render.diagnosis.noise_sentences import bench_sentence
-from wlr_render.diagnosis.noise_tables import noise_table, repeatability_table
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
-from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text
+from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text, capitalised
 from wlr_render.report.records import fields_of
 from wlr_render.report.save import save_report
 
@@ -27,7 +26,7 @@ STEM = "diagnosis"
 
 
 def diagnosis_record(diagnosis: Diagnosis, in_use: ImprovementInUse | None = None) -> dict[str, Any]:
-    """The record for the JSON file.
+    """Return the record for the JSON file.
 
     Scripts of others read these keys, which stay as they are: `verdict`, `causes` (`name`, `parameters` by name,
     `held_out_gain`, `gain_sigma`, `overlaps_with`), `outliers`, `before` and `after` (`display_rms_px`,
@@ -75,7 +74,7 @@ def diagnosis_report(
     folder: Path = Path(),
     add_causes: Sequence[str] = (),
 ) -> Report:
-    """The report of a diagnosis.
+    """Return the report of a diagnosis.
 
     Args:
         diagnosis: the record.
@@ -85,20 +84,26 @@ def diagnosis_report(
         add_causes: files and modules with causes of the user's own, for the commands that the report suggests.
     """
     blocks: list[Block] = [Section("Result"), tables.residuals_table(diagnosis), tables.causes_table(diagnosis)]
-    blocks += [*_values(diagnosis), *_next_steps(diagnosis, folder, add_causes), tables.limits_table(diagnosis)]
+    lines = verdict_sentences.values_to_type(diagnosis)
+    note = f"Values for bench.toml, as the corrected bench has them. {verdict_sentences.FRAME_NOTE}"
+    blocks += [Text(note, lines)] if lines else []
+    blocks += [*_next_steps(diagnosis, folder, add_causes), tables.limits_table(diagnosis)]
     if diagnosis.effects:
         blocks += [Section("Effects"), tables.effects_table(diagnosis)]
         blocks += [plots.effect_map(effect) for effect in diagnosis.effects]
     for part in part_views(diagnosis):
-        name = part.name[:1].upper() + part.name[1:]
-        blocks += [Section(f"{name} residual"), plots.residual_maps(part), plots.residual_curves(part)]
+        blocks += [
+            Section(f"{capitalised(part.name)} residual"),
+            plots.residual_maps(part),
+            plots.residual_curves(part),
+        ]
     blocks += [Section("Captures"), plots.captures_plot(diagnosis), tables.excluded_table(diagnosis)]
     blocks += [tables.captures_table(diagnosis), Section("Evidence")]
     blocks += [tables.in_use_table(in_use)] if in_use else []
     blocks += [tables.parameters_table(diagnosis), tables.ranking_table(diagnosis), tables.degenerate_table(diagnosis)]
     blocks += [plots.correlations_plot(diagnosis)] if len(diagnosis.correlations.names) > 1 else []
     blocks += [tables.fields_table(diagnosis), Text("Why the search ended:", diagnosis.reasons)]
-    blocks += [Section("Noise"), repeatability_table(diagnosis), noise_table(diagnosis)]
+    blocks += [Section("Noise"), tables.repeatability_table(diagnosis), tables.noise_table(diagnosis)]
     blocks += [plots.normality_plot(diagnosis)]
     return Report(
         f"Diagnosis of {diagnosis.session} ({diagnosis.device}, {diagnosis.eye} eye)",
@@ -111,17 +116,8 @@ def diagnosis_report(
     )
 
 
-def _values(diagnosis: Diagnosis) -> list[Block]:
-    lines = verdict_sentences.values_to_type(diagnosis)
-    return (
-        [Text(f"Values for bench.toml, as the corrected bench has them. {verdict_sentences.FRAME_NOTE}", lines)]
-        if lines
-        else []
-    )
-
-
 def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -> list[Block]:
-    """Commands to go on with the corrected session, for the working directory of this run."""
+    """Return commands to go on with the corrected session, for the working directory of this run."""
     if not diagnosis.is_corrected:
         return []
     plan = diagnosis.observations.session.plan

@@ -24,7 +24,7 @@ _DIFFER, _TWICE = 3.0, 2.0  # standard errors of two parts' repeatabilities, and
 
 
 def warnings(diagnosis: Diagnosis) -> list[str]:
-    """Limits of the result; each a sentence."""
+    """Return the limits of the result; each a sentence."""
     found, settings = _noise_to_state(diagnosis), diagnosis.settings
     found += [_confusable(cause, settings) for cause in diagnosis.causes if cause.degenerate]
     found += [
@@ -44,43 +44,43 @@ def warnings(diagnosis: Diagnosis) -> list[str]:
 
 
 def _about_repeatability(diagnosis: Diagnosis) -> list[str]:
-    """Repeatability beyond that of an ordinary stage, and parts that share a stage and do not repeat alike."""
-    found, unknown = [], undetermined_parts(diagnosis)
+    """Return warnings of a repeatability worse than an ordinary stage's, and of parts that repeat differently."""
+    sentences, unknown = [], undetermined_parts(diagnosis)
     motions = [motion for motion in diagnosis.motions if motion.part not in unknown]
-    for name, unit, most in (("shift", "um", _ORDINARY_UM), ("turn", "urad", _ORDINARY_URAD)):
-        sizes = [
-            (each.part, getattr(each, f"{name}_{unit}"), getattr(each, f"{name}_error_{unit}")) for each in motions
-        ]
-        found += [
+    for unit, ordinary, sizes in (
+        ("um", _ORDINARY_UM, [(each.part, each.shift_um, each.shift_error_um) for each in motions]),
+        ("urad", _ORDINARY_URAD, [(each.part, each.turn_urad, each.turn_error_urad) for each in motions]),
+    ):
+        sentences += [
             f"The captures of the {part} part repeat to {cell_text(size)} {unit} only; ordinary stages repeat to "
-            f"{most:g} {unit}: look for what moves."
+            f"{ordinary:g} {unit}: look for what moves."
             for part, size, error in sizes
-            if size - 2.0 * error > most
+            if size - 2.0 * error > ordinary
         ]
         if len(sizes) == 2:
             (first, one, one_error), (second, other, other_error) = sizes
             apart = abs(np.log(one / other)) / np.hypot(one_error / one, other_error / other)
             if apart > _DIFFER and max(one, other) > _TWICE * min(one, other):
-                found.append(
+                sentences.append(
                     f"The {first} repeats to {cell_text(one)} {unit}, the {second} to {cell_text(other)} {unit}, with "
                     "one stage: one of the parts has an effect that looks like motion."
                 )
-    return found
+    return sentences
 
 
 def stated_prior(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> tuple[float, float] | None:
-    """Mean and sigma of a parameter by [prior] of the bench file, in the parameter's unit; None if not stated."""
+    """Return mean and sigma of a parameter by [prior] of the bench file, in its unit; None if not stated."""
     return diagnosis.observations.nominal.priors.get(cause.name, {}).get(parameter.name)
 
 
 def _prior_sigmas(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> float:
-    """Distance of a value from the mean of its prior, in prior sigmas."""
+    """Return the distance of a value from the mean of its prior, in prior sigmas."""
     mean, sigma = stated_prior(diagnosis, cause, parameter) or (parameter.prior_mean, parameter.prior_sigma)
     return abs(parameter.value - mean) / sigma
 
 
 def _unusual(cause: FoundCause, parameter: ParameterValue, stated: tuple[float, float] | None) -> str:
-    """The warning of a value that its prior does not expect."""
+    """Return the warning of a value that its prior does not expect."""
     if stated is None:
         times = abs(parameter.value - parameter.prior_mean) / parameter.prior_sigma
         return (
@@ -95,7 +95,7 @@ def _unusual(cause: FoundCause, parameter: ParameterValue, stated: tuple[float, 
 
 
 def _noise_to_state(diagnosis: Diagnosis) -> list[str]:
-    """The noise to type into the bench file, where the stated noise is not believable."""
+    """Return the noise to type into the bench file, where the stated noise is not believable."""
     floors = diagnosis.noise_floors
     wrong = [floor for floor in floors if not floor.is_believable]
     if not wrong:
@@ -116,7 +116,7 @@ def _percent(value: float, reference: float) -> str:
 
 
 def _too_few(diagnosis: Diagnosis) -> list[str]:
-    """Limits of parts with few captures, and the captures that would lift them."""
+    """Return the limits of parts with few captures, and the captures that would lift them."""
     observations, found = diagnosis.readings.observations, []
     counts = Counter(name.part for name in observations.captures)
     for part, count in sorted(counts.items()):

@@ -1,4 +1,7 @@
-"""Smooth surfaces through the residual of each photograph: what they leave is noise; a reading far off is none."""
+"""Smooth surfaces through the residual of each photograph.
+
+The scatter about the surface estimates the noise; readings far from it are outliers.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -52,7 +55,7 @@ class Surface:
 
 
 def image_basis(observations: Observations, rows: IntArray) -> FloatArray | None:
-    """Polynomials of the camera pixel at the readings of a photograph, as many as they bear; None where too few."""
+    """Return polynomials (m, terms) of the camera pixel at a photograph's readings; None where these are too few."""
     count = int(len(rows) / _ROWS_PER_COEFFICIENT)
     degree = max((each for each in range(_DEGREE + 1) if term_count(2, each) <= count), default=-1)
     if degree < 2 or not np.isfinite(observations.image_place[rows[0]]).all():
@@ -62,12 +65,12 @@ def image_basis(observations: Observations, rows: IntArray) -> FloatArray | None
 
 
 def photographs(observations: Observations) -> Iterator[IntArray]:
-    """The readings of each photograph."""
+    """Yield the rows of each photograph."""
     yield from rows_by_label(observations.photograph)[1]
 
 
 def surfaces(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Iterator[Surface]:
-    """A smooth surface for each photograph that has points enough, through its residual (n, 2)."""
+    """Yield a smooth surface through the residual (n, 2) of each photograph that has enough points."""
     for rows in photographs(observations):
         design = image_basis(observations, rows)
         if design is None:
@@ -89,7 +92,7 @@ def surfaces(observations: Observations, residual: FloatArray, settings: Setting
 
 
 def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What a surface through the good ones of `values` (n, 2) leaves, all leverages, and lengths over spread (n,).
+    """Return the rest (n, 2) of `values` about a surface through the good ones, leverages and studentised lengths.
 
     A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
     "Residuals and Influence in Regression", 1982, chapter 2).

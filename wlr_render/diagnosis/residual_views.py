@@ -178,7 +178,7 @@ def _run_time(diagnosis: Diagnosis) -> PartView:
 def _angular_part(
     diagnosis: Diagnosis, part: int, place: FloatArray, maps: tuple[FieldMap, ...], variables: tuple[Variable, ...]
 ) -> PartView:
-    """A part whose maps show angles at angles."""
+    """Return the view of a part whose maps show angles at angles."""
     seen = [(name, _seen(diagnosis, part, residual)) for name, residual in _residuals(diagnosis)]
     states = tuple(BenchResiduals(name, residual, residual) for name, residual in seen)
     sigma, labels = _sigma_arcmin(diagnosis.observations, part), ("right (deg)", "down (deg)")
@@ -239,7 +239,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _display_maps(plan: DisplayPlan, used: BoolArray, origin: FloatArray) -> tuple[FieldMap, ...]:
-    """The capture in the middle of all, then each time the one farthest from those chosen.
+    """Return maps of the capture in the middle of all, then each time of the one farthest from those chosen.
 
     Args:
         plan: of the display.
@@ -282,7 +282,7 @@ def _see_through_maps(
 
 
 def _run_time_maps(plan: RunTimePlan, used: BoolArray) -> tuple[FieldMap, ...]:
-    """Some recordings, from the first to the last."""
+    """Return maps of some recordings, from the first to the last."""
     return tuple(FieldMap(f"recording {n}", used & (plan.capture == n)) for n in _some(np.unique(plan.capture[used])))
 
 

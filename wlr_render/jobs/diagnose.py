@@ -15,7 +15,12 @@ from wlr_render.captures.session import SeeThroughPlan, Session
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.hold_out_report import hold_out_sentences, hold_out_table, hold_out_values
+from wlr_render.diagnosis.hold_out_report import (
+    held_out_residuals,
+    hold_out_sentences,
+    hold_out_table,
+    hold_out_values,
+)
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, STEM, diagnosis_report, improvement_found, write_corrected
 from wlr_render.diagnosis.settings import DEFAULT
@@ -142,9 +147,10 @@ def _with_held_out(report: Report, found: Diagnosis) -> Report:
             "predict BENCH SESSION."
         )
         return replace(report, warnings=[*report.warnings, nothing])
-    table = hold_out_table(found)
-    verdict = " ".join((report.verdict, *hold_out_sentences(table)))
-    blocks = [*report.blocks, Section("Cross-validation"), table, hold_out_values(found)]
+    residuals = held_out_residuals(found)
+    verdict = " ".join((report.verdict, *hold_out_sentences(residuals)))
+    tables = [hold_out_table(found, residuals), hold_out_values(found)]
+    blocks = [*report.blocks, Section("Cross-validation"), *tables]
     return replace(report, verdict=verdict, blocks=blocks)
 
 

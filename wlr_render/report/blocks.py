@@ -1,9 +1,10 @@
 """A report and the blocks it is made of: text, tables, pictures and interactive plots."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,24 @@ class ReportTable:
 
     def _repr_html_(self) -> str:
         return html_summary(self.title, self.notes, [self.summary._replace(title="")])
+
+
+def table(
+    title: str,
+    records: Iterable[Any],
+    columns: Mapping[str, str | Callable[[Any], Cell]],
+    notes: Sequence[str] = (),
+) -> ReportTable:
+    """Return a table with one row per record.
+
+    Args:
+        title: one line.
+        records: objects of one kind.
+        columns: content of each column by its head: an attribute of the record, e.g. "before.rms", or a function of it.
+        notes: sentences under the table.
+    """
+    cells = [attrgetter(each) if isinstance(each, str) else each for each in columns.values()]
+    return ReportTable(title, tuple(columns), [[cell(record) for cell in cells] for record in records], notes)
 
 
 @dataclass(frozen=True)
@@ -153,3 +172,25 @@ def cell_text(cell: Cell) -> str:
     if cell != 0 and abs(cell) < 1e-4:
         return f"{cell:.1e}"
     return f"{cell:.0f}" if abs(cell) >= 1000 else f"{cell:.3g}"
+
+
+def decimals(error: float, digits: int) -> int:
+    """Return the number of decimal places that shows so many digits of a standard error; none for a large error."""
+    rounded = float(f"{error:.{digits - 1}e}")
+    return max(0, digits - 1 - math.floor(math.log10(rounded)))
+
+
+def quantity(value: float, error: float, digits: int = 1) -> str:
+    """Return a value with its standard error, e.g. "9.1 +- 0.3", to `digits` digits of the error.
+
+    An error that is not finite and positive is unknown; the text is then that of the value's cell.
+    """
+    if not (math.isfinite(value) and 0.0 < error < math.inf):
+        return cell_text(value)
+    places = decimals(error, digits)
+    return f"{value:.{places}f} +- {error:.{places}f}"
+
+
+def capitalised(text: str) -> str:
+    """Return a text with a capital first letter."""
+    return text[:1].upper() + text[1:]

@@ -27,14 +27,14 @@ _TOLERANCES = (
 
 
 def _panel_bowed(optics: EyeOptics, sag_mm: FloatArray) -> EyeOptics:
-    """The panel curved along u and v, by the sags at its edges."""
+    """Curve the panel along u and v, by the sags (2,) at its edges in millimetres."""
     panel = optics.panel
     curvature = 2.0 * 1e-3 * sag_mm / (0.5 * panel.size) ** 2
     return replace(optics, panel=replace(panel, curvature=panel.curvature + curvature))
 
 
 def _form_coefficients(values_um: FloatArray) -> FloatArray:
-    """Coefficients (4, 4) of x^m y^n, metres: Zernike terms of power, without its piston, astigmatism and coma."""
+    """Return coefficients (4, 4) of x^m y^n, metres: Zernike terms of power without piston, astigmatism and coma."""
     power, astigmatism, oblique, coma_x, coma_y = 1e-6 * values_um
     radius = 1e-3 * FORM_RADIUS_MM
     coefficients = np.zeros((4, 4))
@@ -48,7 +48,7 @@ def _form_coefficients(values_um: FloatArray) -> FloatArray:
 
 
 def _of_form(optics: EyeOptics, values: FloatArray, *, of_mirrors_only: bool = False) -> EyeOptics:
-    """The combiner with form errors, in all its surfaces or in those that the display is reflected by."""
+    """Add form errors (5,) in micrometres to all surfaces of the combiner, or to those that reflect the display."""
     if not values.any():
         return optics
     names = SURFACES["reflecting surfaces" if of_mirrors_only else "all surfaces"](optics)
@@ -57,7 +57,7 @@ def _of_form(optics: EyeOptics, values: FloatArray, *, of_mirrors_only: bool = F
 
 
 def _dented(optics: EyeOptics, values: FloatArray) -> EyeOptics:
-    """The combiner with a local bump in all its surfaces."""
+    """Add a local bump to all surfaces of the combiner: depth (um), x, y and width (mm)."""
     depth_um, *place_mm, width_mm = values
     if depth_um == 0.0:
         return optics

@@ -36,18 +36,18 @@ _FORWARD = np.array([0.0, 0.0, -1.0])
 
 
 def _with_optics(bench: Bench, optics: EyeOptics) -> Bench:
-    """The bench with other optics before its eye."""
+    """Return the bench with other optics before its eye."""
     device = replace(bench.device, eyes={**bench.device.eyes, bench.eye: optics})
     return replace(bench, device=device)
 
 
 def of_optics(change: Callable[[EyeOptics, FloatArray], EyeOptics]) -> Perturb:
-    """A change of the eye's optics: `change` maps them and the parameters to the new ones."""
+    """Return a change of the eye's optics: `change` maps them and the parameters to the new ones."""
     return lambda bench, values: _with_optics(bench, change(bench.optics, values))
 
 
 def _sizes(error: assembly.AssemblyError, names: Sequence[str], first: int = 0) -> tuple[Parameter, ...]:
-    """Parameters with the plausible sizes that the fit of a prescription takes, too; from axis `first` on."""
+    """Return parameters with the plausible sizes that the fit of a prescription takes, too; from axis `first` on."""
     return tuple(
         Parameter(name, error.unit, size)
         for name, size in zip(names, error.plausible_size[first : first + len(names)], strict=True)
@@ -64,14 +64,14 @@ def _with_panel(bench: Bench, panel: PlacedPanel) -> Bench:
 
 
 def _index_shifted(bench: Bench, index: FloatArray) -> Bench:
-    """All media but air with a larger index."""
+    """Add a number to the index of all media but air."""
     return _with_optics(bench, bench.optics.with_media(lambda medium: medium.shifted(float(index[0]))))
 
 
 def _combiner_thickened(
     bench: Bench, thickness_mm: FloatArray, *, face: Literal["inner", "outer"], along_axis: bool = False
 ) -> Bench:
-    """The first or last surface that the world is seen through moved so that what lies between is thicker.
+    """Move the first or last surface that the world is seen through so that the substrate between them is thicker.
 
     It moves along its normals, or as a whole along the axis of its own frame, as the halves of a mould do.
     """
@@ -96,7 +96,7 @@ def _combiner_thickened(
 
 
 def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg: FloatArray) -> Bench:
-    """A plate of PMMA between the optics and the world, both its faces tilted about x and y, or the far one only.
+    """Add a plate of PMMA between the optics and the world, both its faces tilted about x and y, or the far one only.
 
     A negative thickness stands for the opposite offset of rays, so that a fit may pass through zero.
     """

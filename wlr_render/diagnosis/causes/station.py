@@ -15,13 +15,13 @@ _FASTEST_S = 1.0  # a fit may step below zero on its way
 
 
 def _backlash(towards_minus: float, towards_plus: float) -> Perturb:
-    """The stage stands elsewhere after a move towards -x than after one towards +x, by shares of the lost motion."""
+    """Return a change of the stage's positions by shares of the lost motion after moves towards -x and +x."""
     shares = np.array([towards_minus, towards_plus])
     return changed("stage", "backlash", lambda old, mm: old + 1e-3 * (mm * shares))
 
 
 def _bowed(bench: Bench, sag_mm: FloatArray, *, power: int) -> Bench:
-    """The target bowed; its curvature at another pose goes with the inverse `power` of its pitch there."""
+    """Bow the target; its curvature at another pose is scaled by the inverse `power` of its pitch there."""
     pitch = bench.target.pitch
     if len(pitch) == 0:
         return bench
@@ -39,7 +39,7 @@ def _panel_creeping(bench: Bench, values: FloatArray) -> Bench:
 
 
 def _slipped(bench: Bench, values: FloatArray) -> Bench:
-    """From some moment on the camera stands elsewhere in the headset."""
+    """Displace and turn the camera in the headset from some moment on."""
     mount = replace(
         bench.mount,
         slip=bench.mount.slip + 1e-3 * values[:3],

@@ -60,7 +60,7 @@ def causes_for(
 
 
 def _installed() -> list[tuple[str, Any]]:
-    """Where installed packages state causes, and what they state."""
+    """Return where installed packages state causes, and the causes."""
     found = []
     for entry in entry_points(group=ENTRY_POINTS):
         where = f"entry point '{entry.name}' ({entry.value})"
@@ -72,7 +72,7 @@ def _installed() -> list[tuple[str, Any]]:
 
 
 def _loaded(source: str) -> Any:
-    """`CAUSES` of a Python file or of a module."""
+    """Return `CAUSES` of a Python file or of a module."""
     try:
         module = _module_of_file(Path(source)) if source.endswith(".py") else importlib.import_module(source)
     except BadInputError:
@@ -106,7 +106,7 @@ def _failed(where: str, error: BaseException) -> BadInputError:
 
 
 def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
-    """What a source states, if all of it is causes that act on the bench."""
+    """Return the causes that a source states, or refuse it where they do not act on the bench."""
     if not isinstance(stated, Iterable) or isinstance(stated, str | Mapping):
         raise BadInputError(f"{where}: CAUSES is {shown(stated)}; it must be a tuple or list of Cause.")
     causes = list(stated)
@@ -120,7 +120,7 @@ def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
 
 
 def _refusing(cause: Cause, variant: str) -> Perturb:
-    """A variant that refuses the values for which its function fails: a fit then takes a shorter step."""
+    """Return a variant that refuses the values for which its function fails: a fit then takes a shorter step."""
 
     def perturb(bench: Bench, values: FloatArray) -> Bench:
         try:
@@ -136,7 +136,7 @@ def _failure(variant: str, error: Exception) -> str:
 
 
 def _fault(cause: Cause, bench: Bench) -> str:
-    """What is wrong with a cause, after its name; empty if nothing is."""
+    """Return the fault of a cause as words after its name; empty if there is none."""
     if cause.part not in PARTS:
         return f"has the part {cause.part!r}; choose from {', '.join(PARTS)}"
     if not cause.variants:
@@ -166,7 +166,7 @@ def _fault(cause: Cause, bench: Bench) -> str:
 
 
 def _difference(given: Bench, returned: Bench) -> str:
-    """The first attribute in which two benches differ, as `camera.focal_px`; empty where they are the same.
+    """Return the first attribute in which two benches differ, as `camera.focal_px`; empty if none differs.
 
     Headsets are compared by their rays, so that surfaces of no effect may be added.
     """
@@ -188,7 +188,7 @@ def _difference(given: Bench, returned: Bench) -> str:
 
 
 def _rays(optics: EyeOptics, wavelengths_um: Sequence[float]) -> FloatArray:
-    """Panel pixels and world rays (n, 6) over the field, from the middle and the corners of the eye box."""
+    """Return panel pixels and world rays (n, 6) over the field, from the middle and the corners of the eye box."""
     tangents = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 5)] * 2), axis=-1).reshape(-1, 2)
     box = optics.eye_box
     corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 1, 3)
