@@ -1,10 +1,12 @@
 """The report of a real diagnosis: its blocks, its files, and what its plots show."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import needs_browser, open_page
 
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis.report import diagnosis_report
@@ -128,7 +130,7 @@ def test_parts_hold_the_residuals_that_count_in_their_units(explained):
     own = explained.observations.session.plan.display
     assert np.isnan(before.seen[own.capture == 3]).all()
     assert np.isfinite(before.seen[own.capture != 3]).all()
-    assert not any("capture 3\n" in field.title for field in display.maps)
+    assert not any("capture 3 " in field.title for field in display.maps)
     assert [field.title.split(" at")[0] for field in see_through.maps] == ["target pose 0", "target pose 1"]
 
 
@@ -139,21 +141,23 @@ def test_maps_show_single_captures_from_places_far_apart(explained):
     assert len(np.unique(np.concatenate(places), axis=0)) == len(places)
 
 
-def test_both_maps_have_one_scale_of_arrows_and_a_reference(explained):
+def test_maps_have_a_panel_for_each_bench_and_begin_with_the_largest_residual(explained):
     part = part_views(explained)[0]
+    last = part.maps[-1]
     size = {"bench as described": 3.0, "corrected bench": 1.0}
-    states = tuple(replace(s, on_map=np.broadcast_to([size[s.name], 0.0], s.on_map.shape)) for s in part.states)
+    # Downwards, and in one map twice as far.
+    far = 1.0 + last.rows[:, None]
+    states = tuple(
+        replace(s, on_map=np.where(np.isnan(s.on_map), np.nan, far * [0.0, size[s.name]])) for s in part.states
+    )
     plot = plots.residual_maps(replace(part, states=states))
-    lengths = {trace["name"]: trace["x"][1] - trace["x"][0] for trace in plot.data[:2]}
-    assert lengths["bench as described"] == pytest.approx(3 * lengths["corrected bench"], rel=1e-3)
-    reference = plot.data[0]["x"][-5] - plot.data[0]["x"][-6]
-    # 2 is the round number below 3, and the caption says so.
-    assert reference == pytest.approx(2 * lengths["corrected bench"], rel=1e-3)
-    assert "at the top left is 2 panel px" in plot.caption
-    assert "starts with the capture in the middle of all" in plot.caption
-    steps = plot.layout["sliders"][0]["steps"]
-    assert len(steps) == len(part.maps)
-    assert [sum(step["args"][0]["visible"]) for step in steps] == [2] * len(steps)
+    assert [each["text"] for each in plot.layout["annotations"]] == list(size)
+    labels = [button["label"] for button in plot.layout["updatemenus"][0]["buttons"]]
+    assert labels[0] == last.title
+    assert sorted(labels) == sorted(field.title for field in part.maps)
+    before, after = (plot.data[number]["y"][1] - plot.data[number]["y"][0] for number in (0, 2))
+    assert before == pytest.approx(3 * after, rel=0.02)
+    assert after > 0.0  # the axis points down
 
 
 def test_a_radial_residual_is_outwards_everywhere(explained):
@@ -202,3 +206,35 @@ def test_curves_have_one_scale_and_a_plot_for_each_variable(explained):
     assert len(axes) == len(part.variables)
     assert all(layout[name].get("matches") == "y" for name in axes if name != "yaxis")
     assert layout["xaxis"]["title"]["text"] == part.variables[0].name
+
+
+def test_an_effect_is_drawn_by_its_components_and_coordinates(located):
+    """Arrows over pixels, colours where a component has no direction in the plane, curves over one coordinate."""
+    effect, rng = located.effects[0], np.random.default_rng(3)
+    place, one, pose = rng.normal(size=(40, 2)), rng.normal(size=(40, 1)), rng.normal(size=(40, 6))
+    for coordinates, at, moved, traces in (
+        ("panel pixels", place, place, ["scatter"] * 3),
+        ("place on the combiner", place, one, ["scattergl"]),
+        ("stage", np.append(place, 0.0 * one, axis=1), pose, ["scattergl"]),
+        ("time", one, pose, ["scatter"] * 6),
+    ):
+        shape = replace(effect.map, coordinates=coordinates, place=at, displacement=moved)
+        plot = plots.effect_map(replace(effect, map=shape))
+        assert [trace["type"] for trace in plot.data] == traces
+    colours = plots.effect_map(
+        replace(
+            effect, map=replace(effect.map, coordinates="place on the target", place=place, displacement=pose[:, :3])
+        )
+    ).data[0]["marker"]["color"]
+    np.testing.assert_allclose(colours, np.linalg.norm(pose[:, :3], axis=1))
+
+
+@needs_browser
+def test_the_map_of_a_located_effect_is_drawn_in_a_browser(located, tmp_path):
+    report = diagnosis_report(located)
+    page = open_page(save_report(report, tmp_path, "diagnosis").files[0], tmp_path)
+    assert (page.console, page.plots) == ([], len(titles(report, Plot)))
+    drawn = page.dom.partition("Effect on the panel: shift")[2].partition("<h2")[0]
+    assert re.search(r'class="xtitle"[^>]*>panel u \(px\)<', drawn)
+    arrows = plots.effect_map(located.effects[0]).data[1]["x"]
+    assert drawn.count('class="point"') == len(arrows) > 50

@@ -69,6 +69,18 @@ def test_arrow_maps_have_one_scale_for_all_groups_and_a_reference_arrow():
     assert shown == [[True, True, False, False, True], [False, False, True, True, True]]
 
 
+def test_panels_of_an_arrow_map_share_axes_and_menu():
+    place = np.array([[0.0, 0.0], [100.0, 50.0]])
+    groups = {name: (place, size * np.ones((2, 2)), np.ones((2, 2))) for name, size in (("a", 4.0), ("b", 2.0))}
+    plot = arrow_map("Residual", groups, "px", ("u", "v"), panels=("before", "after"))
+    assert [trace.get("xaxis") for trace in plot.data] == [*["x", "x", "x2", "x2"] * 2, None]
+    assert (plot.layout["xaxis2"]["matches"], plot.layout["annotations"][1]["text"]) == ("x", "after")
+    shown = [button["args"][0]["visible"] for button in plot.layout["updatemenus"][0]["buttons"]]
+    assert shown == [[True] * 4 + [False] * 4 + [True], [False] * 4 + [True] * 5]
+    tips = [plot.data[number]["x"][0] for number in (1, 3, 5)]
+    np.testing.assert_allclose(np.divide(tips, tips[1]), [4.0, 1.0, 2.0], rtol=1e-2)
+
+
 @needs_browser
 def test_plots_of_every_kind_open_in_a_browser(tmp_path):
     place = np.random.default_rng(1).uniform(0, 100, (30, 2))
@@ -78,9 +90,10 @@ def test_plots_of_every_kind_open_in_a_browser(tmp_path):
         heat_map("Map", np.array([[0.1, np.nan], [2.0, np.inf]]), "arcmin", log=True, limits=(0.1, 10)),
         bars("Sigma", ["one", "two"], {"x": [1.0, np.nan], "y": [2.0, 3.0]}, "mm"),
         arrow_map("Residual", arrows, "px", ("u", "v")),
+        arrow_map("Panels", {"a": (place, place, -place)}, "px", ("u", "v"), panels=("before", "after")),
     ]
     page = open_page(save_report(Report("Plots", blocks=plots), tmp_path, "report").files[0], tmp_path)
-    assert (page.console, page.plots) == ([], 4)
+    assert (page.console, page.plots) == ([], 5)
 
 
 def test_small_heat_maps_share_one_logarithmic_scale():

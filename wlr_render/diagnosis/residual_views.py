@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
+from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_MOST = 8  # captures of which a map is drawn
+_MOST = 8  # most maps of a part
 
 
 @dataclass(frozen=True, eq=False)
 class Variable:
-    """Something that a residual may depend on.
+    """A variable that a residual may depend on.
 
     Attributes:
         name: with its unit.
-        values: (m,) one for each reading.
+        values: (m,) of each reading.
         outwards: (m, 2) unit direction of its first component as the camera sees it; None for right and down.
     """
 
@@ -33,11 +33,11 @@ class Variable:
 
 @dataclass(frozen=True, eq=False)
 class FieldMap:
-    """Which readings one map of the field shows.
+    """The readings that one map of the field of view shows.
 
     Attributes:
-        title: of the map.
-        rows: (m,) mask, of readings that count.
+        title: one line.
+        rows: (m,) mask of readings that count.
     """
 
     title: str
@@ -89,13 +89,46 @@ class PartView:
 
 
 def part_views(diagnosis: Diagnosis) -> list[PartView]:
-    """Every part that has readings that count."""
-    makers = {DISPLAY: _display, SEE_THROUGH: _see_through, RUN_TIME: _run_time}
-    return [makers[int(part)](diagnosis) for part in np.unique(diagnosis.observations.part[diagnosis.used])]
+    """Return a view of every part that has readings that count."""
+    return [_view(diagnosis, int(part)) for part in np.unique(diagnosis.observations.part[diagnosis.used])]
 
 
-def _display(diagnosis: Diagnosis) -> PartView:
+def _view(diagnosis: Diagnosis, part: int) -> PartView:
     observations = diagnosis.observations
+    rows = observations.part == part
+    used = diagnosis.used[rows]
+    views = {DISPLAY: _display, SEE_THROUGH: _see_through, RUN_TIME: _run_time}
+    place, maps, variables = views[part](observations, used)
+    benches = {"bench as described": diagnosis.residual_before}
+    if diagnosis.is_corrected:
+        benches["corrected bench"] = diagnosis.residual_after
+    states = []
+    for name, residual in benches.items():
+        seen = observations.arcminutes(residual, part)
+        on_map = observations.panel_pixels(residual) if part == DISPLAY else seen
+        counted = (np.where(used[:, None], each, np.nan) for each in (seen, on_map))
+        states.append(BenchResiduals(name, *counted))
+    sigma_px = float(np.sqrt(np.mean(observations.sigma_of(part) ** 2)))
+    motion = [observations.arcminutes(each, part) for each in np.moveaxis(diagnosis.usual_motion, 2, 0)]
+    return PartView(
+        PART_NAMES[part],
+        tuple(states),
+        sigma_px / float(np.mean(observations.nominal.camera.focal_px) * ARCMIN),
+        np.stack(motion, axis=-1),
+        observations.group[rows],
+        place,
+        "panel px" if part == DISPLAY else "arcmin",
+        ("panel u (px)", "panel v (px)") if part == DISPLAY else ("right (deg)", "down (deg)"),
+        maps,
+        tuple(variable for variable in variables if np.ptp(variable.values) > 1e-9),
+    )
+
+
+_View = tuple[FloatArray, tuple[FieldMap, ...], tuple[Variable, ...]]
+"""Place in the field of view (m, 2), right and down, of each reading of a part; its maps and variables."""
+
+
+def _display(observations: Observations, used: BoolArray) -> _View:
     plan, pixel = observations.session.plan.display, observations.session.readings.panel_pixel
     assert plan is not None
     assert pixel is not None
@@ -107,32 +140,10 @@ def _display(diagnosis: Diagnosis) -> PartView:
         Variable("radius on panel (px)", np.linalg.norm(from_middle, axis=1), outwards),
         _camera_radius(observations, plan.camera_pixel),
     )
-    used = diagnosis.used[observations.part == DISPLAY]
-    maps = _display_maps(plan, used, observations.nominal.stage.origin)
-    states = tuple(
-        BenchResiduals(
-            name,
-            _seen(diagnosis, DISPLAY, residual),
-            _where(used, observations.panel_pixels(residual)),
-        )
-        for name, residual in _residuals(diagnosis)
-    )
-    sigma, labels = _sigma_arcmin(observations, DISPLAY), ("panel u (px)", "panel v (px)")
-    return PartView(
-        PART_NAMES[DISPLAY],
-        states,
-        sigma,
-        *_motion(diagnosis, DISPLAY),
-        pixel,
-        "panel px",
-        labels,
-        maps,
-        _varying(variables),
-    )
+    return pixel, _display_maps(plan, used, observations.nominal.stage.origin), variables
 
 
-def _see_through(diagnosis: Diagnosis) -> PartView:
-    observations = diagnosis.observations
+def _see_through(observations: Observations, used: BoolArray) -> _View:
     plan, pixel = observations.session.plan.see_through, observations.session.readings.dot_pixel
     assert plan is not None
     assert pixel is not None
@@ -146,13 +157,10 @@ def _see_through(diagnosis: Diagnosis) -> PartView:
     )
     camera = observations.nominal.camera
     place = np.degrees(np.arctan((pixel - camera.centre_px) / camera.focal_px))
-    used = diagnosis.used[observations.part == SEE_THROUGH]
-    maps = _see_through_maps(plan, used, observations.nominal.stage.origin, distance)
-    return _angular_part(diagnosis, SEE_THROUGH, place, maps, variables)
+    return place, _see_through_maps(plan, used, observations.nominal.stage.origin, distance), variables
 
 
-def _run_time(diagnosis: Diagnosis) -> PartView:
-    observations = diagnosis.observations
+def _run_time(observations: Observations, used: BoolArray) -> _View:
     plan, seen = observations.session.plan.run_time, observations.session.readings.run_time_pixel
     assert plan is not None
     assert seen is not None
@@ -169,51 +177,9 @@ def _run_time(diagnosis: Diagnosis) -> PartView:
         Variable("gaze up (deg)", gaze[:, 1]),
         Variable("dot down in the field (deg)", -real_deg[:, 1]),
     )
-    place = real_deg * [1.0, -1.0]
-    used = diagnosis.used[observations.part == RUN_TIME]
-    maps = _run_time_maps(plan, used)
-    return _angular_part(diagnosis, RUN_TIME, place, maps, variables)
-
-
-def _angular_part(
-    diagnosis: Diagnosis, part: int, place: FloatArray, maps: tuple[FieldMap, ...], variables: tuple[Variable, ...]
-) -> PartView:
-    """Return the view of a part whose maps show angles at angles."""
-    seen = [(name, _seen(diagnosis, part, residual)) for name, residual in _residuals(diagnosis)]
-    states = tuple(BenchResiduals(name, residual, residual) for name, residual in seen)
-    sigma, labels = _sigma_arcmin(diagnosis.observations, part), ("right (deg)", "down (deg)")
-    motion = _motion(diagnosis, part)
-    return PartView(PART_NAMES[part], states, sigma, *motion, place, "arcmin", labels, maps, _varying(variables))
-
-
-def _motion(diagnosis: Diagnosis, part: int) -> tuple[FloatArray, IntArray]:
-    """Usual motion of each reading's capture (m, 2, 6) in arcminutes, and the capture's number (m,)."""
-    observations = diagnosis.observations
-    motion = [observations.arcminutes(each, part) for each in np.moveaxis(diagnosis.usual_motion, 2, 0)]
-    return np.stack(motion, axis=-1), observations.group[observations.part == part]
-
-
-def _residuals(diagnosis: Diagnosis) -> list[tuple[str, FloatArray]]:
-    """Residuals (n, 2) of all parts by each bench that there is."""
-    before = ("bench as described", diagnosis.residual_before)
-    return [before, ("corrected bench", diagnosis.residual_after)] if diagnosis.is_corrected else [before]
-
-
-def _seen(diagnosis: Diagnosis, part: int, residual: FloatArray) -> FloatArray:
-    """Residual (m, 2) of one part, arcminutes right and down; NaN where a reading does not count."""
-    observations = diagnosis.observations
-    used = diagnosis.used[observations.part == part]
-    return _where(used, observations.arcminutes(residual, part))
-
-
-def _where(used: BoolArray, residual: FloatArray) -> FloatArray:
-    """NaN where a reading does not count."""
-    return np.where(used[:, None], residual, np.nan)
-
-
-def _sigma_arcmin(observations: Observations, part: int) -> float:
-    sigma_px = float(np.sqrt(np.mean(observations.sigma_of(part) ** 2)))
-    return sigma_px / float(np.mean(observations.nominal.camera.focal_px) * ARCMIN)
+    numbers = _some(np.unique(plan.capture[used]))
+    maps = tuple(FieldMap(f"recording {number}", used & (plan.capture == number)) for number in numbers)
+    return real_deg * [1.0, -1.0], maps, variables
 
 
 def _times_and_stage(observations: Observations, plan: DisplayPlan | SeeThroughPlan) -> list[Variable]:
@@ -230,10 +196,6 @@ def _camera_radius(observations: Observations, pixel: FloatArray) -> Variable:
     return Variable("radius on camera (px)", np.linalg.norm(from_centre, axis=1), _unit(from_centre))
 
 
-def _varying(variables: tuple[Variable, ...]) -> tuple[Variable, ...]:
-    return tuple(variable for variable in variables if np.ptp(variable.values) > 1e-9)
-
-
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(1e-12))
 
@@ -244,7 +206,7 @@ def _display_maps(plan: DisplayPlan, used: BoolArray, origin: FloatArray) -> tup
     Args:
         plan: of the display.
         used: (m,) readings that count.
-        origin: (3,) from which titles measure the stage.
+        origin: (3,) zero of the stage positions in titles, metres, device frame.
     """
     numbers, first = np.unique(plan.capture[used], return_index=True)
     stage = plan.stage[used][first]
@@ -252,7 +214,7 @@ def _display_maps(plan: DisplayPlan, used: BoolArray, origin: FloatArray) -> tup
     while len(chosen) < min(_MOST, len(numbers)):
         chosen.append(_farthest(stage, stage[chosen]))
     return tuple(
-        FieldMap(f"capture {numbers[k]}\n{_place(stage[k] - origin)}", used & (plan.capture == numbers[k]))
+        FieldMap(f"capture {numbers[k]} {_place(stage[k] - origin)}", used & (plan.capture == numbers[k]))
         for k in chosen
     )
 
@@ -260,12 +222,12 @@ def _display_maps(plan: DisplayPlan, used: BoolArray, origin: FloatArray) -> tup
 def _see_through_maps(
     plan: SeeThroughPlan, used: BoolArray, origin: FloatArray, distance: FloatArray
 ) -> tuple[FieldMap, ...]:
-    """One capture for each target pose, near to far, each far from those of the other poses.
+    """Return a map of one capture for each target pose, near to far, each far from those of the other poses.
 
     Args:
         plan: of see-through.
         used: (m,) readings that count.
-        origin: (3,) from which titles measure the stage.
+        origin: (3,) zero of the stage positions in titles, metres, device frame.
         distance: (m,) of the target, metres.
     """
     poses, first = np.unique(plan.target_pose[used], return_index=True)
@@ -275,19 +237,14 @@ def _see_through_maps(
         row = rows[_farthest(plan.stage[rows], np.array(places))]
         places.append(plan.stage[row])
         title = (
-            f"target pose {pose} at {distance[row]:.2f} m\ncapture {plan.capture[row]} {_place(places[-1] - origin)}"
+            f"target pose {pose} at {distance[row]:.2f} m, capture {plan.capture[row]} {_place(places[-1] - origin)}"
         )
         maps.append(FieldMap(title, used & (plan.target_pose == pose) & (plan.capture == plan.capture[row])))
     return tuple(maps)
 
 
-def _run_time_maps(plan: RunTimePlan, used: BoolArray) -> tuple[FieldMap, ...]:
-    """Return maps of some recordings, from the first to the last."""
-    return tuple(FieldMap(f"recording {n}", used & (plan.capture == n)) for n in _some(np.unique(plan.capture[used])))
-
-
 def _farthest(places: FloatArray, chosen: FloatArray) -> int:
-    """Index of the place (k, 3) whose nearest one among those chosen (c, 3) is farthest away."""
+    """Return the index of the place (k, 3) whose nearest one among those chosen (c, 3) is farthest away."""
     return int(np.argmax(np.linalg.norm(places[:, None] - chosen, axis=-1).min(axis=1)))
 
 
@@ -297,5 +254,5 @@ def _place(from_origin: FloatArray) -> str:
 
 
 def _some(numbers: IntArray) -> IntArray:
-    """As many as are drawn, evenly spaced."""
+    """Return as many numbers as maps are drawn, evenly spaced."""
     return np.asarray(numbers[np.linspace(0, len(numbers) - 1, min(_MOST, len(numbers))).round().astype(int)])

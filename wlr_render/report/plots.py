@@ -207,10 +207,11 @@ def bars(title: str, names: Sequence[str], series: Mapping[str, ArrayLike], y_ti
 
 def arrow_map(
     title: str,
-    groups: Mapping[str, tuple[FloatArray, FloatArray]],
+    groups: Mapping[str, tuple[FloatArray, ...]],
     unit: str,
     axes: tuple[str, str],
     *,
+    panels: Sequence[str] = ("",),
     y_down: bool = False,
     caption: str = "",
 ) -> Plot:
@@ -218,38 +219,41 @@ def arrow_map(
 
     Args:
         title: one line.
-        groups: positions (n, 2) and arrows (n, 2) by name; arrows point right and up. NaN arrows are omitted.
+        groups: positions (n, 2) by name, and arrows (n, 2) for each panel; arrows point right and up. NaN arrows are
+            omitted.
         unit: unit of the arrows.
         axes: titles of x and y, units included.
+        panels: titles of the panels, side by side, e.g. before and after.
         y_down: the y axis points down.
         caption: one sentence about the content.
     """
-    every = np.concatenate([place for place, _ in groups.values()])
+    every = np.concatenate([place for place, *_ in groups.values()])
     low, high = every.min(axis=0), every.max(axis=0)
-    sizes = np.concatenate([np.linalg.norm(arrow, axis=1) for _, arrow in groups.values()])
+    sizes = np.concatenate([np.linalg.norm(arrow, axis=1) for _, *arrows in groups.values() for arrow in arrows])
     reference = float(f"{max(float(np.nanquantile(sizes, 0.9)), 1e-3):.2g}")
     scale = _ARROW_SHARE * float(high[0] - low[0] or 1.0) / reference * np.array([1.0, -1.0 if y_down else 1.0])
     colours = {"colorscale": "Viridis", "cmin": 0.0, "cmax": reference, "showscale": True}
     most = min(MAX_ARROWS, max(40, _ALL_ARROWS // len(groups)))
     data: list[dict[str, Any]] = []
-    for number, (place, arrow) in enumerate(groups.values()):
-        finite = np.flatnonzero(np.isfinite(arrow).all(axis=1))
-        rows = finite[:: max(1, len(finite) // most)]
-        tip = place[rows] + scale * arrow[rows]
-        shaft = np.stack([place[rows], tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 2)
-        size = np.linalg.norm(arrow[rows], axis=1)
-        shown = {"visible": number == 0, "showlegend": False}
-        data += [
-            _trace(shaft, "lines", line={"width": 1, "color": "#888888"}, hoverinfo="skip", **shown),
-            _trace(
-                tip,
-                "markers",
-                marker={"size": 5, "color": _rounded(size), "colorbar": {"title": {"text": unit}}, **colours},
-                text=[f"{one:.3g} {unit}" for one in size],
-                hoverinfo="text",
-                **shown,
-            ),
-        ]
+    for number, (place, *arrows) in enumerate(groups.values()):
+        for panel, arrow in enumerate(arrows):
+            finite = np.flatnonzero(np.isfinite(arrow).all(axis=1))
+            rows = finite[:: max(1, len(finite) // most)]
+            tip = place[rows] + scale * arrow[rows]
+            shaft = np.stack([place[rows], tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 2)
+            size = np.linalg.norm(arrow[rows], axis=1)
+            shown = {"visible": number == 0, "showlegend": False, "xaxis": f"x{panel + 1 if panel else ''}"}
+            data += [
+                _trace(shaft, "lines", line={"width": 1, "color": "#888888"}, hoverinfo="skip", **shown),
+                _trace(
+                    tip,
+                    "markers",
+                    marker={"size": 5, "color": _rounded(size), "colorbar": {"title": {"text": unit}}, **colours},
+                    text=[f"{one:.3g} {unit}" for one in size],
+                    hoverinfo="text",
+                    **shown,
+                ),
+            ]
     corner = low - [0.0, 0.06 * (high - low)[1]] if not y_down else np.array([low[0], high[1] + 0.06 * (high - low)[1]])
     data.append(
         _trace(
@@ -262,21 +266,35 @@ def arrow_map(
             hoverinfo="skip",
         )
     )
+    layout = _arrow_layout(axes, panels, y_down)
+    if len(groups) > 1:
+        layout["updatemenus"] = [_group_menu(list(groups), 2 * len(panels))]
+    return Plot(title, data, layout, caption, height_px=560)
+
+
+def _arrow_layout(axes: tuple[str, str], panels: Sequence[str], y_down: bool) -> dict[str, Any]:
+    """Return the layout of an arrow map, whose panels share the y axis and the range of x."""
     layout: dict[str, Any] = {
-        "xaxis": axis(axes[0]) | {"constrain": "domain"},
         "yaxis": axis(axes[1])
         | {"scaleanchor": "x", "constrain": "domain"}
         | ({"autorange": "reversed"} if y_down else {}),
         "hovermode": "closest",
+        "annotations": [],
     }
-    if len(groups) > 1:
-        layout["updatemenus"] = [_group_menu(list(groups))]
-    return Plot(title, data, layout, caption, height_px=560)
+    for number, name in enumerate(panels):
+        left, right = number / len(panels), (number + 0.97) / len(panels)
+        across: dict[str, Any] = {"domain": [left, right]} if len(panels) > 1 else {}
+        layout[f"xaxis{number + 1 if number else ''}"] = (
+            axis(axes[0]) | {"constrain": "domain"} | across | ({"matches": "x"} if number else {})
+        )
+        at = {"x": right, "xanchor": "right", "y": 1.0, "yanchor": "bottom", "xref": "paper", "yref": "paper"}
+        layout["annotations"] += [at | {"text": name, "showarrow": False}] if name else []
+    return layout
 
 
-def _group_menu(names: Sequence[str]) -> dict[str, Any]:
-    """Return a menu that shows the two traces of one group and always the last trace."""
-    shown = [[trace // 2 == number for trace in range(2 * len(names))] + [True] for number in range(len(names))]
+def _group_menu(names: Sequence[str], traces: int) -> dict[str, Any]:
+    """Return a menu that shows the traces of one group, so many each, and always the last trace."""
+    shown = [[each // traces == number for each in range(traces * len(names))] + [True] for number in range(len(names))]
     buttons = [
         {"label": name, "method": "update", "args": [{"visible": visible}]}
         for name, visible in zip(names, shown, strict=True)
