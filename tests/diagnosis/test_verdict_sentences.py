@@ -11,6 +11,7 @@ from small_session import SIGMA_PX, diagnosed, measured, with_motions, with_move
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables
+from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate, Unexplained
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
@@ -60,16 +61,15 @@ def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
     assert "no cause, and no effect at any station, explains the residual" in verdict_sentence(unexplained)
 
 
-def test_stations_that_the_session_hardly_tells_apart_are_both_named(located):
-    unsure = replace(located.effects[0], next_station="camera", odds_against_next_station=0.4)
-    said = replace(located, effects=(unsure,))
-    assert "; the session hardly tells it from an effect in the camera" in verdict_sentence(said)
-    assert any("To tell the panel from the camera: a photograph of the bare panel" in step for step in advice(said))
-
-
-def test_what_an_effect_leaves_is_said(located):
-    said = verdict_sentence(replace(located, verdict="partly explained"))
-    assert "remove less than half of the excess of captures left out" in said
+def test_an_effect_is_stated_with_its_place_its_rival_station_and_what_it_leaves(located):
+    effect = located.effects[0]
+    unsure = replace(located, effects=(replace(effect, next_station="camera", odds_against_next_station=0.4),))
+    assert "; the session hardly tells it from an effect in the camera" in verdict_sentence(unsure)
+    assert any("To tell the panel from the camera: a photograph of the bare panel" in step for step in advice(unsure))
+    spot = replace(effect, station="combiner", form="fine", place=(-3.8, 2.8), length=2.4, length_unit="mm")
+    assert "a spot 2.4 mm wide at (-3.8, 2.8) mm" in verdict_sentence(replace(located, effects=(spot,)))
+    left = verdict_sentence(replace(located, verdict="partly explained"))
+    assert ". The effects remove less than half of the excess of captures left out" in left
     assert "less than half" not in verdict_sentence(located)
 
 
@@ -98,11 +98,6 @@ def test_repeatability_that_no_stage_has_and_parts_that_differ_are_warned_of(not
     assert any("with one stage: one of the parts has an effect that looks like motion" in each for each in told)
     unsure = warnings(replace(alike, motions=(replace(far, shift_error_um=75.0), alike.motions[1])))
     assert not any("um only" in each or "looks like motion" in each for each in unsure)
-
-
-def test_a_spot_is_stated_with_its_place_and_width(located):
-    spot = replace(located.effects[0], station="combiner", form="fine", place=(-3.8, 2.8), length=2.4, length_unit="mm")
-    assert "a spot 2.4 mm wide at (-3.8, 2.8) mm" in verdict_sentence(replace(located, effects=(spot,)))
 
 
 def test_the_values_to_type_make_the_bench_file_that_of_the_corrected_bench(explained, tmp_path):
@@ -180,13 +175,7 @@ def test_a_degenerate_cause_is_measured_against_only_where_the_session_does_not_
     assert odds == (["> 20"], ["0.4"])
 
 
-def test_a_value_far_beyond_its_usual_size_is_warned_of(explained):
-    odd = replace(explained.causes[0], parameters=(ParameterValue("tilt_x", 9.0, 0.1, "deg", 1.0),))
-    assert any("9 times its usual size" in each for each in warnings(replace(explained, causes=(odd,))))
-    assert not any("usual size" in each for each in warnings(explained))
-
-
-def test_a_value_is_compared_with_the_prior_that_the_bench_states(explained):
+def test_a_value_is_compared_with_its_usual_size_or_the_prior_that_the_bench_states(explained):
     nominal = replace(explained.observations.nominal, priors={"combiner_tilt": {"tilt_x": (9.1, 0.1)}})
 
     def stated(value):
@@ -194,6 +183,9 @@ def test_a_value_is_compared_with_the_prior_that_the_bench_states(explained):
         return replace(explained, causes=(odd,), observations=replace(explained.observations, nominal=nominal))
 
     assert explained.causes[0].name == "combiner_tilt"
+    usual = replace(explained.causes[0], parameters=(ParameterValue("tilt_x", 9.0, 0.1, "deg", 1.0),))
+    assert any("9 times its usual size" in each for each in warnings(replace(explained, causes=(usual,))))
+    assert not any("usual size" in each for each in warnings(explained))
     assert not any("prior" in each or "usual size" in each for each in warnings(stated(9.0)))
     (told,) = [each for each in warnings(stated(8.3)) if "prior" in each]
     assert "tilt_x 8.300 +- 0.050 deg is 8 sigma from the prior in bench.toml ([9.1, 0.1])" in told
@@ -226,17 +218,9 @@ def test_the_motions_of_a_part_with_an_effect_are_no_repeatability(located):
     assert "not determined" not in bench_sentence(replace(found, verdict=ordinary))
 
 
-@pytest.mark.parametrize(
-    ("parameter", "text"),
-    [
-        (ParameterValue("scale", -0.304421, 0.000604, "%", 0.3), "scale -0.30442 +- 0.00060 %"),
-        (ParameterValue("index", 0.01234, 0.0011, "1", 0.01), "index 0.0123 +- 0.0011"),
-        (ParameterValue("moment", 1290.0, 0.0, "s", 1000.0), "moment 1290 s"),
-        (ParameterValue("a", 123.0, 45.0, "s", 1.0), "a 123 +- 45 s"),
-    ],
-)
-def test_values_have_two_digits_of_their_error(parameter, text):
-    assert value_text(parameter) == text
+def test_values_have_two_digits_of_their_error():
+    scale, index = ParameterValue("scale", -0.304421, 0.000604, "%", 0.3), ParameterValue("index", 0.01234, 0.0, "1", 1)
+    assert [value_text(scale), value_text(index)] == ["scale -0.30442 +- 0.00060 %", "index 0.0123"]
 
 
 def test_tables_hold_the_numbers_of_the_record(explained, located, nothing):
@@ -330,6 +314,16 @@ def test_sentences_judge_by_the_settings_of_the_diagnosis(explained, located):
     assert located.settings.subsample == 1200  # as `diagnose` was given
 
 
+def test_a_rotation_is_typed_in_full_but_in_no_sentence(explained):
+    turned = CAUSES["camera_rotation"].perturb(explained.observations.nominal, np.array([0.2, -0.1, 0.3]))
+    diagnosis = replace(explained, corrected=turned)
+    (line,) = values_to_type(diagnosis)
+    rotation = np.array(tomllib.loads(line.split("] ", 1)[1])["rotation"])
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    assert "The corrected session's bench.toml has [camera] rotation." in advice(diagnosis)
+    assert not any("[[" in step for step in advice(diagnosis))
+
+
 def test_values_to_type_have_the_digits_that_their_errors_allow(late):
     """Two digits of the standard error."""
     (line,) = values_to_type(late)
@@ -338,12 +332,3 @@ def test_values_to_type_have_the_digits_that_their_errors_allow(late):
     decimals = len(typed.partition(".")[2])
     assert 10 <= 1e-3 * latency.sigma * 10**decimals < 100
     assert float(typed) == pytest.approx(1e-3 * latency.value, abs=10.0**-decimals)
-
-
-def test_a_rotation_is_typed_in_full_but_in_no_sentence(bench, plan):
-    observations = measured(bench, plan, SIGMA_PX, seed=3, camera_rotation=[0.2, -0.1, 0.3])
-    found = diagnosed(observations.of_rows(observations.spread(600)), ("camera_rotation",))
-    (line,) = values_to_type(found)
-    rotation = np.array(tomllib.loads(line.split("] ", 1)[1])["rotation"])
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
-    assert advice(found)[1:] == ["The corrected session's bench.toml has [camera] rotation."]

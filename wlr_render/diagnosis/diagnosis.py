@@ -24,15 +24,13 @@ PARTLY, UNEXPLAINED = "partly explained", "unexplained"
 
 @dataclass(frozen=True)
 class ParameterValue:
-    """A fitted number.
+    """A fitted parameter of a cause.
 
     Attributes:
-        name, unit: as the cause has them.
+        name, unit: see `cause.Parameter`.
         value: in that unit.
         sigma: one standard error; 0 for a time, which is known to the gap between two captures.
-        prior_sigma: standard deviation of what is met in practice, or of the prior that the bench file states, in that
-            unit.
-        prior_mean: mean of that prior, in that unit.
+        prior_sigma, prior_mean: prior by practice, or as the bench file states it, in that unit.
     """
 
     name: str
@@ -45,11 +43,11 @@ class ParameterValue:
 
 @dataclass(frozen=True)
 class DegenerateCause:
-    """A cause with nearly the same effect.
+    """Another cause with nearly the same effect.
 
     Attributes:
         name: of the other cause.
-        cosine: of the angle between the effect found and its best match by the other cause; 1 is the same.
+        cosine: of the angle between the effect found and its best match by the other cause; 1 for the same effect.
         separated_by: the extra measurement that separates the two.
     """
 
@@ -63,9 +61,9 @@ class RankedCandidate:
     """A candidate for the place of a cause, the others being as found.
 
     Attributes:
-        name, variant: which cause, acting how.
-        reduced_chi_squared: that it leaves; 1 is noise.
-        log10_odds: against it and for the best candidate, by their evidence; NaN where it was not fitted.
+        name, variant: the cause and how it acts.
+        reduced_chi_squared: of the residual that it leaves; 1 is noise.
+        log10_odds: of the best candidate against this one, by their evidence; NaN where it was not fitted.
     """
 
     name: str
@@ -76,7 +74,7 @@ class RankedCandidate:
 
 @dataclass(frozen=True)
 class FoundCause:
-    """A cause with its evidence.
+    """A named cause with its evidence.
 
     Attributes:
         name, title, part: see `cause.Cause`.
@@ -87,7 +85,7 @@ class FoundCause:
         ranking: the candidates for its place, best first, itself among them.
         effect_over_noise: rms change of the readings by it, in units of sigma.
         log10_odds: for it against none, the others being as found.
-        remedy: what to do about it; empty where nothing but what its part asks for.
+        remedy: what to do about it; empty for the remedy of its part.
     """
 
     name: str
@@ -105,7 +103,7 @@ class FoundCause:
 
 @dataclass(frozen=True, eq=False)
 class EffectMap:
-    """What a located effect displaces at its station.
+    """Displacement by a located effect at its station.
 
     Attributes:
         place: (m, v) coordinates of the station.
@@ -126,17 +124,17 @@ class StationEffect:
     Attributes:
         station: "panel", "combiner", "camera", "target", "stage", "time", "head motion" or "eye tracking".
         coordinates: of the station, on which it depends.
-        displaced: what it displaces there.
+        displaced: quantity that it displaces there, e.g. "shift".
         form: "smooth", or "fine" where it is finer than any smooth field.
         parts: of the session that it changes.
         log10_odds: for it against none.
-        next_station: the station of next best evidence; empty where none other was judged.
+        next_station: the station of next best evidence; empty where no other was judged.
         odds_against_next_station: log10 odds against that station.
-        size: rms displacement at the station, or of a fine one that of the readings, and its `unit`.
-        length: diameter of the place where it acts, or of its cells, in `length_unit`; None for a smooth one.
-        place: (2,) middle of that place in the coordinates of the station; None where it is spread over the station.
-        held_out_improvement: of captures left out of its fit.
-        share_of_excess_removed: share of what exceeds noise and repeatability in these captures that it removes.
+        size: rms displacement at the station, or of the readings for a fine one, in `unit`.
+        length: diameter of its spot, or of its cells, in `length_unit`; None for a smooth one.
+        place: (2,) middle of its spot in the coordinates of the station; None where it is spread over the station.
+        held_out_improvement: on captures left out of its fit.
+        share_of_excess_removed: share of the excess over noise and repeatability that it removes in these captures.
         likely: usual sources of such an effect.
         is_in_bench: whether the corrected bench has it.
         map: its displacement over the station.
@@ -164,7 +162,7 @@ class StationEffect:
 
 @dataclass(frozen=True)
 class TriedField:
-    """A field that was judged.
+    """A displacement field that was judged.
 
     Attributes:
         station, coordinates, displaced: as in `StationEffect`.
@@ -181,7 +179,7 @@ class TriedField:
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What neither causes nor located effects explain.
+    """A residual that neither causes nor located effects explain.
 
     Attributes:
         part: "display", "see-through" or "run-time".
@@ -201,7 +199,7 @@ class ResidualSummary:
     Attributes:
         display_rms_px: panel pixels.
         see_through_rms_arcmin: arcminutes as the camera sees them.
-        run_time_rms_arcmin: of the virtual dot against the real one.
+        run_time_rms_arcmin: angle between the virtual and the real dot.
         over_noise: of all readings, in units of sigma.
     """
 
@@ -216,7 +214,7 @@ class DetectionLimit:
     """The smallest size at which a parameter would have been found, acting alone.
 
     Attributes:
-        cause, parameter, unit: which.
+        cause, parameter, unit: names.
         limit: `Settings.detection_limit_se` standard errors.
     """
 
@@ -232,7 +230,7 @@ class CaptureResidual:
 
     Attributes:
         capture: its name.
-        readings: that count.
+        readings: number of readings that count.
         rms_before, rms_after: with the nominal and with the corrected bench, in units of sigma.
         excluded: whether the capture was excluded.
     """
@@ -256,7 +254,7 @@ class Correlations:
     Attributes:
         names: "cause.parameter" for each value.
         matrix: (p, p).
-        condition: of the matrix; 1 where each value is known by itself.
+        condition: of the matrix; 1 where no values are correlated.
     """
 
     names: tuple[str, ...] = ()
@@ -266,12 +264,12 @@ class Correlations:
 
 @dataclass(frozen=True)
 class MotionSize:
-    """How far the captures of a part repeat: standard deviation of their cameras' motions per axis.
+    """Repeatability of the captures of a part: standard deviation of their cameras' motions per axis.
 
     Attributes:
         part: its name.
-        shift_um, shift_error_um: of the positions, and standard error.
-        turn_urad, turn_error_urad: of the turns, and standard error.
+        shift_um, shift_error_um: repeatability of positions, and its standard error.
+        turn_urad, turn_error_urad: repeatability of turns, and its standard error.
     """
 
     part: str
@@ -386,17 +384,18 @@ class Diagnosis:
 
         return part_views(self)
 
+    @property
+    def title(self) -> str:
+        """Title of the report."""
+        return f"Diagnosis of {self.session} ({self.device}, {self.eye} eye)"
+
     def __str__(self) -> str:
         from wlr_render.diagnosis.verdict_sentences import verdict_sentence  # imports this module
 
         return "\n".join([verdict_sentence(self), *(f"{n}. {step}" for n, step in enumerate(self.advice, 1))])
 
     def _repr_html_(self) -> str:
-        # Both import this module.
-        from wlr_render.diagnosis.tables import causes_table, residuals_table
-        from wlr_render.diagnosis.verdict_sentences import verdict_sentence
+        from wlr_render.diagnosis.tables import causes_table, residuals_table  # imports this module
 
-        steps = [f"{number}. {step}" for number, step in enumerate(self.advice, 1)]
         tables = [each.summary for each in (residuals_table(self), causes_table(self)) if each.rows]
-        title = f"Diagnosis of {self.session} ({self.device}, {self.eye} eye)"
-        return html_summary(title, [verdict_sentence(self), *steps], tables)
+        return html_summary(self.title, str(self).splitlines(), tables)

@@ -26,7 +26,7 @@ from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
@@ -57,14 +57,6 @@ class _Refit(Generic[AnyModel]):
     refitted: Refitted
 
 
-@dataclass(frozen=True)
-class _Side(Generic[AnyCaptures, AnyModel]):
-    """One side of the headset: its captures, and the fit of its models."""
-
-    captures: Callable[[Bench, Session], AnyCaptures]
-    fit: Callable[[AnyCaptures], ModelFit[AnyModel]]
-
-
 def _display_captures(bench: Bench, session: Session) -> DisplayCaptures:
     plan, pixel = session.plan.display, session.readings.panel_pixel
     if plan is None or pixel is None:
@@ -79,41 +71,34 @@ def _see_through_captures(bench: Bench, session: Session) -> SeeThroughCaptures:
     return see_through_captures(bench, plan, pixel)
 
 
-_DISPLAY = _Side(_display_captures, fit_display)
-_SEE_THROUGH = _Side(_see_through_captures, fit_see_through)
-
-
-def _refit(side: _Side[AnyCaptures, AnyModel], nominal: Bench, corrected: Bench, session: Session) -> _Refit[AnyModel]:
-    """Fit one side by both benches.
+def _refit(
+    before: AnyCaptures, after: AnyCaptures, fit: Callable[[AnyCaptures], ModelFit[AnyModel]]
+) -> _Refit[AnyModel]:
+    """Fit one side of the headset to its captures as the nominal and as the corrected bench describe them.
 
     Raises:
-        BadInputError: the session lacks the side's table, or does not determine a model.
+        BadInputError: the captures do not determine a model.
     """
-    before, after = side.captures(nominal, session), side.captures(corrected, session)
+
+    def models(rows: BoolArray) -> tuple[ModelFit[AnyModel], ModelFit[AnyModel]]:
+        old, new = select(before, rows), select(after, rows)
+        first = fit(old)
+        return first, first if _same(old, new) else fit(new)
+
     rng = np.random.default_rng(0)
     rows = np.sort(rng.permutation(len(before))[:_ROWS])
     before, after = select(before, rows), select(after, rows)
     names = np.unique(before.capture)
     out = np.isin(before.capture, rng.permutation(names)[: max(2, len(names) // _HELD_OUT)])
-    whole = _pair(side, before, after)
-    judge = select(after, out)
-    old, new = (
-        arcmin_between(each.seen(judge).value, judge.view_dir)
-        for each in _pair(side, select(before, ~out), select(after, ~out))
-    )
+    whole, judge = models(np.ones_like(out)), select(after, out)
+    old, new = (arcmin_between(model.seen(judge).value, judge.view_dir) for model in models(~out))
     both = np.isfinite(old) & np.isfinite(new)
     names, owner = np.unique(judge.capture[both], return_inverse=True)
     squares = [np.bincount(owner, error[both] ** 2, len(names)).astype(np.float64) for error in (old, new)]
     rms = [float(np.sqrt(square.sum() / both.sum())) for square in squares]
-    refitted = Refitted(rms[0], rms[1], held_out_improvement(squares[0], squares[1]))
-    return _Refit(whole[0].mapping, whole[1].mapping, refitted)
-
-
-def _pair(
-    side: _Side[AnyCaptures, AnyModel], before: AnyCaptures, after: AnyCaptures
-) -> tuple[ModelFit[AnyModel], ModelFit[AnyModel]]:
-    first = side.fit(before)
-    return first, first if _same(before, after) else side.fit(after)
+    return _Refit(
+        whole[0].mapping, whole[1].mapping, Refitted(rms[0], rms[1], held_out_improvement(squares[0], squares[1]))
+    )
 
 
 def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
@@ -170,14 +155,17 @@ def improvement_in_use(nominal: Bench, corrected: Bench, session: Session) -> Im
     """
     unavailable: list[str] = []
 
-    def refitted(side: _Side[AnyCaptures, AnyModel]) -> _Refit[AnyModel] | None:
+    def refitted(
+        captures: Callable[[Bench, Session], AnyCaptures], fit: Callable[[AnyCaptures], ModelFit[AnyModel]]
+    ) -> _Refit[AnyModel] | None:
         try:
-            return _refit(side, nominal, corrected, session)
+            return _refit(captures(nominal, session), captures(corrected, session), fit)
         except BadInputError as error:
             unavailable.append(str(error))
             return None
 
-    display, see_through = refitted(_DISPLAY), refitted(_SEE_THROUGH)
+    display = refitted(_display_captures, fit_display)
+    see_through = refitted(_see_through_captures, fit_see_through)
     calibrated = prescribed = None
     if display is not None and see_through is not None:
         old = _eye(corrected, display.before, see_through.before)

@@ -106,7 +106,7 @@ def diagnosis_report(
     blocks += [Section("Noise"), tables.repeatability_table(diagnosis), tables.noise_table(diagnosis)]
     blocks += [plots.normality_plot(diagnosis)]
     return Report(
-        f"Diagnosis of {diagnosis.session} ({diagnosis.device}, {diagnosis.eye} eye)",
+        diagnosis.title,
         f"{verdict_sentences.verdict_sentence(diagnosis)} {bench_sentence(diagnosis)}",
         verdict_sentences.advice(diagnosis),
         warnings(diagnosis),
