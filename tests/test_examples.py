@@ -1,15 +1,24 @@
-"""The examples run as they stand, each in a folder of its own, and print what they should."""
+"""The examples run as they stand, each in a folder of its own, and print what they should.
+
+Those that take long run in this process, of fewer readings or pixels than theirs.
+"""
 
 import os
 import re
+import runpy
 import subprocess
 import sys
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from small_headsets import changed_device
 
+import wlr_render as wlr
+from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
+from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.extras import install_command
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
 from wlr_render.jobs.headset import open_eye
@@ -40,16 +49,61 @@ TESTED_ELSEWHERE = {"10_openxr"}  # tests/compositing/test_openxr.py
 NEED_LIBRARY = {"12_open3d": "open3d", "13_warp": "warp", "14_newton": "newton", "15_blender": "bpy"}
 NEED_WEBGPU = {"09_own_warp"}
 NEED_EGL = {"07_plug_into_pyrender", "08_real_time"}
+PIXELS = {"freeform40": ("[1920, 1080]", "[480, 270]"), "northstar": ("[1440, 1600]", "[180, 200]")}
+
+
+def low_degrees(patch, folder):
+    """A quarter of the directions at each camera position, and models of lower degrees."""
+    patch.setitem(wlr.simulate.__kwdefaults__, "grid", (13, 11))
+    patch.setattr(wlr, "calibrate", partial(wlr.calibrate, display_degree=5, see_through_degree=4))
+
+
+def few_readings(patch, folder):
+    """A third of the captures of a session, and few causes."""
+    load_session = wlr.load_session
+
+    def third_of_session(path):
+        bench, session = load_session(path)
+        rows = [np.flatnonzero(part.capture % 3 == 0) for part in session.plan.parts[:2]]
+        plan = SessionPlan(*(select_rows(part, kept) for part, kept in zip(session.plan.parts, rows, strict=False)))
+        readings = Readings(*(part[kept] for part, kept in zip(session.readings.parts, rows, strict=False)))
+        return bench, Session(session.name, plan, readings)
+
+    patch.setattr(wlr, "load_session", third_of_session)
+    causes = {name: CAUSES[name] for name in ("target_scale", "target_bow", "tracking_translation")}
+    patch.setattr(wlr, "diagnose", partial(wlr.diagnose, causes=causes))
+
+
+def small_panels(patch, folder):
+    """A fraction of the panel's pixels."""
+    paths = {name: changed_device(folder, name, change) for name, change in PIXELS.items()}
+    patch.setattr(wlr, "open_eye", lambda device, eye="right": open_eye(paths[device], eye))
+
+
+SMALLER = {
+    "02_calibrate": low_degrees,
+    "03_render_a_frame": small_panels,
+    "04_moving_wearer": small_panels,
+    "05_diagnose": few_readings,
+}
+
+
+def path_of(name):
+    return next(path for path in EXAMPLES if path.stem == name)
 
 
 def run(name, folder, **environment):
-    path = next(path for path in EXAMPLES if path.stem == name)
+    path = path_of(name)
     command = [sys.executable, "-W", "error::RuntimeWarning", str(path)]
     given = os.environ | environment
     result = subprocess.run(command, cwd=folder, env=given, capture_output=True, text=True, timeout=300)
     assert result.returncode == 0, result.stderr
+    assert_finished(name, result.stdout, folder)
+
+
+def assert_finished(name, printed, folder):
     words, files = WORDS_AND_FILES[name]
-    assert words in result.stdout
+    assert words in printed
     assert {entry.name for entry in folder.iterdir()} == files
 
 
@@ -67,7 +121,7 @@ def require_webgpu():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", WORDS_AND_FILES)
+@pytest.mark.parametrize("name", [name for name in WORDS_AND_FILES if name not in SMALLER])
 def test_an_example_runs(name, tmp_path, request):
     if name in NEED_LIBRARY:
         require_library(NEED_LIBRARY[name])
@@ -78,10 +132,20 @@ def test_an_example_runs(name, tmp_path, request):
     run(name, tmp_path)
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("name", SMALLER)
+def test_a_long_example_runs_of_less(name, tmp_path, tmp_path_factory, monkeypatch, capsys):
+    SMALLER[name](monkeypatch, tmp_path_factory.mktemp("devices"))
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(path_of(name)))
+    assert_finished(name, capsys.readouterr().out, tmp_path)
+
+
 @pytest.mark.parametrize(("name", "library"), (NEED_LIBRARY | {"09_own_warp": "wgpu", "10_openxr": "xr"}).items())
 def test_without_its_library_an_example_ends_with_the_command(name, library, tmp_path):
     (tmp_path / f"{library}.py").write_text(f"raise ModuleNotFoundError('not here', name='{library}')\n")
-    path = next(path for path in EXAMPLES if path.stem == name)
+    path = path_of(name)
     given = os.environ | {"PYTHONPATH": str(tmp_path)}
     result = subprocess.run([sys.executable, str(path)], cwd=tmp_path, env=given, capture_output=True, text=True)
     (extra,) = re.findall(r'script_needs\("(\w+)"\)', path.read_text())

@@ -1,6 +1,7 @@
 """The judge of the diagnosis: its truths are true, its figures count what they say, a trial is kept."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from oracle.captures import Plan
 from oracle.effects import LISTED, LISTED_AT_RUN_TIME, draw_effect
 from oracle.run_time import RunTimePlan
 
-from benchmarks.diagnosis import trial
+from benchmarks.diagnosis import remainder, trial
 from benchmarks.diagnosis.conditions import Condition
 from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, loaded_outcome, observed, run_trial
@@ -100,6 +101,9 @@ def test_moved_captures_are_found_missed_or_wrong():
 def test_a_trial_is_judged_by_what_was_hidden_and_kept(monkeypatch, tmp_path):
     small = Plan("birdbath28", grid=(8, 6), dots=(6, 5), nodes=4, off_plane=10, sigma_px=0.05)
     monkeypatch.setattr(trial, "_plan", lambda drawn, rng: small)
+    few = {name: CAUSES[name] for name in ("panel_axial_shift", "panel_shift", "target_scale")}
+    monkeypatch.setattr(trial, "diagnose", partial(trial.diagnose, causes=few))
+    monkeypatch.setattr(remainder, "CAUSES", few)
     one = DiagnosisTrial(TrialKind.ONE, ("panel_axial_shift",), 0)
     ran = kept_outcome(run_trial, loaded_outcome, tmp_path, 1, one)
     assert kept_outcome(lambda trial, seed: pytest.fail("was run again"), loaded_outcome, tmp_path, 1, one) == ran
