@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, posterior
+from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
+from wlr_render.numerics.posterior import Posterior
 
 NAMES = ("size", "slope", "noise", "motion")
 HYPER = np.array([-0.3, 0.2, 0.1, -0.5])

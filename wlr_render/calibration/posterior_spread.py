@@ -5,8 +5,8 @@ import numpy as np
 from wlr_render.calibration.readings import FitReadings, Response
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.evidence import Posterior
 from wlr_render.numerics.polynomial import Polynomial, basis
+from wlr_render.numerics.posterior import Posterior
 
 _KEPT = 0.98  # of the variance of predictions at the readings that the low-rank factors keep
 _SAMPLES = 500  # readings at which that is judged

@@ -11,8 +11,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, tangents_by_turn
 from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.evidence import Posterior, Sums
+from wlr_render.numerics.evidence import Sums
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
+from wlr_render.numerics.posterior import Posterior
 
 _CHUNK = 4_096  # readings whose design is held at once
 _FLAT_M, _FLAT = 1e-6, 0.03

@@ -41,8 +41,9 @@ from wlr_render.calibration.smooth_prior import (
 from wlr_render.errors import BadInputError
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, posterior
+from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+from wlr_render.numerics.posterior import Posterior
 
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _BEYOND = 0.05  # share of a fit's variance that is expected of the terms beyond its own before it gets more of them

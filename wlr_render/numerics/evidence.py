@@ -17,13 +17,13 @@ Processes for Machine Learning" (2006), chapter 5; Bishop, "Pattern Recognition 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack
 from scipy.optimize import minimize
 
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.posterior import Posterior
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _NEGLIGIBLE = 1e-7  # information of the readings on an unknown, relative to its prior
@@ -201,75 +201,6 @@ class Prior:
         return np.concatenate(features), np.concatenate([np.zeros(len(self.mixed_features)), grouped])
 
 
-@dataclass(frozen=True)
-class Posterior:
-    """Posterior of the unknowns at given hyperparameters.
-
-    Attributes:
-        hyper: hyperparameters by name, logarithms.
-        log_evidence: natural logarithm of the probability density of the readings.
-        slope: (hyperparameters,) gradient of `log_evidence`.
-        mean: (outputs, columns) of x.
-        mixed_mean: (mixed,) of z. group_mean: (groups, grouped) of b.
-        side_covariance: (side, side) of z and b.
-        determined: effective number of unknowns that the readings determine (MacKay's gamma).
-        square: weighted sum of squared residuals.
-        alone: (columns, columns) covariance of x of each output if the side unknowns were known.
-        by_side: (outputs, side, columns) derivative of x by the side unknowns.
-        sizes: (side + columns,) prior sizes of z and b, then of an output's x.
-        features: (side + columns, hyperparameters) derivatives of the logarithms of `sizes`.
-        count: number of readings.
-    """
-
-    hyper: Mapping[str, float]
-    log_evidence: float
-    slope: FloatArray
-    mean: FloatArray
-    mixed_mean: FloatArray
-    group_mean: FloatArray
-    side_covariance: FloatArray
-    determined: float
-    square: float
-    alone: FloatArray
-    by_side: FloatArray
-    sizes: FloatArray
-    features: FloatArray
-    count: int
-
-    @property
-    def noise(self) -> float:
-        """Factor by which the stated sigmas must be multiplied."""
-        return float(np.exp(self.hyper["noise"]))
-
-    @cached_property
-    def covariance(self) -> FloatArray:
-        """(side + outputs * columns, ...) covariance of z and b, then of x of output 0, output 1 and so on."""
-        outputs, side, columns = self.by_side.shape
-        follow = self.by_side.transpose(0, 2, 1).reshape(outputs * columns, side)
-        whole = follow @ self.side_covariance @ follow.T
-        for output in range(outputs):
-            block = slice(output * columns, (output + 1) * columns)
-            whole[block, block] += self.alone
-        cross = follow @ self.side_covariance
-        return np.block([[self.side_covariance, cross.T], [cross, whole]])
-
-    @cached_property
-    def curvature(self) -> FloatArray:
-        """Expected negative second derivatives of `log_evidence` at these hyperparameters, (hyperparameters,).
-
-        This is the diagonal of the Fisher information: trace((C^-1 dC)^2) / 2, where C is the covariance of the
-        readings.
-        """
-        outputs, side, columns = self.by_side.shape
-        every = np.concatenate([np.arange(side), np.tile(np.arange(side, side + columns), outputs)])
-        sizes, features = self.sizes[every], self.features[every]
-        left = self.covariance / sizes / sizes[:, None]  # 1 for unknowns that the readings do not inform
-        learned = (np.eye(len(left)) - left) ** 2
-        curvature = 2.0 * np.sum(features * (learned @ features), axis=0)
-        curvature[list(self.hyper).index("noise")] += 2.0 * (self.count - len(left) + np.sum(left**2))
-        return np.asarray(curvature)
-
-
 def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True) -> Posterior:
     """Return posterior and evidence at given hyperparameters (hyperparameters,).
 
@@ -320,8 +251,6 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     slope[prior.noise] += square + determined - sums.count
     mean, side_mean = np.zeros((len(pull), len(scale))), np.zeros(len(side_scale))
     mean[:, used], side_mean[side_used] = unit * scale[used], side_unit * side_scale[side_used]
-    by_side = np.zeros_like(sums.side_cross)
-    by_side[np.ix_(np.ones(len(pull), bool), side_used, used)] = -follow * scale[used] / side_scale[side_used][:, None]
     return Posterior(
         hyper=dict(zip(prior.names, map(float, hyper), strict=True)),
         log_evidence=-0.5 * minus_two,
@@ -329,14 +258,16 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
         mean=mean,
         mixed_mean=side_mean[: sums.mixed],
         group_mean=side_mean[sums.mixed :].reshape(sums.groups, sums.grouped),
-        side_covariance=_in_place(side_inverse, side_scale, side_used),
         determined=determined,
         square=square / per_noise**2,
-        alone=_in_place(inverse, scale, used),
-        by_side=by_side,
         sizes=np.concatenate([side_scale, scale]),
         features=np.concatenate([side_features, prior.features]),
         count=sums.count,
+        used=used,
+        side_used=side_used,
+        inverse=inverse,
+        side_inverse=side_inverse,
+        follow=follow,
     )
 
 
@@ -370,13 +301,6 @@ def _inverse(lower: FloatArray) -> FloatArray:
         return lower
     half, _ = lapack.dpotri(lower, lower=1)
     return np.asarray(half + np.tril(half, -1).T)
-
-
-def _in_place(inverse: FloatArray, scale: FloatArray, used: BoolArray) -> FloatArray:
-    """Return the covariance of all unknowns from the covariance of the used ones in units of their prior sizes."""
-    covariance = np.diag(scale**2)
-    covariance[np.ix_(used, used)] = scale[used][:, None] * inverse * scale[used]
-    return covariance
 
 
 def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) -> Posterior:

@@ -14,7 +14,8 @@ from wlr_render.calibration.bench.state import BenchState, Key
 from wlr_render.calibration.bench.unknowns import HYPER, USUAL_SIZES, Layout, Sizes, layout_of, prior_of
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.evidence import Posterior, Prior, Sums, maximise, posterior
+from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
+from wlr_render.numerics.posterior import Posterior
 
 _ROUNDS, _HALVINGS = 15, 6
 _ROUGH, _SETTLED = 1.0, 0.05  # sigmas of the worst unknown: when sizes are worth finding, and when all is found
