@@ -8,7 +8,7 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
-from wlr_render.diagnosis.screening import hypotheses, screen
+from wlr_render.diagnosis.screening import Signatures, hypotheses, screen
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 
 _OTHERS = 6
@@ -43,8 +43,9 @@ def _fitted(
 ) -> list[Fit]:
     """One more cause on top of the rest, in the most promising ways; none that gains less than `least_gain`."""
     causes = {name: CAUSES[name] for name in names}
-    screened = [found for each in hypotheses(causes) if (found := screen(readings, rest, each)) is not None]
-    chosen = sorted((p for p in screened if p.gain > least_gain), key=lambda p: -p.gain)[:most]
+    candidates = hypotheses(causes)
+    screened = screen(Signatures.of(readings, candidates), rest, candidates)
+    chosen = [each for each in screened if each.gain > least_gain][:most]
     starts = [rest.explanation.plus(each.hypothesis, each.start) for each in chosen]
     fits = [fit(readings, each, rest.scatter, near=rest.at.state, vary_scatter=False) for each in starts]
     return [each for each in fits if each is not None] or [rest]

@@ -13,9 +13,9 @@ from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import reduced_chi_squared, times_between_captures
 from wlr_render.diagnosis.observations import observe
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis
+from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
-from wlr_render.diagnosis.screening import best_fit, hypotheses, screen
+from wlr_render.diagnosis.screening import Signatures, best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
 
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")
@@ -150,9 +150,9 @@ def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, pla
 @pytest.mark.slow
 def test_a_candidate_that_loses_readings_is_none(two):
     """Its few residuals would be smaller than those of all readings."""
-    search = searching(two)
+    search = searching(two, ("combiner_shift",))
     nothing = ranking_of(search).subsample
-    prospect = screen(search.subsample, nothing, hypothesis("combiner_shift"))
+    prospect, *_ = screen(search.signatures, nothing, search.hypotheses)
     assert best_fit(search.subsample, nothing, prospect) is not None
     lost = replace(prospect, start=np.array([100.0, 0.0, 0.0]))
     assert best_fit(search.subsample, nothing, lost) is None
@@ -216,5 +216,6 @@ def test_without_a_moment_between_captures_nothing_can_have_slipped(bench, plan,
     assert len(times_between_captures(timeless)) == 0
     observations = observe(bench, Session("timeless", timeless, simulate(bench, timeless)))
     readings, current = weighed(observations), fitted(observations, Explanation())
-    assert screen(readings, current, Hypothesis(CAUSES["headset_slip"], "once")) is None
-    assert screen(readings, current, Hypothesis(CAUSES["panel_shift"], "along u and v")) is not None
+    candidates = hypotheses({name: CAUSES[name] for name in ("headset_slip", "panel_shift")})
+    screened = screen(Signatures.of(readings, candidates), current, candidates)
+    assert {each.hypothesis.cause.name for each in screened} == {"panel_shift"}

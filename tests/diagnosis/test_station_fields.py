@@ -114,7 +114,7 @@ EFFECTS = [
 def contest(bench, plan, read, causes=None):
     observations = with_noise(observe(bench, Session("small", plan, read)), SIGMA_PX, np.random.default_rng(3))
     readings = weighed(observations)
-    return FieldContest(readings, fitted(observations, causes or Explanation()), station_fields(readings))
+    return FieldContest.of(readings, fitted(observations, causes or Explanation()), station_fields(readings))
 
 
 @pytest.mark.slow
@@ -183,7 +183,7 @@ def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordin
     pixel[:, :2] += off(observations.session.plan.run_time, pixel)
     observations = with_readings(observations, run_time_pixel=pixel)
     readings = weighed(observations)
-    first = FieldContest(readings, fitted(observations, Explanation()), station_fields(readings)).ranked[0]
+    first = FieldContest.of(readings, fitted(observations, Explanation()), station_fields(readings)).ranked[0]
     assert (first.field.station, first.field.coordinates) == (station, coordinates)
     assert first.log10_odds > 4
 

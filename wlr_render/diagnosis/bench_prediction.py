@@ -10,12 +10,11 @@ import numpy as np
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.cause_selection import LOG10_ODDS
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums, best_scatter
+from wlr_render.diagnosis.scatter import LOG10_ODDS, UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums, best_scatter
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError

@@ -120,6 +120,11 @@ class Cause:
         """Station at which it acts: fields of that station are its rivals."""
         return self.own_station or _STATIONS[self.part]
 
+    @property
+    def is_shaped(self) -> bool:
+        """Whether values shape its effect, and do not only multiply it."""
+        return any(parameter.role is not Role.SIZE for parameter in self.parameters)
+
     def perturb(self, bench: Bench, values: FloatArray, variant: str | None = None) -> Bench:
         """The bench with this cause at work; `values` (parameters,) in their units."""
         return self.variants[variant or next(iter(self.variants))](bench, values)

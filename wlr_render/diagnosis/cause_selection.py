@@ -2,6 +2,8 @@
 
 Candidates are compared on a subsample of the readings first: all to first order, the best by a fit from their best
 start. Those that come close are fitted again to all readings. Every candidate finds its own sizes of what is random.
+Where a field at a station explains far more than all causes together, none is fitted beside nothing: effects are
+located first, and causes beside them.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -18,16 +20,20 @@ from wlr_render.diagnosis.fit import (
     reduced_chi_squared,
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
+from wlr_render.diagnosis.located_effects import FieldContest, LocatedEffect
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
-from wlr_render.diagnosis.scatter import Scatter, best_scatter, with_moved_captures
-from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, best_fit, screen
+from wlr_render.diagnosis.scatter import LOG10_ODDS, Scatter, best_scatter, with_moved_captures
+from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings
+from wlr_render.diagnosis.station_fields import StationField, station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 
 Progress = Callable[[str], None]
 
-LOG10_ODDS = 0.5 / np.log(10.0)  # for each unit of -2 log evidence
 _NOTHING_MORE = "no other cause makes the readings more probable"
+_FIELD_FIRST = "an effect of another shape than all causes explains more than they do together"
+_SECOND_ORDER = 0.02  # of the gain of a field: what causes may gain beyond first order
+_SHAPED = 2  # causes of a shape that are fitted all the same
 _NOTABLE = 1e-3  # of the noise's variance: what a cause takes off a part in which it acts at least
 
 
@@ -62,12 +68,15 @@ class CandidateRanking:
         subsample: the same fit to the subsample, on which hypotheses are compared.
         screened: the gain of each hypothesis on the subsample to first order; largest first.
         candidates: those that were fitted, best first, one per cause in the best of its variants.
+        field_gain: by how much -2 log evidence of the subsample would fall by a field that explains far more than all
+            causes together; 0 where there is none.
     """
 
     current: Fit
     subsample: Fit
     screened: tuple[ScreenedHypothesis, ...]
     candidates: tuple[Candidate, ...]
+    field_gain: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +104,8 @@ class Search:
         hypotheses: the candidates.
         progress: called with a sentence at each step.
         settings: thresholds.
+        fields: at the stations, over the subsample.
+        simulated: signatures of the hypotheses on the subsample, if they are known.
     """
 
     full: WeighedReadings
@@ -102,16 +113,40 @@ class Search:
     hypotheses: Sequence[Hypothesis]
     progress: Progress = lambda _: None
     settings: Settings = DEFAULT
+    fields: Sequence[StationField] = ()
+    simulated: Signatures | None = None
+
+    @cached_property
+    def signatures(self) -> Signatures:
+        """Of the hypotheses, with the columns of the fields."""
+        if self.simulated is not None:
+            return replace(self.simulated, readings=self.subsample)
+        columns = [field.columns for field in self.fields]
+        return Signatures.of(self.subsample, self.hypotheses, columns, self.progress)
+
+    def contest(self, at: Fit) -> FieldContest:
+        """Return the fields beside a fit to the subsample."""
+        return FieldContest(self.subsample, at, self.fields, self.signatures.fixed)
+
+    def with_effects(self, effects: Sequence[LocatedEffect]) -> "Search":
+        """Return the same search with located effects at work, whatever their coefficients."""
+        full = station_fields(self.full) if self.full is not self.subsample else self.fields
+        columns = [[each.columns for each in effects], [each.over(full).columns for each in effects]]
+        sizes = np.repeat([each.size for each in effects], [each.shape[2] for each in columns[0]])
+        subsample, every = (
+            readings.with_effects(np.concatenate(each, axis=2), sizes)
+            for readings, each in zip((self.subsample, self.full), columns, strict=True)
+        )
+        return replace(self, full=every, subsample=subsample, simulated=self.signatures)
 
     @cached_property
     def share(self) -> float:
         """Number of all readings over that of the subsample."""
         return len(self.full.observations) / len(self.subsample.observations)
 
-    def select(self) -> Selection:
-        """Add causes while each is worth it; restart from runners-up where the first cause was not the last."""
-        nothing = self.refitted(Explanation(), Scatter.usual(len(self.full.observations.captures)))
-        first = self.rank(nothing)
+    def select(self, start: Explanation = Explanation()) -> Selection:  # noqa: B008
+        """Add causes to some while each is worth it; restart from runners-up where the first was not the last."""
+        first = self.rank(self.refitted(start, Scatter.usual(len(self.full.observations.captures))))
         best = self._grown(first)
         if len(best.fit.explanation.hypotheses) > 1:
             for seed in self._seeds(first):
@@ -156,30 +191,45 @@ class Search:
         """Rank the causes that are not yet at work."""
         taken = set(current.explanation.names)
         at = _fitted(self.subsample, current.explanation, current.scatter, 0)
-        screened = []
-        for number, hypothesis in enumerate(self.hypotheses):
-            if hypothesis.cause.name not in taken:
-                self.progress(f"cause {len(taken) + 1}: {hypothesis.cause.name} ({number + 1}/{len(self.hypotheses)})")
-                screened.append(screen(self.subsample, at, hypothesis))
-        found = sorted((each for each in screened if each is not None), key=lambda each: -each.gain)
-        return self._equally_searched(CandidateRanking(current, at, tuple(found), tuple(self._candidates(at, found))))
+        contest = self.contest(at)
+        found = screen(
+            self.signatures, at, [each for each in self.hypotheses if each.cause.name not in taken], contest.sums
+        )
+        self.progress(f"cause {len(taken) + 1}: {', '.join(each.hypothesis.cause.name for each in found[:3])}")
+        field_gain = self._field_gain(contest, found)
+        candidates = self._candidates(at, found, field_gain)
+        return self._equally_searched(CandidateRanking(current, at, tuple(found), tuple(candidates), field_gain))
 
-    def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis]) -> list[Candidate]:
+    def _field_gain(self, contest: FieldContest, screened: Sequence[ScreenedHypothesis]) -> float:
+        """By how much a field lowers -2 log evidence where it does far more than all causes together; else 0."""
+        worth = self.settings.least_log10_odds / LOG10_ODDS
+        if not self.fields or not screened or max(each.gain for each in screened) < worth:
+            return 0.0
+        best = contest.ranked[0].log10_odds / LOG10_ODDS
+        shapes = [each.columns for each in screened if each.columns is not None]
+        by_causes = contest.gain_of_best(shapes, self.settings.max_causes)
+        clearly = max(self.settings.close_evidence, _SECOND_ORDER * best)
+        return best if best > by_causes + clearly else 0.0
+
+    def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis], field_gain: float) -> list[Candidate]:
         """Fits of the hypotheses that are worth one, best first."""
         settings = self.settings
         if not screened or screened[0].gain < HOPELESS:
             return []
-        least = min(settings.min_relative_gain * screened[0].gain, screened[0].gain)
+        least = min(settings.min_relative_gain * max(screened[0].gain, field_gain), screened[0].gain)
         # What is small in the subsample may be enough in all readings; then one fit tells.
         most = settings.max_fits if LOG10_ODDS * screened[0].gain > settings.least_log10_odds else 1
         kept = [each for each in screened if each.gain >= least][:most]
+        if field_gain:
+            # Only effects whose shape is fitted, too, may gain more than to first order.
+            kept = [*kept[:1], *(each for each in kept[1:] if each.hypothesis.cause.is_shaped)][: _SHAPED + 1]
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
         coarse = _by_evidence(
             Candidate(each.hypothesis, found)
             for each in kept
             if (found := best_fit(self.subsample, at, each)) is not None and is_physical(found, settings)
         )
-        if not coarse:
+        if not coarse or at.minus_two_log_evidence - coarse[0].fit.minus_two_log_evidence < field_gain:
             return []
         close = [each for each in coarse if each.behind < settings.close_evidence][: settings.max_contenders]
         refits = ((each, fit(self.full, each.fit.explanation, each.fit.scatter)) for each in close)
@@ -214,7 +264,7 @@ class Search:
     def _refusal(self, at: CandidateRanking) -> str:
         """Why the best candidate is not worth adding; empty where it is."""
         if not at.candidates:
-            return _NOTHING_MORE
+            return _FIELD_FIRST if at.field_gain else _NOTHING_MORE
         best = at.candidates[0]
         odds = LOG10_ODDS * (at.current.minus_two_log_evidence - best.fit.minus_two_log_evidence)
         if odds < 0.0:

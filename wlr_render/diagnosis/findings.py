@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from wlr_render.diagnosis.cause import Cause, Role
-from wlr_render.diagnosis.cause_selection import LOG10_ODDS, CandidateRanking, Search
+from wlr_render.diagnosis.cause_selection import CandidateRanking, Search
 from wlr_render.diagnosis.diagnosis import (
     CaptureResidual,
     Correlations,
@@ -30,7 +30,7 @@ from wlr_render.diagnosis.fit import (
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
-from wlr_render.diagnosis.scatter import scatter_errors
+from wlr_render.diagnosis.scatter import LOG10_ODDS, scatter_errors
 from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray

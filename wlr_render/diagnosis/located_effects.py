@@ -14,7 +14,6 @@ from itertools import product
 import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
-from wlr_render.diagnosis.cause_selection import LOG10_ODDS
 from wlr_render.diagnosis.fit import Fit, off_prior
 from wlr_render.diagnosis.held_out import (
     HeldOutImprovement,
@@ -23,16 +22,20 @@ from wlr_render.diagnosis.held_out import (
     squares_of_captures,
 )
 from wlr_render.diagnosis.scatter import (
+    LOG10_ODDS,
+    Known,
     Marginal,
     Scatter,
     ScatterSums,
     best_scatter,
+    folded,
     marginal,
     minus_two_log_evidence,
+    of_columns,
     surprise,
 )
-from wlr_render.diagnosis.station_fields import StationField
-from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.diagnosis.station_fields import ELSEWHERE, StationField
+from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
@@ -41,12 +44,8 @@ _MOST_EFFECTS = 3  # that are located in one session
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
-_NEARLY_ALL = 0.9  # of the evidence for a field, from which a cause of its station keeps its name beside it
+_NEARLY_ALL = 0.9  # of the evidence for cause and field, from which a cause stands by itself
 _LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
-
-
-_Known = tuple[IntArray, FloatArray, FloatArray]
-"""Columns that are integrated out, with the means and sigmas of their coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +67,12 @@ class LocatedEffect:
     log10_odds: float
     next_station: str = ""
     odds_against_next: float = float("inf")
+
+    def over(self, fields: Sequence[StationField]) -> "LocatedEffect":
+        """Return the same effect on other readings, of which these are the fields."""
+        kind = (self.field.station, self.field.coordinates, self.field.form)
+        same = next(each for each in fields if (each.station, each.coordinates, each.form) == kind)
+        return replace(self, field=same)
 
     @property
     def columns(self) -> FloatArray:
@@ -96,25 +101,39 @@ class FieldContest:
         readings: the readings.
         found: the fit to them.
         fields: that compete.
+        fixed: sums over the columns of the fields, after any others.
     """
 
     readings: WeighedReadings
     found: Fit
     fields: Sequence[StationField]
+    fixed: FixedColumns
+
+    @classmethod
+    def of(cls, readings: WeighedReadings, found: Fit, fields: Sequence[StationField]) -> "FieldContest":
+        """Of fields whose sums are not known yet."""
+        columns = [np.zeros((len(readings.observations), 2, 0)), *(field.columns for field in fields)]
+        return cls(readings, found, fields, readings.fixed(np.concatenate(columns, axis=2)))
 
     @cached_property
-    def _sums(self) -> ScatterSums:
-        columns = np.concatenate([self.found.at.jacobian, *(field.columns for field in self.fields)], axis=2)
-        return self.readings.sums(self.found.at.residual, columns)
+    def sums(self) -> ScatterSums:
+        """Over all fixed columns, then those of the fit."""
+        return self.readings.sums(self.found.at.residual, self.found.at.jacobian, self.fixed)
 
     @cached_property
     def _first(self) -> IntArray:
         """Column at which each field begins."""
-        return np.cumsum([self._causes, *(field.order.size for field in self.fields)])[: len(self.fields)]
+        sizes = [field.order.size for field in self.fields]
+        return np.asarray(self.fixed.count - sum(sizes) + np.cumsum([0, *sizes])[: len(sizes)])
 
-    @property
-    def _causes(self) -> int:
-        return int(self.found.at.free.size)
+    @cached_property
+    def _causes(self) -> IntArray:
+        """Columns of the causes of the fit."""
+        return np.asarray(self.fixed.count + np.arange(self.found.at.free.size))
+
+    @cached_property
+    def _all_causes(self) -> BoolArray:
+        return np.ones(self._causes.size, dtype=bool)
 
     @cached_property
     def _mean(self) -> FloatArray:
@@ -132,14 +151,14 @@ class FieldContest:
             Scatter(noise, less * scatter.shift_um, less * scatter.turn_urad, scatter.moved)
             for less, noise in product(_LESS_MOTION, noises)
         ]
-        return [(each, marginal(self._sums, each), surprise(each, self._sums)) for each in tried]
+        return [(each, marginal(self.sums, each), surprise(each, self.sums)) for each in tried]
 
     def _columns(self, number: int, degree: int) -> IntArray:
         return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].order <= degree))
 
-    def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> _Known:
+    def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> Known:
         """Columns, means and prior sigmas of some of the causes' values and of effects."""
-        columns, mean, sigma = [np.flatnonzero(causes)], [self._mean[causes]], [np.ones(int(causes.sum()))]
+        columns, mean, sigma = [self._causes[causes]], [self._mean[causes]], [np.ones(int(causes.sum()))]
         for effect in effects:
             columns.append(self._columns(self.fields.index(effect.field), effect.degree))
             mean.append(np.zeros(columns[-1].size))
@@ -165,6 +184,23 @@ class FieldContest:
             effects.append(best)
         return effects
 
+    def gain_of_best(self, shapes: Sequence[IntArray], most: int) -> float:
+        """Return by how much -2 log evidence falls by the best shapes together, taken one after the other.
+
+        Args:
+            shapes: fixed columns of each, in prior sigmas.
+            most: how many are taken.
+        """
+        known, left = self._known((), self._all_causes), list(shapes)
+        least = start = self._least(known)
+        for _ in range(most):
+            tried = [self._least(_with_columns(known, each)) for each in left]
+            if not tried or min(tried) >= least:
+                break
+            least, best = min(tried), int(np.argmin(tried))
+            known = _with_columns(known, left.pop(best))
+        return start - least
+
     def _best(self, beside: Sequence[LocatedEffect]) -> LocatedEffect | None:
         """The field of best evidence beside the causes and others; None where there is none."""
         ranked = self._ranked_beside(beside) if beside else self.ranked
@@ -186,7 +222,7 @@ class FieldContest:
 
     def _ranked_beside(self, beside: Sequence[LocatedEffect]) -> list[LocatedEffect]:
         """Every field beside the causes and some effects, best first; all that are tried are charged alike."""
-        known = self._known(beside, np.ones(self._causes, dtype=bool))
+        known = self._known(beside, self._all_causes)
         taken = {id(each.field) for each in beside}
         tried = [
             (number, degree)
@@ -217,14 +253,18 @@ class FieldContest:
             station: its station.
             beside: effects located beside it.
         """
-        others = {field.station for field in self.fields} - {station}
+        located = {each.field.station for each in beside} - {station}
+        others = {field.station for field in self.fields} - located - {station}
         odds = [self._odds_at_its_station(number, station, beside)]
-        return min([*odds, *(self._odds_beside(number, other, beside) for other in others)])
+        odds += [self._odds_beside(number, other, beside) for other in located]
+        odds += [self._odds_against(number, other, beside) for other in others]
+        return min(odds)
 
     def _odds_at_its_station(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Log10 odds for a cause, alone or beside a field, against the fields of its own station.
 
-        The fields have the cause's span as well: otherwise they could not imitate it, and its name would always win.
+        Where the cause leaves something to a field beside it, the fields have the cause's span as well: otherwise they
+        could not imitate it, and its name would always win. A cause that does nearly all by itself is no such match.
         """
         named, rest, span, at_none = self._with_and_without(number, station, beside)
         tried = self._tried_at(station)
@@ -232,17 +272,18 @@ class FieldContest:
             return float("inf")
         charge = 2.0 * float(np.log(len(tried)))
         alone, nothing = self._least(named), self._least(rest, span, at_none)
-        beside_field = field = field_alone = np.inf
-        for columns in tried:
-            added = span[self._beyond(columns, span) > _OWN_SHAPE]
-            beside_field = min(beside_field, self._least_of(columns, named)[0] + charge)
-            field = min(field, self._least_of(columns, rest, span, at_none, added)[0] + charge)
-            field_alone = min(field_alone, self._least_of(columns, rest, span, at_none)[0] + charge)
-        # Beside a field of its own station a cause keeps its name only if it is the better of the two, or does nearly
-        # all that the field does: else it is a part of that field which happens to look like it.
-        by_cause, by_field = nothing - alone, nothing - field_alone
-        with_name = min(alone, beside_field) if by_cause > min(by_field, _NEARLY_ALL * by_field) else alone
-        return float(LOG10_ODDS * (min(nothing, field) - with_name))
+        both = min(self._least_of(columns, named)[0] for columns in tried) + charge
+        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried) + charge
+        if nothing - alone > _NEARLY_ALL * (nothing - min(alone, both)):
+            return float(LOG10_ODDS * (min(nothing, field) - min(alone, both)))
+        spanned = min(
+            self._least_of(columns, rest, span, at_none, span[self._beyond(columns, span) > _OWN_SHAPE])[0]
+            for columns in tried
+        )
+        # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
+        # part of that field which happens to look like it.
+        with_name = min(alone, both) if alone < field else alone
+        return float(LOG10_ODDS * (min(nothing, spanned + charge) - with_name))
 
     def _odds_beside(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Log10 odds for a cause against none where a field of another station may explain the same."""
@@ -252,24 +293,38 @@ class FieldContest:
         without = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
         return float(LOG10_ODDS * (without - with_name))
 
-    def _tried_at(self, station: str) -> list[IntArray]:
-        """Columns of all fields of a station, by degree."""
-        return [
-            self._columns(number, degree)
+    def _odds_against(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause against the fields of another station in its place.
+
+        What is constant there is that of a station which moves as a whole: it rivals no name.
+        """
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station, constants=station not in ELSEWHERE)
+        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
+        return float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - self._least(named)))
+
+    def _tried_at(self, station: str, constants: bool = True) -> list[IntArray]:
+        """Columns of all fields of a station, by degree; without its constants, if it has others."""
+        tried = [
+            (number, self._columns(number, degree))
             for number, field in enumerate(self.fields)
             for degree in field.degrees
             if field.station == station
         ]
+        if constants:
+            return [columns for _, columns in tried]
+        varying = [columns[self.fields[n].order[columns - self._first[n]] > 0] for n, columns in tried]
+        return [columns for columns in varying if columns.size]
 
     def _with_and_without(
         self, number: int, station: str, beside: Sequence[LocatedEffect]
-    ) -> tuple[_Known, _Known, IntArray, FloatArray]:
+    ) -> tuple[Known, Known, IntArray, FloatArray]:
         """What is known with a cause and without it, but for effects of a station; its columns, and values of none."""
         mine = self.found.owner == number
         elsewhere = [each for each in beside if each.field.station != station]
-        named = self._known(elsewhere, np.ones(self._causes, dtype=bool))
+        named = self._known(elsewhere, self._all_causes)
         # The cause's own values count from none.
-        return named, self._known(elsewhere, ~mine), np.flatnonzero(mine), -self.found.effects[mine]
+        return named, self._known(elsewhere, ~mine), self._causes[mine], -self.found.effects[mine]
 
     def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
         """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
@@ -282,20 +337,20 @@ class FieldContest:
 
     def _least(
         self,
-        known: _Known,
+        known: Known,
         removed: IntArray | None = None,
         by: FloatArray | None = None,
     ) -> float:
         """-2 log evidence of what is known alone; `removed` columns are put to values `by` that do nothing."""
         return min(
-            minus_two_log_evidence(_of(_moved(sums, removed, by), known[0]), known[1], known[2]) + cost
+            minus_two_log_evidence(of_columns(_moved(sums, removed, by), known[0]), known[1], known[2]) + cost
             for _, sums, cost in self._scatters
         )
 
     def _least_of(
         self,
         columns: IntArray,
-        known: _Known,
+        known: Known,
         span: IntArray | None = None,
         by: FloatArray | None = None,
         added: IntArray | None = None,
@@ -309,27 +364,29 @@ class FieldContest:
         best = (np.inf, 0.0)
         for _, sums, cost in self._scatters:
             moved = _moved(sums, span, by)
-            folded = _folded(moved, known, np.r_[columns, added])
-            scale = np.ones(len(folded.gradient))
-            scale[len(columns) :] = 1.0 / np.sqrt(np.mean(self.found.at.jacobian[:, :, added] ** 2, axis=(0, 1)))
-            values, axes = np.linalg.eigh(scale[:, None] * folded.information * scale)
-            pull, values = axes.T @ (scale * folded.gradient), values.clip(0.0)
+            alone = folded(moved, known, np.r_[columns, added])
+            scale = np.ones(len(alone.gradient))
+            scale[len(columns) :] = 1.0 / np.sqrt(
+                np.mean(self.found.at.jacobian[:, :, added - self.fixed.count] ** 2, axis=(0, 1))
+            )
+            values, axes = np.linalg.eigh(scale[:, None] * alone.information * scale)
+            pull, values = axes.T @ (scale * alone.gradient), values.clip(0.0)
             square = _SIZES[:, None] ** 2
             # All sizes are equally likely beforehand.
             costs = np.sum(np.log1p(square * values) - pull**2 * square / (1.0 + square * values), axis=1)
             least = -2.0 * float(np.logaddexp.reduce(-0.5 * costs) - np.log(len(_SIZES)))
-            best = min(best, (folded.minus_two_log + cost + least, float(_SIZES[int(np.argmin(costs))])))
+            best = min(best, (alone.minus_two_log + cost + least, float(_SIZES[int(np.argmin(costs))])))
         return best
 
     def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
         """Return the sizes of what is random with the causes and effects at work."""
-        columns, mean, sigma = self._known(effects, np.ones(self._causes, dtype=bool))
-        return best_scatter(self._sums.of_columns(columns), self.found.scatter, mean, sigma)[0]
+        columns, mean, sigma = self._known(effects, self._all_causes)
+        return best_scatter(self.sums.of_columns(columns), self.found.scatter, mean, sigma)[0]
 
     def values(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> list[FloatArray]:
         """Return the most probable coefficients (c,) of effects that act together, the causes being as fitted."""
-        columns, mean, sigma = self._known(effects, np.zeros(self._causes, dtype=bool))
-        sums = marginal(self._sums.of_columns(columns), scatter)
+        columns, mean, sigma = self._known(effects, ~self._all_causes)
+        sums = marginal(self.sums.of_columns(columns), scatter)
         values = np.linalg.solve(sums.information + np.diag(sigma**-2.0), sums.gradient + mean / sigma**2)
         ends = np.cumsum([effect.columns.shape[2] for effect in effects])
         return np.split(values, ends[:-1])
@@ -359,8 +416,10 @@ class FieldContest:
         return held_out_improvement(*squares), share
 
 
-def _of(sums: Marginal, columns: IntArray) -> Marginal:
-    return Marginal(sums.minus_two_log, sums.information[np.ix_(columns, columns)], sums.gradient[columns])
+def _with_columns(known: Known, columns: IntArray) -> Known:
+    """With columns in prior sigmas, of which nothing is expected."""
+    count = len(columns)
+    return np.concatenate([known[0], columns]), np.r_[known[1], np.zeros(count)], np.r_[known[2], np.ones(count)]
 
 
 def _moved(sums: Marginal, columns: IntArray | None, by: FloatArray | None) -> Marginal:
@@ -370,20 +429,3 @@ def _moved(sums: Marginal, columns: IntArray | None, by: FloatArray | None) -> M
     across = sums.information[:, columns] @ by
     value = sums.minus_two_log - 2.0 * float(by @ sums.gradient[columns]) + float(by @ across[columns])
     return Marginal(value, sums.information, sums.gradient - across)
-
-
-def _folded(sums: Marginal, known: _Known, columns: IntArray) -> Marginal:
-    """What the readings say of some columns where known ones, of means and prior sigmas, are integrated out."""
-    beside, mean, sigma = known
-    own = _of(sums, columns)
-    if not beside.size:
-        return own
-    base = _of(sums, beside)
-    normal = base.information + np.diag(sigma**-2.0)
-    across = sums.information[np.ix_(columns, beside)]
-    solved = np.linalg.solve(normal, np.column_stack([base.gradient + mean / sigma**2, across.T]))
-    return Marginal(
-        minus_two_log_evidence(base, mean, sigma),
-        own.information - across @ solved[:, 1:],
-        own.gradient - across @ solved[:, 0],
-    )

@@ -57,6 +57,7 @@ from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
 
 _BEYOND_DOUBT = 20.0  # log10 odds of a field from which the readings have structure, whatever it is
+_ROUNDS = 2  # times that causes are searched for beside located effects
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 
 
@@ -91,15 +92,15 @@ def diagnose(
     progress("predicting the session with the nominal bench")
     stated = Predictor.of_session(nominal, session)
     prepared = _prepared(stated, causes, settings, progress)
-    search, selection = prepared.search, prepared.selection
-    readings = search.full
-    found, rankings = _compared(search, selection.fit, selection.first)
+    selection = prepared.selection
+    found, rankings = _compared(prepared.search, selection.fit, selection.first)
     progress("looking for effects that no cause has")
-    located = _located(search, found)
-    if located.dropped:
-        found, rankings = located.found, _rankings(search, located.found, selection.first)
+    located = _located(prepared.search, found)
+    search, readings = located.search, located.search.full
+    if located.found is not found:
+        found, rankings = located.found, _rankings(search, located.found)
     fine = located.fine_beside(prepared.fine)
-    left = _unexplained(search, located, prepared, fine, settings)
+    left = _unexplained(located, prepared, fine, settings)
     effects = located.records(fine)
     structure = located.structure(effects)
     named = tuple(found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
@@ -167,6 +168,7 @@ class _Prepared:
 def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress) -> _Prepared:
     """Measure the noise and select causes; again, where the residual by these causes shows another noise."""
     first = _with_noise_left_by(Explanation(), as_stated, causes, settings, progress)
+    progress("measuring the noise again")
     if not first.selection.fit.explanation.hypotheses:
         return first
     explanation = first.selection.fit.explanation
@@ -193,8 +195,9 @@ def _with_noise_left_by(
         variance[number] = float(0.5 * np.sum(change[part == number] ** 2) / np.sum(observations.part == number))
     full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
     subsample = full.of_rows(full.observations.spread(settings.subsample))
-    search = Search(full, subsample, hypotheses(causes), progress, settings)
-    return _Prepared(noise, fine, variance, search, search.select())
+    progress("what each cause and each field would do")
+    search = Search(full, subsample, hypotheses(causes), progress, settings, station_fields(subsample))
+    return _Prepared(noise, fine, variance, search, search.select(explanation))
 
 
 def _noise_left_by(
@@ -231,9 +234,9 @@ def _compared(search: Search, found: Fit, first: CandidateRanking) -> tuple[Fit,
     return found, _rankings(search, found, first)
 
 
-def _rankings(search: Search, found: Fit, first: CandidateRanking) -> list[CandidateRanking]:
-    """For each cause, the candidates for its place, the others being as they are."""
-    if len(found.explanation.hypotheses) == 1:
+def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None) -> list[CandidateRanking]:
+    """For each cause, the candidates for its place, the others being as they are; `first` where it is alone."""
+    if len(found.explanation.hypotheses) == 1 and first is not None:
         return [first]
     rests = [found.explanation.without(number) for number in range(len(found.explanation.hypotheses))]
     return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
@@ -244,14 +247,16 @@ class _Located:
     """Causes that stand against the fields of their stations, and the effects located beside them.
 
     Attributes:
+        search: with the effects at work.
         found: the fit of the causes to all readings.
-        contest: on a subsample.
+        contest: of the fields beside these causes, on a subsample.
         effects: smooth ones.
         scatter: sizes of what is random with causes and effects at work.
         tried: all fields that were judged.
         dropped: a sentence on each cause that does not stand.
     """
 
+    search: Search
     found: Fit
     contest: FieldContest | None = None
     effects: tuple[LocatedEffect, ...] = ()
@@ -290,29 +295,37 @@ class _Located:
 
 
 def _located(search: Search, found: Fit) -> _Located:
-    """Locate effects beside the causes; drop causes that the fields of their own station rival, one at a time."""
-    readings, least = search.subsample, search.settings.least_log10_odds
-    fields, dropped = station_fields(readings), list[str]()
+    """Locate effects beside the causes, and causes beside these effects, until there are no others."""
+    located = _standing(search, found)
+    for _ in range(_ROUNDS):
+        if not located.effects:
+            break
+        more = located.search.select(located.found.explanation).fit
+        if more.explanation.names == located.found.explanation.names:
+            break
+        again = _standing(search, more)
+        again = replace(again, dropped=(*located.dropped, *again.dropped))
+        if again.found.explanation.names == located.found.explanation.names:
+            break
+        located = again
+    return located
+
+
+def _standing(search: Search, found: Fit) -> _Located:
+    """Locate effects beside the causes; drop causes that fields rival, one at a time."""
+    readings, least, dropped = search.subsample, search.settings.least_log10_odds, list[str]()
     while True:
         thinned = fit(readings, found.explanation, found.scatter, 0)
         if thinned is None:
-            return _Located(found, dropped=tuple(dropped))
-        contest = FieldContest(readings, thinned, fields)
+            return _Located(search, found, dropped=tuple(dropped))
+        contest = search.contest(thinned)
         effects = contest.located(least)
         odds = [
             contest.odds_of_cause(number, hypothesis.cause.station, effects)
             for number, hypothesis in enumerate(found.explanation.hypotheses)
         ]
         if not odds or min(odds) > least:
-            tried = [(each.field, each.degree, each.log10_odds) for each in contest.ranked]
-            return _Located(
-                found,
-                contest,
-                tuple(effects),
-                contest.scatter_beside(effects),
-                tuple(TriedField(f.station, f.coordinates, f.form, degree, own) for f, degree, own in tried),
-                tuple(dropped),
-            )
+            break
         weakest = int(np.argmin(odds))
         cause = found.explanation.hypotheses[weakest].cause
         dropped.append(
@@ -320,14 +333,30 @@ def _located(search: Search, found: Fit) -> _Located:
             f"much: log10 odds for the name are {odds[weakest]:.1f}, and it is not named"
         )
         found = search.refitted(found.explanation.without(weakest), found.scatter)
+    if effects:
+        search = search.with_effects(effects)
+        found = search.refitted(found.explanation, contest.scatter_beside(effects))
+    tried = [
+        TriedField(each.field.station, each.field.coordinates, each.field.form, each.degree, each.log10_odds)
+        for each in contest.ranked
+    ]
+    return _Located(
+        search,
+        found,
+        contest,
+        tuple(effects),
+        contest.scatter_beside(effects),
+        tuple(tried),
+        tuple(dropped),
+    )
 
 
 def _unexplained(
-    search: Search, located: _Located, prepared: _Prepared, fine: FineEffect | None, settings: Settings
+    located: _Located, prepared: _Prepared, fine: FineEffect | None, settings: Settings
 ) -> list[Unexplained]:
     """The parts whose residual is more than noise and repeatability with causes, effects and a fine effect at work."""
     left: list[Unexplained] = []
-    observations, raw = search.full.observations, located.found.at.residual
+    observations, raw = located.search.full.observations, located.found.at.residual
     scatter = located.scatter or located.found.scatter
     for part in np.unique(observations.part):
         error = _variance_error(observations, int(part), prepared.noise.floor(part), settings)

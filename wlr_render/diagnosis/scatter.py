@@ -10,7 +10,7 @@ Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415; Pin
 in S and S-PLUS" (2000), chapter 2.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -18,6 +18,8 @@ from scipy.optimize import minimize
 from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 
+LOG10_ODDS = 0.5 / np.log(10.0)
+"""Log10 odds for each unit of -2 log evidence."""
 USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
 UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
@@ -90,6 +92,8 @@ class ScatterSums:
         part_of: (g,) of each capture. used: (g,) whether it has readings. count: (parts,) values.
         square: (parts,) of y. ee: (g, 6, 6), ey: (g, 6), ex: (g, 6, m) of motions E, y and columns J.
         xx: (parts, m, m), xy: (parts, m).
+        carried: (k,) prior sigmas of the coefficients of the last k columns, of located effects: they are integrated
+            out like the motions.
     """
 
     part_of: IntArray
@@ -101,10 +105,18 @@ class ScatterSums:
     ex: FloatArray
     xx: FloatArray
     xy: FloatArray
+    carried: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def over(
-        cls, y: FloatArray, motions: FloatArray, columns: FloatArray, group: IntArray, part: IntArray, captures: int
+        cls,
+        y: FloatArray,
+        motions: FloatArray,
+        columns: FloatArray,
+        group: IntArray,
+        part: IntArray,
+        captures: int,
+        carried: FloatArray | None = None,
     ) -> "ScatterSums":
         """Over white readings.
 
@@ -114,6 +126,7 @@ class ScatterSums:
             columns: (n, 2, m).
             group, part: (n,) of each reading.
             captures: number of groups.
+            carried: as in the class; none if not given.
         """
         m = columns.shape[-1]
         part_of, used = np.zeros(captures, dtype=np.int64), np.zeros(captures, dtype=bool)
@@ -128,11 +141,35 @@ class ScatterSums:
             square[at] += float(mine @ mine)
             xx[at] += x.T @ x
             xy[at] += x.T @ mine
-        return cls(part_of, used, count, square, ee, ey, ex, xx, xy)
+        return cls(part_of, used, count, square, ee, ey, ex, xx, xy, np.zeros(0) if carried is None else carried)
 
     def of_columns(self, which: IntArray) -> "ScatterSums":
-        """Sums for some of the columns."""
+        """Sums for some of the columns, and those that are carried."""
+        last = self.xy.shape[1] - len(self.carried)
+        which = np.concatenate([which, np.arange(last, self.xy.shape[1])])
         return replace(self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which])
+
+    def joined(
+        self, more: "ScatterSums", white: FloatArray, y: FloatArray, columns: FloatArray, part: IntArray
+    ) -> "ScatterSums":
+        """Sums for these columns and then those of other sums, whose residual counts.
+
+        Args:
+            more: the other sums, over the same readings.
+            white: (n, 2, m) columns of these sums.
+            y, columns: (n, 2) and (n, 2, q) of the other sums.
+            part: (n,) of each reading.
+        """
+        m, q = white.shape[2], columns.shape[2]
+        xx, xy = np.zeros((_PARTS, m + q, m + q)), np.zeros((_PARTS, m + q))
+        xx[:, :m, :m], xx[:, m:, m:], xy[:, m:] = self.xx, more.xx, more.xy
+        for each in np.unique(part):
+            rows = np.flatnonzero(part == each)
+            flat, x = white[rows].reshape(2 * len(rows), m), columns[rows].reshape(2 * len(rows), q)
+            xx[each, :m, m:] = flat.T @ x
+            xx[each, m:, :m] = xx[each, :m, m:].T
+            xy[each, :m] = flat.T @ y[rows].ravel()
+        return replace(more, ex=np.concatenate([self.ex, more.ex], axis=2), xx=xx, xy=xy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +187,15 @@ class Marginal:
 
 
 def marginal(sums: ScatterSums, scatter: Scatter) -> Marginal:
-    """Integrate the motions out."""
+    """Integrate the motions out, and the effects that are carried."""
+    every, count = _without_motions(sums, scatter), len(sums.carried)
+    causes = np.arange(len(every.gradient) - count)
+    carried = np.arange(count) + len(causes)
+    return folded(every, (carried, np.zeros(count), sums.carried), causes)
+
+
+def _without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
+    """Integrate the motions out, for all columns."""
     variance = scatter.noise**2
     per = 1.0 / variance[sums.part_of]
     sizes = scatter.sizes(sums.part_of)
@@ -169,6 +214,32 @@ def marginal(sums: ScatterSums, scatter: Scatter) -> Marginal:
     information = np.einsum("pij,p->ij", sums.xx, 1.0 / variance) - weighted.reshape(flat.shape).T @ flat
     gradient = np.einsum("pi,p->i", sums.xy, 1.0 / variance) - weighted.reshape(flat.shape).T @ half_y.ravel()
     return Marginal(total, information, gradient)
+
+
+Known = tuple[IntArray, FloatArray, FloatArray]
+"""Columns that are integrated out, with the means and sigmas of their coefficients."""
+
+
+def of_columns(sums: Marginal, columns: IntArray) -> Marginal:
+    """Return the part that some of the columns have in it."""
+    return Marginal(sums.minus_two_log, sums.information[np.ix_(columns, columns)], sums.gradient[columns])
+
+
+def folded(sums: Marginal, known: Known, columns: IntArray) -> Marginal:
+    """Return what the readings say of some columns where known ones are integrated out."""
+    beside, mean, sigma = known
+    some = of_columns(sums, columns)
+    if not beside.size:
+        return some
+    base = of_columns(sums, beside)
+    normal = base.information + np.diag(sigma**-2.0)
+    across = sums.information[np.ix_(columns, beside)]
+    solved = np.linalg.solve(normal, np.column_stack([base.gradient + mean / sigma**2, across.T]))
+    return Marginal(
+        minus_two_log_evidence(base, mean, sigma),
+        some.information - across @ solved[:, 1:],
+        some.gradient - across @ solved[:, 0],
+    )
 
 
 def minus_two_log_evidence(found: Marginal, mean: FloatArray, sigma: FloatArray | float = 1.0) -> float:
@@ -321,9 +392,7 @@ def one_at_rest(scatter: Scatter, number: int) -> Scatter:
 
 def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
     """Twice the log likelihood that a wide motion of its own gains each capture (g,)."""
-    found = marginal(sums, scatter)
-    values = np.linalg.solve(found.information + np.eye(len(mean)), found.gradient + mean) if len(mean) else mean
-    pull = sums.ey - sums.ex @ values
+    pull = _pull(sums, scatter, mean)
     noise = scatter.noise[sums.part_of][:, None]
     # Several captures that moved raise the size that is found for all, behind which they would hide.
     shift, turn = (
@@ -343,8 +412,20 @@ def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArr
     return likelihood(wide) - likelihood(usual)
 
 
+def _pull(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+    """Sums (g, 6) of motions and readings, less the most probable effect of all columns."""
+    every = _without_motions(sums, scatter)
+    precision = np.concatenate([np.ones(len(mean)), sums.carried**-2.0])
+    means = np.concatenate([mean, np.zeros(len(sums.carried))])
+    if not len(means):
+        return sums.ey
+    values = np.linalg.solve(every.information + np.diag(precision), every.gradient + precision * means)
+    return np.asarray(sums.ey - sums.ex @ values)
+
+
 def motions_of(sums: ScatterSums, scatter: Scatter) -> FloatArray:
     """Most probable motion of each capture (g, 6), micrometres and microradians, the causes' values being fitted."""
     sizes = scatter.sizes(sums.part_of)
     normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
-    return np.asarray(sizes * np.linalg.solve(normal, (sizes * sums.ey)[:, :, None])[:, :, 0])
+    pull = _pull(sums.of_columns(np.zeros(0, dtype=np.int64)), scatter, np.zeros(0))
+    return np.asarray(sizes * np.linalg.solve(normal, (sizes * pull)[:, :, None])[:, :, 0])

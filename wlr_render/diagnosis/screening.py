@@ -1,7 +1,8 @@
 """Screening of hypotheses: what each would gain on top of a fit, to first order, from the best of its starts."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,12 +11,13 @@ from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.fit import Fit, choices, fit, off_prior, times_between_captures
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
 from wlr_render.diagnosis.scatter import Scatter, ScatterSums, best_scatter, cost, one_by_one
-from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
+from wlr_render.numerics.arrays import FloatArray, IntArray
 
 HOPELESS = -2.0
 """Gain with the sizes of what is random as they are, below which other sizes do not help."""
 _TIMES = 6  # tried at once
+_CLOSELY = 12  # hypotheses of largest gain that find their own sizes of what is random
 _ROUGHLY = 0.5  # chi-squared that a step must gain where fits are compared
 
 
@@ -29,6 +31,8 @@ class ScreenedHypothesis:
         gain: by how much -2 log evidence would fall.
         parameters: how many numbers that takes.
         scatter: sizes of what is random with it.
+        sums, mean: sums over the columns of the fit and then its own, and what is expected of their coefficients.
+        columns: its own among the columns of the signatures; None where it has none there.
     """
 
     hypothesis: Hypothesis
@@ -36,6 +40,9 @@ class ScreenedHypothesis:
     gain: float
     parameters: int
     scatter: Scatter
+    sums: ScatterSums
+    mean: FloatArray
+    columns: IntArray | None = None
 
 
 def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
@@ -43,40 +50,151 @@ def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
     return [Hypothesis(cause, variant) for cause in causes.values() for variant in cause.variants]
 
 
-def screen(readings: WeighedReadings, current: Fit, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
-    """The gain of a hypothesis over a fit to the same readings; None where it changes nothing."""
-    predictor, mean = readings.predictor, -off_prior(current.explanation)[current.at.free]
-    base = cost(readings.sums(current.at.residual, current.at.jacobian), current.scatter, mean)
-    # What a cause does to a few captures, those that seem to have moved do, too; and then say nothing of its moment.
-    roles, at_rest = [parameter.role for parameter in hypothesis.cause.parameters], current.scatter.at_rest()
-    scatters = [at_rest] if Role.TIME in roles or not current.scatter.moved.any() else [current.scatter, at_rest]
+@dataclass(frozen=True, eq=False)
+class Signatures:
+    """What hypotheses do to readings, to first order about the nominal bench, from each of their starts.
 
-    def joined(start: FloatArray) -> tuple[int, ScatterSums, FloatArray]:
-        explanation = current.explanation.plus(hypothesis, start)
-        added = predictor.added(current.at.state, explanation)
-        columns = np.concatenate([current.at.jacobian, added.jacobian], axis=-1)
-        mean = -off_prior(explanation)[np.concatenate([current.at.free, added.free])]
-        return added.free.size, readings.sums(current.at.residual, columns), mean
+    Screening is to first order; there an effect looks the same beside others.
 
-    def of(start: FloatArray) -> ScreenedHypothesis:
-        added, sums, mean = joined(start)
+    Attributes:
+        readings: the readings.
+        fixed: sums over all columns: those of the hypotheses, then those of fields.
+        of_hypothesis: starts of each hypothesis, with the columns of its free parameters there.
+    """
+
+    readings: WeighedReadings
+    fixed: FixedColumns
+    of_hypothesis: dict[tuple[str, str], list[tuple[FloatArray, IntArray, IntArray]]]
+
+    @classmethod
+    def of(
+        cls,
+        readings: WeighedReadings,
+        hypotheses: Sequence[Hypothesis],
+        fields: Sequence[FloatArray] = (),
+        progress: Callable[[str], None] = lambda _: None,
+    ) -> "Signatures":
+        """Simulate what each hypothesis does.
+
+        Args:
+            readings: the readings.
+            hypotheses: to be screened.
+            fields: (n, 2, c) columns of fields.
+            progress: called with a sentence at each hypothesis.
+        """
+        predictor, plan = readings.predictor, readings.observations.session.plan
+        nothing, columns, first = predictor.state(Explanation()), [np.zeros((len(readings.observations), 2, 0))], 0
+        of_hypothesis = {}
+        for number, hypothesis in enumerate(hypotheses):
+            progress(f"signature of {hypothesis.cause.name} ({number + 1}/{len(hypotheses)})")
+            starts = []
+            for start in _starts(hypothesis.cause, plan):
+                at = predictor.added(nothing, Explanation().plus(hypothesis, start))
+                columns.append(at.jacobian)
+                starts.append((start, at.free, first + np.arange(at.free.size)))
+                first += at.free.size
+            of_hypothesis[hypothesis.cause.name, hypothesis.variant] = starts
+        return cls(readings, readings.fixed(np.concatenate([*columns, *fields], axis=2)), of_hypothesis)
+
+
+def screen(
+    signatures: Signatures, current: Fit, hypotheses: Sequence[Hypothesis], sums: ScatterSums | None = None
+) -> list[ScreenedHypothesis]:
+    """Return the gain of each hypothesis over a fit, from its best start; largest first, without those that do nothing.
+
+    Args:
+        signatures: of the hypotheses, on the readings of the fit.
+        current: the fit.
+        hypotheses: to be screened.
+        sums: over the signatures' columns and then those of the fit, if they are known.
+    """
+    if sums is None:
+        sums = signatures.readings.sums(current.at.residual, current.at.jacobian, signatures.fixed)
+    screening = _Screening(signatures, current, sums)
+    found = [screened for each in hypotheses if (screened := screening.of(each)) is not None]
+    found.sort(key=lambda each: -each.gain)
+    return sorted(
+        [*(screening.with_own_scatter(each) for each in found[:_CLOSELY]), *found[_CLOSELY:]],
+        key=lambda each: -each.gain,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Screening:
+    """What is the same for all hypotheses that are screened on top of a fit."""
+
+    signatures: Signatures
+    current: Fit
+    sums: ScatterSums
+
+    def of(self, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
+        """The gain of a hypothesis with the sizes of what is random as they are, or with no capture that moved."""
+        starts = self.signatures.of_hypothesis[hypothesis.cause.name, hypothesis.variant]
+        best = max((self._at(hypothesis, *each) for each in starts), key=lambda each: each.gain, default=None)
+        if best is None or best.parameters == 0:
+            return None
+        roles = [parameter.role for parameter in hypothesis.cause.parameters]
+        if Role.TIME in roles:
+            plan = self.signatures.readings.observations.session.plan
+            return _with_better_time(
+                lambda start: self._simulated(hypothesis, start),
+                best,
+                roles.index(Role.TIME),
+                times_between_captures(plan),
+            )
+        return best
+
+    def with_own_scatter(self, screened: ScreenedHypothesis) -> ScreenedHypothesis:
+        """With the sizes of what is random that are best for the hypothesis."""
+        hypothesis, moved = screened.hypothesis, self.current.scatter.moved
+        is_timed = any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters)
+        if screened.gain < HOPELESS and not (is_timed and moved.any()):
+            return screened
+        scatter, least = best_scatter(screened.sums, screened.scatter, screened.mean)
+        scatter, least = one_by_one(screened.sums, scatter, least, np.flatnonzero(moved), screened.mean)
+        least += 2.0 * float(np.log(choices(Explanation().plus(hypothesis), self.signatures.readings.observations)))
+        return replace(screened, gain=self._base - least, scatter=scatter)
+
+    @cached_property
+    def _causes(self) -> IntArray:
+        return np.asarray(self.signatures.fixed.count + np.arange(self.current.at.free.size))
+
+    @cached_property
+    def _base(self) -> float:
+        mean = -off_prior(self.current.explanation)[self.current.at.free]
+        return cost(self.sums.of_columns(self._causes), self.current.scatter, mean)
+
+    def _at(self, hypothesis: Hypothesis, start: FloatArray, free: IntArray, columns: IntArray) -> ScreenedHypothesis:
+        sums = self.sums.of_columns(np.concatenate([self._causes, columns]))
+        return self._gain(hypothesis, start, free, sums, columns)
+
+    def _simulated(self, hypothesis: Hypothesis, start: FloatArray) -> ScreenedHypothesis:
+        """From a start that has no signature yet."""
+        readings = self.signatures.readings
+        nothing = Explanation()
+        at = readings.predictor.added(readings.predictor.state(nothing), nothing.plus(hypothesis, start))
+        columns = np.concatenate([self.current.at.jacobian, at.jacobian], axis=-1)
+        return self._gain(hypothesis, start, at.free, readings.sums(self.current.at.residual, columns))
+
+    def _gain(
+        self,
+        hypothesis: Hypothesis,
+        start: FloatArray,
+        free: IntArray,
+        sums: ScatterSums,
+        columns: IntArray | None = None,
+    ) -> ScreenedHypothesis:
+        explanation = self.current.explanation.plus(hypothesis, start)
+        place = len(self.current.explanation.vector()) + free
+        mean = -off_prior(explanation)[np.concatenate([self.current.at.free, place])]
+        # What a cause does to a few captures, those that seem to have moved do, too; then they hide its moment.
+        is_timed = any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters)
+        at_rest, scatter = self.current.scatter.at_rest(), self.current.scatter
+        scatters = [at_rest] if is_timed or not scatter.moved.any() else [scatter, at_rest]
         costs = [cost(sums, each, mean) for each in scatters]
         best = int(np.argmin(costs))
-        return ScreenedHypothesis(hypothesis, start, base - costs[best] if added else 0.0, added, scatters[best])
-
-    plan = readings.observations.session.plan
-    best = max((of(start) for start in _starts(hypothesis.cause, plan)), key=lambda each: each.gain, default=None)
-    if best is None or best.parameters == 0:
-        return None
-    if Role.TIME in roles:
-        best = _with_better_time(of, best, roles.index(Role.TIME), times_between_captures(plan))
-    if best.gain < HOPELESS and not (Role.TIME in roles and current.scatter.moved.any()):
-        return best
-    _, sums, mean = joined(best.start)
-    scatter, least = best_scatter(sums, best.scatter, mean)
-    scatter, least = one_by_one(sums, scatter, least, np.flatnonzero(current.scatter.moved), mean)
-    least += 2.0 * float(np.log(choices(Explanation().plus(hypothesis), readings.observations)))
-    return replace(best, gain=base - least, scatter=scatter)
+        gain = self._base - costs[best] if free.size else 0.0
+        return ScreenedHypothesis(hypothesis, start, gain, free.size, scatters[best], sums, mean, columns)
 
 
 def _with_better_time(

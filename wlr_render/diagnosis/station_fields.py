@@ -43,6 +43,7 @@ _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _SCREW_PERIODS_M = tuple(np.geomspace(0.00025, 0.004, 13))  # of the leads of screws and their fractions
 _STEP_M = 1e-5  # of a dot on the target, for the differences
 _SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
+ELSEWHERE = ("stage", "time")  # stations whose constants are those of another: of the camera, or of the panel
 _IDLE = 1e-9  # rms of a column in sigma below which it does nothing
 
 
@@ -102,6 +103,7 @@ class _Terms:
         degrees: that are tried, ascending.
         polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each target pose,
             if there are `copies`.
+        means: (t,) what was taken off each of these polynomials.
     """
 
     coordinates: str
@@ -111,6 +113,12 @@ class _Terms:
     degrees: tuple[int, ...]
     polynomials: tuple[IntArray, Box] | None = None
     copies: int = 1
+    means: FloatArray | None = None
+
+    def varying(self) -> "_Terms":
+        """The functions less their means, but for a constant, of order 0."""
+        means = np.where(self.order > 0, self.values.mean(axis=0), 0.0)
+        return replace(self, values=self.values - means, means=means)
 
     def over(self, mask: BoolArray) -> "_Terms":
         """The functions at some of the readings (n,), zero elsewhere; they are given for these (m,) only."""
@@ -126,10 +134,20 @@ def _smooth(coordinates: str, variables: FloatArray, *degrees: int) -> _Terms:
 
 
 def _as_effects(
-    station: str, displaces: str, orders: IntArray, box: Box, components: int, copies: int, values: FloatArray
+    station: str,
+    displaces: str,
+    orders: IntArray,
+    box: Box,
+    components: int,
+    copies: int,
+    values: FloatArray,
+    means: FloatArray | None = None,
 ) -> tuple[BenchEffect, ...]:
     """Effects of a bench by coefficients of all terms and components; of each target pose, where there are copies."""
-    parts = np.split(values.reshape(-1, components), copies)
+    terms = values.reshape(-1, components)
+    if means is not None:
+        terms = np.concatenate([terms[:1] - means @ terms, terms[1:]])
+    parts = np.split(terms, copies)
     poses = range(copies) if copies > 1 else (-1,)
     return tuple(
         BenchEffect(station, displaces, Polynomial(orders, box, part), pose)
@@ -150,7 +168,9 @@ def _field(station: str, form: str, unit: str, terms: _Terms, lever: FloatArray,
 
     in_bench = None
     if displaces and terms.polynomials is not None:
-        in_bench = partial(_as_effects, station, displaces, *terms.polynomials, lever.shape[2], terms.copies)
+        in_bench = partial(
+            _as_effects, station, displaces, *terms.polynomials, lever.shape[2], terms.copies, means=terms.means
+        )
     order, acts = np.repeat(terms.order, lever.shape[2]), np.any(terms.values != 0.0, axis=1)
     return _scaled(
         StationField(
@@ -259,15 +279,15 @@ def _stage_fields(readings: WeighedReadings) -> Iterator[StationField]:
         "stage",
         "pose of the camera",
         _POSE_UNIT,
-        _smooth("stage readings", 1e3 * stage[still], 1, 2, 3, 4).over(still),
+        _smooth("stage readings", 1e3 * stage[still], 1, 2, 3, 4).varying().over(still),
         motions,
         "pose",
     )
     for axis, name in enumerate("xyz"):
         phases = [2.0 * np.pi * stage[:, axis] / period for period in _SCREW_PERIODS_M]
-        waves = np.stack([wave(phase) * still for phase in phases for wave in (np.sin, np.cos)], axis=1)
-        order = np.zeros(waves.shape[1], dtype=np.int64)
-        terms = _Terms("stage readings", 1e3 * stage[:, [axis]], waves, order, (0,))
+        waves = np.stack([wave(phase[still]) for phase in phases for wave in (np.sin, np.cos)], axis=1)
+        order = np.ones(waves.shape[1], dtype=np.int64)
+        terms = _Terms("stage readings", 1e3 * stage[still][:, [axis]], waves, order, (1,)).varying().over(still)
         yield _field("stage", f"shift along {name}, with periods of screws", "um", terms, motions[:, :, [axis]])
     travel = _of_captures(observations, "travel", 1)
     if len(np.unique(travel[still])) > 1:
@@ -290,9 +310,9 @@ def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
         return
     panel = observations.part == DISPLAY
     if panel.any() and len(np.unique(time[panel])) > 3:
-        terms = _smooth("time", time[panel], 2, 5, 10, 16).over(panel)
+        terms = _smooth("time", time[panel], 2, 5, 10, 16).varying().over(panel)
         yield _field("time", "shift of the panel", "panel px", terms, _panel_lever(observations), "shift")
-    terms = _smooth("time", time[still], 1, 2, 5, 8, 12).over(still)
+    terms = _smooth("time", time[still], 1, 2, 5, 8, 12).varying().over(still)
     yield _field("time", "pose of the camera", _POSE_UNIT, terms, motions, "pose")
 
 
@@ -340,46 +360,77 @@ def _dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
     return np.nan_to_num(np.stack(columns, axis=-1)) / predictor.observations.sigma_of(SEE_THROUGH)[:, :, None]
 
 
-def _with_height(optics: EyeOptics, values: FloatArray, *, surfaces: str) -> EyeOptics:
-    """The optics with a height (um) and its slopes along x and y (um/mm), from the middle, added to some surfaces."""
+def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int) -> EyeOptics:
+    """The optics with a height (um) and its slopes along x and y (um/mm), from the middle, where a path meets one
+    surface."""
     if not values.any():
         return optics
     piston, slope_x, slope_y = np.asarray(values) * [1e-6, 1e-3, 1e-3]
     coefficients = np.array([[piston, slope_y], [slope_x, 0.0]])
-    names = SURFACES[surfaces](optics)
-    return surfaces_raised(optics, names, lambda sign: XYPolynomial(sign * coefficients))
+    steps = list(getattr(optics, path).steps)
+    names = {steps[step].surface.name}
+    other = surfaces_raised(optics, names, lambda sign: XYPolynomial(sign * coefficients))
+    steps[step] = getattr(other, path).steps[step]
+    return replace(optics, **{path: Path(tuple(steps))})
 
 
-_HEIGHT = Cause(
-    "height",
-    "height added to surfaces of the combiner",
-    "device",
-    (Parameter("piston", "um", 10.0), Parameter("slope_x", "um/mm", 10.0), Parameter("slope_y", "um/mm", 10.0)),
-    source="",
-    separated_by="",
-    variants={surfaces: of_optics(partial(_with_height, surfaces=surfaces)) for surfaces in SURFACES},
-)
-"""Lever of the combiner: the derivative of every reading by a height, and by its slopes, at the reading's footprint."""
+def _height(path: str, step: int) -> Cause:
+    """A height where a path meets one surface: its derivative is the lever of the surface there."""
+    return Cause(
+        "height",
+        "height added to a surface of the combiner",
+        "device",
+        (Parameter("piston", "um", 10.0), Parameter("slope_x", "um/mm", 10.0), Parameter("slope_y", "um/mm", 10.0)),
+        source="",
+        separated_by="",
+        variants={"": of_optics(partial(_with_height, path=path, step=step))},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """Where a path meets a surface.
+
+    Attributes:
+        surface: its name.
+        place: (n, 2) of each reading's line of sight, millimetres right and up of the combiner's middle; NaN where the
+            path is not that of the reading.
+        lever: (n, 2, 3) change of the readings by a height in micrometres and its slopes, in micrometres per
+            millimetre, at that place.
+    """
+
+    surface: str
+    place: FloatArray
+    lever: FloatArray
+
+
+def _meetings(readings: WeighedReadings) -> list[_Meeting]:
+    """Return all places where the lines of sight meet the combiner's surfaces."""
+    predictor, meetings = readings.predictor, []
+    for path in ("display", "see_through"):
+        for number, step in enumerate(getattr(readings.observations.nominal.optics, path).steps):
+            place = footprints(predictor, path, number)
+            lever = _lever(predictor, Hypothesis(_height(path, number), ""))
+            # The levers of the slopes are those of heights x and y about the middle: less the heights themselves.
+            lever[:, :, 1:] -= lever[:, :, :1] * np.nan_to_num(place)[:, None, :]
+            lever[~np.isfinite(place).all(axis=1)] = 0.0
+            meetings.append(_Meeting(step.surface.name, place, lever))
+    return meetings
 
 
 def _combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
-    """Heights of the combiner's surfaces over the place where the line of sight of each reading meets the first one."""
+    """Heights of the combiner's surfaces over the places where the lines of sight meet them."""
     if not readings.observations.nominal.optics.display.steps:
         yield from _view_fields(readings)
         return
-    place_mm = footprints(readings.predictor)
-    met = np.asarray(np.isfinite(place_mm).all(axis=1))
+    first = footprints(readings.predictor)
+    met = np.asarray(np.isfinite(first).all(axis=1))
     if not met.any():
         return
-    place, box = np.where(met[:, None], place_mm, 0.0), Box.around(place_mm[met])
+    meetings = _meetings(readings)
+    place, box = np.where(met[:, None], first, 0.0), Box.around(np.concatenate([_known(each) for each in meetings]))
     orders = total_degree(2, 12)
-    value = basis(place, orders, box)
-    steps = 2.0 * _SLOPE_STEP / box.per_unit
-    slopes = [
-        (basis(place + 0.5 * step, orders, box) - basis(place - 0.5 * step, orders, box)) / np.sum(step)
-        for step in np.diag(steps)
-    ]
-    order, done = np.asarray(orders.sum(axis=1)), list[set[str]]()
+    value, order, done = basis(place, orders, box), np.asarray(orders.sum(axis=1)), list[set[str]]()
 
     def height(values: FloatArray) -> FloatArray:
         return np.asarray(value @ values)[:, None]
@@ -389,15 +440,33 @@ def _combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
         if not names or names in done:
             continue
         done.append(names)
-        lever = _lever(readings.predictor, Hypothesis(_HEIGHT, surfaces))
-        # The levers of the slopes are those of heights x and y about the middle: less the heights themselves.
-        lever[:, :, 1:] -= lever[:, :, :1] * place[:, None, :]
-        parts = (lever[:, :, [k]] * each[:, None, :] for k, each in enumerate((value, *slopes)))
-        columns = np.asarray(sum(parts)) * met[:, None, None]
+        columns = sum(_by_height(each, orders, box) for each in meetings if each.surface in names)
         coordinates, degrees = "place on the combiner", (2, 4, 6, 8, 10, 12)
         form, in_bench = f"height of {surfaces}", partial(_as_effects, "combiner", surfaces, orders, box, 1, 1)
-        field = StationField("combiner", coordinates, form, columns, order, degrees, place, met, "um", height, in_bench)
+        field = StationField(
+            "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
+        )
         yield _scaled(field)
+
+
+def _known(meeting: _Meeting) -> FloatArray:
+    """Places (m, 2) that are known."""
+    return np.asarray(meeting.place[np.isfinite(meeting.place).all(axis=1)])
+
+
+def _by_height(meeting: _Meeting, orders: IntArray, box: Box) -> FloatArray:
+    """Change (n, 2, t) of the readings by heights that are polynomials of the place."""
+    columns = np.zeros((*meeting.lever.shape[:2], len(orders)))
+    rows = np.isfinite(meeting.place).all(axis=1)
+    place, lever = meeting.place[rows], meeting.lever[rows]
+    steps = 2.0 * _SLOPE_STEP / box.per_unit
+    values = [basis(place, orders, box)] + [
+        (basis(place + 0.5 * step, orders, box) - basis(place - 0.5 * step, orders, box)) / np.sum(step)
+        for step in np.diag(steps)
+    ]
+    for number, each in enumerate(values):
+        columns[rows] += lever[:, :, [number]] * each[:, None, :]
+    return columns
 
 
 def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
@@ -418,26 +487,35 @@ def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
     yield _field("combiner", "turn and shift of the line of sight", "mrad, mm", terms, _over(rows, lever))
 
 
-def footprints(predictor: Predictor) -> FloatArray:
-    """Return where each reading's line of sight meets the combiner's first surface, (n, 2) millimetres right and up.
+def footprints(predictor: Predictor, path: str = "", step: int = 0) -> FloatArray:
+    """Return where each reading's line of sight meets a surface of the combiner, (n, 2) millimetres right and up.
 
     From the combiner's middle, device frame; NaN at run time and where nothing is met.
+
+    Args:
+        predictor: of the readings.
+        path: "display" or "see_through": only readings that look along it count; all if empty.
+        step: number of the surface along the path.
     """
     observations, state = predictor.observations, predictor.state(Explanation())
     bench, plan, place = state.bench, observations.session.plan, np.full((len(observations), 2), np.nan)
-    if not bench.optics.display.steps:
+    optics, middle = bench.optics, combiner_middle(bench.optics)
+    if not optics.display.steps:
         return place
-    first, middle = Path(bench.optics.display.steps[:1]), combiner_middle(bench.optics)
-    if plan.display is not None:
+    if plan.display is not None and path != "see_through":
         met = trace(
-            first, camera_positions(bench, plan.display), display_dirs(bench, plan.display), bench.wavelengths_um[1]
+            Path(optics.display.steps[: step + 1]),
+            camera_positions(bench, plan.display),
+            display_dirs(bench, plan.display),
+            bench.wavelengths_um[1],
         )
         place[observations.part == DISPLAY] = 1e3 * (met.origin - middle)[:, :2]
-    if plan.see_through is not None and state.dot_views is not None:
+    if plan.see_through is not None and state.dot_views is not None and path != "display":
         tangents = state.dot_views.tangents
         directions = np.concatenate([tangents, -np.ones((len(tangents), 1))], axis=1)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-        met = trace(first, camera_positions(bench, plan.see_through), directions, bench.target_wavelength_um)
+        steps = (optics.see_through if path else optics.display).steps[: step + 1]
+        met = trace(Path(steps), camera_positions(bench, plan.see_through), directions, bench.target_wavelength_um)
         place[observations.part == SEE_THROUGH] = 1e3 * (met.origin - middle)[:, :2]
     return place
 

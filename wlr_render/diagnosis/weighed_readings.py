@@ -27,6 +27,8 @@ class WeighedReadings:
         camera_motions: (n, 2, 6) change of the readings, in sigma, by a shift (micrometres) and a turn (microradians)
             of the camera in the reading's capture; zero at run time.
         motions: (n, 2, 6) the same of the white readings.
+        effects: (n, 2, k) change of the readings, in sigma, by each function of the effects that are located, and
+        effect_sizes: (k,) sizes of their coefficients: one more thing that is random, common to all readings.
     """
 
     predictor: Predictor
@@ -34,6 +36,8 @@ class WeighedReadings:
     shared: Whitening
     camera_motions: FloatArray
     motions: FloatArray
+    effects: FloatArray
+    effect_sizes: FloatArray
 
     @classmethod
     def of(cls, predictor: Predictor, noise: Noise) -> "WeighedReadings":
@@ -41,7 +45,12 @@ class WeighedReadings:
         observations = predictor.observations
         shared = shared_noise_whitening(observations, noise)
         motions = camera_motions(predictor)
-        return cls(predictor, noise, shared, motions, shared(motions))
+        none = np.zeros((len(observations), 2, 0))
+        return cls(predictor, noise, shared, motions, shared(motions), none, np.zeros(0))
+
+    def with_effects(self, effects: FloatArray, sizes: FloatArray) -> "WeighedReadings":
+        """The readings with the functions (n, 2, k) of effects, whose coefficients have the sizes (k,), at work."""
+        return replace(self, effects=effects, effect_sizes=sizes)
 
     @property
     def observations(self) -> Observations:
@@ -60,7 +69,10 @@ class WeighedReadings:
         part_of[names] = [part[mine[0]] for mine in rows]
         sizes = scatter.sizes(part_of)[names]
         white = self.shared.then(rows, (self.motions[mine] * size for mine, size in zip(rows, sizes, strict=True)))
-        return Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
+        white = Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
+        if not self.effect_sizes.size:
+            return white
+        return white.then([np.arange(len(part))], [white(self.effects) * self.effect_sizes])
 
     def excess(self, scatter: Scatter, part: int, captures: BoolArray) -> float:
         """Variance of a part's white readings above that of noise, by motions and by what is left as noise.
@@ -77,11 +89,37 @@ class WeighedReadings:
         moved = np.sum((self.motions[rows] * size[:, None, :]) ** 2, axis=(1, 2))
         return float(scatter.noise[part] ** 2 - 1.0) + 0.5 * float(np.mean(moved) if rows.any() else 0.0)
 
-    def sums(self, residual: FloatArray, columns: FloatArray) -> ScatterSums:
-        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma."""
+    def sums(self, residual: FloatArray, columns: FloatArray, fixed: "FixedColumns | None" = None) -> ScatterSums:
+        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma, after those that are fixed."""
         observed = self.observations
-        y, x = self.shared(residual), self.shared(columns)
-        return ScatterSums.over(y, self.motions, x, observed.group, observed.part, len(observed.captures))
+        y, x = self.shared(residual), self.shared(np.concatenate([columns, self.effects], axis=2))
+        captures = len(observed.captures)
+        sums = ScatterSums.over(y, self.motions, x, observed.group, observed.part, captures, self.effect_sizes)
+        return sums if fixed is None else fixed.sums.joined(sums, fixed.white, y, x, observed.part)
+
+    def fixed(self, columns: FloatArray) -> "FixedColumns":
+        """Return columns (n, 2, m), in units of sigma, of which sums are asked for again and again."""
+        observed, white = self.observations, self.shared(columns)
+        zero, captures = np.zeros(white.shape[:2]), len(observed.captures)
+        return FixedColumns(white, ScatterSums.over(zero, self.motions, white, observed.group, observed.part, captures))
+
+
+@dataclass(frozen=True, eq=False)
+class FixedColumns:
+    """Columns of which sums are asked for again and again.
+
+    Attributes:
+        white: (n, 2, m) columns whose errors do not go together.
+        sums: of them, with no residual.
+    """
+
+    white: FloatArray
+    sums: ScatterSums
+
+    @property
+    def count(self) -> int:
+        """How many."""
+        return int(self.white.shape[2])
 
 
 def camera_motions(predictor: Predictor) -> FloatArray:

@@ -68,9 +68,12 @@ def _common(group: _Group, values: FloatArray) -> FloatArray:
 
 
 def _group(rows: IntArray, effects: FloatArray) -> _Group | None:
-    axes, sizes, _ = np.linalg.svd(effects, full_matrices=False)
-    kept = sizes**2 > _NEGLIGIBLE
-    return _Group(rows, axes[:, kept], 1.0 - 1.0 / np.sqrt(1.0 + sizes[kept] ** 2)) if kept.any() else None
+    squares, turn = np.linalg.eigh(effects.T @ effects)
+    kept = squares > _NEGLIGIBLE
+    if not kept.any():
+        return None
+    axes = effects @ (turn[:, kept] / np.sqrt(squares[kept]))
+    return _Group(rows, axes, 1.0 - 1.0 / np.sqrt(1.0 + squares[kept]))
 
 
 def shared_noise_whitening(observations: Observations, noise: Noise) -> Whitening:
