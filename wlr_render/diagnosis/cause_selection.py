@@ -27,6 +27,7 @@ from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatu
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import StationField, station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import FloatArray
 
 Progress = Callable[[str], None]
 
@@ -128,16 +129,18 @@ class Search:
         """Return the fields beside a fit to the subsample."""
         return FieldContest(self.subsample, at, self.fields, self.signatures.fixed)
 
-    def with_effects(self, effects: Sequence[LocatedEffect]) -> "Search":
-        """Return the same search with located effects at work, whatever their coefficients."""
+    def with_effects(self, effects: Sequence[LocatedEffect], beside: Explanation = Explanation()) -> "Search":  # noqa: B008
+        """Return the same search with located effects at work, whatever their coefficients.
+
+        Beside causes at its own station an effect is what these cannot do: their values stay determined.
+        """
         full = station_fields(self.full) if self.full is not self.subsample else self.fields
-        columns = [[each.columns for each in effects], [each.over(full).columns for each in effects]]
-        sizes = np.repeat([each.size for each in effects], [each.shape[2] for each in columns[0]])
-        subsample, every = (
-            readings.with_effects(np.concatenate(each, axis=2), sizes)
-            for readings, each in zip((self.subsample, self.full), columns, strict=True)
-        )
-        return replace(self, full=every, subsample=subsample, simulated=self.signatures)
+        sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
+        searched = []
+        for readings, fields in ((self.subsample, self.fields), (self.full, full)):
+            columns = [_beyond(each.over(fields), beside, readings) for each in effects]
+            searched.append(readings.with_effects(np.concatenate(columns, axis=2), sizes))
+        return replace(self, full=searched[1], subsample=searched[0], simulated=self.signatures)
 
     @cached_property
     def share(self) -> float:
@@ -311,6 +314,25 @@ class Search:
         _, without = best_scatter(self.full.sums(residual, columns[:, :, rest]), found.scatter, mean[rest])
         _, with_it = best_scatter(self.full.sums(found.at.residual, columns), found.scatter, mean)
         return without - with_it
+
+
+def _beyond(effect: LocatedEffect, explanation: Explanation, readings: WeighedReadings) -> FloatArray:
+    """Functions (n, 2, c) of an effect, less what causes of its own station do of them."""
+    at = readings.predictor.linearised(explanation)
+    stations = np.array(
+        [
+            hypothesis.cause.station
+            for hypothesis, values in zip(explanation.hypotheses, explanation.values, strict=True)
+            for _ in values
+        ]
+    )
+    same = stations[at.free] == effect.field.station if at.free.size else np.zeros(0, dtype=bool)
+    if not same.any():
+        return effect.columns
+    causes = at.jacobian[:, :, same]
+    white = readings.shared(causes).reshape(-1, int(same.sum()))
+    share = np.linalg.lstsq(white, readings.shared(effect.columns).reshape(len(white), -1), rcond=None)[0]
+    return np.asarray(effect.columns - causes @ share)
 
 
 def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:

@@ -334,7 +334,7 @@ def _standing(search: Search, found: Fit) -> _Located:
         )
         found = search.refitted(found.explanation.without(weakest), found.scatter)
     if effects:
-        search = search.with_effects(effects)
+        search = search.with_effects(effects, found.explanation)
         found = search.refitted(found.explanation, contest.scatter_beside(effects))
     tried = [
         TriedField(each.field.station, each.field.coordinates, each.field.form, each.degree, each.log10_odds)
