@@ -167,7 +167,7 @@ class TriedField:
     Attributes:
         station, coordinates, displaced: as in `StationEffect`.
         degree: of best evidence.
-        log10_odds: for it against none, beside what was found.
+        log10_odds: for the field against none, with the located effects and the causes at work.
     """
 
     station: str
@@ -288,31 +288,31 @@ class Diagnosis:
     Attributes:
         session, device, eye: names.
         verdict: NO_EFFECT, EXPLAINED (by named causes only), LOCATED (an effect that no cause has is located at a
-            station, alone or beside causes, and only noise is left), PARTLY or UNEXPLAINED.
-        causes: what was found, largest effect first.
+            station, with or without named causes, and only noise is left), PARTLY or UNEXPLAINED.
+        causes: named causes, largest effect first.
         effects: effects that no cause has, best odds first.
         excluded: captures that moved.
         too_many_moved: captures of parts of which too many moved to tell which did; they are not excluded.
         noise_floors: noise of each part.
-        motions: how far the captures repeat, of each part that has two or more.
-        noise: the residual that noise alone would give.
-        expected: the residual that noise and the motions of the captures would give.
+        motions: repeatability of each part that has two captures or more.
+        noise: residual expected of noise alone.
+        expected: residual expected of noise and the usual motions of the captures.
         before, after: residuals with the nominal and with the corrected bench.
         unexplained: None where only noise is left.
         fields: all fields that were judged, best odds first.
         detection_limits: of every cause; for a verdict of no effect.
-        reasons: sentences on why the selection ended, and what was considered and dropped.
+        reasons: sentences on why the selection ended, and on causes that were considered and dropped.
         captures: residual of each capture.
         correlations: between all values found.
-        observations: what was compared, with the noise that was used.
+        observations: all readings, with the noise that was used.
         residual_before, residual_after: (n, 2) units of sigma, of all readings, excluded ones too.
         usual_motion: (n, 2, 6) units of sigma: change of the readings by a motion of their capture's camera along and
             about each axis, of the size to which captures repeat.
         used: (n,) readings that are not excluded.
         corrected: the corrected bench.
-        readings: those that are no outliers by themselves, with the errors that the bench gives them.
-        fit: of all causes to them.
-        settings: by which it was made, and by which its sentences judge.
+        readings: readings that are not outliers, with the errors that the bench gives them.
+        fit: of all causes to these readings.
+        settings: thresholds of the diagnosis, also of its sentences.
     """
 
     session: str
@@ -360,7 +360,7 @@ class Diagnosis:
 
     @property
     def is_corrected(self) -> bool:
-        """Whether the corrected bench is not the nominal one: by causes, or by effects that a bench file states."""
+        """Whether causes, or effects that a bench file can state, correct the nominal bench."""
         return self.corrected is not self.observations.nominal
 
     @property
@@ -372,14 +372,14 @@ class Diagnosis:
 
     @property
     def values_to_type(self) -> list[str]:
-        """Lines that make bench.toml describe the corrected bench, all but changes of the device's prescription."""
+        """Lines that make bench.toml describe the corrected bench, except its device."""
         from wlr_render.diagnosis.verdict_sentences import values_to_type  # imports this module
 
         return values_to_type(self)
 
     @property
     def residual_views(self) -> "list[PartView]":
-        """Residuals of each part of the session, with what they may depend on, as the report plots them."""
+        """Residuals of each part of the session against each variable, as the report plots them."""
         from wlr_render.diagnosis.residual_views import part_views  # imports this module
 
         return part_views(self)

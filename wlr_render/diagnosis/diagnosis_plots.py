@@ -14,13 +14,13 @@ from wlr_render.report.plots import arrow_map, axis, curves
 
 _BEFORE, _AFTER, _GREY = "#c4651a", "#2f7fc1", "#8c8c8c"
 _CELLS = (14, 11)  # arrows across and down
-_BINS = 12
-_COLUMNS = 3
+_BINS = 12  # of each variable
+_COLUMNS = 3  # plots in a row
 _BAND = 2.0  # standard errors that count as noise
 _HISTOGRAM = np.linspace(-6.0, 6.0, 61)
 _QUANTILES = 99
-_FARTHEST = 4.0  # quantile that is shown
-_TICKS = [step * power for power in (0.1, 1, 10, 100, 1000) for step in (1, 2, 5)]  # of a logarithmic axis
+_FARTHEST = 4.0  # largest normal quantile that is shown
+_TICKS = [step * power for power in (0.1, 1, 10, 100, 1000) for step in (1, 2, 5)]  # ticks of a logarithmic axis
 
 
 def residual_maps(part: PartView) -> Plot:
@@ -152,7 +152,7 @@ class BinnedResidual:
         middle: (k,) of the bins, by the variable.
         means: (2, k) of both components.
         band: (k,) how far noise and the usual motion of captures would move a mean.
-        excess: (k,) rms of the readings beyond what these would give.
+        excess: (k,) rms of the readings beyond noise and motion.
     """
 
     middle: FloatArray

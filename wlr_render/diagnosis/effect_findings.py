@@ -18,7 +18,7 @@ _LIKELY = {
         "a wrong code table",
     ),
     ("panel", "shift that repeats"): ("a misread stripe of the code", "moire of the panel and the camera"),
-    ("panel", "shift of each colour"): ("dispersion of the optics", "subpixels of one colour that stand elsewhere"),
+    ("panel", "shift of each colour"): ("dispersion of the optics", "displaced subpixels of one colour"),
     ("panel", "delay"): ("rows that light up in turn", "pixels that answer slowly"),
     ("combiner", "height of its outer"): (
         "a wedge of the substrate",
@@ -39,7 +39,7 @@ _LIKELY = {
     ("head motion", "delay"): ("time stamps", "prediction of the head's motion"),
     ("eye tracking", "shift"): ("errors of the eye tracker that depend on gaze", "the pupil's motion with gaze"),
 }
-"""Usual sources of a shape, by station and the start of what is displaced."""
+"""Usual sources of an effect, by its station and the start of its form."""
 
 SEPARATED_BY = {
     "panel": "a photograph of the bare panel that shows a lit grid",
@@ -62,7 +62,7 @@ def station_effects(
     Args:
         contest: in which the smooth effects were located.
         located: these effects.
-        scatter: sizes of what is random with all of them at work.
+        scatter: sizes of noise and motions with all of them at work.
         fine: the effect that is too fine for a field, if there is one.
     """
     values = contest.values(located, scatter) if located else []
@@ -131,7 +131,7 @@ def _fine(fine: FineEffect) -> StationEffect:
 
 
 def _likely(station: str, form: str) -> tuple[str, ...]:
-    """Return the usual sources of an effect: of those of its station, the ones whose start fits best."""
+    """Return the usual sources of effects of a station whose form starts alike."""
     fitting = [key for key in _LIKELY if key[0] == station and form.startswith(key[1])]
     key = max(fitting, key=lambda each: len(each[1]), default=None)
     return _LIKELY[key] if key else next((likely for each, likely in _LIKELY.items() if each[0] == station), ())

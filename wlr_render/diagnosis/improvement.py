@@ -30,8 +30,8 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.simulation.viewpoints import random_in_eye_box
 
-_ROWS = 6_000  # of a fit: five times more lower its error by a twentieth, and take three times as long
-_HELD_OUT = 4  # one photograph in so many
+_ROWS = 6_000  # most rows of a fit; five times more lower its error by a twentieth and take three times as long
+_HELD_OUT = 4  # photographs for each one that is left out
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
 DISTANCES_M = (0.5, 1.0, 2.0)
 """Distances of the real points that the picture is rendered onto, in front of the eye."""
 
-_VIEWPOINTS, _PIXELS = 20, (8, 8)
+_VIEWPOINTS, _PIXELS = 20, (8, 8)  # of the rendered picture
 _GREEN = 1
 
 

@@ -23,15 +23,15 @@ _ENOUGH_FOR_A_SPREAD = 8  # photographs
 _RIM_FACTORS = np.arange(0.3, 5.01, 0.05)
 _SPREADS = np.concatenate([[0.0], np.geomspace(0.03, 2.0, 60)])
 _SHARES = np.linspace(0.0, 0.95, 39)
-_REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # of shared noise, in distances between neighbouring readings
-_USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # in the same distances, and standard deviation of its logarithm
-_PHOTOGRAPHS = (4, 40)  # in which it is looked for
-_WORK = 4e7  # cube of the readings of a photograph, times the photographs in which shared noise is looked for
-_MOST_READINGS = 250  # of one photograph, for that
+_REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # reaches of shared noise, in distances between neighbouring readings
+_USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # prior of the reach in these distances: median, and sigma of its logarithm
+_PHOTOGRAPHS = (4, 40)  # fewest and most photographs searched for shared noise
+_WORK = 4e7  # largest cube of the readings of a photograph, times the photographs, searched for shared noise
+_MOST_READINGS = 250  # most readings of a photograph searched for shared noise
 _ENOUGH_IN_COMMON = 5  # photographs
 _ENOUGH_FOR_A_CUBIC = 80  # readings of a photograph
-_COMMON_DEGREE = 6  # of what photographs have in common
-_SMOOTHEST = 3  # degree of what the bench and its optics do to a photograph; what is finer may be shared noise
+_COMMON_DEGREE = 6  # degree of the residual common to photographs
+_SMOOTHEST = 3  # degree of effects of the bench in a photograph; finer structure may be shared noise
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Variance:
 
     @property
     def is_known(self) -> bool:
-        """Whether there is one."""
+        """Whether the variance is known."""
         return bool(np.isfinite(self.value))
 
 
@@ -64,7 +64,7 @@ class NoiseFloor:
 
     Attributes:
         part: its name.
-        stated_px: what the bench says.
+        stated_px: as the bench states it.
         within_px: from within the photographs; NaN where they have too few points.
         repeats_px: from photographs taken twice from one place; NaN without such.
         measured_px: the best estimate from both; NaN without either.

@@ -20,7 +20,7 @@ from wlr_render.report.records import fields_of
 from wlr_render.report.save import save_report
 
 CORRECTED = "corrected"
-"""Folder of the corrected session, beside the report."""
+"""Folder of the corrected session, in the folder of the report."""
 STEM = "diagnosis"
 """Start of the names of the report's files."""
 
@@ -148,7 +148,7 @@ def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:
 
 
 def improvement_found(diagnosis: Diagnosis) -> ImprovementInUse | None:
-    """Return what the causes, if there are any, improve on the readings that count."""
+    """Return the improvement in use on the readings that count; None without causes."""
     if not diagnosis.causes:
         return None
     session = diagnosis.observations.of_rows(diagnosis.used).session

@@ -13,9 +13,9 @@ from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
-_DEGREE = 6
-_ROWS_PER_COEFFICIENT = 2.5
-_OUTLIER_ROUNDS = 6
+_DEGREE = 6  # highest degree of a surface
+_ROWS_PER_COEFFICIENT = 2.5  # readings that each coefficient of an axis needs
+_OUTLIER_ROUNDS = 6  # most rejections of outliers
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Surface:
     Attributes:
         rows: (m,) the photograph's readings.
         design: (m, terms) its polynomials of the camera pixel.
-        left: (m, 2) what the surface leaves.
+        left: (m, 2) residual about the surface.
         leverage: (m,) of each row on the surface.
         good: (m,) the rows that it was fitted to: no outliers.
     """
@@ -43,7 +43,7 @@ class Surface:
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of what is left, both axes."""
+        """Degrees of freedom of `left`, both axes."""
         return 2 * (int(self.good.sum()) - self.terms)
 
     @property

@@ -1,6 +1,6 @@
 """Residuals of each part of a session: over the field of view, and against each variable.
 
-Angles are those that the camera sees, in arcminutes to the right and down.
+Angles are seen by the camera, in arcminutes to the right and down.
 """
 
 from dataclasses import dataclass
@@ -70,10 +70,10 @@ class PartView:
         motion: (m, 2, 6) change of the readings, right and down in arcminutes, by the usual motion of their capture.
         group: (m,) the capture of each reading, by number.
         place: (m, 2) where in the field each reading is, right and down.
-        map_unit: of what the maps show.
-        place_label: their axes.
-        maps: which to draw.
-        variables: that differ between readings.
+        map_unit: unit of the arrows of the maps.
+        place_label: titles of their axes.
+        maps: maps to draw.
+        variables: variables that differ between readings.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The tables of a diagnosis; those that would be empty have no rows."""
+"""The tables of a diagnosis; tables without content have no rows."""
 
 from collections.abc import Callable
 
@@ -102,12 +102,12 @@ def parameters_table(diagnosis: Diagnosis) -> ReportTable:
     is_stated = any(stated_prior(diagnosis, *row) for row in numbers)
     size, note = (
         "usual size",
-        "Usual size: standard deviation of what is met in practice; check a value that is many times larger.",
+        "Usual size: standard deviation met in practice; check a value that is many times larger.",
     )
     if is_stated:
         size, note = (
             "prior (mean, sigma)",
-            "Prior: from [prior] of bench.toml, or 0 and the standard deviation of what is met in practice; check a "
+            "Prior: from [prior] of bench.toml, or 0 and the standard deviation met in practice; check a "
             "value that is many sigmas from the mean.",
         )
 
@@ -136,7 +136,7 @@ def degenerate_table(diagnosis: Diagnosis) -> ReportTable:
     """Return the causes that could be confused with each other."""
     note = (
         "Cosine of the angle between the effect found and its best match by the other cause. Condition of the "
-        f"correlations between all values found: {diagnosis.correlations.condition:.2g} (1: each is known by itself)."
+        f"correlations between all values found: {diagnosis.correlations.condition:.2g} (1: no values are correlated)."
     )
     return table(
         "Degenerate causes",
@@ -176,7 +176,7 @@ def captures_table(diagnosis: Diagnosis) -> ReportTable:
     white = _whitened_rms(diagnosis)
     rms = {"rms before (sigma)": "rms_before", "rms after (sigma)": "rms_after"}
     note = (
-        "Before: with the bench as described. After: with the causes found. Both contain what the capture moved by. "
+        "Before: with the bench as described. After: with the causes found. Both contain the capture's motion. "
         "Whitened: without the motion and the shared noise that the bench has; 1 is noise."
     )
     return table(
@@ -249,7 +249,7 @@ def effects_table(diagnosis: Diagnosis) -> ReportTable:
             "held-out improvement (%)": lambda each: _percent(each.held_out_improvement),
             "excess removed (%)": lambda each: 100.0 * each.share_of_excess_removed,
         },
-        ("Log10 odds: for the effect against noise and motions, beside what was found before it.",),
+        ("Log10 odds: for the effect against noise and motions, with the effects of higher odds at work.",),
     )
 
 

@@ -65,7 +65,7 @@ FRAME_NOTE = f'Vectors and rotations are in frame = "{WRITTEN_FRAME}".'
 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
-    """Return the verdict with its causes and effects, the residuals, and what is left of them."""
+    """Return the verdict with its causes and effects, the residuals, and any unexplained rest."""
     if diagnosis.verdict == NO_EFFECT:
         floors = [floor for floor in diagnosis.noise_floors if floor.measured_px > 0.0]  # NaN where not measured
         noise = max((floor.measured_px / floor.stated_px for floor in floors), default=1.0)
@@ -188,7 +188,7 @@ def _remedies(diagnosis: Diagnosis) -> list[str]:
 
 
 def _corrected_values(diagnosis: Diagnosis) -> list[str]:
-    """Return the step that makes bench.toml and device.toml those of the corrected bench."""
+    """Return the step that turns bench.toml and device.toml into the corrected bench."""
     lines = values_to_type(diagnosis)
     short = [line for line in lines if _MATRIX not in line]
     long = [line.partition(" = ")[0] for line in lines if _MATRIX in line]
@@ -200,7 +200,7 @@ def _corrected_values(diagnosis: Diagnosis) -> list[str]:
 
 
 def _about_effect(effect: StationEffect) -> list[str]:
-    """Return what to look for, what to measure, and what a correction of the effect is worth."""
+    """Return the sources to look for, the gain by a correction, and the measurement that tells two stations apart."""
     where, gain = _WHERE[effect.station], effect.held_out_improvement.percent
     worth = "A correction by the other captures does not improve captures left out."
     if gain > 0.0:
@@ -217,7 +217,7 @@ def _about_effect(effect: StationEffect) -> list[str]:
         steps.append(f"To tell the {effect.station} from the {effect.next_station}: {'; or '.join(apart)}.")
     if effect.station in ("panel", "combiner"):
         steps.append(
-            "Until it is found, render with models fitted to the session (`calibrate`): they absorb what is fixed in "
+            "Until it is found, render with models fitted to the session (`calibrate`): they absorb fixed errors of "
             "the headset."
         )
     return steps
@@ -226,8 +226,8 @@ def _about_effect(effect: StationEffect) -> list[str]:
 def values_to_type(diagnosis: Diagnosis) -> list[str]:
     """Return the keys of bench.toml that the causes change, e.g. "[target] scale = [0.99696, 0.99692]".
 
-    Each number has two digits of its error with the other values as found: of correlated values, that is what the
-    readings allow one to round. A changed prescription of the headset is not among them.
+    Each number has two digits of its error with the other values held: rounding correlated values by more would spoil
+    the fit. A changed prescription of the headset is not among them.
     """
     nominal, fit = diagnosis.observations.nominal, diagnosis.fit
     prior_sigma = np.array([parameter.prior_sigma for parameter in fit.explanation.parameters()])[fit.at.free]

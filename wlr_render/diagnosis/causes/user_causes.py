@@ -1,4 +1,4 @@
-"""Causes of the user's own, and the choice of those that a diagnosis considers."""
+"""Causes that users add, and the choice of the causes that a diagnosis considers."""
 
 import importlib
 import importlib.util
@@ -35,7 +35,7 @@ def causes_for(
     Args:
         bench: the nominal bench.
         added: Python files (`.py`) or modules that define `CAUSES`, an iterable of `Cause`; they join the listed causes
-            and those of installed packages.
+            and the causes of installed packages.
         only: names of the causes that are considered; all if empty.
         excluded: names of causes that are left out.
 
@@ -112,7 +112,9 @@ def _checked(where: str, stated: Any, bench: Bench) -> list[Cause]:
     causes = list(stated)
     for cause in causes:
         if not isinstance(cause, Cause):
-            raise BadInputError(f"{where}: CAUSES holds {shown(cause)}, which is no wlr_render.diagnosis.cause.Cause.")
+            raise BadInputError(
+                f"{where}: CAUSES holds {shown(cause)}, which is not a wlr_render.diagnosis.cause.Cause."
+            )
         fault = _fault(cause, bench)
         if fault:
             raise BadInputError(f"{where}: cause '{cause.name}' {fault}.")
@@ -146,7 +148,7 @@ def _fault(cause: Cause, bench: Bench) -> str:
     for parameter in cause.parameters:
         if not 0.0 < parameter.prior_sigma < np.inf:
             return f"has a prior_sigma of {parameter.prior_sigma} for '{parameter.name}'; it must be finite and above 0"
-    given = deepcopy(bench)  # what a function changes in place shows against it
+    given = deepcopy(bench)  # a copy shows changes that a function makes in place
     sizes = np.array([0.1 * p.prior_sigma if p.role is Role.SIZE else 0.0 for p in cause.parameters])
     for variant in cause.variants:
         try:
