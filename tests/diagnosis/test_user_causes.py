@@ -64,7 +64,7 @@ def test_an_installed_package_adds_its_causes(bench, tmp_path, monkeypatch):
     [
         ("CAUSES = [", "THINGS = [", r"own.py: defines no CAUSES; add CAUSES"),
         ("CAUSES = [", "CAUSES = 3\nTHINGS = [", r"own.py: CAUSES is 3; it must be a tuple or list"),
-        ("CAUSES = [", "CAUSES = ['lens']\nTHINGS = [", r"own.py: CAUSES holds 'lens', which is no "),
+        ("CAUSES = [", "CAUSES = ['lens']\nTHINGS = [", r"own.py: CAUSES holds 'lens', which is not a "),
         ("CAUSES = [", "1 / 0\nCAUSES = [", r"own.py: cannot be loaded .ZeroDivisionError: division by zero"),
         ("CAUSES = [", "exit(3)\nCAUSES = [", r"own.py: cannot be loaded .SystemExit: 3"),
         ("CAUSES = [", "raise GeneratorExit\nCAUSES = [", r"own.py: cannot be loaded .GeneratorExit"),

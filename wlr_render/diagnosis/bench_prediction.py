@@ -55,8 +55,8 @@ class PredictedPart(PredictedGroup):
     """How well a part of the session is predicted.
 
     Attributes:
-        is_noise: whether the residual is no more than noise, and random motions of the camera of the size to which
-            stages repeat; a motion that all captures have in common is none.
+        is_noise: whether noise plus the usual repeatability of stages explains the residual; a motion common to all
+            captures is an error of the bench.
         shift_um, turn_urad: repeatability: standard deviations of the camera's position and rotation per axis; None
             where one capture cannot show it, and at run time.
     """
@@ -157,7 +157,7 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
 
 
 def _about_common_motions(readings: WeighedReadings, found: Fit) -> tuple[Scatter, set[int]]:
-    """How captures scatter about a motion that all of a part have in common, and the parts that clearly have one.
+    """Return how captures scatter about a motion common to their part, and the parts that clearly have such a motion.
 
     Such a motion is an error of the bench, which repeatability alone would hide: captures scatter about zero.
     """
@@ -180,7 +180,7 @@ def _about_common_motions(readings: WeighedReadings, found: Fit) -> tuple[Scatte
 
 
 def _whitened(readings: WeighedReadings, scatter: Scatter, used: BoolArray) -> FloatArray:
-    """Residual (n, 2) in units of the noise within photographs, less the camera's motions; NaN for outliers."""
+    """Return the residual (n, 2) over the noise within photographs, less the camera's motions; NaN for outliers."""
     white = np.full((len(used), 2), np.nan)
     residual = readings.whitening(scatter)(readings.predictor.residual(Explanation()))
     # A fit scales noise until its residual is of unit size.
@@ -202,7 +202,7 @@ class _Groups:
     white: FloatArray
 
     def part(self, part: int, scatter: Scatter, random: bool) -> PredictedPart:
-        """All readings of a part; `random` where its captures have no motion in common."""
+        """Return the figures of a part; `random` where its captures have no motion in common."""
         group = self.group(PART_NAMES[part], self.used & (self.observations.part == part))
         shows = part != RUN_TIME and group.captures > 1
         return PredictedPart(
@@ -213,7 +213,7 @@ class _Groups:
         )
 
     def group(self, name: str, rows: BoolArray) -> PredictedGroup:
-        """Readings (n,) of one part."""
+        """Return the figures of some readings (n,) of one part."""
         observations, part = self.observations, int(self.observations.part[rows][0])
         seen = np.zeros_like(self.residual)
         seen[observations.part == part] = observations.arcminutes(self.residual, part)
@@ -235,7 +235,7 @@ class _Groups:
 
 
 def _mean_square(residual: FloatArray, rows: BoolArray) -> float:
-    """Mean square per axis of those of some readings (n,) that are predicted; NaN if none is."""
+    """Return the mean square per axis over the predicted ones of some readings (n,); NaN if none is."""
     values = residual[rows]
     values = values[np.isfinite(values).all(axis=1)]
     return float(np.mean(values**2)) if len(values) else float("nan")

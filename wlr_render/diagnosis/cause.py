@@ -22,12 +22,12 @@ Perturb = Callable[[Bench, FloatArray], Bench]
 
 
 def turn(degrees: FloatArray) -> FloatArray:
-    """Rotation (3, 3) by angles (3,) in degrees about x, y and z, a rotation vector."""
+    """Return the rotation (3, 3) of a rotation vector (3,) in degrees."""
     return rotations_of_vectors(np.deg2rad(degrees))
 
 
 def changed(part: str, field: str, change: Callable[[Any, FloatArray], Any]) -> Perturb:
-    """A change of one field of one part of the bench: `change` maps its value and the parameters to the new value."""
+    """Return a change of a field of a part of the bench: `change` maps its value and the parameters to a new value."""
 
     def perturb(bench: Bench, values: FloatArray) -> Bench:
         old = getattr(bench, part)
@@ -126,18 +126,18 @@ class Cause:
         return any(parameter.role is not Role.SIZE for parameter in self.parameters)
 
     def perturb(self, bench: Bench, values: FloatArray, variant: str | None = None) -> Bench:
-        """The bench with this cause at work; `values` (parameters,) in their units."""
+        """Return the bench with this cause at work; `values` (parameters,) in their units."""
         return self.variants[variant or next(iter(self.variants))](bench, values)
 
     def null(self) -> FloatArray:
-        """Values (parameters,) that leave the bench unchanged."""
+        """Return the values (parameters,) that leave the bench unchanged."""
         return np.array([parameter.starts[0] for parameter in self.parameters])
 
 
 def with_priors(
     causes: Mapping[str, Cause], priors: Mapping[str, Mapping[str, tuple[float, float]]]
 ) -> dict[str, Cause]:
-    """The causes with stated priors of some of their parameters.
+    """Return the causes with stated priors of some of their parameters.
 
     Args:
         causes: by name.
@@ -177,7 +177,7 @@ def _with_prior(name: str, parameter: Parameter, prior: tuple[float, float] | No
 
 
 def unknown_cause(name: str, causes: Mapping[str, Cause]) -> str:
-    """A sentence on a name that no cause has, with the nearest names, or all of them where none is near."""
+    """Return a sentence on a name that no cause has, with the nearest names, or all of them where none is near."""
     near = difflib.get_close_matches(name, causes, 3)
     return f"There is no cause '{name}'; " + (
         f"did you mean {' or '.join(near)}?" if near else f"choose from {', '.join(causes)}."

@@ -76,7 +76,7 @@ def found_cause(search: Search, found: Fit, number: int, ranking: CandidateRanki
 
 
 def _degenerate(ranking: CandidateRanking, name: str, least_cosine: float) -> tuple[DegenerateCause, ...]:
-    """Causes whose best match of the effect is at a small angle to it.
+    """Return the causes whose best match of the effect is at a small angle to it.
 
     To first order a hypothesis at the angle a to the effect gains cos^2 a of what the effect's own cause gains.
     """
@@ -96,7 +96,7 @@ def _degenerate(ranking: CandidateRanking, name: str, least_cosine: float) -> tu
 
 
 def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
-    """Those that were fitted, then the best of the others by their gain to first order."""
+    """Return the fitted candidates, then the best of the others by their gain to first order."""
     ranked = [
         RankedCandidate(
             each.hypothesis.cause.name, each.hypothesis.variant, each.reduced_chi_squared, LOG10_ODDS * each.behind
@@ -113,7 +113,7 @@ def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
 
 
 def correlations(found: Fit) -> Correlations:
-    """Correlations between the free values of a fit."""
+    """Return the correlations between the free values of a fit."""
     hypotheses = found.explanation.hypotheses
     names = [f"{each.cause.name}.{parameter.name}" for each in hypotheses for parameter in each.cause.parameters]
     matrix = tuple(tuple(float(value) for value in row) for row in correlation_matrix(found))
@@ -121,9 +121,9 @@ def correlations(found: Fit) -> Correlations:
 
 
 def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) -> tuple[DetectionLimit, ...]:
-    """Detection limit of every parameter, each cause alone; those that a session says nothing of are left out.
+    """Return the detection limit of every parameter that the session shows, each cause acting alone.
 
-    Those of a cause that acts from some moment on are for the middle of the session.
+    The limits of a cause that acts from some moment on are for the middle of the session.
 
     Args:
         search: with the subsample of the readings, which stands for all of them.
@@ -164,7 +164,7 @@ def capture_residuals(
     good: BoolArray,
     excluded: Iterable[MovedCapture],
 ) -> tuple[CaptureResidual, ...]:
-    """Residual of each capture over its readings that are no outliers by themselves."""
+    """Return the residual of each capture over its readings that are not outliers."""
     good = good & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
     group, count = observations.group[good], len(observations.captures)
     readings = np.bincount(group, minlength=count)
@@ -181,7 +181,7 @@ def capture_residuals(
 
 
 def residual_summary(observations: Observations, residual: FloatArray, used: BoolArray) -> ResidualSummary:
-    """Root mean squares per axis of a residual (n, 2) in units of sigma, over the readings that count."""
+    """Return the root mean squares per axis of a residual (n, 2) in units of sigma, over the readings that count."""
     used = used & np.isfinite(residual).all(axis=1)
     return ResidualSummary(
         _rms(observations.panel_pixels(residual)[used[observations.part == DISPLAY]]),
@@ -192,7 +192,7 @@ def residual_summary(observations: Observations, residual: FloatArray, used: Boo
 
 
 def noise_summary(observations: Observations, used: BoolArray) -> ResidualSummary:
-    """Root mean squares per axis of noise alone, over the readings (n,) that count."""
+    """Return the root mean squares per axis of noise alone, over the readings (n,) that count."""
     sigma = observations.sigma_px[used]
     arcmin = 1.0 / (np.mean(observations.nominal.camera.focal_px) * ARCMIN)
 
@@ -206,7 +206,7 @@ def noise_summary(observations: Observations, used: BoolArray) -> ResidualSummar
 
 
 def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
-    """Change of readings (n, 2, 6), in units of sigma, by a motion of their capture of the usual size."""
+    """Return the change of readings (n, 2, 6), in units of sigma, by a motion of the usual size of their capture."""
     observations, scatter = readings.observations, found.scatter
     usual = replace(scatter.at_rest(), noise=np.ones_like(scatter.noise))
     part_of = np.array([name.part for name in observations.captures])
@@ -214,7 +214,7 @@ def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
 
 
 def expected_summary(observations: Observations, motion: FloatArray, used: BoolArray) -> ResidualSummary:
-    """Root mean squares per axis of noise and of the usual motion of each capture (n, 2, 6) of `usual_motion`."""
+    """Return the expected rms per axis from noise plus the usual motions (n, 2, 6) of the captures."""
     noise = noise_summary(observations, used)
     by_axis = [residual_summary(observations, each, used) for each in np.moveaxis(motion, 2, 0)]
 
@@ -233,7 +233,7 @@ def _rms(values: FloatArray) -> float | None:
 
 
 def motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
-    """How far the captures of each part repeat, with standard errors by the curvature of the evidence."""
+    """Return the repeatability of each part, with standard errors by the curvature of the evidence."""
     sums = readings.sums(found.at.residual, found.at.jacobian)
     errors = scatter_errors(sums, found.scatter, -off_prior(found.explanation)[found.at.free])
     return tuple(

@@ -34,7 +34,10 @@ class MovedCapture:
 
 
 def moved_captures(readings: WeighedReadings, found: Fit) -> list[MovedCapture]:
-    """The captures that moved according to a fit; a run-time recording has no camera pose, and is none."""
+    """Return the captures that moved according to a fit.
+
+    Run-time recordings have no camera pose and are never listed.
+    """
     observations = readings.observations
     sums = readings.sums(found.at.residual, found.at.jacobian)
     motion, mean = motions_of(sums, found.scatter), -off_prior(found.explanation)[found.at.free]
@@ -60,7 +63,7 @@ def _is_placed_by_bare(observations: Observations, name: CaptureName) -> bool:
 
 
 def not_excluded(observations: Observations, excluded: Sequence[MovedCapture]) -> BoolArray:
-    """Mask (n,) of the readings of captures that are not excluded."""
+    """Return the mask (n,) of readings of captures that are not excluded."""
     names = {each.capture for each in excluded}
     bad = [number for number, name in enumerate(observations.captures) if name in names]
     return ~np.isin(observations.group, bad)
