@@ -164,7 +164,7 @@ class Search:
         return self._with_moved(_fitted(self.full, explanation, scatter))
 
     def _with_moved(self, found: Fit) -> Fit:
-        """A fit to all readings with the captures that moved found anew."""
+        """Fit all readings, with the captures that moved found anew."""
         mean = -off_prior(found.explanation)[found.at.free]
         sums = self.full.sums(found.at.residual, found.at.jacobian)
         again, _ = with_moved_captures(sums, found.scatter, mean)
@@ -336,7 +336,7 @@ def _beyond(effect: LocatedEffect, explanation: Explanation, readings: WeighedRe
 
 
 def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:
-    """The fit from an explanation's values, or from its null values where these do not predict every reading."""
+    """Fit from an explanation's values, or from its null values where the former do not predict every reading."""
     found = fit(readings, explanation, scatter, iterations)
     if found is None:
         null = replace(explanation, values=tuple(each.cause.null() for each in explanation.hypotheses))
@@ -354,7 +354,7 @@ def _by_evidence(candidates: Iterable[Candidate]) -> list[Candidate]:
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The first candidate of each cause."""
+    """Return the first candidate of each cause."""
     firsts: dict[str, Candidate] = {}
     for candidate in candidates:
         firsts.setdefault(candidate.hypothesis.cause.name, candidate)

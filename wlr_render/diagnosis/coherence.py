@@ -120,7 +120,7 @@ class _Cells:
         return float(np.mean(total**2 / np.bincount(owner, count)[:, None]))
 
     def sums(self, rows: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Number of some of the readings (c,) and sum of their residuals (c, 2) in each cell."""
+        """Return the number (c,) of some of the readings and the sum (c, 2) of their residuals in each cell."""
         count = np.bincount(self.cell[rows], minlength=len(self.middles)).astype(np.float64)
         total = [np.bincount(self.cell[rows], self.left[rows, axis], len(self.middles)) for axis in (0, 1)]
         return count, np.stack(total, axis=1)
@@ -147,7 +147,7 @@ class _Cells:
         return odds, tried[best][0], tried[best][1] * self.noise
 
     def described(self, odds: float, rival: str, against_rival: float) -> FineEffect:
-        """The effect with its picture and its improvement of captures left out."""
+        """Return the effect with its map and its improvement of captures left out."""
         _, share, variance = self.agreement
         count, total = self.sums(np.ones(len(self.cell), dtype=bool))
         means, errors = total / count[:, None], np.sqrt(self.noise / count)
@@ -177,7 +177,7 @@ class _Cells:
         )
 
     def _means(self, rows: BoolArray, share: float, variance: float) -> FloatArray:
-        """Expected mean (c, 2) of each cell by some of the readings."""
+        """Return the expected mean (c, 2) of each cell by some of the readings."""
         count, total = self.sums(rows)
         square, size = np.sum(total**2, axis=1) / self.noise, variance / self.noise
         log_factor = np.log1p(count * size) - 0.5 * square * size / (1.0 + count * size)
@@ -238,7 +238,7 @@ def fine_effect(predictor: Predictor, residual: FloatArray, least_log10_odds: fl
 
 
 def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:
-    """The cells of every station and width that are tried."""
+    """Yield the cells of every station and width to try."""
     observations = predictor.observations
     left, leverage = np.full(residual.shape, np.nan), np.ones(len(residual))
     for surface in surfaces(observations, residual):

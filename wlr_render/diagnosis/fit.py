@@ -147,7 +147,7 @@ def _settled(
 def _stepped(
     predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float
 ) -> tuple[Explanation, State, float, float] | None:
-    """The next explanation, its state, what it gains, and the damping to go on with; None where no step helps."""
+    """Return the next explanation, its state, its gain, and the damping to go on with; None where no step helps."""
     rows = whiten(at.jacobian).reshape(-1, at.free.size)
     residual, off = whiten(at.residual), off_prior(at.explanation)[at.free]
     information = rows.T @ rows + np.eye(len(off))
@@ -189,7 +189,7 @@ def _prior_cost(explanation: Explanation) -> float:
 def _evidence(
     readings: WeighedReadings, at: Linearisation, scatter: Scatter, vary: bool
 ) -> tuple[Scatter, float, float]:
-    """The sizes of what is random at a solution, -2 log evidence, and the largest change of the sizes' logarithms."""
+    """Return sizes of noise and motions at a solution, -2 log evidence, and the largest change of their logarithms."""
     sums = readings.sums(at.residual, at.jacobian)
     mean = -off_prior(at.explanation)[at.free]
     if vary:
@@ -212,14 +212,14 @@ def choices(explanation: Explanation, observations: Observations) -> float:
 
 
 def times_between_captures(plan: SessionPlan) -> FloatArray:
-    """Times in the middle between captures, ascending, with some captures on either side."""
+    """Return the times in the middle between captures, ascending, with some captures on either side."""
     parts = [part for part in plan.parts if part is not None]
     times = np.unique(np.concatenate([part.time_s for part in parts]))
     return np.asarray(0.5 * (times[1:] + times[:-1]))[_FEWEST - 1 : len(times) - _FEWEST]
 
 
 def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanation, free: IntArray) -> float:
-    """What is to be added to -2 log evidence where values are multiples of a whole step, and not any number.
+    """Return the change of -2 log evidence where values are multiples of a whole step instead of any number.
 
     The multiple k has the probability 2^-|k| / 3, and the evidence is the sum over the multiples.
     """

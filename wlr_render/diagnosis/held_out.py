@@ -30,8 +30,9 @@ class HeldOutImprovement:
 
 
 def left_out_changes(found: Fit, group: IntArray, groups: int) -> FloatArray:
-    """Changes (groups, p) of the free parameters, in prior sigmas, when a capture is left out; NaN for captures without
-    readings.
+    """Return the changes (groups, p) of the free parameters, in prior sigmas, when a capture is left out.
+
+    They are NaN for captures without readings.
 
     Args:
         found: the fit.

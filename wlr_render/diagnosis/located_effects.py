@@ -202,7 +202,7 @@ class FieldContest:
         return start - least
 
     def _best(self, beside: Sequence[LocatedEffect]) -> LocatedEffect | None:
-        """The field of best evidence beside the causes and others; None where there is none."""
+        """Return the field of best evidence with the causes and others at work; None where no field has evidence."""
         ranked = self._ranked_beside(beside) if beside else self.ranked
         if not ranked:
             return None
@@ -319,7 +319,7 @@ class FieldContest:
     def _with_and_without(
         self, number: int, station: str, beside: Sequence[LocatedEffect]
     ) -> tuple[Known, Known, IntArray, FloatArray]:
-        """What is known with a cause and without it, but for effects of a station; its columns, and values of none."""
+        """Return the model with and without a cause, except effects of a station; the cause's columns and null values."""
         mine = self.found.owner == number
         elsewhere = [each for each in beside if each.field.station != station]
         named = self._known(elsewhere, self._all_causes)
@@ -423,7 +423,7 @@ def _with_columns(known: Known, columns: IntArray) -> Known:
 
 
 def _moved(sums: Marginal, columns: IntArray | None, by: FloatArray | None) -> Marginal:
-    """The same readings, less what some columns do at values `by`."""
+    """Return the same readings, less the effect of some columns at values `by`."""
     if columns is None or by is None or not columns.size:
         return sums
     across = sums.information[:, columns] @ by

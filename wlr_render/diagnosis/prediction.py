@@ -67,7 +67,7 @@ class Explanation:
         return tuple(hypothesis.cause.name for hypothesis in self.hypotheses)
 
     def bench(self, nominal: Bench) -> Bench:
-        """The corrected bench: the nominal one with the causes at work."""
+        """Return the corrected bench: the nominal one with the causes at work."""
         for hypothesis, values in zip(self.hypotheses, self.values, strict=True):
             nominal = hypothesis.cause.perturb(nominal, values, hypothesis.variant)
         return nominal
@@ -91,7 +91,7 @@ class Explanation:
         return np.concatenate([np.zeros(0), *self.values])
 
     def at(self, vector: FloatArray) -> "Explanation":
-        """The same causes at other values."""
+        """Return the same causes at other values."""
         ends = np.cumsum([len(values) for values in self.values])
         return replace(self, values=tuple(np.split(vector, ends[:-1])) if self.values else ())
 
@@ -177,7 +177,7 @@ class Predictor:
         return self.observations.residual(state.readings)
 
     def state(self, explanation: Explanation, near: State | None = None) -> State:
-        """An explanation's bench and its readings, starting from the nominal or a nearer state.
+        """Return an explanation's bench and its readings, starting from the nominal or a nearer state.
 
         All readings are NaN where there is no such bench, as where a displaced panel is seen from nowhere.
         """
@@ -222,7 +222,7 @@ class Predictor:
         return Linearisation(explanation, base, residual, jacobian, np.array(free, dtype=np.int64))
 
     def _near(self, explanation: Explanation, base: State) -> Readings:
-        """The readings to first order in the change from a state; NaN where there is no such bench."""
+        """Return the readings to first order in the change from a state; NaN where there is no such bench."""
         try:
             bench = explanation.bench(self.observations.nominal)
             found = simulate_to_first_order(bench, self._touched(bench, base), base.dot_views)
@@ -231,7 +231,7 @@ class Predictor:
         return _merged(found, base.readings)
 
     def _touched(self, bench: Bench, near: State) -> SessionPlan:
-        """The parts of the session whose readings may differ between a bench and a state."""
+        """Return the parts of the session whose readings may differ between a bench and a state."""
         every = range(len(PART_NAMES))
         touched = {part for name in _changes(bench, near.bench) for part in _READ_BY.get(name, every)}
         plan = self.observations.session.plan
@@ -250,7 +250,7 @@ def _changes(bench: Bench, old: Bench) -> Iterator[str]:
 
 
 def _lost(readings: Readings) -> Readings:
-    """Readings of which none is predicted."""
+    """Return readings of which none is predicted."""
     return Readings(*(None if part is None else np.full_like(part, np.nan) for part in readings.parts))
 
 
@@ -260,7 +260,7 @@ def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:
 
 
 def _state_of_rows(state: State, kept: Observations, keep: BoolArray, part: IntArray) -> State:
-    """A state of the observations that a mask (n,) keeps of readings that belong to parts (n,)."""
+    """Return the state of the readings that a mask (n,) keeps; the readings belong to parts (n,)."""
     masks = [keep[part == each] for each in range(len(PART_NAMES))]
     plan, dot_views = kept.session.plan.see_through, state.dot_views
     some = None if plan is None or dot_views is None else dot_views.of_rows(plan, masks[SEE_THROUGH])
@@ -268,5 +268,5 @@ def _state_of_rows(state: State, kept: Observations, keep: BoolArray, part: IntA
 
 
 def _merged(found: Readings, old: Readings) -> Readings:
-    """Readings that were found, and the old ones of the parts that were not done again."""
+    """Return the new readings, with the old ones of the parts that were not simulated again."""
     return Readings(*(was if new is None else new for new, was in zip(found.parts, old.parts, strict=True)))

@@ -212,7 +212,7 @@ def _noise_left_by(
 
 
 def _about_readings(outlier: BoolArray) -> tuple[str, ...]:
-    """A sentence on the single readings that are outliers, if there are any."""
+    """Return a sentence on the single readings that are outliers, if there are any."""
     count = int(np.sum(outlier))
     return (f"{count} single readings lie far from their neighbours and were excluded",) if count else ()
 
@@ -265,7 +265,7 @@ class _Located:
     dropped: tuple[str, ...] = ()
 
     def bench(self, corrected: Bench) -> Bench:
-        """A bench with the effects at work that a bench file can state."""
+        """Return a bench with the effects at work that a bench file can state."""
         if self.contest is None or self.scatter is None or not self.effects:
             return corrected
         pairs = zip(self.effects, self.contest.values(self.effects, self.scatter), strict=True)
@@ -273,12 +273,12 @@ class _Located:
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
 
     def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:
-        """A fine effect, unless a smooth one has better odds: what is left of that one agrees between captures, too."""
+        """Return a fine effect, unless a smooth one has better odds, whose rest agrees between captures, too."""
         smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
         return None if fine is None or fine.log10_odds < smooth else fine
 
     def structure(self, effects: Sequence[StationEffect]) -> tuple[str, ...]:
-        """A sentence on a field that is beyond doubt and yet no effect, as it does not predict captures left out."""
+        """Return a sentence on a certain field that is not an effect, as it does not predict captures left out."""
         best = self.tried[0] if self.tried else None
         if effects or best is None or best.log10_odds < _BEYOND_DOUBT:
             return ()
@@ -288,7 +288,7 @@ class _Located:
         )
 
     def records(self, fine: FineEffect | None) -> list[StationEffect]:
-        """The effects as the report states them."""
+        """Return the effects as the report states them."""
         if self.contest is None or self.scatter is None:
             return []
         return station_effects(self.contest, self.effects, self.scatter, fine)
@@ -354,7 +354,7 @@ def _standing(search: Search, found: Fit) -> _Located:
 def _unexplained(
     located: _Located, prepared: _Prepared, fine: FineEffect | None, settings: Settings
 ) -> list[Unexplained]:
-    """The parts whose residual is more than noise and repeatability with causes, effects and a fine effect at work."""
+    """Return the parts whose residual exceeds noise and repeatability with causes, effects and a fine one at work."""
     left: list[Unexplained] = []
     observations, raw = located.search.full.observations, located.found.at.residual
     scatter = located.scatter or located.found.scatter
@@ -388,7 +388,7 @@ def _variance_error(observations: Observations, part: int, floor: NoiseFloor, se
 def _excluded(
     readings: WeighedReadings, found: Fit, settings: Settings
 ) -> tuple[tuple[MovedCapture, ...], tuple[MovedCapture, ...]]:
-    """The captures that moved, and those of parts of which too many moved to tell which did."""
+    """Return the captures that moved, and the captures of parts of which too many moved to tell which did."""
     moved = moved_captures(readings, found)
     of_part = Counter(name.part for name in readings.observations.captures)
     moved_of_part = Counter(each.capture.part for each in moved)

@@ -78,7 +78,7 @@ class Scatter:
         return bool(usual and self.noise[part] ** 2 <= 1.0 + material_excess)
 
     def sizes(self, part_of: IntArray) -> FloatArray:
-        """Standard deviations of the motions of captures of given parts (g,) over the noise, (g, 6)."""
+        """Return the standard deviations (g, 6) of the motions of captures of given parts (g,) over the noise."""
         usual = np.repeat(np.stack([self.shift_um, self.turn_urad], axis=1), 3, axis=1)[part_of]
         sizes = np.where(self.moved[:, None], np.hypot(usual, _MOVED), usual)
         return np.asarray(sizes / self.noise[part_of][:, None])
@@ -144,7 +144,7 @@ class ScatterSums:
         return cls(part_of, used, count, square, ee, ey, ex, xx, xy, np.zeros(0) if carried is None else carried)
 
     def of_columns(self, which: IntArray) -> "ScatterSums":
-        """Sums for some of the columns, and those that are carried."""
+        """Return the sums for some of the columns, and for the carried ones."""
         last = self.xy.shape[1] - len(self.carried)
         which = np.concatenate([which, np.arange(last, self.xy.shape[1])])
         return replace(self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which])
@@ -152,7 +152,7 @@ class ScatterSums:
     def joined(
         self, more: "ScatterSums", white: FloatArray, y: FloatArray, columns: FloatArray, part: IntArray
     ) -> "ScatterSums":
-        """Sums for these columns and then those of other sums, whose residual counts.
+        """Return the sums for these columns and then those of other sums, whose residual counts.
 
         Args:
             more: the other sums, over the same readings.
@@ -281,7 +281,7 @@ def cost(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArra
 def best_scatter(
     sums: ScatterSums, start: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
 ) -> tuple[Scatter, float]:
-    """The sizes of highest evidence and -2 log of it, from a start on; which captures moved stays as it is."""
+    """Return the sizes of highest evidence and -2 log of it, from a start on; the captures that moved are given."""
     moving = np.array([bool(np.any(sums.ee[sums.part_of == part])) for part in range(_PARTS)])
     present = sums.count > 0
     free = np.concatenate([present, moving, moving])
@@ -315,7 +315,7 @@ def best_scatter(
 
 
 def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> tuple[Scatter, float]:
-    """The sizes of highest evidence where captures may have moved by far more than the others; and -2 log of it.
+    """Return the sizes of highest evidence, and -2 log of it, where some captures may have moved far more than others.
 
     Captures of a part are taken in the order of what a motion of their own would gain, up to half of them; the number
     of highest evidence is kept, and each is tried once more by itself.
@@ -337,7 +337,7 @@ def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> 
 
 
 def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray, mean: FloatArray) -> tuple[Scatter, float]:
-    """The best number of captures that moved, taken in an order."""
+    """Return the best number of captures that moved, taken in an order."""
     most = len(order) // 2
     tried: dict[int, tuple[Scatter, float]] = {}
 
@@ -372,7 +372,7 @@ def one_by_one(
 
 
 def scatter_errors(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
-    """Standard errors of the logarithms of noise, shifts and turns (3, parts) by the curvature of the evidence."""
+    """Return standard errors (3, parts) of the logarithms of noise, shifts and turns by the evidence's curvature."""
     first, step = scatter.vector(), 0.1
 
     def at(vector: FloatArray) -> float:
@@ -413,7 +413,7 @@ def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArr
 
 
 def _pull(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
-    """Sums (g, 6) of motions and readings, less the most probable effect of all columns."""
+    """Return the sums (g, 6) of motions and readings, less the most probable effect of all columns."""
     every = _without_motions(sums, scatter)
     precision = np.concatenate([np.ones(len(mean)), sums.carried**-2.0])
     means = np.concatenate([mean, np.zeros(len(sums.carried))])

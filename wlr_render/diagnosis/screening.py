@@ -128,7 +128,7 @@ class _Screening:
     sums: ScatterSums
 
     def of(self, hypothesis: Hypothesis) -> ScreenedHypothesis | None:
-        """The gain of a hypothesis with the sizes of what is random as they are, or with no capture that moved."""
+        """Return the gain of a hypothesis with noise and motions as they are, or with no capture that moved."""
         starts = self.signatures.of_hypothesis[hypothesis.cause.name, hypothesis.variant]
         best = max((self._at(hypothesis, *each) for each in starts), key=lambda each: each.gain, default=None)
         if best is None or best.parameters == 0:

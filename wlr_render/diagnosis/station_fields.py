@@ -116,12 +116,12 @@ class _Terms:
     means: FloatArray | None = None
 
     def varying(self) -> "_Terms":
-        """The functions less their means, but for a constant, of order 0."""
+        """Return the functions less their means, except a constant, of order 0."""
         means = np.where(self.order > 0, self.values.mean(axis=0), 0.0)
         return replace(self, values=self.values - means, means=means)
 
     def over(self, mask: BoolArray) -> "_Terms":
-        """The functions at some of the readings (n,), zero elsewhere; they are given for these (m,) only."""
+        """Return the functions at some of the readings (n,), zero elsewhere; they are given for these (m,) only."""
         return replace(self, place=_over(mask, self.place), values=_over(mask, self.values))
 
 
@@ -156,7 +156,7 @@ def _as_effects(
 
 
 def _field(station: str, form: str, unit: str, terms: _Terms, lever: FloatArray, displaces: str = "") -> StationField:
-    """A field of terms, each acting through all components of a lever (n, 2, k): sigma per unit.
+    """Return a field of terms, each acting through all components of a lever (n, 2, k): sigma per unit.
 
     `displaces` is what an effect of a bench at that station displaces alike; empty where there is none.
     """
@@ -190,7 +190,7 @@ def _field(station: str, form: str, unit: str, terms: _Terms, lever: FloatArray,
 
 
 def _scaled(field: StationField) -> StationField:
-    """The field with columns of rms 1, without those that do nothing."""
+    """Return the field with columns of rms 1, without columns of no effect."""
     size = np.sqrt(np.mean(field.columns**2, axis=(0, 1)))
     moves = np.isfinite(size) & (size > _IDLE)
 
@@ -317,7 +317,7 @@ def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
 
 
 def _of_captures(observations: Observations, name: str, width: int) -> FloatArray:
-    """A column of the tables, (n, width); zero at run time."""
+    """Return a column of the tables, (n, width); zero at run time."""
     plan, values = observations.session.plan, np.zeros((len(observations), width))
     for part, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
         if table is not None:
@@ -361,8 +361,7 @@ def _dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
 
 
 def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int) -> EyeOptics:
-    """The optics with a height (um) and its slopes along x and y (um/mm), from the middle, where a path meets one
-    surface."""
+    """Return the optics with a height where a path meets one surface: its piston (um) and slopes (um/mm)."""
     if not values.any():
         return optics
     piston, slope_x, slope_y = np.asarray(values) * [1e-6, 1e-3, 1e-3]
@@ -375,7 +374,7 @@ def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int)
 
 
 def _height(path: str, step: int) -> Cause:
-    """A height where a path meets one surface: its derivative is the lever of the surface there."""
+    """Return a cause with a height where a path meets one surface: its derivative is the surface's lever there."""
     return Cause(
         "height",
         "height added to a surface of the combiner",
@@ -530,7 +529,7 @@ def _lever(predictor: Predictor, hypothesis: Hypothesis) -> FloatArray:
 
 
 def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
-    """What a recording of head motion shows: shifts of the virtual dot, and delays, by all that is recorded."""
+    """Return the fields of a recording of head motion: shifts of the virtual dot, and delays, by all variables."""
     observations, predictor = readings.observations, readings.predictor
     plan, seen = observations.session.plan.run_time, observations.session.readings.run_time_pixel
     assert plan is not None

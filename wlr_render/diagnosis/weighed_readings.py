@@ -49,7 +49,7 @@ class WeighedReadings:
         return cls(predictor, noise, shared, motions, shared(motions), none, np.zeros(0))
 
     def with_effects(self, effects: FloatArray, sizes: FloatArray) -> "WeighedReadings":
-        """The readings with the functions (n, 2, k) of effects, whose coefficients have the sizes (k,), at work."""
+        """Return the readings with the functions (n, 2, k) of effects, of sizes (k,) of their coefficients, at work."""
         return replace(self, effects=effects, effect_sizes=sizes)
 
     @property
@@ -58,7 +58,7 @@ class WeighedReadings:
         return self.predictor.observations
 
     def of_rows(self, keep: BoolArray) -> "WeighedReadings":
-        """The readings that a mask (n,) names."""
+        """Return the readings that a mask (n,) selects."""
         return WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
 
     def whitening(self, scatter: Scatter) -> Whitening:
@@ -142,7 +142,7 @@ def camera_motions(predictor: Predictor) -> FloatArray:
 
 
 def _of_placed_dots(predictor: Predictor) -> Predictor:
-    """A predictor of the same readings whose dots are where the stated poses of the target place them."""
+    """Return a predictor of the same readings whose dots are where the stated poses of the target place them."""
     observations = predictor.observations
     session, plan = observations.session, observations.session.plan.see_through
     if plan is None or plan.bare_pixel is None:
