@@ -319,7 +319,7 @@ class FieldContest:
     def _with_and_without(
         self, number: int, station: str, beside: Sequence[LocatedEffect]
     ) -> tuple[Known, Known, IntArray, FloatArray]:
-        """Return the model with and without a cause, except effects of a station; the cause's columns and null values."""
+        """Return the model with and without a cause, and the columns and null values of the cause."""
         mine = self.found.owner == number
         elsewhere = [each for each in beside if each.field.station != station]
         named = self._known(elsewhere, self._all_causes)
