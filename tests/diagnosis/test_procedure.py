@@ -42,7 +42,7 @@ def test_each_capture_has_its_residual(explained):
         own = explained.residual_after[explained.observations.group == number]
         assert capture.rms_after == pytest.approx(np.sqrt(np.mean(own**2)))
         assert capture.excluded == (capture.capture == "display capture 3")
-        assert (capture.reduced_chi_squared > 5) == capture.excluded
+        assert (capture.rms_after**2 > 5) == capture.excluded
 
 
 def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located):

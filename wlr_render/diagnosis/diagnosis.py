@@ -241,11 +241,6 @@ class CaptureResidual:
     rms_after: float
     excluded: bool
 
-    @property
-    def reduced_chi_squared(self) -> float:
-        """Mean square residual after the correction."""
-        return self.rms_after**2
-
 
 @dataclass(frozen=True)
 class Correlations:

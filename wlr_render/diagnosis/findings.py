@@ -1,7 +1,7 @@
-"""What a diagnosis says of a fit: causes with their values, limits of detection, residuals, and what is expected."""
+"""Findings of a fit: causes with their values, detection limits, residuals, and their expected size."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import astuple, replace
 
 import numpy as np
 
@@ -32,7 +32,6 @@ from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.scatter import LOG10_ODDS, scatter_errors
 from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
-from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _RANKED = 8
@@ -42,9 +41,9 @@ def found_cause(search: Search, found: Fit, number: int, ranking: CandidateRanki
     """Describe one cause of a fit.
 
     Args:
-        search: what it was found with.
+        search: the search that found it.
         found: the fit of all causes.
-        number: which of them.
+        number: index of the cause in the fit.
         ranking: the candidates for its place, the others being at work.
     """
     hypothesis = found.explanation.hypotheses[number]
@@ -126,12 +125,12 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
     The limits of a cause that acts from some moment on are for the middle of the session.
 
     Args:
-        search: with the subsample of the readings, which stands for all of them.
+        search: with the subsample that represents all readings.
         found: the fit without causes.
         causes: to be considered.
     """
     limits = []
-    # Each reading of the subsample stands for several, but each capture for itself.
+    # A reading of the subsample represents several; a capture represents itself.
     scatter = replace(found.scatter, noise=found.scatter.noise / np.sqrt(search.share))
     times = times_between_captures(search.full.observations.session.plan)
     middle = float(times[len(times) // 2]) if len(times) else 0.0
@@ -145,7 +144,7 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
         alone = fit(search.subsample, start, scatter, 0, vary_scatter=False)
         if alone is None:
             continue
-        # Without the prior, which says nothing about what would have been seen.
+        # The prior is left out: a limit is by the readings alone.
         information = alone.information - np.eye(alone.at.free.size)
         sigma = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)).clip(0.0))
         moment = f" (from {middle:.0f} s on)" if any(is_time) else ""
@@ -193,16 +192,13 @@ def residual_summary(observations: Observations, residual: FloatArray, used: Boo
 
 def noise_summary(observations: Observations, used: BoolArray) -> ResidualSummary:
     """Return the root mean squares per axis of noise alone, over the readings (n,) that count."""
-    sigma = observations.sigma_px[used]
-    arcmin = 1.0 / (np.mean(observations.nominal.camera.focal_px) * ARCMIN)
-
-    def of(part: int) -> float | None:
-        return _rms(sigma[observations.part[used] == part] * arcmin)
-
+    summary = residual_summary(observations, np.ones((len(observations), 2)), used)
+    if summary.display_rms_px is None:
+        return summary
+    # The axes of panel and camera differ: both components of the noise contribute to each axis of the panel.
     display = used[observations.part == DISPLAY]
-    camera_px = observations.panel_from_camera[display] * observations.sigma_of(DISPLAY)[display][:, :, None]
-    panel_px = float(np.sqrt(np.mean(np.sum(camera_px**2, axis=(1, 2))) / 2)) if display.any() else None
-    return ResidualSummary(panel_px, of(SEE_THROUGH), of(RUN_TIME), 1.0)
+    panel_px = observations.panel_from_camera[display] * observations.sigma_of(DISPLAY)[display][:, :, None]
+    return replace(summary, display_rms_px=float(np.sqrt(np.mean(np.sum(panel_px**2, axis=(1, 2))) / 2)))
 
 
 def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
@@ -215,17 +211,13 @@ def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
 
 def expected_summary(observations: Observations, motion: FloatArray, used: BoolArray) -> ResidualSummary:
     """Return the expected rms per axis from noise plus the usual motions (n, 2, 6) of the captures."""
-    noise = noise_summary(observations, used)
-    by_axis = [residual_summary(observations, each, used) for each in np.moveaxis(motion, 2, 0)]
-
-    def total(attribute: str) -> float | None:
-        own = getattr(noise, attribute)
-        return None if own is None else float(np.linalg.norm([own, *(getattr(each, attribute) for each in by_axis)]))
-
-    display, see_through, run_time = (
-        total(name) for name in ("display_rms_px", "see_through_rms_arcmin", "run_time_rms_arcmin")
+    summaries = [noise_summary(observations, used)]
+    summaries += [residual_summary(observations, each, used) for each in np.moveaxis(motion, 2, 0)]
+    display, see_through, run_time, over_noise = (
+        None if values[0] is None else float(np.linalg.norm(values))
+        for values in zip(*map(astuple, summaries), strict=True)
     )
-    return ResidualSummary(display, see_through, run_time, total("over_noise") or 1.0)
+    return ResidualSummary(display, see_through, run_time, over_noise or 1.0)
 
 
 def _rms(values: FloatArray) -> float | None:
