@@ -8,6 +8,7 @@ from scipy.special import ndtr, ndtri
 
 from wlr_render.diagnosis.diagnosis import Diagnosis, StationEffect
 from wlr_render.diagnosis.residual_views import PartView, Variable
+from wlr_render.diagnosis.verdict_sentences import WHERE
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.report.blocks import Plot
 from wlr_render.report.plots import arrow_map, axis, curves
@@ -63,7 +64,7 @@ _LABELS = {
     "panel pixels and viewpoint": ("panel u (px)", "panel v (px)"),
     "panel pixels and colour": ("panel u (px)", "panel v (px)"),
     "camera pixels": ("camera u (px)", "camera v (px)"),
-    "place on the combiner": ("right of the line of sight (mm)", "above it (mm)"),
+    "place on the combiner": ("right of the line of sight (mm)", "above the line of sight (mm)"),
     "place on the target": ("x on the target", "y on the target"),
 }
 """Names of the two axes of a map, by the coordinates of a station."""
@@ -71,7 +72,7 @@ _LABELS = {
 
 def effect_map(effect: StationEffect) -> Plot:
     """Plot what a located effect displaces at its station: arrows or colours over two coordinates, curves over one."""
-    shape, title = effect.map, f"Effect on the {effect.station}: {effect.displaced}"
+    shape, title = effect.map, f"Effect {WHERE[effect.station]}: {effect.displaced}"
     caption = f"{effect.displaced} ({shape.unit}) over {shape.coordinates}: {effect.form}, as the readings show it."
     place, moved = shape.place[:, np.ptp(shape.place, axis=0) > 0.0][:, :2], shape.displacement
     if place.shape[1] < 2:

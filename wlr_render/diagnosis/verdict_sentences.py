@@ -40,7 +40,7 @@ RESIDUALS = (
 )
 """Each part, the name of its residual, the attribute of `ResidualSummary`, and the unit to append to a number."""
 
-_WHERE = {
+WHERE = {
     "panel": "on the panel",
     "combiner": "on the combiner",
     "camera": "in the camera",
@@ -139,9 +139,9 @@ def effect_sentence(effect: StationEffect) -> str:
         place, unit = ", ".join(f"{each:.3g}" for each in effect.place), effect.length_unit
         shape = f"a spot {cell_text(effect.length)} {unit} wide at ({place}) {unit}"
     odds = f"log10 odds {odds_text(effect.log10_odds)}"
-    sentence = f"an effect {_WHERE[effect.station]} that no listed cause has: {shape} ({odds})"
+    sentence = f"an effect {WHERE[effect.station]} that no listed cause has: {shape} ({odds})"
     if _is_ambiguous(effect):
-        sentence += f"; the session hardly tells it from an effect {_WHERE[effect.next_station]}"
+        sentence += f"; the session hardly tells it from an effect {WHERE[effect.next_station]}"
     return sentence
 
 
@@ -201,7 +201,7 @@ def _corrected_values(diagnosis: Diagnosis) -> list[str]:
 
 def _about_effect(effect: StationEffect) -> list[str]:
     """Return the sources to look for, the gain by a correction, and the measurement that tells two stations apart."""
-    where, gain = _WHERE[effect.station], effect.held_out_improvement.percent
+    where, gain = WHERE[effect.station], effect.held_out_improvement.percent
     worth = "A correction by the other captures does not improve captures left out."
     if gain > 0.0:
         share = 100 * min(max(effect.share_of_excess_removed, 0.0), 1.0)

@@ -17,6 +17,7 @@ MAX_ARROWS = 200
 _ALL_ARROWS = 5000  # most arrows in all groups together, a limit of browsers; each group has at least 40
 _ARROW_SHARE = 0.05
 """Length of the reference arrow, as a share of the map's width."""
+_MARGIN = 0.06  # margin left and right of panels side by side, as a share of the map's width
 
 _DECADES = 3.0  # range of the logarithmic scale that maps share; smaller values have the first colour
 
@@ -267,6 +268,9 @@ def arrow_map(
         )
     )
     layout = _arrow_layout(axes, panels, y_down)
+    if len(panels) > 1:  # a range of both panels: each would have that of its own arrows
+        margin = _MARGIN * float(high[0] - low[0])
+        layout["xaxis"]["range"] = [float(low[0]) - margin, float(high[0]) + margin]
     if len(groups) > 1:
         layout["updatemenus"] = [_group_menu(list(groups), 2 * len(panels))]
     return Plot(title, data, layout, caption, height_px=560)

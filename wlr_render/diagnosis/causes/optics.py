@@ -21,7 +21,6 @@ from wlr_render.optics.device import (
     EyeOptics,
     Interaction,
     Path,
-    PlacedPanel,
     PlacedSurface,
     Step,
 )
@@ -35,15 +34,15 @@ _PLATE_HALF_SIZE = 0.2  # metres
 _FORWARD = np.array([0.0, 0.0, -1.0])
 
 
+def of_optics(change: Callable[[EyeOptics, FloatArray], EyeOptics]) -> Perturb:
+    """Return a change of the eye's optics: `change` maps them and the parameters to the new ones."""
+    return lambda bench, values: _with_optics(bench, change(bench.optics, values))
+
+
 def _with_optics(bench: Bench, optics: EyeOptics) -> Bench:
     """Return the bench with other optics before its eye."""
     device = replace(bench.device, eyes={**bench.device.eyes, bench.eye: optics})
     return replace(bench, device=device)
-
-
-def of_optics(change: Callable[[EyeOptics, FloatArray], EyeOptics]) -> Perturb:
-    """Return a change of the eye's optics: `change` maps them and the parameters to the new ones."""
-    return lambda bench, values: _with_optics(bench, change(bench.optics, values))
 
 
 def _sizes(error: assembly.AssemblyError, names: Sequence[str], first: int = 0) -> tuple[Parameter, ...]:
@@ -54,32 +53,28 @@ def _sizes(error: assembly.AssemblyError, names: Sequence[str], first: int = 0) 
     )
 
 
-def _panel_scaled(bench: Bench, scale_percent: FloatArray) -> Bench:
-    panel = bench.optics.panel
-    return _with_panel(bench, replace(panel, size=panel.size * (1.0 + 1e-2 * float(scale_percent[0]))))
+def _panel_scaled(optics: EyeOptics, scale_percent: FloatArray) -> EyeOptics:
+    size = optics.panel.size * (1.0 + 1e-2 * float(scale_percent[0]))
+    return replace(optics, panel=replace(optics.panel, size=size))
 
 
-def _with_panel(bench: Bench, panel: PlacedPanel) -> Bench:
-    return _with_optics(bench, replace(bench.optics, panel=panel))
-
-
-def _index_shifted(bench: Bench, index: FloatArray) -> Bench:
+def _index_shifted(optics: EyeOptics, index: FloatArray) -> EyeOptics:
     """Add a number to the index of all media but air."""
-    return _with_optics(bench, bench.optics.with_media(lambda medium: medium.shifted(float(index[0]))))
+    return optics.with_media(lambda medium: medium.shifted(float(index[0])))
 
 
 def _combiner_thickened(
-    bench: Bench, thickness_mm: FloatArray, *, face: Literal["inner", "outer"], along_axis: bool = False
-) -> Bench:
+    optics: EyeOptics, thickness_mm: FloatArray, *, face: Literal["inner", "outer"], along_axis: bool = False
+) -> EyeOptics:
     """Move the first or last surface that the world is seen through so that the substrate between them is thicker.
 
-    It moves along its normals, or as a whole along the axis of its own frame, as the halves of a mould do.
+    It moves along its normals, or as a whole along the axis of its frame, as the halves of a mould do.
     """
-    steps, by = bench.optics.see_through.steps, 1e-3 * float(thickness_mm[0])
+    steps, by = optics.see_through.steps, 1e-3 * float(thickness_mm[0])
     if len(steps) < 2:
-        return bench
+        return optics
     chosen = steps[0 if face == "inner" else -1].surface
-    offset = outward(chosen, assembly.combiner_middle(bench.optics), along_axis) * (-by if face == "inner" else by)
+    offset = outward(chosen, assembly.combiner_middle(optics), along_axis) * (-by if face == "inner" else by)
 
     def thickened(surface: PlacedSurface) -> PlacedSurface:
         if surface.name != chosen.name or offset == 0.0:
@@ -92,13 +87,13 @@ def _combiner_thickened(
             return replace(surface, shape=replace(shape, distance=shape.distance + offset))
         return replace(surface, shape=Offset(shape, offset))
 
-    return _with_optics(bench, bench.optics.with_surfaces(thickened))
+    return optics.with_surfaces(thickened)
 
 
 def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg: FloatArray) -> Bench:
     """Add a plate of PMMA between the optics and the world, both its faces tilted about x and y, or the far one only.
 
-    A negative thickness stands for the opposite offset of rays, so that a fit may pass through zero.
+    A negative thickness displaces rays the other way, so that a fit may pass through zero.
     """
     if thickness == 0.0:
         return bench
@@ -189,7 +184,7 @@ OPTICS = (
         (Parameter("scale", "%", 0.3),),
         source="rounding of a pixel pitch in a data sheet, a few parts in a thousand; heat is ten times less",
         separated_by="a photograph of the bare panel with a ruler",
-        variants={"about its centre": _panel_scaled},
+        variants={"about its centre": of_optics(_panel_scaled)},
         own_station="panel",
     ),
     Cause(
@@ -199,7 +194,7 @@ OPTICS = (
         (Parameter("index", "1", 0.01),),
         source="PMMA grades differ by 0.002, PMMA and polycarbonate by 0.09; a moulded part lies between",
         separated_by="the index of a witness piece; a second wavelength",
-        variants={"of all media": _index_shifted},
+        variants={"of all media": of_optics(_index_shifted)},
     ),
     Cause(
         "substrate_thickness",
@@ -209,9 +204,11 @@ OPTICS = (
         source="usual tolerance of moulded plastic optics, 0.05 to 0.1 mm",
         separated_by="a calliper",
         variants={
-            "its outer face moves along its normals": partial(_combiner_thickened, face="outer"),
-            "its outer face moves along its axis": partial(_combiner_thickened, face="outer", along_axis=True),
-            "its inner face moves along its normals": partial(_combiner_thickened, face="inner"),
+            "its outer face moves along its normals": of_optics(partial(_combiner_thickened, face="outer")),
+            "its outer face moves along its axis": of_optics(
+                partial(_combiner_thickened, face="outer", along_axis=True)
+            ),
+            "its inner face moves along its normals": of_optics(partial(_combiner_thickened, face="inner")),
         },
     ),
     Cause(
