@@ -46,7 +46,7 @@ class FineEffect:
         log10_odds: for it against noise alone.
         size: rms that the captures have in common over all cells, in units of sigma.
         cells: (c, 2) middles of the cells, in the unit.
-        means: (c, 2) mean residual of each, in units of sigma, and errors: (c,) their standard errors.
+        means: (c, 2) mean residual of each, in units of sigma.
         place, width: (2,) and (): middle of the cells that stand out, and their rms distance from it, in the unit;
             NaN where most of the station stands out.
         next_station: the station of next best evidence; empty where there is no other.
@@ -64,7 +64,6 @@ class FineEffect:
     size: float
     cells: FloatArray
     means: FloatArray
-    errors: FloatArray
     place: FloatArray
     width: float
     next_station: str
@@ -150,8 +149,8 @@ class _Cells:
         """Return the effect with its map and its improvement of captures left out."""
         _, share, variance = self.agreement
         count, total = self.sums(np.ones(len(self.cell), dtype=bool))
-        means, errors = total / count[:, None], np.sqrt(self.noise / count)
-        power = np.sum(means**2, axis=1) / errors**2
+        means = total / count[:, None]
+        power = np.sum(means**2, axis=1) * count / self.noise
         place, width = _spot(self.middles, np.where(power > _CELL_STANDS_OUT, power, 0.0), _SPOT * self.width)
         before, after = self._left_out(share, variance)
         excess = 2.0 * share * variance * len(self.left)
@@ -165,7 +164,6 @@ class _Cells:
             size=float(np.sqrt(share * variance)),
             cells=self.middles,
             means=means,
-            errors=errors,
             place=place,
             width=width,
             next_station=rival,

@@ -15,6 +15,7 @@ from wlr_render.diagnosis.held_out import held_out_residual, jackknife
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.outliers import not_excluded
 from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.tables import OfCause
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.report.blocks import ReportTable, table
 
@@ -129,14 +130,14 @@ def hold_out_values(diagnosis: Diagnosis) -> ReportTable:
     )
     return table(
         "Values found, and how captures scatter about them",
-        [(cause, each) for cause in diagnosis.causes for each in cause.parameters],
+        [OfCause(cause, each) for cause in diagnosis.causes for each in cause.parameters],
         {
-            "cause": lambda row: row[0].name,
-            "parameter": lambda row: row[1].name,
-            "value": lambda row: row[1].value,
-            "unit": lambda row: row[1].unit,
-            "one sigma by the diagnosis": lambda row: row[1].sigma,
-            "one sigma by the captures": lambda row: float(by_name[row[0].name, row[1].name]),
+            "cause": "cause.name",
+            "parameter": "each.name",
+            "value": "each.value",
+            "unit": "each.unit",
+            "one sigma by the diagnosis": "each.sigma",
+            "one sigma by the captures": lambda row: float(by_name[row.cause.name, row.each.name]),
         },
         (note,),
     )

@@ -1,10 +1,11 @@
 """The tables of a diagnosis; tables without content have no rows."""
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ParameterValue
+from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
 from wlr_render.diagnosis.noise_sentences import undetermined_parts
@@ -16,6 +17,13 @@ from wlr_render.report.blocks import Cell, ReportTable, quantity, table
 _UNITS = {" panel px": "panel px", "'": "arcmin"}
 _UNCHANGED = 0.05  # percent: rounds to 0.0
 _RANKED = 6  # candidates of each place that the table shows
+
+
+class OfCause(NamedTuple):
+    """A row: one of the parameters, candidates or degenerate causes of a cause."""
+
+    cause: FoundCause
+    each: Any
 
 
 def residuals_table(diagnosis: Diagnosis) -> ReportTable:
@@ -98,7 +106,7 @@ def in_use_table(in_use: ImprovementInUse) -> ReportTable:
 
 def parameters_table(diagnosis: Diagnosis) -> ReportTable:
     """Return one row for each fitted number."""
-    numbers = [(cause, each) for cause in diagnosis.causes for each in cause.parameters]
+    numbers = [OfCause(cause, each) for cause in diagnosis.causes for each in cause.parameters]
     is_stated = any(stated_prior(diagnosis, *row) for row in numbers)
     size, note = (
         "usual size",
@@ -111,22 +119,22 @@ def parameters_table(diagnosis: Diagnosis) -> ReportTable:
             "value that is many sigmas from the mean.",
         )
 
-    def prior(row: tuple[FoundCause, ParameterValue]) -> Cell:
-        mean, sigma = stated_prior(diagnosis, *row) or (row[1].prior_mean, row[1].prior_sigma)
+    def prior(row: OfCause) -> Cell:
+        mean, sigma = stated_prior(diagnosis, *row) or (row.each.prior_mean, row.each.prior_sigma)
         return f"{mean:g}, {sigma:g}" if is_stated else sigma
 
     return table(
         "Parameters",
         numbers,
         {
-            "cause": lambda row: row[0].name,
-            "parameter": lambda row: row[1].name,
-            "value": lambda row: quantity(row[1].value, row[1].sigma, 2).partition(" +- ")[0],
-            "one sigma": lambda row: quantity(row[1].value, row[1].sigma, 2).partition(" +- ")[2] or "-",
-            "unit": lambda row: row[1].unit,
-            "value / sigma": lambda row: abs(row[1].value) / row[1].sigma if row[1].sigma > 0 else None,
+            "cause": "cause.name",
+            "parameter": "each.name",
+            "value": lambda row: quantity(row.each.value, row.each.sigma, 2).partition(" +- ")[0],
+            "one sigma": lambda row: quantity(row.each.value, row.each.sigma, 2).partition(" +- ")[2] or "-",
+            "unit": "each.unit",
+            "value / sigma": lambda row: abs(row.each.value) / row.each.sigma if row.each.sigma > 0 else None,
             size: prior,
-            "variant": lambda row: row[0].variant,
+            "variant": "cause.variant",
         },
         (note, AXES_NOTE),
     )
@@ -140,12 +148,12 @@ def degenerate_table(diagnosis: Diagnosis) -> ReportTable:
     )
     return table(
         "Degenerate causes",
-        [(cause, other) for cause in diagnosis.causes for other in cause.degenerate],
+        [OfCause(cause, other) for cause in diagnosis.causes for other in cause.degenerate],
         {
-            "cause": lambda row: row[0].name,
-            "nearly the same effect": lambda row: row[1].name,
-            "cosine": lambda row: f"{row[1].cosine:.4f}",
-            "measurement that separates them": lambda row: row[1].separated_by,
+            "cause": "cause.name",
+            "nearly the same effect": "each.name",
+            "cosine": lambda row: f"{row.each.cosine:.4f}",
+            "measurement that separates them": "each.separated_by",
         },
         (note,),
     )
@@ -157,15 +165,14 @@ def ranking_table(diagnosis: Diagnosis) -> ReportTable:
         "Odds of the best candidate against this one, from their marginal likelihoods, each with the noise and the "
         "repeatability that suit it best; a dash: to first order too far behind to be fitted."
     )
-    places = enumerate(diagnosis.causes, start=1)
     return table(
         "Ranking of candidates",
-        [(f"{place}: {cause.name}", each) for place, cause in places for each in cause.ranking[:_RANKED]],
+        [OfCause(cause, each) for cause in diagnosis.causes for each in cause.ranking[:_RANKED]],
         {
-            "place": lambda row: row[0],
-            "candidate": lambda row: row[1].name,
-            "variant": lambda row: row[1].variant,
-            "log10 odds against": lambda row: _odds(row[1].log10_odds),
+            "place": lambda row: f"{diagnosis.causes.index(row.cause) + 1}: {row.cause.name}",
+            "candidate": "each.name",
+            "variant": "each.variant",
+            "log10 odds against": lambda row: _odds(row.each.log10_odds),
         },
         (note,),
     )
