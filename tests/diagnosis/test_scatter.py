@@ -11,8 +11,10 @@ from wlr_render.diagnosis.scatter import (
     Scatter,
     ScatterSums,
     best_scatter,
+    cost,
     marginal,
     minus_two_log_evidence,
+    motion_slopes,
     motions_of,
     one_at_rest,
     scatter_errors,
@@ -74,6 +76,31 @@ def test_the_most_probable_motions_are_those_of_linear_regression(drawn):
     size = np.repeat([20.0, 60.0], 3) / 1.3  # over the noise of the part
     expected = np.linalg.solve(sums.ee[0] + np.diag(size**-2.0), sums.ey[0])
     np.testing.assert_allclose(motions_of(sums, scatter)[0], expected, rtol=1e-8)
+
+
+def test_carried_effects_are_one_more_random_error_of_all_readings(drawn):
+    sums, scatter, y, columns, variance = drawn
+    size = np.array([0.3, 2.0])
+    carried = replace(sums, carried=size)
+    found = marginal(carried, scatter)
+    variance = variance + (columns[:, 1:] * size**2) @ columns[:, 1:].T
+    solved = np.linalg.solve(variance, columns[:, :1])
+    assert found.minus_two_log == pytest.approx(density(y, variance), rel=1e-9)
+    np.testing.assert_allclose(found.information, columns[:, :1].T @ solved, rtol=1e-8)
+    np.testing.assert_allclose(found.gradient, solved.T @ y, rtol=1e-8)
+    mean = np.array([0.4])
+    evidence = minus_two_log_evidence(found, mean) + surprise(scatter, sums)
+    assert cost(carried, scatter, mean) == pytest.approx(evidence, rel=1e-9)
+
+
+def test_slopes_of_the_evidence_by_motions_are_its_derivatives(drawn):
+    sums, scatter, *_ = drawn
+    sums, mean, step = replace(sums, carried=np.array([2.0])), np.array([0.4, -0.1]), 1e-5
+    slopes = motion_slopes(sums, scatter, mean).ravel()
+    for number in (0, 1, 3, 4):
+        ahead, back = (scatter.vector() + sign * step * np.eye(9)[3 + number] for sign in (1, -1))
+        difference = cost(sums, scatter.at(ahead), mean) - cost(sums, scatter.at(back), mean)
+        assert slopes[number] == pytest.approx(difference / (2 * step), rel=1e-5, abs=1e-5)
 
 
 def test_the_best_sizes_have_the_highest_evidence(drawn):

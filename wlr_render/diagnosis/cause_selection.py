@@ -25,7 +25,7 @@ from wlr_render.diagnosis.prediction import Explanation, Hypothesis
 from wlr_render.diagnosis.scatter import LOG10_ODDS, Scatter, best_scatter, with_moved_captures
 from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.diagnosis.station_fields import StationField, station_fields
+from wlr_render.diagnosis.station_fields import ELSEWHERE, StationField, station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray
 
@@ -33,7 +33,7 @@ Progress = Callable[[str], None]
 
 _NOTHING_MORE = "no other cause makes the readings more probable"
 _FIELD_FIRST = "an effect of another shape than all causes explains more than they do together"
-_SECOND_ORDER = 0.02  # of the gain of a field: what causes may gain beyond first order
+_FAR_MORE = 1.5  # times what causes gain to first order: beyond it they may gain as much again
 _SHAPED = 2  # causes of a shape that are fitted all the same
 _NOTABLE = 1e-3  # of the noise's variance: what a cause takes off a part in which it acts at least
 
@@ -129,16 +129,19 @@ class Search:
         """Return the fields beside a fit to the subsample."""
         return FieldContest(self.subsample, at, self.fields, self.signatures.fixed)
 
-    def with_effects(self, effects: Sequence[LocatedEffect], beside: Explanation = Explanation()) -> "Search":  # noqa: B008
+    def with_effects(self, effects: Sequence[LocatedEffect], beside: Explanation, constants: bool) -> "Search":
         """Return the same search with located effects at work, whatever their coefficients.
 
-        Beside causes at its own station an effect is what these cannot do: their values stay determined.
+        Args:
+            effects: the effects.
+            beside: causes; at their station an effect is what these cannot do, so that their values stay determined.
+            constants: whether an effect of the stage or of time has a constant as well, which may be a cause's.
         """
         full = station_fields(self.full) if self.full is not self.subsample else self.fields
         sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
         searched = []
         for readings, fields in ((self.subsample, self.fields), (self.full, full)):
-            columns = [_beyond(each.over(fields), beside, readings) for each in effects]
+            columns = [_beyond(each.over(fields), beside, readings, constants) for each in effects]
             searched.append(readings.with_effects(np.concatenate(columns, axis=2), sizes))
         return replace(self, full=searched[1], subsample=searched[0], simulated=self.signatures)
 
@@ -210,9 +213,8 @@ class Search:
             return 0.0
         best = contest.ranked[0].log10_odds / LOG10_ODDS
         shapes = [each.columns for each in screened if each.columns is not None]
-        by_causes = contest.gain_of_best(shapes, self.settings.max_causes)
-        clearly = max(self.settings.close_evidence, _SECOND_ORDER * best)
-        return best if best > by_causes + clearly else 0.0
+        by_causes = max(screened[0].gain, contest.gain_of_best(shapes, self.settings.max_causes))
+        return best if best > _FAR_MORE * by_causes + self.settings.close_evidence else 0.0
 
     def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis], field_gain: float) -> list[Candidate]:
         """Fits of the hypotheses that are worth one, best first."""
@@ -316,8 +318,11 @@ class Search:
         return without - with_it
 
 
-def _beyond(effect: LocatedEffect, explanation: Explanation, readings: WeighedReadings) -> FloatArray:
-    """Functions (n, 2, c) of an effect, less what causes of its own station do of them."""
+def _beyond(effect: LocatedEffect, explanation: Explanation, readings: WeighedReadings, constants: bool) -> FloatArray:
+    """Functions (n, 2, c) of an effect, less what causes of its own station do of them; see `with_effects`."""
+    functions = effect.columns
+    if not constants and effect.field.station in ELSEWHERE:
+        functions = functions * (effect.order > 0)
     at = readings.predictor.linearised(explanation)
     stations = np.array(
         [
@@ -328,11 +333,11 @@ def _beyond(effect: LocatedEffect, explanation: Explanation, readings: WeighedRe
     )
     same = stations[at.free] == effect.field.station if at.free.size else np.zeros(0, dtype=bool)
     if not same.any():
-        return effect.columns
+        return functions
     causes = at.jacobian[:, :, same]
     white = readings.shared(causes).reshape(-1, int(same.sum()))
-    share = np.linalg.lstsq(white, readings.shared(effect.columns).reshape(len(white), -1), rcond=None)[0]
-    return np.asarray(effect.columns - causes @ share)
+    share = np.linalg.lstsq(white, readings.shared(functions).reshape(len(white), -1), rcond=None)[0]
+    return np.asarray(functions - causes @ share)
 
 
 def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:

@@ -75,6 +75,11 @@ class LocatedEffect:
         return replace(self, field=same)
 
     @property
+    def order(self) -> IntArray:
+        """(c,) of the functions that count."""
+        return self.field.order[self.field.order <= self.degree]
+
+    @property
     def columns(self) -> FloatArray:
         """(n, 2, c) of the functions that count."""
         return self.field.columns[:, :, self.field.order <= self.degree]

@@ -300,7 +300,8 @@ def _located(search: Search, found: Fit) -> _Located:
     for _ in range(_ROUNDS):
         if not located.effects:
             break
-        more = located.search.select(located.found.explanation).fit
+        beside = search.with_effects(located.effects, located.found.explanation, constants=False)
+        more = beside.select(located.found.explanation).fit
         if more.explanation.names == located.found.explanation.names:
             break
         again = _standing(search, more)
@@ -334,7 +335,7 @@ def _standing(search: Search, found: Fit) -> _Located:
         )
         found = search.refitted(found.explanation.without(weakest), found.scatter)
     if effects:
-        search = search.with_effects(effects, found.explanation)
+        search = search.with_effects(effects, found.explanation, constants=not found.explanation.hypotheses)
         found = search.refitted(found.explanation, contest.scatter_beside(effects))
     tried = [
         TriedField(each.field.station, each.field.coordinates, each.field.form, each.degree, each.log10_odds)

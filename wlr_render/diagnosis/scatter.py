@@ -275,7 +275,41 @@ def cost(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArra
         mean: (m,) of the values' priors less the values at which the sums were made, in prior sigmas.
         sigma: (m,) of the priors.
     """
-    return minus_two_log_evidence(marginal(sums, scatter), mean, sigma) + surprise(scatter, sums)
+    every = _without_motions(sums, scatter)
+    return minus_two_log_evidence(every, *_priors(sums, mean, sigma)) + surprise(scatter, sums)
+
+
+def _priors(sums: ScatterSums, mean: FloatArray, sigma: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Means and sigmas of the coefficients of all columns, those that are carried included."""
+    sigmas = np.concatenate([np.broadcast_to(sigma, mean.shape), sums.carried])
+    return np.concatenate([mean, np.zeros(len(sums.carried))]), sigmas
+
+
+def motion_slopes(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0) -> FloatArray:
+    """Return the derivatives (2, parts) of `cost` by the logarithms of shifts and turns."""
+    sizes, variance = scatter.sizes(sums.part_of), scatter.noise[sums.part_of] ** 2
+    inverse = np.linalg.inv(sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6))
+    y, x = ((inverse @ (sizes[:, :, None] * each)) for each in (sums.ey[:, :, None], sums.ex))
+    rest, explained = y[:, :, 0], np.zeros_like(y[:, :, 0])
+    means, sigmas = _priors(sums, mean, sigma)
+    if len(means):
+        every = _without_motions(sums, scatter)
+        covariance = np.linalg.inv(every.information + np.diag(sigmas**-2.0))
+        rest = rest - x @ (covariance @ (every.gradient + means / sigmas**2))
+        explained = np.sum((x.reshape(-1, len(means)) @ covariance).reshape(x.shape) * x, axis=2)
+    by_axis = 2.0 * (1.0 - np.diagonal(inverse, axis1=1, axis2=2) - (explained + rest**2) / variance[:, None])
+    # A capture that moved has a wide prior beside the usual one, which does not change.
+    usual = scatter.at_rest().sizes(sums.part_of)
+    by_axis = by_axis * (usual / sizes) ** 2 * sums.used[:, None]
+    slopes = np.zeros((2, _PARTS))
+    for number, (axes, size, at) in enumerate(
+        ((slice(0, 3), scatter.shift_um, USUAL_SHIFT), (slice(3, 6), scatter.turn_urad, USUAL_TURN))
+    ):
+        for part in np.unique(sums.part_of[sums.used]):
+            mine = sums.part_of == part
+            surprising = 2.0 * np.log(size[part] / at) / _USUAL_RANGE**2
+            slopes[number, part] = np.sum(by_axis[mine, axes]) + surprising
+    return slopes
 
 
 def best_scatter(
@@ -295,8 +329,12 @@ def best_scatter(
         return cost(sums, start.at(vector), mean, sigma)
 
     def with_slope(inner: FloatArray) -> tuple[float, FloatArray]:
-        value = at(inner)
-        return value, np.array([(at(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))])
+        value, vector = at(inner), first.copy()
+        vector[free] = inner
+        by_motions = motion_slopes(sums, start.at(vector), mean, sigma).ravel()
+        noises = int(np.sum(present))
+        by_noise = [(at(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))[:noises]]
+        return value, np.concatenate([by_noise, by_motions[free[_PARTS:]]])
 
     low = np.concatenate([np.zeros(_PARTS), np.full(2 * _PARTS, _LOWEST)])[free]
     high = np.concatenate([np.full(_PARTS, _NOISIEST), np.full(2 * _PARTS, _HIGHEST)])[free]
