@@ -2,12 +2,14 @@
 
 import contextlib
 import os
+import pickle
 import re
 
 # Before numpy is imported, as the command line does: BLAS threads only slow down the thin matrix products here.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 
 import pytest
@@ -15,9 +17,10 @@ from flat_image import flat_image_eye
 from gl_caller import Caller
 from memo import memoised, shared_folder
 
+from wlr_render.compositing import gl_backend
 from wlr_render.errors import MissingGlError
 from wlr_render.extras import MissingExtraError
-from wlr_render.rendering import gl
+from wlr_render.rendering import gl, raster_camera
 from wlr_render.rendering.mitsuba_frames import PathTracer
 from wlr_render.rendering.scene import Scene
 
@@ -164,6 +167,36 @@ def gl_context(request):
     yield context
     with vars(context)["_owner"].entered(third_party=False):
         assert ctx.error == "GL_NO_ERROR"
+
+
+CHOICES = (
+    (raster_camera, "choose_warp_grid"),
+    (raster_camera, "minification_over_eye_box"),
+    (gl_backend, "choose_plan"),
+)
+"""Functions of a model alone, which solve thousands of its rays: the most part of a compositor's start."""
+
+_CHOSEN = {}
+
+
+def remembered(function):
+    """Return the function with its answers kept for models that are equal, whoever made them."""
+
+    @wraps(function)
+    def with_memory(*given):
+        key = function.__name__, pickle.dumps(given)
+        if key not in _CHOSEN:
+            _CHOSEN[key] = function(*given)
+        return _CHOSEN[key]
+
+    return with_memory
+
+
+@pytest.fixture
+def choices_made_once(monkeypatch):
+    """Choose for each model once in a run; tests/rendering hold the choices to their laws."""
+    for module, name in CHOICES:
+        monkeypatch.setattr(module, name, remembered(getattr(module, name)))
 
 
 @pytest.fixture

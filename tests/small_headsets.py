@@ -92,8 +92,8 @@ def straight_device(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def small_panel_model(tmp_path_factory):
-    """Mappings of northstar's right eye, fitted, with a panel of 90 x 100 pixels."""
-    return memoised(bench_model, shared_folder(tmp_path_factory))(Panel(90, 100))
+    """Mappings of northstar's right eye, fitted, with a panel of 90 x 100 pixels and few terms."""
+    return memoised(bench_model, shared_folder(tmp_path_factory))(Panel(90, 100), degrees=(7, 5))
 
 
 @pytest.fixture(scope="session")

@@ -22,6 +22,7 @@ PANEL = Panel(1440, 1600)
 TRIANGLES = 100_000
 _SEED = 1
 _AROUND = 64
+_Degrees = tuple[int | None, int | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,23 +79,23 @@ def _places(rounds: int) -> FloatArray:
 
 
 def bench_model(
-    panel: Panel | None = None, eye: str = "right", device: str = DEVICE, display_degree: int | None = None
+    panel: Panel | None = None, eye: str = "right", device: str = DEVICE, degrees: _Degrees = (None, None)
 ) -> Eye:
     """Return a planar model of a shipped device, whose panel may be given another number of pixels.
 
-    As `calibrate` fits it, unless the degree of the display is limited.
+    As `calibrate` fits it, unless the degrees of the display and of see-through are limited.
     """
     truth = traced_eye(load_device(device), eye)
-    return _planar(truth, panel or truth.display.panel, _SEED, display_degree)
+    return _planar(truth, panel or truth.display.panel, _SEED, degrees)
 
 
-def _planar(truth: Eye, panel: Panel, seed: int, display_degree: int | None) -> Eye:
+def _planar(truth: Eye, panel: Panel, seed: int, degrees: _Degrees) -> Eye:
     """Fit an eye by a simulated calibration with camera noise, with its panel in other pixels."""
     captures = simulated_captures(truth, seed)
     display, see_through = captures.both
     pixel = display.pixel / display.panel.size_px * panel.size_px
     scaled = Captures(replace(display, panel=panel, pixel=pixel), see_through)
-    return calibrate(scaled, "planar", display_degree).mappings
+    return calibrate(scaled, "planar", *degrees).mappings
 
 
 def bench_scene(triangles: int = TRIANGLES) -> Scene:

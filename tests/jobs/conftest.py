@@ -12,3 +12,8 @@ def known_warp_grid(tmp_path_factory, small_panel_model, monkeypatch):
     """The warp grid of that headset is chosen once: the covariance of its models, which tests change, is not in it."""
     chosen = memoised(choose_warp_grid, shared_folder(tmp_path_factory))(small_panel_model, np.eye(3))
     monkeypatch.setattr("wlr_render.jobs.budget.choose_warp_grid", lambda *_: chosen)
+
+
+@pytest.fixture(autouse=True)
+def choices_of_this_room(choices_made_once):
+    """Every job in this process starts with the choices that were made for its headset."""

@@ -10,7 +10,7 @@ from benchmarks.submission.gl_calls import is_get
 from benchmarks.submission.measure import WAYS, measure
 from wlr_render.mappings import Panel
 
-pytestmark = pytest.mark.gl
+pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("choices_made_once")]
 
 SIZE = 60, 50
 
