@@ -1,5 +1,6 @@
 """Interactive plots of a diagnosis: residual maps, curves, normality, captures, correlations."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -222,21 +223,25 @@ def normality_plot(diagnosis: Diagnosis) -> Plot:
     return Plot("Whitened residual", data, layout, caption, 380)
 
 
-def captures_plot(diagnosis: Diagnosis) -> Plot:
-    """Plot the rms residual of each capture over its noise, before and after."""
-    captures = diagnosis.captures
-    benches = {"bench as described": (_BEFORE, [each.rms_before for each in captures])}
-    if diagnosis.is_corrected:
-        benches["corrected bench"] = (_AFTER, [each.rms_after for each in captures])
-    marks = ["x" if each.excluded else "circle" for each in captures]
-    points = {"type": "scatter", "mode": "markers", "x": [each.capture for each in captures]}
+def captures_plot(
+    captures: Sequence[str], rms: Mapping[str, Sequence[float]], caption: str, excluded: Sequence[bool] = ()
+) -> Plot:
+    """Plot the rms residual of each capture over its noise.
+
+    Args:
+        captures: names.
+        rms: of each capture in units of sigma, by name of the bench.
+        caption: one or two sentences.
+        excluded: whether each capture was excluded; all count if empty.
+    """
+    marks = ["x" if each else "circle" for each in excluded] or "circle"
     data = [
-        points | {"name": name, "y": values, "marker": {"color": colour, "symbol": marks}}
-        for name, (colour, values) in benches.items()
+        {"type": "scatter", "mode": "markers", "name": name, "x": list(captures), "y": list(values)}
+        | {"marker": {"color": colour, "symbol": marks}}
+        for (name, values), colour in zip(rms.items(), (_BEFORE, _AFTER), strict=False)
     ]
     layout = {"yaxis": axis("rms residual (sigma)", log=True) | {"tickvals": _TICKS}}
     layout["xaxis"] = {"showticklabels": False, "showgrid": False} | axis("captures, in the order of the table")
-    caption = "1 is noise; the motion of each capture adds to it. Crosses: excluded captures."
     return Plot("Residual of each capture", data, layout, caption, 340)
 
 

@@ -15,7 +15,7 @@ from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_us
 from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
-from wlr_render.report.blocks import Block, Report, ReportTable, Section, Text, capitalised
+from wlr_render.report.blocks import Block, Plot, Report, ReportTable, Section, Text, capitalised
 from wlr_render.report.records import fields_of
 from wlr_render.report.save import save_report
 
@@ -97,7 +97,7 @@ def diagnosis_report(
             plots.residual_maps(part),
             plots.residual_curves(part),
         ]
-    blocks += [Section("Captures"), plots.captures_plot(diagnosis), tables.excluded_table(diagnosis)]
+    blocks += [Section("Captures"), _captures(diagnosis), tables.excluded_table(diagnosis)]
     blocks += [tables.captures_table(diagnosis), Section("Evidence")]
     blocks += [tables.in_use_table(in_use)] if in_use else []
     blocks += [tables.parameters_table(diagnosis), tables.ranking_table(diagnosis), tables.degenerate_table(diagnosis)]
@@ -114,6 +114,15 @@ def diagnosis_report(
         inputs,
         record=diagnosis_record(diagnosis, in_use),
     )
+
+
+def _captures(diagnosis: Diagnosis) -> Plot:
+    rms = {"bench as described": [each.rms_before for each in diagnosis.captures]}
+    if diagnosis.is_corrected:
+        rms["corrected bench"] = [each.rms_after for each in diagnosis.captures]
+    caption = "1 is noise; the motion of each capture adds to it. Crosses: excluded captures."
+    excluded = [each.excluded for each in diagnosis.captures]
+    return plots.captures_plot([each.capture for each in diagnosis.captures], rms, caption, excluded)
 
 
 def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -> list[Block]:

@@ -10,6 +10,7 @@ effect acts, whatever its shape.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -370,7 +371,8 @@ def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int)
     names = {steps[step].surface.name}
     other = surfaces_raised(optics, names, lambda sign: XYPolynomial(sign * coefficients))
     steps[step] = getattr(other, path).steps[step]
-    return replace(optics, **{path: Path(tuple(steps))})
+    changed: dict[str, Any] = {path: Path(tuple(steps))}
+    return replace(optics, **changed)
 
 
 def _height(path: str, step: int) -> Cause:

@@ -1,7 +1,7 @@
 """Predict the captures of a session with a bench model found elsewhere, and say how well that succeeds."""
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +14,7 @@ from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.measurements import load_measurements
 from wlr_render.bench.session_folder import bench_for_session, load_session
 from wlr_render.diagnosis.bench_prediction import BenchPrediction, PredictedGroup, PredictedPart, predict_session
+from wlr_render.diagnosis.diagnosis_plots import captures_plot
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.report import CORRECTED
 from wlr_render.diagnosis.settings import DEFAULT
@@ -22,8 +23,8 @@ from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT
-from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
-from wlr_render.report.plots import arrow_map, axis
+from wlr_render.report.blocks import Block, Cell, Plot, Report, capitalised, table
+from wlr_render.report.plots import arrow_map
 from wlr_render.report.save import save_report
 
 _MOST_MAPS = 8
@@ -125,7 +126,7 @@ def _part_sentence(part: PredictedPart, session: str) -> str:
     if part.shift_um is not None and part.is_noise:
         noise.append(f"repeatability {part.shift_um:.2g} um, {part.turn_urad:.2g} urad")
     text = (
-        f"{part.name[:1].upper()}{part.name[1:]}: residual {part.rms_arcmin:.3g}' ({', '.join(noise)}), "
+        f"{capitalised(part.name)}: residual {part.rms_arcmin:.3g}' ({', '.join(noise)}), "
         f"reduced chi-squared {part.reduced_chi_squared:.4g}"
     )
     text += f" ({part.whitened:.3g} with measured noise and repeatability)" if part.is_noise else ""
@@ -178,7 +179,7 @@ def _warnings(found: BenchPrediction, bench: Bench) -> Iterator[str]:
 
 
 def _tables(found: BenchPrediction) -> Iterator[Block]:
-    """Parts, target distances and captures."""
+    """Yield the tables of parts, target distances and captures."""
     notes = (
         "Residual: measured minus predicted, rms per axis. Reduced chi-squared: mean square of the residual over the "
         "variance of the stated noise (point_sigma_px, or sigma_px of each reading); 1 is noise alone. No value is "
@@ -186,54 +187,40 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
         "With measured noise and repeatability: reduced chi-squared against the noise within the photographs, without "
         "the small motions of the camera from capture to capture, whose sizes are the repeatability.",
     )
-    columns, rows = _group_table("part", found.parts)
-    more = ("repeatability (um)", "of turns (urad)")
-    sizes = [[*row, each.shift_um, each.turn_urad] for row, each in zip(rows, found.parts, strict=True)]
-    yield ReportTable("Parts", (*columns, *more), sizes, notes)
+    sizes = {"repeatability (um)": "shift_um", "of turns (urad)": "turn_urad"}
+    yield table("Parts", found.parts, _columns("part", found) | sizes, notes)
     if found.distances:
-        yield ReportTable("Distances of the target from the camera", *_group_table("distance", found.distances))
-    yield ReportTable("Captures", *_group_table("capture", found.captures))
+        yield table("Distances of the target from the camera", found.distances, _columns("distance", found))
+    yield table("Captures", found.captures, _columns("capture", found))
 
 
-def _group_table(first: str, groups: Sequence[PredictedGroup]) -> tuple[tuple[str, ...], list[list[Cell]]]:
-    """Columns and rows; the session's own bench has a column if it is known."""
-    columns = ("readings", "residual (arcmin)", "mean right (arcmin)", "mean down (arcmin)")
-    more = ("stated noise (arcmin)", "reduced chi-squared", "with measured noise and repeatability")
-    rows: list[list[Cell]] = [
-        [
-            each.name,
-            each.readings,
-            each.rms_arcmin,
-            *each.mean_arcmin,
-            each.noise_arcmin,
-            each.reduced_chi_squared,
-            each.whitened,
-            each.by_own_bench,
-        ]
-        for each in groups
-    ]
-    if all(each.by_own_bench is None for each in groups):
-        return (first, *columns, *more), [row[:-1] for row in rows]
-    return (first, *columns, *more, "by the session's own bench"), rows
+def _columns(first: str, found: BenchPrediction) -> dict[str, str | Callable[[PredictedGroup], Cell]]:
+    """Return the columns of a table of groups; the session's own bench has one if it is known."""
+    own = {} if found.by_own_bench is None else {"by the session's own bench": "by_own_bench"}
+    return {
+        first: "name",
+        "readings": "readings",
+        "residual (arcmin)": "rms_arcmin",
+        "mean right (arcmin)": lambda group: group.mean_arcmin[0],
+        "mean down (arcmin)": lambda group: group.mean_arcmin[1],
+        "stated noise (arcmin)": "noise_arcmin",
+        "reduced chi-squared": "reduced_chi_squared",
+        "with measured noise and repeatability": "whitened",
+        **own,
+    }
 
 
 def _captures_plot(found: BenchPrediction) -> Plot:
-    """Rms residual of each capture over the stated noise."""
-    series = [("this bench", [each.reduced_chi_squared for each in found.captures])]
-    own = [each.by_own_bench for each in found.captures if each.by_own_bench is not None]
-    if own:
-        series.append(("the session's own bench", own))
-    data = [
-        {"type": "scatter", "mode": "markers", "name": name, "x": [each.name for each in found.captures]}
-        | {"y": [float(np.sqrt(value)) for value in values]}
-        for name, values in series
-    ]
-    layout = {"yaxis": axis("rms residual (sigma)", log=True), "xaxis": {"showticklabels": False}}
-    return Plot("Residual of each capture", data, layout, "1 is noise alone.", 340)
+    """Plot the rms residual of each capture over the stated noise."""
+    squares = {"this bench": [each.reduced_chi_squared for each in found.captures]}
+    if found.by_own_bench is not None:
+        squares["the session's own bench"] = [each.by_own_bench or np.nan for each in found.captures]
+    rms = {name: [float(np.sqrt(value)) for value in values] for name, values in squares.items()}
+    return captures_plot([each.name for each in found.captures], rms, "1 is noise alone.")
 
 
 def _maps(found: BenchPrediction) -> Iterator[Plot]:
-    """Residuals over the camera's image, of the captures that are predicted worst."""
+    """Yield maps of residuals over the camera's image, of the captures that are predicted worst."""
     observations = found.observations
     plan, readings = observations.session.plan, observations.session.readings
     places = {
