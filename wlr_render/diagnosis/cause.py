@@ -83,7 +83,7 @@ _STATIONS = {
 }
 """Station of the causes of a part, where they state none of their own."""
 
-PARTS = ("device", "camera", "stage", "target", "tracking", "mount", "eye tracking", "clock")
+PARTS = tuple(_STATIONS)
 """Parts of the bench that causes act on."""
 
 

@@ -1,6 +1,6 @@
 """Located effects as a report states them: place, size, usual sources, and gain on held-out captures."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -91,7 +91,7 @@ def _smooth(
         coordinates=field.coordinates,
         displaced=field.form,
         form="smooth",
-        parts=_names(part[moves]),
+        parts=tuple(PART_NAMES[number] for number in np.unique(part[moves])),
         log10_odds=float(effect.log10_odds),
         next_station=effect.next_station,
         odds_against_next_station=float(effect.odds_against_next),
@@ -135,7 +135,3 @@ def _likely(station: str, form: str) -> tuple[str, ...]:
     fitting = [key for key in _LIKELY if key[0] == station and form.startswith(key[1])]
     key = max(fitting, key=lambda each: len(each[1]), default=None)
     return _LIKELY[key] if key else next((likely for each, likely in _LIKELY.items() if each[0] == station), ())
-
-
-def _names(parts: Iterable[int]) -> tuple[str, ...]:
-    return tuple(PART_NAMES[int(part)] for part in np.unique(np.asarray(list(parts), dtype=np.int64)))

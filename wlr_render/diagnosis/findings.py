@@ -79,19 +79,13 @@ def _degenerate(ranking: CandidateRanking, name: str, least_cosine: float) -> tu
 
     To first order a hypothesis at the angle a to the effect gains cos^2 a of what the effect's own cause gains.
     """
-    gains: dict[str, float] = {}
-    separating: dict[str, str] = {}
-    for each in ranking.screened:
-        cause = each.hypothesis.cause
-        gains[cause.name] = max(gains.get(cause.name, 0.0), each.gain)
-        separating[cause.name] = cause.separated_by
-    own = gains.get(name, 0.0)
-    degenerate = [
-        DegenerateCause(other, min(1.0, float(np.sqrt(gain / own))), separating[other])
-        for other, gain in gains.items()
-        if other != name and own > 0 and gain / own > least_cosine**2
-    ]
-    return tuple(sorted(degenerate, key=lambda each: -each.cosine))
+    best = {each.hypothesis.cause.name: each for each in sorted(ranking.screened, key=lambda each: each.gain)}
+    most = best[name].gain if name in best else 0.0
+    return tuple(
+        DegenerateCause(other, min(1.0, float(np.sqrt(each.gain / most))), each.hypothesis.cause.separated_by)
+        for other, each in sorted(best.items(), key=lambda item: -item[1].gain)
+        if other != name and most > 0.0 and each.gain > most * least_cosine**2
+    )
 
 
 def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
