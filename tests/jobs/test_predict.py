@@ -25,7 +25,7 @@ from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
 
-PLAN = Plan(grid=(12, 10), dots=(11, 9), off_plane=6)
+PLAN = Plan(grid=(9, 8), dots=(9, 7), off_plane=6)
 EFFECTS = [
     Effect("target_scale", {"scale_percent": 0.4}),
     Effect("combiner_tilt", {"x_deg": 0.15, "y_deg": -0.1, "z_deg": 0.0}),

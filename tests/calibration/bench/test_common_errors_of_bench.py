@@ -19,7 +19,7 @@ from wlr_render.simulation.photographs.recipe import SimulationRecipe
 @pytest.fixture(scope="module")
 def calibrated():
     recipe = SimulationRecipe("birdbath28", viewpoints=5, bench=PhotoBenchOptions(seed=3))
-    made = simulate_readings(recipe, ReadingOptions(panel_samples=200, most_dots=100))
+    made = simulate_readings(recipe, ReadingOptions(panel_samples=60, most_dots=50))
     session = with_stated_lenses(made.session)
     bench = calibrate_bench(session, made.reading)
     return session, bench, sound_captures(session, made.reading, bench)[0]
