@@ -193,7 +193,7 @@ def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path
     made = simulate_readings(recipe, FEW)
     session = with_known_lenses(made)
     found = calibrate_session(
-        session, made.reading, tmp_path, FitOptions(kind="volumetric", degree=3, see_through_degree=2).fit
+        session, made.reading, tmp_path, FitOptions(kind="volumetric", degree=5, see_through_degree=2).fit
     ).eyes["right"]
     assert np.ptp(found.captures.display.viewpoint[:, 2]) > 0.9 * session.eye_box.size[2]
     truth = traced_eye(made.truth.bench.device, "right")
@@ -206,5 +206,5 @@ def test_positions_in_the_eye_box_are_fitted_as_a_volume_and_as_a_plane(tmp_path
         usable = true.usable & seen.usable
         assert usable.sum() > 0.95 * true.usable.sum()
         median[type(display).__name__] = np.median(arcmin_between(true.value, seen.value)[usable])
-    assert median["BundleDisplay"] < 1.5
-    assert median["VolumetricDisplay"] < 1.5
+    assert median["BundleDisplay"] < 1.0
+    assert median["VolumetricDisplay"] < 1.2  # 1.4 if the depth of a viewpoint is ignored
