@@ -27,6 +27,7 @@ _LIKELY = {
     ),
     ("combiner", "height"): ("moulding flow", "stress by its mount", "a coating of uneven thickness"),
     ("combiner", "fine"): ("a bubble", "a scratch", "ripples of the mould", "a coating defect"),
+    ("combiner", "turn and shift"): ("optics in the view that are not described", "a curved or uneven cover"),
     ("camera", "shift"): ("a decentred element of the lens", "a window before the camera", "a tilted sensor"),
     ("camera", "delay"): ("a rolling shutter",),
     ("target", "displacement"): ("the printer", "paper that has moved with humidity", "the board's mounting"),

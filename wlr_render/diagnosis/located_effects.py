@@ -305,6 +305,8 @@ class FieldContest:
         """
         named, rest, span, at_none = self._with_and_without(number, station, beside)
         tried = self._tried_at(station, constants=station not in ELSEWHERE)
+        if not tried:
+            return float("inf")
         field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
         return float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - self._least(named)))
 

@@ -5,6 +5,7 @@ from math import exp, expm1, isfinite
 from wlr_render.diagnosis.diagnosis import LOCATED, PARTLY, UNEXPLAINED, Diagnosis, MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import PART_NAMES
+from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 from wlr_render.report.blocks import capitalised, cell_text, quantity
 
 _UNSURE = 0.5  # relative error of a size from which only its upper limit is stated
@@ -43,15 +44,20 @@ def undetermined_parts(diagnosis: Diagnosis) -> set[str]:
 
 
 def _repeatability(motion: MotionSize) -> str:
-    shift = _size(motion.shift_um, motion.shift_error_um, "um")
-    return f"positions repeat to {shift}, turns to {_size(motion.turn_urad, motion.turn_error_urad, 'urad')}"
+    shift = _size(motion.shift_um, motion.shift_error_um, "um", UNUSUAL_SHIFT)
+    turn = _size(motion.turn_urad, motion.turn_error_urad, "urad", UNUSUAL_TURN)
+    return f"positions repeat to {shift}, turns to {turn}"
 
 
-def _size(value: float, error: float, unit: str) -> str:
+def _size(value: float, error: float, unit: str, unusual: float) -> str:
     """Return a size with its error, or its upper limit where the session shows no such size."""
-    if error > _UNSURE * value:
-        return f"better than {cell_text(float(f'{value * exp(2.0 * error / value):.2g}'))} {unit}"
-    return f"{quantity(value, error)} {unit}"
+    if error <= _UNSURE * value:
+        return f"{quantity(value, error)} {unit}"
+    # A size that no reading depends on has an error of many powers of ten.
+    limit = value * exp(min(2.0 * error / value, 100.0))
+    return (
+        f"better than {cell_text(float(f'{limit:.2g}'))} {unit}" if limit < unusual else f"an unknown number of {unit}"
+    )
 
 
 def _level(noise: NoiseFloor) -> str:
