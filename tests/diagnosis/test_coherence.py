@@ -8,9 +8,9 @@ from small_session import SIGMA_PX, measured, with_readings
 
 from wlr_render.captures.session import SessionPlan, select_rows
 from wlr_render.diagnosis.coherence import fine_effect
+from wlr_render.diagnosis.combiner_fields import footprints
 from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.station_fields import footprints
 
 PLACE_MM = np.array([2.0, -1.5])
 

@@ -10,15 +10,17 @@ from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.scatter import (
     Scatter,
     ScatterSums,
-    best_scatter,
     cost,
     marginal,
     minus_two_log_evidence,
     motion_slopes,
+    surprise,
+)
+from wlr_render.diagnosis.scatter_search import (
+    best_scatter,
     motions_of,
     one_at_rest,
     scatter_errors,
-    surprise,
     with_moved_captures,
 )
 

@@ -12,7 +12,7 @@ from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.located_effects import FieldContest
+from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.station_fields import station_fields

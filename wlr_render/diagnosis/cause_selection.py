@@ -12,6 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from wlr_render.diagnosis.field_contest import FieldContest
+from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
 from wlr_render.diagnosis.fit import (
     Fit,
     fit,
@@ -20,12 +22,13 @@ from wlr_render.diagnosis.fit import (
     reduced_chi_squared,
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
-from wlr_render.diagnosis.located_effects import FieldContest, LocatedEffect
+from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
-from wlr_render.diagnosis.scatter import LOG10_ODDS, Scatter, best_scatter, with_moved_captures
+from wlr_render.diagnosis.scatter import LOG10_ODDS, Scatter
+from wlr_render.diagnosis.scatter_search import best_scatter, with_moved_captures
 from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings
-from wlr_render.diagnosis.station_fields import ELSEWHERE, StationField, station_fields
+from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray
 

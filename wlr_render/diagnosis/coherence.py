@@ -13,11 +13,11 @@ from itertools import product
 
 import numpy as np
 
+from wlr_render.diagnosis.combiner_fields import footprints
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.residual_surfaces import surfaces
-from wlr_render.diagnosis.station_fields import footprints
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _CLIP = 4.0  # sigma: a wild reading counts no more than this

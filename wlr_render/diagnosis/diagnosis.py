@@ -85,6 +85,8 @@ class FoundCause:
         ranking: the candidates for its place, best first, itself among them.
         effect_over_noise: rms change of the readings by it, in units of sigma.
         log10_odds: for it against none, the others being as found.
+        log10_odds_against_its_station: for its name against the fields of its own station, or of another one if these
+            come closer.
         remedy: what to do about it; empty for the remedy of its part.
     """
 
@@ -98,6 +100,7 @@ class FoundCause:
     ranking: tuple[RankedCandidate, ...]
     effect_over_noise: float
     log10_odds: float
+    log10_odds_against_its_station: float
     remedy: str = ""
 
 

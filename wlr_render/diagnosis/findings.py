@@ -30,14 +30,17 @@ from wlr_render.diagnosis.fit import (
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
-from wlr_render.diagnosis.scatter import LOG10_ODDS, scatter_errors
+from wlr_render.diagnosis.scatter import LOG10_ODDS
+from wlr_render.diagnosis.scatter_search import scatter_errors
 from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _RANKED = 8
 
 
-def found_cause(search: Search, found: Fit, number: int, ranking: CandidateRanking) -> FoundCause:
+def found_cause(
+    search: Search, found: Fit, number: int, ranking: CandidateRanking, odds_against_fields: float
+) -> FoundCause:
     """Describe one cause of a fit.
 
     Args:
@@ -45,6 +48,7 @@ def found_cause(search: Search, found: Fit, number: int, ranking: CandidateRanki
         found: the fit of all causes.
         number: index of the cause in the fit.
         ranking: the candidates for its place, the others being at work.
+        odds_against_fields: log10 odds for its name.
     """
     hypothesis = found.explanation.hypotheses[number]
     cause = hypothesis.cause
@@ -70,6 +74,7 @@ def found_cause(search: Search, found: Fit, number: int, ranking: CandidateRanki
         _ranked(ranking),
         float(np.sqrt(np.nanmean(change**2))),
         LOG10_ODDS * (ranking.current.minus_two_log_evidence - found.minus_two_log_evidence),
+        odds_against_fields,
         cause.remedy,
     )
 

@@ -15,14 +15,8 @@ from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.observations import RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Linearisation, Predictor, State
-from wlr_render.diagnosis.scatter import (
-    Scatter,
-    ScatterSums,
-    best_scatter,
-    cost,
-    marginal,
-    minus_two_log_evidence,
-)
+from wlr_render.diagnosis.scatter import Scatter, ScatterSums, cost, marginal, minus_two_log_evidence
+from wlr_render.diagnosis.scatter_search import best_scatter
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.diagnosis.whitening import Whitening

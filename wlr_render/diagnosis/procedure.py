@@ -6,7 +6,7 @@ at the stations that no cause has, and what stays unexplained; in that order.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,10 +25,8 @@ from wlr_render.diagnosis.diagnosis import (
     DetectionLimit,
     Diagnosis,
     StationEffect,
-    TriedField,
     Unexplained,
 )
-from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.findings import (
     capture_residuals,
     correlations,
@@ -42,22 +40,19 @@ from wlr_render.diagnosis.findings import (
 )
 from wlr_render.diagnosis.fit import (
     Fit,
-    fit,
 )
-from wlr_render.diagnosis.located_effects import FieldContest, LocatedEffect
+from wlr_render.diagnosis.located_beside import Located, locate
 from wlr_render.diagnosis.noise import Noise, NoiseFloor, noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter
+from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 from wlr_render.diagnosis.screening import hypotheses
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
 
-_BEYOND_DOUBT = 20.0  # log10 odds of a field from which the readings have structure, whatever it is
-_ROUNDS = 2  # times that causes are searched for beside located effects
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 
 
@@ -95,7 +90,7 @@ def diagnose(
     selection = prepared.selection
     found, rankings = _compared(prepared.search, selection.fit, selection.first)
     progress("looking for effects that no cause has")
-    located = _located(prepared.search, found)
+    located = locate(prepared.search, found)
     search, readings = located.search, located.search.full
     if located.found is not found:
         found, rankings = located.found, _rankings(search, located.found)
@@ -103,7 +98,10 @@ def diagnose(
     left = _unexplained(located, prepared, fine, settings)
     effects = located.records(fine)
     structure = located.structure(effects)
-    named = tuple(found_cause(search, found, number, ranking) for number, ranking in enumerate(rankings))
+    named = tuple(
+        found_cause(search, found, number, ranking, odds)
+        for number, (ranking, odds) in enumerate(zip(rankings, located.odds, strict=True))
+    )
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
     observations = all_readings.observations
@@ -242,118 +240,8 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None)
     return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
 
 
-@dataclass(frozen=True, eq=False)
-class _Located:
-    """Causes that stand against the fields of their stations, and the effects located beside them.
-
-    Attributes:
-        search: with the effects at work.
-        found: the fit of the causes to all readings.
-        contest: of the fields beside these causes, on a subsample.
-        effects: smooth ones.
-        scatter: sizes of what is random with causes and effects at work.
-        tried: all fields that were judged.
-        dropped: a sentence on each cause that does not stand.
-    """
-
-    search: Search
-    found: Fit
-    contest: FieldContest | None = None
-    effects: tuple[LocatedEffect, ...] = ()
-    scatter: Scatter | None = None
-    tried: tuple[TriedField, ...] = ()
-    dropped: tuple[str, ...] = ()
-
-    def bench(self, corrected: Bench) -> Bench:
-        """Return a bench with the effects at work that a bench file can state."""
-        if self.contest is None or self.scatter is None or not self.effects:
-            return corrected
-        pairs = zip(self.effects, self.contest.values(self.effects, self.scatter), strict=True)
-        added = [each for effect, values in pairs for each in effect.in_bench(values)]
-        return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
-
-    def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:
-        """Return a fine effect, unless a smooth one has better odds, whose rest agrees between captures, too."""
-        smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
-        return None if fine is None or fine.log10_odds < smooth else fine
-
-    def structure(self, effects: Sequence[StationEffect]) -> tuple[str, ...]:
-        """Return a sentence on a certain field that is not an effect, as it does not predict captures left out."""
-        best = self.tried[0] if self.tried else None
-        if effects or best is None or best.log10_odds < _BEYOND_DOUBT:
-            return ()
-        return (
-            f"a field of {best.coordinates} ({best.station}: {best.displaced}) has log10 odds of {best.log10_odds:.0f} "
-            "and does not predict captures left out: something is left that no cause and no field describes",
-        )
-
-    def records(self, fine: FineEffect | None) -> list[StationEffect]:
-        """Return the effects as the report states them."""
-        if self.contest is None or self.scatter is None:
-            return []
-        return station_effects(self.contest, self.effects, self.scatter, fine)
-
-
-def _located(search: Search, found: Fit) -> _Located:
-    """Locate effects beside the causes, and causes beside these effects, until there are no others."""
-    located = _standing(search, found)
-    for _ in range(_ROUNDS):
-        if not located.effects:
-            break
-        beside = search.with_effects(located.effects, located.found.explanation, constants=False)
-        more = beside.select(located.found.explanation).fit
-        if more.explanation.names == located.found.explanation.names:
-            break
-        again = _standing(search, more)
-        again = replace(again, dropped=(*located.dropped, *again.dropped))
-        if again.found.explanation.names == located.found.explanation.names:
-            break
-        located = again
-    return located
-
-
-def _standing(search: Search, found: Fit) -> _Located:
-    """Locate effects beside the causes; drop causes that fields rival, one at a time."""
-    readings, least, dropped = search.subsample, search.settings.least_log10_odds, list[str]()
-    while True:
-        thinned = fit(readings, found.explanation, found.scatter, 0)
-        if thinned is None:
-            return _Located(search, found, dropped=tuple(dropped))
-        contest = search.contest(thinned)
-        effects = contest.located(least)
-        odds = [
-            contest.odds_of_cause(number, hypothesis.cause.station, effects)
-            for number, hypothesis in enumerate(found.explanation.hypotheses)
-        ]
-        if not odds or min(odds) > least:
-            break
-        weakest = int(np.argmin(odds))
-        cause = found.explanation.hypotheses[weakest].cause
-        dropped.append(
-            f"{cause.name} would explain part of it, but an effect of another shape ({cause.station}) explains as "
-            f"much: log10 odds for the name are {odds[weakest]:.1f}, and it is not named"
-        )
-        found = search.refitted(found.explanation.without(weakest), found.scatter)
-    if effects:
-        search = search.with_effects(effects, found.explanation, constants=not found.explanation.hypotheses)
-        found = search.refitted(found.explanation, contest.scatter_beside(effects))
-    tried = [
-        TriedField(each.field.station, each.field.coordinates, each.field.form, each.degree, each.log10_odds)
-        for each in contest.ranked
-    ]
-    return _Located(
-        search,
-        found,
-        contest,
-        tuple(effects),
-        contest.scatter_beside(effects),
-        tuple(tried),
-        tuple(dropped),
-    )
-
-
 def _unexplained(
-    located: _Located, prepared: _Prepared, fine: FineEffect | None, settings: Settings
+    located: Located, prepared: _Prepared, fine: FineEffect | None, settings: Settings
 ) -> list[Unexplained]:
     """Return the parts whose residual exceeds noise and repeatability with causes, effects and a fine one at work."""
     left: list[Unexplained] = []

@@ -13,7 +13,6 @@ in S and S-PLUS" (2000), chapter 2.
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
@@ -25,17 +24,9 @@ USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
 UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
 """Beyond what stages repeat to."""
 _USUAL_RANGE = 1.2  # standard deviation of their logarithms: a factor of 3.3
-_MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
-_RAISED = 3.0  # times the usual size up to which motions are those of a capture that did not move
+MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
 _COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
-_STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a capture may have moved
-_LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
-_NOISIEST = np.log(100.0)
-_STEP = 1e-3
-_ENOUGH = 0.02  # of -2 log evidence: a step that gains less ends the search
-_PARTS = len(PART_NAMES)
-FEWEST_TO_STAND_OUT = 4
-"""Captures of a part among which one may stand out."""
+PARTS = len(PART_NAMES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +47,7 @@ class Scatter:
     @classmethod
     def usual(cls, captures: int) -> "Scatter":
         """Sizes from which a search starts: half the usual ones, with no capture that moved."""
-        ones = np.ones(_PARTS)
+        ones = np.ones(PARTS)
         return cls(ones, 0.5 * USUAL_SHIFT * ones, 0.5 * USUAL_TURN * ones, np.zeros(captures, dtype=bool))
 
     def vector(self) -> FloatArray:
@@ -65,7 +56,7 @@ class Scatter:
 
     def at(self, vector: FloatArray) -> "Scatter":
         """With other sizes."""
-        noise, shift, turn = np.exp(vector).reshape(3, _PARTS)
+        noise, shift, turn = np.exp(vector).reshape(3, PARTS)
         return replace(self, noise=noise, shift_um=shift, turn_urad=turn)
 
     def at_rest(self) -> "Scatter":
@@ -80,7 +71,7 @@ class Scatter:
     def sizes(self, part_of: IntArray) -> FloatArray:
         """Return the standard deviations (g, 6) of the motions of captures of given parts (g,) over the noise."""
         usual = np.repeat(np.stack([self.shift_um, self.turn_urad], axis=1), 3, axis=1)[part_of]
-        sizes = np.where(self.moved[:, None], np.hypot(usual, _MOVED), usual)
+        sizes = np.where(self.moved[:, None], np.hypot(usual, MOVED), usual)
         return np.asarray(sizes / self.noise[part_of][:, None])
 
 
@@ -131,8 +122,8 @@ class ScatterSums:
         m = columns.shape[-1]
         part_of, used = np.zeros(captures, dtype=np.int64), np.zeros(captures, dtype=bool)
         ee, ey, ex = np.zeros((captures, 6, 6)), np.zeros((captures, 6)), np.zeros((captures, 6, m))
-        count, square = np.zeros(_PARTS), np.zeros(_PARTS)
-        xx, xy = np.zeros((_PARTS, m, m)), np.zeros((_PARTS, m))
+        count, square = np.zeros(PARTS), np.zeros(PARTS)
+        xx, xy = np.zeros((PARTS, m, m)), np.zeros((PARTS, m))
         for name, rows in zip(*rows_by_label(group), strict=True):
             mine, e, x = y[rows].ravel(), motions[rows].reshape(-1, 6), columns[rows].reshape(2 * len(rows), m)
             part_of[name], used[name], at = part[rows[0]], True, part[rows[0]]
@@ -161,7 +152,7 @@ class ScatterSums:
             part: (n,) of each reading.
         """
         m, q = white.shape[2], columns.shape[2]
-        xx, xy = np.zeros((_PARTS, m + q, m + q)), np.zeros((_PARTS, m + q))
+        xx, xy = np.zeros((PARTS, m + q, m + q)), np.zeros((PARTS, m + q))
         xx[:, :m, :m], xx[:, m:, m:], xy[:, m:] = self.xx, more.xx, more.xy
         for each in np.unique(part):
             rows = np.flatnonzero(part == each)
@@ -188,13 +179,13 @@ class Marginal:
 
 def marginal(sums: ScatterSums, scatter: Scatter) -> Marginal:
     """Integrate the motions out, and the effects that are carried."""
-    every, count = _without_motions(sums, scatter), len(sums.carried)
+    every, count = without_motions(sums, scatter), len(sums.carried)
     causes = np.arange(len(every.gradient) - count)
     carried = np.arange(count) + len(causes)
     return folded(every, (carried, np.zeros(count), sums.carried), causes)
 
 
-def _without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
+def without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
     """Integrate the motions out, for all columns."""
     variance = scatter.noise**2
     per = 1.0 / variance[sums.part_of]
@@ -257,7 +248,7 @@ def minus_two_log_evidence(found: Marginal, mean: FloatArray, sigma: FloatArray 
 
 def surprise(scatter: Scatter, sums: ScatterSums) -> float:
     """Twice the negative logarithm of how usual the sizes are."""
-    parts = [part for part in range(_PARTS) if np.any(sums.used & (sums.part_of == part))]
+    parts = [part for part in range(PARTS) if np.any(sums.used & (sums.part_of == part))]
     off = [
         np.log(size[part] / usual) / _USUAL_RANGE
         for size, usual in ((scatter.shift_um, USUAL_SHIFT), (scatter.turn_urad, USUAL_TURN))
@@ -275,7 +266,7 @@ def cost(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArra
         mean: (m,) of the values' priors less the values at which the sums were made, in prior sigmas.
         sigma: (m,) of the priors.
     """
-    every = _without_motions(sums, scatter)
+    every = without_motions(sums, scatter)
     return minus_two_log_evidence(every, *_priors(sums, mean, sigma)) + surprise(scatter, sums)
 
 
@@ -293,7 +284,7 @@ def motion_slopes(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: 
     rest, explained = y[:, :, 0], np.zeros_like(y[:, :, 0])
     means, sigmas = _priors(sums, mean, sigma)
     if len(means):
-        every = _without_motions(sums, scatter)
+        every = without_motions(sums, scatter)
         covariance = np.linalg.inv(every.information + np.diag(sigmas**-2.0))
         rest = rest - x @ (covariance @ (every.gradient + means / sigmas**2))
         explained = np.sum((x.reshape(-1, len(means)) @ covariance).reshape(x.shape) * x, axis=2)
@@ -301,7 +292,7 @@ def motion_slopes(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: 
     # A capture that moved has a wide prior beside the usual one, which does not change.
     usual = scatter.at_rest().sizes(sums.part_of)
     by_axis = by_axis * (usual / sizes) ** 2 * sums.used[:, None]
-    slopes = np.zeros((2, _PARTS))
+    slopes = np.zeros((2, PARTS))
     for number, (axes, size, at) in enumerate(
         ((slice(0, 3), scatter.shift_um, USUAL_SHIFT), (slice(3, 6), scatter.turn_urad, USUAL_TURN))
     ):
@@ -310,160 +301,3 @@ def motion_slopes(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: 
             surprising = 2.0 * np.log(size[part] / at) / _USUAL_RANGE**2
             slopes[number, part] = np.sum(by_axis[mine, axes]) + surprising
     return slopes
-
-
-def best_scatter(
-    sums: ScatterSums, start: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
-) -> tuple[Scatter, float]:
-    """Return the sizes of highest evidence and -2 log of it, from a start on; the captures that moved are given."""
-    moving = np.array([bool(np.any(sums.ee[sums.part_of == part])) for part in range(_PARTS)])
-    present = sums.count > 0
-    free = np.concatenate([present, moving, moving])
-    first = start.vector()
-    usual = np.repeat(np.log([1.0, USUAL_SHIFT, USUAL_TURN]), _PARTS)
-    first[~free] = usual[~free]
-
-    def at(inner: FloatArray) -> float:
-        vector = first.copy()
-        vector[free] = inner
-        return cost(sums, start.at(vector), mean, sigma)
-
-    def with_slope(inner: FloatArray) -> tuple[float, FloatArray]:
-        value, vector = at(inner), first.copy()
-        vector[free] = inner
-        by_motions = motion_slopes(sums, start.at(vector), mean, sigma).ravel()
-        noises = int(np.sum(present))
-        by_noise = [(at(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))[:noises]]
-        return value, np.concatenate([by_noise, by_motions[free[_PARTS:]]])
-
-    low = np.concatenate([np.zeros(_PARTS), np.full(2 * _PARTS, _LOWEST)])[free]
-    high = np.concatenate([np.full(_PARTS, _NOISIEST), np.full(2 * _PARTS, _HIGHEST)])[free]
-    inside = np.clip(first[free], low, high)
-    found = minimize(
-        with_slope,
-        inside,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=np.stack([low, high], axis=1),
-        options={"maxiter": 30, "ftol": _ENOUGH / max(abs(at(inside)), 1.0), "gtol": 0.05},
-    )
-    vector = first.copy()
-    vector[free] = found.x
-    return start.at(vector), float(found.fun)
-
-
-def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> tuple[Scatter, float]:
-    """Return the sizes of highest evidence, and -2 log of it, where some captures may have moved far more than others.
-
-    Captures of a part are taken in the order of what a motion of their own would gain, up to half of them; the number
-    of highest evidence is kept, and each is tried once more by itself.
-    """
-    best, least = best_scatter(sums, replace(start, moved=np.zeros_like(start.moved)), mean)
-    if start.moved.any():
-        best, least = min((best, least), best_scatter(sums, start, mean), key=lambda each: each[1])
-    for part in range(_PARTS):
-        own = np.flatnonzero(sums.used & (sums.part_of == part))
-        if len(own) < FEWEST_TO_STAND_OUT or not np.any(sums.ee[own]):
-            continue
-        for _ in range(2):  # captures that are known to have moved no longer hide others
-            gain = _own_gain(sums, best, mean)[own]
-            if np.max(gain) < _STANDS_OUT:
-                break
-            best, least = _prefix(sums, best, least, own[np.argsort(-gain)], mean)
-        best, least = one_by_one(sums, best, least, own[best.moved[own]], mean)
-    return best, least
-
-
-def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray, mean: FloatArray) -> tuple[Scatter, float]:
-    """Return the best number of captures that moved, taken in an order."""
-    most = len(order) // 2
-    tried: dict[int, tuple[Scatter, float]] = {}
-
-    def at(count: int) -> float:
-        if count not in tried:
-            moved = best.moved.copy()
-            moved[order] = False
-            moved[order[:count]] = True
-            tried[count] = best_scatter(sums, replace(best, moved=moved), mean)
-        return tried[count][1]
-
-    coarse = sorted({round(each) for each in np.geomspace(1, most, 8)})
-    count = min(coarse, key=at)
-    while (nearer := min((n for n in (count - 1, count + 1) if 1 <= n <= most), key=at, default=count)) != count:
-        if at(nearer) >= at(count):
-            break
-        count = nearer
-    return tried[count] if at(count) < least else (best, least)
-
-
-def one_by_one(
-    sums: ScatterSums, best: Scatter, least: float, captures: IntArray, mean: FloatArray
-) -> tuple[Scatter, float]:
-    """Take each of some captures out of, or into, those that moved, if that has the higher evidence."""
-    for number in captures:
-        moved = best.moved.copy()
-        moved[number] = not moved[number]
-        at = replace(best, moved=moved)
-        if cost(sums, at, mean) < least:
-            best, least = best_scatter(sums, at, mean)
-    return best, least
-
-
-def scatter_errors(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
-    """Return standard errors (3, parts) of the logarithms of noise, shifts and turns by the evidence's curvature."""
-    first, step = scatter.vector(), 0.1
-
-    def at(vector: FloatArray) -> float:
-        return cost(sums, scatter.at(vector), mean)
-
-    at_best = at(first)
-    curvature = np.array([(at(first + step * u) - 2 * at_best + at(first - step * u)) / step**2 for u in np.eye(9)])
-    return np.asarray(np.sqrt(2.0 / curvature.clip(1e-3)).reshape(3, _PARTS))
-
-
-def one_at_rest(scatter: Scatter, number: int) -> Scatter:
-    """With one capture among those that did not move."""
-    moved = scatter.moved.copy()
-    moved[number] = False
-    return replace(scatter, moved=moved)
-
-
-def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
-    """Twice the log likelihood that a wide motion of its own gains each capture (g,)."""
-    pull = _pull(sums, scatter, mean)
-    noise = scatter.noise[sums.part_of][:, None]
-    # Several captures that moved raise the size that is found for all, behind which they would hide.
-    shift, turn = (
-        np.minimum(size, _RAISED * usual)
-        for size, usual in ((scatter.shift_um, USUAL_SHIFT), (scatter.turn_urad, USUAL_TURN))
-    )
-    at_rest = replace(scatter, shift_um=shift, turn_urad=turn, moved=np.zeros_like(scatter.moved))
-    usual = at_rest.sizes(sums.part_of)
-    wide = np.hypot(usual, _MOVED / noise)
-
-    def likelihood(sizes: FloatArray) -> FloatArray:
-        normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
-        side = sizes * pull / noise
-        _, determinant = np.linalg.slogdet(normal)
-        return np.asarray(np.einsum("gi,gi->g", side, np.linalg.solve(normal, side[:, :, None])[:, :, 0]) - determinant)
-
-    return likelihood(wide) - likelihood(usual)
-
-
-def _pull(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
-    """Return the sums (g, 6) of motions and readings, less the most probable effect of all columns."""
-    every = _without_motions(sums, scatter)
-    precision = np.concatenate([np.ones(len(mean)), sums.carried**-2.0])
-    means = np.concatenate([mean, np.zeros(len(sums.carried))])
-    if not len(means):
-        return sums.ey
-    values = np.linalg.solve(every.information + np.diag(precision), every.gradient + precision * means)
-    return np.asarray(sums.ey - sums.ex @ values)
-
-
-def motions_of(sums: ScatterSums, scatter: Scatter) -> FloatArray:
-    """Most probable motion of each capture (g, 6), micrometres and microradians, the causes' values being fitted."""
-    sizes = scatter.sizes(sums.part_of)
-    normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
-    pull = _pull(sums.of_columns(np.zeros(0, dtype=np.int64)), scatter, np.zeros(0))
-    return np.asarray(sizes * np.linalg.solve(normal, (sizes * pull)[:, :, None])[:, :, 0])

@@ -10,7 +10,8 @@ from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.fit import Fit, choices, fit, off_prior, times_between_captures
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
-from wlr_render.diagnosis.scatter import Scatter, ScatterSums, best_scatter, cost, one_by_one
+from wlr_render.diagnosis.scatter import Scatter, ScatterSums, cost
+from wlr_render.diagnosis.scatter_search import best_scatter, one_by_one
 from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
 from wlr_render.numerics.arrays import FloatArray, IntArray
 

@@ -1,0 +1,198 @@
+"""Fields of the combiner: heights of its surfaces wherever lines of sight meet them, or deflections of the view."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from wlr_render.bench.simulate_session import (
+    camera_positions,
+    display_dirs,
+    dot_geometry,
+    dot_pixels,
+)
+from wlr_render.diagnosis.cause import Cause, Parameter
+from wlr_render.diagnosis.causes.optics import of_optics
+from wlr_render.diagnosis.field_terms import (
+    StationField,
+    as_effects,
+    field_of,
+    lever_of,
+    over_rows,
+    scaled,
+    smooth_terms,
+)
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, total_degree
+from wlr_render.optics.assembly import combiner_middle
+from wlr_render.optics.combiner_form import SURFACES, surfaces_raised
+from wlr_render.optics.device import EyeOptics, Path
+from wlr_render.optics.sag_surfaces import XYPolynomial
+from wlr_render.optics.tracer import trace
+
+_SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
+
+
+def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int) -> EyeOptics:
+    """Return the optics with a height where a path meets one surface: its piston (um) and slopes (um/mm)."""
+    if not values.any():
+        return optics
+    piston, slope_x, slope_y = np.asarray(values) * [1e-6, 1e-3, 1e-3]
+    coefficients = np.array([[piston, slope_y], [slope_x, 0.0]])
+    steps = list(getattr(optics, path).steps)
+    names = {steps[step].surface.name}
+    other = surfaces_raised(optics, names, lambda sign: XYPolynomial(sign * coefficients))
+    steps[step] = getattr(other, path).steps[step]
+    changed: dict[str, Any] = {path: Path(tuple(steps))}
+    return replace(optics, **changed)
+
+
+def _height(path: str, step: int) -> Cause:
+    """Return a cause with a height where a path meets one surface: its derivative is the surface's lever there."""
+    return Cause(
+        "height",
+        "height added to a surface of the combiner",
+        "device",
+        (Parameter("piston", "um", 10.0), Parameter("slope_x", "um/mm", 10.0), Parameter("slope_y", "um/mm", 10.0)),
+        source="",
+        separated_by="",
+        variants={"": of_optics(partial(_with_height, path=path, step=step))},
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Meeting:
+    """Where a path meets a surface.
+
+    Attributes:
+        surface: its name.
+        place: (n, 2) of each reading's line of sight, millimetres right and up of the combiner's middle; NaN where the
+            path is not that of the reading.
+        lever: (n, 2, 3) change of the readings by a height in micrometres and its slopes, in micrometres per
+            millimetre, at that place.
+    """
+
+    surface: str
+    place: FloatArray
+    lever: FloatArray
+
+
+def _meetings(readings: WeighedReadings) -> list[_Meeting]:
+    """Return all places where the lines of sight meet the combiner's surfaces."""
+    predictor, meetings = readings.predictor, []
+    for path in ("display", "see_through"):
+        for number, step in enumerate(getattr(readings.observations.nominal.optics, path).steps):
+            place = footprints(predictor, path, number)
+            lever = lever_of(predictor, Hypothesis(_height(path, number), ""))
+            # The levers of the slopes are those of heights x and y about the middle: less the heights themselves.
+            lever[:, :, 1:] -= lever[:, :, :1] * np.nan_to_num(place)[:, None, :]
+            lever[~np.isfinite(place).all(axis=1)] = 0.0
+            meetings.append(_Meeting(step.surface.name, place, lever))
+    return meetings
+
+
+def combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
+    """Return heights of the combiner's surfaces over the places where the lines of sight meet them."""
+    if not readings.observations.nominal.optics.display.steps:
+        yield from _view_fields(readings)
+        return
+    first = footprints(readings.predictor)
+    met = np.asarray(np.isfinite(first).all(axis=1))
+    if not met.any():
+        return
+    meetings = _meetings(readings)
+    place, box = np.where(met[:, None], first, 0.0), Box.around(np.concatenate([_known(each) for each in meetings]))
+    orders = total_degree(2, 12)
+    value, order, done = basis(place, orders, box), np.asarray(orders.sum(axis=1)), list[set[str]]()
+
+    def height(values: FloatArray) -> FloatArray:
+        return np.asarray(value @ values)[:, None]
+
+    for surfaces, names_of in SURFACES.items():
+        names = names_of(readings.observations.nominal.optics)
+        if not names or names in done:
+            continue
+        done.append(names)
+        columns = sum(_by_height(each, orders, box) for each in meetings if each.surface in names)
+        coordinates, degrees = "place on the combiner", (2, 4, 6, 8, 10, 12)
+        form, in_bench = f"height of {surfaces}", partial(as_effects, "combiner", surfaces, orders, box, 1, 1)
+        field = StationField(
+            "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
+        )
+        yield scaled(field)
+
+
+def _known(meeting: _Meeting) -> FloatArray:
+    """Places (m, 2) that are known."""
+    return np.asarray(meeting.place[np.isfinite(meeting.place).all(axis=1)])
+
+
+def _by_height(meeting: _Meeting, orders: IntArray, box: Box) -> FloatArray:
+    """Change (n, 2, t) of the readings by heights that are polynomials of the place."""
+    columns = np.zeros((*meeting.lever.shape[:2], len(orders)))
+    rows = np.isfinite(meeting.place).all(axis=1)
+    place, lever = meeting.place[rows], meeting.lever[rows]
+    steps = 2.0 * _SLOPE_STEP / box.per_unit
+    values = [basis(place, orders, box)] + [
+        (basis(place + 0.5 * step, orders, box) - basis(place - 0.5 * step, orders, box)) / np.sum(step)
+        for step in np.diag(steps)
+    ]
+    for number, each in enumerate(values):
+        columns[rows] += lever[:, :, [number]] * each[:, None, :]
+    return columns
+
+
+def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
+    """Deflections of the view by optics that are not known: a turn and a shift of each line of sight, up and right."""
+    observations, state = readings.observations, readings.predictor.state(Explanation())
+    plan = observations.session.plan.see_through
+    if plan is None or state.dot_views is None:
+        return
+    rows, tangents = observations.part == SEE_THROUGH, state.dot_views.tangents
+    viewpoint, dot, _ = dot_geometry(state.bench, plan)
+    here = dot_pixels(state.bench, plan, tangents)
+    step = 1e-4  # of tangents
+    by_tangent = [(dot_pixels(state.bench, plan, tangents + step * axis) - here) / step for axis in np.eye(2)]
+    turn = 1e-3 * np.stack(by_tangent, axis=-1)
+    shift = turn / (viewpoint - dot)[:, 2, None, None]
+    lever = np.concatenate([turn, shift], axis=2) / observations.sigma_of(SEE_THROUGH)[:, :, None]
+    terms = smooth_terms("direction of view", tangents, 1, 2, 3, 4, 6).over(rows)
+    yield field_of("combiner", "turn and shift of the line of sight", "mrad, mm", terms, over_rows(rows, lever))
+
+
+def footprints(predictor: Predictor, path: str = "", step: int = 0) -> FloatArray:
+    """Return where each reading's line of sight meets a surface of the combiner, (n, 2) millimetres right and up.
+
+    From the combiner's middle, device frame; NaN at run time and where nothing is met.
+
+    Args:
+        predictor: of the readings.
+        path: "display" or "see_through": only readings that look along it count; all if empty.
+        step: number of the surface along the path.
+    """
+    observations, state = predictor.observations, predictor.state(Explanation())
+    bench, plan, place = state.bench, observations.session.plan, np.full((len(observations), 2), np.nan)
+    optics, middle = bench.optics, combiner_middle(bench.optics)
+    if not optics.display.steps:
+        return place
+    if plan.display is not None and path != "see_through":
+        met = trace(
+            Path(optics.display.steps[: step + 1]),
+            camera_positions(bench, plan.display),
+            display_dirs(bench, plan.display),
+            bench.wavelengths_um[1],
+        )
+        place[observations.part == DISPLAY] = 1e3 * (met.origin - middle)[:, :2]
+    if plan.see_through is not None and state.dot_views is not None and path != "display":
+        tangents = state.dot_views.tangents
+        directions = np.concatenate([tangents, -np.ones((len(tangents), 1))], axis=1)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        steps = (optics.see_through if path else optics.display).steps[: step + 1]
+        met = trace(Path(steps), camera_positions(bench, plan.see_through), directions, bench.target_wavelength_um)
+        place[observations.part == SEE_THROUGH] = 1e3 * (met.origin - middle)[:, :2]
+    return place

@@ -1,0 +1,388 @@
+"""Effects that are located at a station by evidence: fields compete with each other, with causes, and with chance.
+
+All fields and the causes of a fit are columns of one linear model with random motions of the captures
+(`scatter`). The evidence of a field is that of the readings with its coefficients, whose common size is unknown,
+integrated out; what is known already (causes, effects located before) is integrated out beside it. Everything follows
+from one set of sums over the readings.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
+from wlr_render.diagnosis.fit import Fit, off_prior
+from wlr_render.diagnosis.held_out import (
+    HeldOutImprovement,
+    held_out_improvement,
+    left_out_residual,
+    squares_of_captures,
+)
+from wlr_render.diagnosis.located_effects import LocatedEffect
+from wlr_render.diagnosis.scatter import (
+    LOG10_ODDS,
+    Known,
+    Marginal,
+    Scatter,
+    ScatterSums,
+    folded,
+    marginal,
+    minus_two_log_evidence,
+    of_columns,
+    surprise,
+)
+from wlr_render.diagnosis.scatter_search import best_scatter
+from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+
+_SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
+_LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the field
+_MOST_EFFECTS = 3  # that are located in one session
+_FAIR_SHARE = 0.25  # of the first effect's log odds
+_PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
+_OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+_NEARLY_ALL = 0.9  # of the evidence for cause and field, from which a cause stands by itself
+_LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
+
+
+@dataclass(frozen=True, eq=False)
+class FieldContest:
+    """The causes of a fit and all fields over the same readings.
+
+    Attributes:
+        readings: the readings.
+        found: the fit to them.
+        fields: that compete.
+        fixed: sums over the columns of the fields, after any others.
+    """
+
+    readings: WeighedReadings
+    found: Fit
+    fields: Sequence[StationField]
+    fixed: FixedColumns
+
+    @classmethod
+    def of(cls, readings: WeighedReadings, found: Fit, fields: Sequence[StationField]) -> "FieldContest":
+        """Of fields whose sums are not known yet."""
+        columns = [np.zeros((len(readings.observations), 2, 0)), *(field.columns for field in fields)]
+        return cls(readings, found, fields, readings.fixed(np.concatenate(columns, axis=2)))
+
+    @cached_property
+    def sums(self) -> ScatterSums:
+        """Over all fixed columns, then those of the fit."""
+        return self.readings.sums(self.found.at.residual, self.found.at.jacobian, self.fixed)
+
+    @cached_property
+    def _first(self) -> IntArray:
+        """Column at which each field begins."""
+        sizes = [field.order.size for field in self.fields]
+        return np.asarray(self.fixed.count - sum(sizes) + np.cumsum([0, *sizes])[: len(sizes)])
+
+    @cached_property
+    def _causes(self) -> IntArray:
+        """Columns of the causes of the fit."""
+        return np.asarray(self.fixed.count + np.arange(self.found.at.free.size))
+
+    @cached_property
+    def _all_causes(self) -> BoolArray:
+        return np.ones(self._causes.size, dtype=bool)
+
+    @cached_property
+    def _mean(self) -> FloatArray:
+        """Means of the causes' priors less their values, in prior sigmas."""
+        return np.asarray(-off_prior(self.found.explanation)[self.found.at.free])
+
+    @cached_property
+    def _scatters(self) -> list[tuple[Scatter, Marginal, float]]:
+        """Sizes of what is random that are tried, each with the sums over its readings and its surprise."""
+        scatter = self.found.scatter
+        noises = [np.ones_like(scatter.noise)]
+        if np.max(scatter.noise) > _LARGER_NOISE:
+            noises.append(scatter.noise)
+        tried = [
+            Scatter(noise, less * scatter.shift_um, less * scatter.turn_urad, scatter.moved)
+            for less, noise in product(_LESS_MOTION, noises)
+        ]
+        return [(each, marginal(self.sums, each), surprise(each, self.sums)) for each in tried]
+
+    def _columns(self, number: int, degree: int) -> IntArray:
+        return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].order <= degree))
+
+    def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> Known:
+        """Columns, means and prior sigmas of some of the causes' values and of effects."""
+        columns, mean, sigma = [self._causes[causes]], [self._mean[causes]], [np.ones(int(causes.sum()))]
+        for effect in effects:
+            columns.append(self._columns(self.fields.index(effect.field), effect.degree))
+            mean.append(np.zeros(columns[-1].size))
+            sigma.append(np.full(columns[-1].size, effect.size))
+        return np.concatenate(columns), np.concatenate(mean), np.concatenate(sigma)
+
+    def located(self, least_log10_odds: float) -> list[LocatedEffect]:
+        """Return the effects that the readings show beside the causes, in the order of their evidence.
+
+        Each has good odds and predicts captures that are left out of its fit better than nothing does: what only
+        resembles a field of that station does not. A further one has a fair share of the first one's odds: what a field
+        describes imperfectly leaves a little everywhere.
+        """
+        effects: list[LocatedEffect] = []
+        while len(effects) < _MOST_EFFECTS:
+            best = self._best(effects)
+            least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects else 0.0)
+            if best is None or best.log10_odds < least:
+                break
+            scatter = self.scatter_beside([*effects, best])
+            if self.held_out(best, scatter, effects)[0].significance < _PREDICTS:
+                break
+            effects.append(best)
+        return effects
+
+    def gain_of_best(self, shapes: Sequence[IntArray], most: int) -> float:
+        """Return by how much -2 log evidence falls by the best shapes together, taken one after the other.
+
+        Args:
+            shapes: fixed columns of each, in prior sigmas.
+            most: how many are taken.
+        """
+        known, left = self._known((), self._all_causes), list(shapes)
+        least = start = self._least(known)
+        for _ in range(most):
+            tried = [self._least(_with_columns(known, each)) for each in left]
+            if not tried or min(tried) >= least:
+                break
+            least, best = min(tried), int(np.argmin(tried))
+            known = _with_columns(known, left.pop(best))
+        return start - least
+
+    def _best(self, beside: Sequence[LocatedEffect]) -> LocatedEffect | None:
+        """Return the field of best evidence with the causes and others at work; None where no field has evidence."""
+        ranked = self._ranked_beside(beside) if beside else self.ranked
+        if not ranked:
+            return None
+        others = [each for each in ranked if each.field.station != ranked[0].field.station]
+        if not others:
+            return ranked[0]
+        return replace(
+            ranked[0],
+            next_station=others[0].field.station,
+            odds_against_next=ranked[0].log10_odds - others[0].log10_odds,
+        )
+
+    @cached_property
+    def ranked(self) -> list[LocatedEffect]:
+        """Every field beside the causes, with its best degree and size, best first."""
+        return self._ranked_beside(())
+
+    def _ranked_beside(self, beside: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+        """Every field beside the causes and some effects, best first; all that are tried are charged alike."""
+        known = self._known(beside, self._all_causes)
+        taken = {id(each.field) for each in beside}
+        tried = [
+            (number, degree)
+            for number, field in enumerate(self.fields)
+            for degree in field.degrees
+            if id(field) not in taken
+        ]
+        if not tried:
+            return []
+        none = self._least(known)
+        charge = float(np.log10(len(tried)))
+        best: dict[int, LocatedEffect] = {}
+        for number, degree in tried:
+            least, size = self._least_of(self._columns(number, degree), known)
+            odds = LOG10_ODDS * (none - least) - charge
+            if number not in best or odds > best[number].log10_odds:
+                best[number] = LocatedEffect(self.fields[number], degree, size, odds)
+        return sorted(best.values(), key=lambda each: -each.log10_odds)
+
+    def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Return log10 odds for a cause against the fields of its own station, and of every other one.
+
+        A prism in the view turns it as a wrong pose of the target does: a name that a field of another station
+        could take is not earned.
+
+        Args:
+            number: of the cause in the fit.
+            station: its station.
+            beside: effects located beside it.
+        """
+        located = {each.field.station for each in beside} - {station}
+        others = {field.station for field in self.fields} - located - {station}
+        odds = [self._odds_at_its_station(number, station, beside)]
+        odds += [self._odds_beside(number, other, beside) for other in located]
+        odds += [self._odds_against(number, other, beside) for other in others]
+        return min(odds)
+
+    def _odds_at_its_station(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause, alone or beside a field, against the fields of its own station.
+
+        Where the cause leaves something to a field beside it, the fields have the cause's span as well: otherwise they
+        could not imitate it, and its name would always win. A cause that does nearly all by itself is no such match.
+        """
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station)
+        if not tried:
+            return float("inf")
+        charge = 2.0 * float(np.log(len(tried)))
+        alone, nothing = self._least(named), self._least(rest, span, at_none)
+        both = min(self._least_of(columns, named)[0] for columns in tried) + charge
+        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried) + charge
+        if nothing - alone > _NEARLY_ALL * (nothing - min(alone, both)):
+            return float(LOG10_ODDS * (min(nothing, field) - min(alone, both)))
+        spanned = min(
+            self._least_of(columns, rest, span, at_none, span[self._beyond(columns, span) > _OWN_SHAPE])[0]
+            for columns in tried
+        )
+        # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
+        # part of that field which happens to look like it.
+        with_name = min(alone, both) if alone < field else alone
+        return float(LOG10_ODDS * (min(nothing, spanned + charge) - with_name))
+
+    def _odds_beside(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause against none where a field of another station may explain the same."""
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station)
+        with_name = min(self._least_of(columns, named)[0] for columns in tried)
+        without = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
+        return float(LOG10_ODDS * (without - with_name))
+
+    def _odds_against(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause against the fields of another station in its place.
+
+        What is constant there is that of a station which moves as a whole: it rivals no name.
+        """
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station, constants=station not in ELSEWHERE)
+        if not tried:
+            return float("inf")
+        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
+        return float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - self._least(named)))
+
+    def _tried_at(self, station: str, constants: bool = True) -> list[IntArray]:
+        """Columns of all fields of a station, by degree; without its constants, if it has others."""
+        tried = [
+            (number, self._columns(number, degree))
+            for number, field in enumerate(self.fields)
+            for degree in field.degrees
+            if field.station == station
+        ]
+        if constants:
+            return [columns for _, columns in tried]
+        varying = [columns[self.fields[n].order[columns - self._first[n]] > 0] for n, columns in tried]
+        return [columns for columns in varying if columns.size]
+
+    def _with_and_without(
+        self, number: int, station: str, beside: Sequence[LocatedEffect]
+    ) -> tuple[Known, Known, IntArray, FloatArray]:
+        """Return the model with and without a cause, and the columns and null values of the cause."""
+        mine = self.found.owner == number
+        elsewhere = [each for each in beside if each.field.station != station]
+        named = self._known(elsewhere, self._all_causes)
+        # The cause's own values count from none.
+        return named, self._known(elsewhere, ~mine), self._causes[mine], -self.found.effects[mine]
+
+    def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
+        """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
+        _, sums, _ = self._scatters[0]
+        own = sums.information[np.ix_(columns, columns)]
+        across = sums.information[np.ix_(columns, span)]
+        ridge = 1e-9 * float(np.trace(own)) * np.eye(len(columns))
+        inside = np.sum(across * np.linalg.solve(own + ridge, across), axis=0)
+        return np.asarray(np.sqrt((1.0 - inside / np.diag(sums.information)[span]).clip(0.0)))
+
+    def _least(
+        self,
+        known: Known,
+        removed: IntArray | None = None,
+        by: FloatArray | None = None,
+    ) -> float:
+        """-2 log evidence of what is known alone; `removed` columns are put to values `by` that do nothing."""
+        return min(
+            minus_two_log_evidence(of_columns(_moved(sums, removed, by), known[0]), known[1], known[2]) + cost
+            for _, sums, cost in self._scatters
+        )
+
+    def _least_of(
+        self,
+        columns: IntArray,
+        known: Known,
+        span: IntArray | None = None,
+        by: FloatArray | None = None,
+        added: IntArray | None = None,
+    ) -> tuple[float, float]:
+        """-2 log evidence of a field beside what is known, over all sizes, and its most probable size.
+
+        `span` are a cause's columns, put to values `by` that do nothing; `added` are those of them that the field has
+        as well, at unit rms.
+        """
+        added = np.zeros(0, dtype=np.int64) if added is None else added
+        best = (np.inf, 0.0)
+        for _, sums, cost in self._scatters:
+            moved = _moved(sums, span, by)
+            alone = folded(moved, known, np.r_[columns, added])
+            scale = np.ones(len(alone.gradient))
+            scale[len(columns) :] = 1.0 / np.sqrt(
+                np.mean(self.found.at.jacobian[:, :, added - self.fixed.count] ** 2, axis=(0, 1))
+            )
+            values, axes = np.linalg.eigh(scale[:, None] * alone.information * scale)
+            pull, values = axes.T @ (scale * alone.gradient), values.clip(0.0)
+            square = _SIZES[:, None] ** 2
+            # All sizes are equally likely beforehand.
+            costs = np.sum(np.log1p(square * values) - pull**2 * square / (1.0 + square * values), axis=1)
+            least = -2.0 * float(np.logaddexp.reduce(-0.5 * costs) - np.log(len(_SIZES)))
+            best = min(best, (alone.minus_two_log + cost + least, float(_SIZES[int(np.argmin(costs))])))
+        return best
+
+    def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
+        """Return the sizes of what is random with the causes and effects at work."""
+        columns, mean, sigma = self._known(effects, self._all_causes)
+        return best_scatter(self.sums.of_columns(columns), self.found.scatter, mean, sigma)[0]
+
+    def values(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> list[FloatArray]:
+        """Return the most probable coefficients (c,) of effects that act together, the causes being as fitted."""
+        columns, mean, sigma = self._known(effects, ~self._all_causes)
+        sums = marginal(self.sums.of_columns(columns), scatter)
+        values = np.linalg.solve(sums.information + np.diag(sigma**-2.0), sums.gradient + mean / sigma**2)
+        ends = np.cumsum([effect.columns.shape[2] for effect in effects])
+        return np.split(values, ends[:-1])
+
+    def held_out(
+        self, effect: LocatedEffect, scatter: Scatter, beside: Sequence[LocatedEffect] = ()
+    ) -> tuple[HeldOutImprovement, float]:
+        """Return the improvement of captures left out of an effect's fit, and the share of their excess it removes.
+
+        Args:
+            effect: the effect.
+            scatter: sizes of what is random with all effects at work.
+            beside: effects that are at work already, as all captures show them.
+        """
+        group, residual = self.readings.observations.group, self.found.at.residual
+        for other, values in zip(beside, self.values(beside, scatter) if beside else [], strict=True):
+            residual = residual - other.columns @ values
+        whiten = self.readings.whitening(scatter)
+        white, left = whiten(effect.columns), whiten(residual)
+        after = left_out_residual(white, left, group, effect.size)
+        acts = np.isin(group, np.unique(group[np.any(effect.columns != 0.0, axis=(1, 2))]))
+        before_sum, after_sum = (float(np.sum(each[acts] ** 2)) for each in (left, after))
+        expected = 2.0 * float(acts.sum())
+        removed = before_sum - after_sum
+        share = removed / max(before_sum - expected, removed, 1e-9)
+        squares = [squares_of_captures(each[acts], group[acts]) for each in (left, after)]
+        return held_out_improvement(*squares), share
+
+
+def _with_columns(known: Known, columns: IntArray) -> Known:
+    """With columns in prior sigmas, of which nothing is expected."""
+    count = len(columns)
+    return np.concatenate([known[0], columns]), np.r_[known[1], np.zeros(count)], np.r_[known[2], np.ones(count)]
+
+
+def _moved(sums: Marginal, columns: IntArray | None, by: FloatArray | None) -> Marginal:
+    """Return the same readings, less the effect of some columns at values `by`."""
+    if columns is None or by is None or not columns.size:
+        return sums
+    across = sums.information[:, columns] @ by
+    value = sums.minus_two_log - 2.0 * float(by @ sums.gradient[columns]) + float(by @ across[columns])
+    return Marginal(value, sums.information, sums.gradient - across)

@@ -1,0 +1,180 @@
+"""Fields as sums of smooth functions of a station's coordinates, each with its column of changes of the readings."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from wlr_render.bench.bench_effects import BenchEffect
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+
+ELSEWHERE = ("stage", "time")  # stations whose constants are those of another: of the camera, or of the panel
+_IDLE = 1e-9  # rms of a column in sigma below which it does nothing
+
+
+@dataclass(frozen=True, eq=False)
+class StationField:
+    """A displacement at a station as a sum of smooth functions, each with an unknown coefficient.
+
+    Attributes:
+        station: where it acts.
+        coordinates: of the station, on which the displacement depends.
+        form: what is displaced, and how.
+        columns: (n, 2, c) change of each reading by each function, in units of sigma; rms 1 over the readings.
+        order: (c,) order of each function; a field of lower degree has those up to it.
+        degrees: that are tried, ascending.
+        place: (n, v) coordinates of each reading; those in `acts` (n,) feel the field.
+        unit: of the displacement.
+        displacement: coefficients (c,) -> (n, d) displacement in the unit.
+        in_bench: coefficients (c,) -> effects of a bench that do the same; None where no bench file can state them.
+    """
+
+    station: str
+    coordinates: str
+    form: str
+    columns: FloatArray
+    order: IntArray
+    degrees: tuple[int, ...]
+    place: FloatArray
+    acts: BoolArray
+    unit: str
+    displacement: Callable[[FloatArray], FloatArray]
+    in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """Smooth functions of coordinates.
+
+    Attributes:
+        coordinates: their name.
+        place: (n, v) coordinates of each reading; zero where the functions are.
+        values: (n, t) functions. order: (t,) of each.
+        degrees: that are tried, ascending.
+        polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each target pose,
+            if there are `copies`.
+        means: (t,) what was taken off each of these polynomials.
+    """
+
+    coordinates: str
+    place: FloatArray
+    values: FloatArray
+    order: IntArray
+    degrees: tuple[int, ...]
+    polynomials: tuple[IntArray, Box] | None = None
+    copies: int = 1
+    means: FloatArray | None = None
+
+    def varying(self) -> "Terms":
+        """Return the functions less their means, except a constant, of order 0."""
+        means = np.where(self.order > 0, self.values.mean(axis=0), 0.0)
+        return replace(self, values=self.values - means, means=means)
+
+    def over(self, mask: BoolArray) -> "Terms":
+        """Return the functions at some of the readings (n,), zero elsewhere; they are given for these (m,) only."""
+        return replace(self, place=over_rows(mask, self.place), values=over_rows(mask, self.values))
+
+
+def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int) -> Terms:
+    """Return the polynomials of variables (n, v) up to the last of the degrees."""
+    orders = total_degree(variables.shape[1], degrees[-1])
+    box = Box.around(variables)
+    values = basis(variables, orders, box)
+    return Terms(coordinates, variables, values, np.asarray(orders.sum(axis=1)), degrees, (orders, box))
+
+
+def as_effects(
+    station: str,
+    displaces: str,
+    orders: IntArray,
+    box: Box,
+    components: int,
+    copies: int,
+    values: FloatArray,
+    means: FloatArray | None = None,
+) -> tuple[BenchEffect, ...]:
+    """Return effects of a bench by coefficients of terms and components, for each target pose if there are copies."""
+    terms = values.reshape(-1, components)
+    if means is not None:
+        terms = np.concatenate([terms[:1] - means @ terms, terms[1:]])
+    parts = np.split(terms, copies)
+    poses = range(copies) if copies > 1 else (-1,)
+    return tuple(
+        BenchEffect(station, displaces, Polynomial(orders, box, part), pose)
+        for part, pose in zip(parts, poses, strict=True)
+    )
+
+
+def field_of(station: str, form: str, unit: str, terms: Terms, lever: FloatArray, displaces: str = "") -> StationField:
+    """Return a field of terms, each acting through all components of a lever (n, 2, k): sigma per unit.
+
+    `displaces` is what an effect of a bench at that station displaces alike; empty where there is none.
+    """
+    columns = (lever[:, :, None, :] * terms.values[:, None, :, None]).reshape(len(lever), 2, -1)
+    components = np.repeat(terms.values[:, :, None], lever.shape[2], axis=2)
+
+    def displacement(values: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("ntk,tk->nk", components, values.reshape(-1, lever.shape[2])))
+
+    in_bench = None
+    if displaces and terms.polynomials is not None:
+        in_bench = partial(
+            as_effects, station, displaces, *terms.polynomials, lever.shape[2], terms.copies, means=terms.means
+        )
+    order, acts = np.repeat(terms.order, lever.shape[2]), np.any(terms.values != 0.0, axis=1)
+    return scaled(
+        StationField(
+            station,
+            terms.coordinates,
+            form,
+            columns,
+            order,
+            terms.degrees,
+            terms.place,
+            acts,
+            unit,
+            displacement,
+            in_bench,
+        )
+    )
+
+
+def scaled(field: StationField) -> StationField:
+    """Return the field with columns of rms 1, without columns of no effect."""
+    size = np.sqrt(np.mean(field.columns**2, axis=(0, 1)))
+    moves = np.isfinite(size) & (size > _IDLE)
+
+    def whole(values: FloatArray) -> FloatArray:
+        every = np.zeros(len(size))
+        every[moves] = values / size[moves]
+        return every
+
+    def displacement(values: FloatArray) -> FloatArray:
+        return field.displacement(whole(values))
+
+    of_field = field.in_bench
+    in_bench = None if of_field is None else lambda values: of_field(whole(values))
+
+    highest = int(field.order[moves].max(initial=0))
+    degrees = tuple(each for each in field.degrees if each < highest) + (highest,)
+    columns, order = field.columns[:, :, moves] / size[moves], field.order[moves]
+    return replace(field, columns=columns, order=order, degrees=degrees, displacement=displacement, in_bench=in_bench)
+
+
+def over_rows(mask: BoolArray, values: FloatArray) -> FloatArray:
+    """Return values (m, ...) of the readings in a mask (n,), zero elsewhere."""
+    full = np.zeros((len(mask), *values.shape[1:]))
+    full[mask] = values
+    return full
+
+
+def lever_of(predictor: Predictor, hypothesis: Hypothesis) -> FloatArray:
+    """Return the change (n, 2, k) of the readings, in sigma, by each parameter of a cause, at the nominal bench."""
+    nothing = Explanation()
+    at = predictor.added(predictor.state(nothing), nothing.plus(hypothesis))
+    lever = np.zeros((*at.residual.shape, len(hypothesis.cause.parameters)))
+    lever[:, :, at.free] = at.jacobian
+    return np.asarray(lever / [each.prior_sigma for each in hypothesis.cause.parameters])

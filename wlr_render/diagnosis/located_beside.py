@@ -1,0 +1,139 @@
+"""Effects that are located beside causes, and the causes that stand beside them and against all fields."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wlr_render.bench.bench import Bench
+from wlr_render.diagnosis.cause_selection import Search
+from wlr_render.diagnosis.coherence import FineEffect
+from wlr_render.diagnosis.diagnosis import (
+    StationEffect,
+    TriedField,
+)
+from wlr_render.diagnosis.effect_findings import station_effects
+from wlr_render.diagnosis.field_contest import FieldContest
+from wlr_render.diagnosis.fit import (
+    Fit,
+    fit,
+)
+from wlr_render.diagnosis.located_effects import LocatedEffect
+from wlr_render.diagnosis.scatter import Scatter
+
+_BEYOND_DOUBT = 20.0  # log10 odds of a field from which the readings have structure, whatever it is
+_ROUNDS = 2  # times that causes are searched for beside located effects
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Causes that stand against the fields of their stations, and the effects located beside them.
+
+    Attributes:
+        search: with the effects at work.
+        found: the fit of the causes to all readings.
+        contest: of the fields beside these causes, on a subsample.
+        effects: smooth ones.
+        scatter: sizes of what is random with causes and effects at work.
+        tried: all fields that were judged.
+        dropped: a sentence on each cause that does not stand.
+        odds: log10 odds for the name of each cause of the fit against the fields.
+    """
+
+    search: Search
+    found: Fit
+    contest: FieldContest | None = None
+    effects: tuple[LocatedEffect, ...] = ()
+    scatter: Scatter | None = None
+    tried: tuple[TriedField, ...] = ()
+    dropped: tuple[str, ...] = ()
+    odds: tuple[float, ...] = ()
+
+    def bench(self, corrected: Bench) -> Bench:
+        """Return a bench with the effects at work that a bench file can state."""
+        if self.contest is None or self.scatter is None or not self.effects:
+            return corrected
+        pairs = zip(self.effects, self.contest.values(self.effects, self.scatter), strict=True)
+        added = [each for effect, values in pairs for each in effect.in_bench(values)]
+        return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
+
+    def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:
+        """Return a fine effect, unless a smooth one has better odds, whose rest agrees between captures, too."""
+        smooth = max((effect.log10_odds for effect in self.effects), default=0.0)
+        return None if fine is None or fine.log10_odds < smooth else fine
+
+    def structure(self, effects: Sequence[StationEffect]) -> tuple[str, ...]:
+        """Return a sentence on a certain field that is not an effect, as it does not predict captures left out."""
+        best = self.tried[0] if self.tried else None
+        if effects or best is None or best.log10_odds < _BEYOND_DOUBT:
+            return ()
+        return (
+            f"a field of {best.coordinates} ({best.station}: {best.displaced}) has log10 odds of {best.log10_odds:.0f} "
+            "and does not predict captures left out: something is left that no cause and no field describes",
+        )
+
+    def records(self, fine: FineEffect | None) -> list[StationEffect]:
+        """Return the effects as the report states them."""
+        if self.contest is None or self.scatter is None:
+            return []
+        return station_effects(self.contest, self.effects, self.scatter, fine)
+
+
+def locate(search: Search, found: Fit) -> Located:
+    """Locate effects beside the causes, and causes beside these effects, until there are no others."""
+    located = _standing(search, found)
+    for _ in range(_ROUNDS):
+        if not located.effects:
+            break
+        beside = search.with_effects(located.effects, located.found.explanation, constants=False)
+        more = beside.select(located.found.explanation).fit
+        if more.explanation.names == located.found.explanation.names:
+            break
+        again = _standing(search, more)
+        again = replace(again, dropped=(*located.dropped, *again.dropped))
+        if again.found.explanation.names == located.found.explanation.names:
+            break
+        located = again
+    return located
+
+
+def _standing(search: Search, found: Fit) -> Located:
+    """Locate effects beside the causes; drop causes that fields rival, one at a time."""
+    readings, least, dropped = search.subsample, search.settings.least_log10_odds, list[str]()
+    while True:
+        thinned = fit(readings, found.explanation, found.scatter, 0)
+        if thinned is None:
+            count = len(found.explanation.hypotheses)
+            return Located(search, found, dropped=tuple(dropped), odds=(float("inf"),) * count)
+        contest = search.contest(thinned)
+        effects = contest.located(least)
+        odds = [
+            contest.odds_of_cause(number, hypothesis.cause.station, effects)
+            for number, hypothesis in enumerate(found.explanation.hypotheses)
+        ]
+        if not odds or min(odds) > least:
+            break
+        weakest = int(np.argmin(odds))
+        cause = found.explanation.hypotheses[weakest].cause
+        dropped.append(
+            f"{cause.name} would explain part of it, but an effect of another shape ({cause.station}) explains as "
+            f"much: log10 odds for the name are {odds[weakest]:.1f}, and it is not named"
+        )
+        found = search.refitted(found.explanation.without(weakest), found.scatter)
+    if effects:
+        search = search.with_effects(effects, found.explanation, constants=not found.explanation.hypotheses)
+        found = search.refitted(found.explanation, contest.scatter_beside(effects))
+    tried = [
+        TriedField(each.field.station, each.field.coordinates, each.field.form, each.degree, each.log10_odds)
+        for each in contest.ranked
+    ]
+    return Located(
+        search,
+        found,
+        contest,
+        tuple(effects),
+        contest.scatter_beside(effects),
+        tuple(tried),
+        tuple(dropped),
+        tuple(odds),
+    )

@@ -1,0 +1,185 @@
+"""Search for the sizes of motions and noise that have the highest evidence, and for captures that moved."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from wlr_render.diagnosis.scatter import (
+    MOVED,
+    PARTS,
+    USUAL_SHIFT,
+    USUAL_TURN,
+    Scatter,
+    ScatterSums,
+    cost,
+    motion_slopes,
+    without_motions,
+)
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+_RAISED = 3.0  # times the usual size up to which motions are those of a capture that did not move
+_STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a capture may have moved
+_LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
+_NOISIEST = np.log(100.0)
+_STEP = 1e-3
+_ENOUGH = 0.02  # of -2 log evidence: a step that gains less ends the search
+FEWEST_TO_STAND_OUT = 4
+"""Captures of a part among which one may stand out."""
+
+
+def best_scatter(
+    sums: ScatterSums, start: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
+) -> tuple[Scatter, float]:
+    """Return the sizes of highest evidence and -2 log of it, from a start on; the captures that moved are given."""
+    moving = np.array([bool(np.any(sums.ee[sums.part_of == part])) for part in range(PARTS)])
+    present = sums.count > 0
+    free = np.concatenate([present, moving, moving])
+    first = start.vector()
+    usual = np.repeat(np.log([1.0, USUAL_SHIFT, USUAL_TURN]), PARTS)
+    first[~free] = usual[~free]
+
+    def at(inner: FloatArray) -> float:
+        vector = first.copy()
+        vector[free] = inner
+        return cost(sums, start.at(vector), mean, sigma)
+
+    def with_slope(inner: FloatArray) -> tuple[float, FloatArray]:
+        value, vector = at(inner), first.copy()
+        vector[free] = inner
+        by_motions = motion_slopes(sums, start.at(vector), mean, sigma).ravel()
+        noises = int(np.sum(present))
+        by_noise = [(at(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))[:noises]]
+        return value, np.concatenate([by_noise, by_motions[free[PARTS:]]])
+
+    low = np.concatenate([np.zeros(PARTS), np.full(2 * PARTS, _LOWEST)])[free]
+    high = np.concatenate([np.full(PARTS, _NOISIEST), np.full(2 * PARTS, _HIGHEST)])[free]
+    inside = np.clip(first[free], low, high)
+    found = minimize(
+        with_slope,
+        inside,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.stack([low, high], axis=1),
+        options={"maxiter": 30, "ftol": _ENOUGH / max(abs(at(inside)), 1.0), "gtol": 0.05},
+    )
+    vector = first.copy()
+    vector[free] = found.x
+    return start.at(vector), float(found.fun)
+
+
+def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> tuple[Scatter, float]:
+    """Return the sizes of highest evidence, and -2 log of it, where some captures may have moved far more than others.
+
+    Captures of a part are taken in the order of what a motion of their own would gain, up to half of them; the number
+    of highest evidence is kept, and each is tried once more by itself.
+    """
+    best, least = best_scatter(sums, replace(start, moved=np.zeros_like(start.moved)), mean)
+    if start.moved.any():
+        best, least = min((best, least), best_scatter(sums, start, mean), key=lambda each: each[1])
+    for part in range(PARTS):
+        own = np.flatnonzero(sums.used & (sums.part_of == part))
+        if len(own) < FEWEST_TO_STAND_OUT or not np.any(sums.ee[own]):
+            continue
+        for _ in range(2):  # captures that are known to have moved no longer hide others
+            gain = _own_gain(sums, best, mean)[own]
+            if np.max(gain) < _STANDS_OUT:
+                break
+            best, least = _prefix(sums, best, least, own[np.argsort(-gain)], mean)
+        best, least = one_by_one(sums, best, least, own[best.moved[own]], mean)
+    return best, least
+
+
+def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray, mean: FloatArray) -> tuple[Scatter, float]:
+    """Return the best number of captures that moved, taken in an order."""
+    most = len(order) // 2
+    tried: dict[int, tuple[Scatter, float]] = {}
+
+    def at(count: int) -> float:
+        if count not in tried:
+            moved = best.moved.copy()
+            moved[order] = False
+            moved[order[:count]] = True
+            tried[count] = best_scatter(sums, replace(best, moved=moved), mean)
+        return tried[count][1]
+
+    coarse = sorted({round(each) for each in np.geomspace(1, most, 8)})
+    count = min(coarse, key=at)
+    while (nearer := min((n for n in (count - 1, count + 1) if 1 <= n <= most), key=at, default=count)) != count:
+        if at(nearer) >= at(count):
+            break
+        count = nearer
+    return tried[count] if at(count) < least else (best, least)
+
+
+def one_by_one(
+    sums: ScatterSums, best: Scatter, least: float, captures: IntArray, mean: FloatArray
+) -> tuple[Scatter, float]:
+    """Take each of some captures out of, or into, those that moved, if that has the higher evidence."""
+    for number in captures:
+        moved = best.moved.copy()
+        moved[number] = not moved[number]
+        at = replace(best, moved=moved)
+        if cost(sums, at, mean) < least:
+            best, least = best_scatter(sums, at, mean)
+    return best, least
+
+
+def scatter_errors(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+    """Return standard errors (3, parts) of the logarithms of noise, shifts and turns by the evidence's curvature."""
+    first, step = scatter.vector(), 0.1
+
+    def at(vector: FloatArray) -> float:
+        return cost(sums, scatter.at(vector), mean)
+
+    at_best = at(first)
+    curvature = np.array([(at(first + step * u) - 2 * at_best + at(first - step * u)) / step**2 for u in np.eye(9)])
+    return np.asarray(np.sqrt(2.0 / curvature.clip(1e-3)).reshape(3, PARTS))
+
+
+def one_at_rest(scatter: Scatter, number: int) -> Scatter:
+    """With one capture among those that did not move."""
+    moved = scatter.moved.copy()
+    moved[number] = False
+    return replace(scatter, moved=moved)
+
+
+def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+    """Twice the log likelihood that a wide motion of its own gains each capture (g,)."""
+    pull = _pull(sums, scatter, mean)
+    noise = scatter.noise[sums.part_of][:, None]
+    # Several captures that moved raise the size that is found for all, behind which they would hide.
+    shift, turn = (
+        np.minimum(size, _RAISED * usual)
+        for size, usual in ((scatter.shift_um, USUAL_SHIFT), (scatter.turn_urad, USUAL_TURN))
+    )
+    at_rest = replace(scatter, shift_um=shift, turn_urad=turn, moved=np.zeros_like(scatter.moved))
+    usual = at_rest.sizes(sums.part_of)
+    wide = np.hypot(usual, MOVED / noise)
+
+    def likelihood(sizes: FloatArray) -> FloatArray:
+        normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
+        side = sizes * pull / noise
+        _, determinant = np.linalg.slogdet(normal)
+        return np.asarray(np.einsum("gi,gi->g", side, np.linalg.solve(normal, side[:, :, None])[:, :, 0]) - determinant)
+
+    return likelihood(wide) - likelihood(usual)
+
+
+def _pull(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+    """Return the sums (g, 6) of motions and readings, less the most probable effect of all columns."""
+    every = without_motions(sums, scatter)
+    precision = np.concatenate([np.ones(len(mean)), sums.carried**-2.0])
+    means = np.concatenate([mean, np.zeros(len(sums.carried))])
+    if not len(means):
+        return sums.ey
+    values = np.linalg.solve(every.information + np.diag(precision), every.gradient + precision * means)
+    return np.asarray(sums.ey - sums.ex @ values)
+
+
+def motions_of(sums: ScatterSums, scatter: Scatter) -> FloatArray:
+    """Most probable motion of each capture (g, 6), micrometres and microradians, the causes' values being fitted."""
+    sizes = scatter.sizes(sums.part_of)
+    normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
+    pull = _pull(sums.of_columns(np.zeros(0, dtype=np.int64)), scatter, np.zeros(0))
+    return np.asarray(sizes * np.linalg.solve(normal, (sizes * pull)[:, :, None])[:, :, 0])
