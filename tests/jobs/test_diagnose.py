@@ -16,6 +16,7 @@ from oracle.session_writer import write_session
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.session_captures import observations_of
 from wlr_render.bench.session_folder import load_session, save_session
+from wlr_render.bench.simulate_session import dot_geometry
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.session import select_rows
 from wlr_render.cli import main
@@ -57,6 +58,12 @@ def diagnosed(session, tmp_path_factory):
         patch.setattr(diagnose, "diagnose_session", with_few_causes)
         assert main(["diagnose", str(session), "--out", str(out)]) == 0
     return out, printed.getvalue()
+
+
+def measured_dots(folder):
+    """Dots (n, 3) of a session's targets, metres, device frame."""
+    nominal, measured = load_session(folder)
+    return dot_geometry(nominal, measured.plan.see_through)[1]
 
 
 def run(capsys, *arguments):
@@ -125,6 +132,25 @@ def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes
     status, printed = run(capsys, session, "--device", "northstar", "--out", out)
     assert status == 2
     assert "--device does not apply" in printed.err
+
+
+def test_the_signature_of_a_cause_is_drawn_before_anything_is_fitted(session, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(diagnose, "diagnose_session", None)
+    status, printed = run(capsys, session, "--show-cause", "target_scale", "--out", tmp_path)
+    assert status == 0
+    assert "target_scale (printed size of the target) acts at the station 'target'" in printed.out
+    record = json.loads((tmp_path / "signature.json").read_text())
+    (wide,) = {each["name"]: each for each in record["parameters"] if each["name"] == "scale_x"}.values()
+    # By the definition: a dot at x on the target moves by x times the scale, which is seen at the target's distance.
+    _, measured = load_session(session)
+    plan, camera = measured.plan.see_through, np.array(measured.plan.see_through.stage)
+    distance = np.mean(np.linalg.norm(measured_dots(session) - camera, axis=1))
+    expected = np.degrees(1e-2 * wide["size"] * np.sqrt(np.mean(plan.dot[:, 0] ** 2) / 2) / distance) * 60
+    assert wide["rms"]["see-through"] == pytest.approx(expected, rel=0.3)
+    assert wide["rms"]["display"] is None
+    status, printed = run(capsys, session, "--show-cause", "target_scal", "--out", tmp_path / "no")
+    assert status == 2
+    assert "There is no cause 'target_scal'; did you mean target_scale" in printed.err
 
 
 def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):

@@ -27,21 +27,30 @@ _TICKS = [step * power for power in (0.1, 1, 10, 100, 1000) for step in (1, 2, 5
 
 def residual_maps(part: PartView) -> Plot:
     """Plot the residual over the field of view, a panel for each bench, with a menu of captures."""
+    return field_maps(
+        part,
+        f"Residual over the field of view: {part.name}",
+        "Each arrow is the mean residual (measured minus simulated) of the readings around it; all maps have "
+        "one scale. The menu lists captures far from each other, the one with the largest residual first. Arrows in "
+        "all directions at once are noise. Arrows in one direction, which is another one in each capture, are the "
+        "stage's repeatability.",
+    )
+
+
+def field_maps(part: PartView, title: str, caption: str) -> Plot:
+    """Plot arrows over the field of view, a panel for each state of a part, with a menu of captures."""
     up = np.concatenate([state.on_map * [1.0, -1.0] for state in part.states], axis=1)
     rows = {field.title: field.rows & np.isfinite(up).all(axis=1) for field in part.maps}
-    rows = {title: shown for title, shown in rows.items() if shown.any()}
-    largest_first = sorted(rows, key=lambda title: -float(np.mean(up[rows[title], :2] ** 2)))
+    rows = {name: shown for name, shown in rows.items() if shown.any()}
+    largest_first = sorted(rows, key=lambda name: -float(np.mean(up[rows[name], :2] ** 2)))
     return arrow_map(
-        f"Residual over the field of view: {part.name}",
-        {title: _cell_means(part.place[rows[title]], up[rows[title]]) for title in largest_first},
+        title,
+        {name: _cell_means(part.place[rows[name]], up[rows[name]]) for name in largest_first},
         part.map_unit,
         part.place_label,
         panels=[state.name for state in part.states],
         y_down=True,
-        caption="Each arrow is the mean residual (measured minus simulated) of the readings around it; all maps have "
-        "one scale. The menu lists captures far from each other, the one with the largest residual first. Arrows in "
-        "all directions at once are noise. Arrows in one direction, which is another one in each capture, are the "
-        "stage's repeatability.",
+        caption=caption,
     )
 
 

@@ -3,6 +3,7 @@
 Angles are seen by the camera, in arcminutes to the right and down.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,25 +95,43 @@ def part_views(diagnosis: Diagnosis) -> list[PartView]:
 
 
 def _view(diagnosis: Diagnosis, part: int) -> PartView:
-    observations = diagnosis.observations
-    rows = observations.part == part
-    used = diagnosis.used[rows]
-    views = {DISPLAY: _display, SEE_THROUGH: _see_through, RUN_TIME: _run_time}
-    place, maps, variables = views[part](observations, used)
     benches = {"bench as described": diagnosis.residual_before}
     if diagnosis.is_corrected:
         benches["corrected bench"] = diagnosis.residual_after
-    states = []
-    for name, residual in benches.items():
+    return part_view(diagnosis.observations, part, diagnosis.used, benches, diagnosis.usual_motion)
+
+
+def part_view(
+    observations: Observations,
+    part: int,
+    used: BoolArray,
+    states: Mapping[str, FloatArray],
+    usual_motion: FloatArray,
+) -> PartView:
+    """Return a view of one part.
+
+    Args:
+        observations: the readings.
+        part: of the session.
+        used: (n,) readings that count.
+        states: (n, 2) residuals, or changes of readings, in units of sigma, by name.
+        usual_motion: (n, 2, q) change of the readings by the usual motion of their capture, in units of sigma.
+    """
+    rows = observations.part == part
+    used = used[rows]
+    views = {DISPLAY: _display, SEE_THROUGH: _see_through, RUN_TIME: _run_time}
+    place, maps, variables = views[part](observations, used)
+    shown = []
+    for name, residual in states.items():
         seen = observations.arcminutes(residual, part)
         on_map = observations.panel_pixels(residual) if part == DISPLAY else seen
         counted = (np.where(used[:, None], each, np.nan) for each in (seen, on_map))
-        states.append(BenchResiduals(name, *counted))
+        shown.append(BenchResiduals(name, *counted))
     sigma_px = float(np.sqrt(np.mean(observations.sigma_of(part) ** 2)))
-    motion = [observations.arcminutes(each, part) for each in np.moveaxis(diagnosis.usual_motion, 2, 0)]
+    motion = [observations.arcminutes(each, part) for each in np.moveaxis(usual_motion, 2, 0)]
     return PartView(
         PART_NAMES[part],
-        tuple(states),
+        tuple(shown),
         sigma_px / float(np.mean(observations.nominal.camera.focal_px) * ARCMIN),
         np.stack(motion, axis=-1),
         observations.group[rows],

@@ -12,7 +12,7 @@ from wlr_render.bench.bench import Bench
 from wlr_render.bench.measurements import load_measurements
 from wlr_render.bench.session_folder import check_enough_captures
 from wlr_render.captures.session import SeeThroughPlan, Session
-from wlr_render.diagnosis.cause import Cause
+from wlr_render.diagnosis.cause import Cause, unknown_cause
 from wlr_render.diagnosis.causes.user_causes import causes_for
 from wlr_render.diagnosis.diagnosis import Diagnosis
 from wlr_render.diagnosis.hold_out_report import (
@@ -24,6 +24,7 @@ from wlr_render.diagnosis.hold_out_report import (
 from wlr_render.diagnosis.procedure import diagnose as diagnose_session
 from wlr_render.diagnosis.report import CORRECTED, STEM, diagnosis_report, improvement_found, write_corrected
 from wlr_render.diagnosis.settings import DEFAULT
+from wlr_render.diagnosis.signature_report import signature_report
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.job import job
@@ -73,6 +74,10 @@ class DiagnoseOptions(Options):
         described("Maximum number of causes to report; 0 only measures the noise.", group=_CAUSES),
         Range(at_least=0, at_most=100),
     ] = DEFAULT.max_causes
+    show_cause: Annotated[
+        str,
+        described("Only draw what this cause would do to the readings; nothing is fitted.", flag=True, group=_CAUSES),
+    ] = ""
     hold_out: Annotated[
         bool,
         described(
@@ -119,6 +124,8 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     if options.hold_out:
         check_enough_captures(session)
     folder = output_folder(options.out)
+    if options.show_cause:
+        return save_report(_signature(options, nominal, session), folder, SIGNATURE)
     if (folder / CORRECTED).resolve() == options.session.resolve():
         raise BadInputError(f"{options.session}: the results would replace this session; choose another --out.")
     causes = options.candidates(nominal)
@@ -137,6 +144,19 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
         with prefix_errors(options.session):
             report = _with_held_out(report, found)
     return save_report(report, folder, STEM)
+
+
+SIGNATURE = "signature"
+"""Name of the page of `--show-cause`, without its extension."""
+
+
+def _signature(options: DiagnoseOptions, nominal: Bench, session: Session) -> Report:
+    """Return what one cause would do to the readings."""
+    causes = causes_for(nominal, options.add_causes)
+    if options.show_cause not in causes:
+        raise BadInputError(f"--show-cause: {unknown_cause(options.show_cause, causes)}")
+    with prefix_errors(options.session):
+        return signature_report(nominal, session, causes[options.show_cause], options.inputs())
 
 
 def _with_held_out(report: Report, found: Diagnosis) -> Report:

@@ -291,7 +291,8 @@ def _arrow_layout(axes: tuple[str, str], panels: Sequence[str], y_down: bool) ->
         layout[f"xaxis{number + 1 if number else ''}"] = (
             axis(axes[0]) | {"constrain": "domain"} | across | ({"matches": "x"} if number else {})
         )
-        at = {"x": right, "xanchor": "right", "y": 1.0, "yanchor": "bottom", "xref": "paper", "yref": "paper"}
+        # The menu of groups is above the panels.
+        at = {"x": right, "xanchor": "right", "y": 1.0, "yanchor": "top", "xref": "paper", "yref": "paper"}
         layout["annotations"] += [at | {"text": name, "showarrow": False}] if name else []
     return layout
 
