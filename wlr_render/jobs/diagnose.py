@@ -75,9 +75,9 @@ class DiagnoseOptions(Options):
         Range(at_least=0, at_most=100),
     ] = DEFAULT.max_causes
     show_cause: Annotated[
-        str,
+        str | None,
         described("Only draw what this cause would do to the readings; nothing is fitted.", flag=True, group=_CAUSES),
-    ] = ""
+    ] = None
     hold_out: Annotated[
         bool,
         described(
@@ -124,8 +124,8 @@ def diagnose(options: DiagnoseOptions, *, progress: ProgressArgument = SILENT) -
     if options.hold_out:
         check_enough_captures(session)
     folder = output_folder(options.out)
-    if options.show_cause:
-        return save_report(_signature(options, nominal, session), folder, SIGNATURE)
+    if options.show_cause is not None:
+        return save_report(_signature(options, options.show_cause, nominal, session), folder, SIGNATURE)
     if (folder / CORRECTED).resolve() == options.session.resolve():
         raise BadInputError(f"{options.session}: the results would replace this session; choose another --out.")
     causes = options.candidates(nominal)
@@ -150,13 +150,13 @@ SIGNATURE = "signature"
 """Name of the page of `--show-cause`, without its extension."""
 
 
-def _signature(options: DiagnoseOptions, nominal: Bench, session: Session) -> Report:
+def _signature(options: DiagnoseOptions, name: str, nominal: Bench, session: Session) -> Report:
     """Return what one cause would do to the readings."""
     causes = causes_for(nominal, options.add_causes)
-    if options.show_cause not in causes:
-        raise BadInputError(f"--show-cause: {unknown_cause(options.show_cause, causes)}")
+    if name not in causes:
+        raise BadInputError(f"--show-cause: {unknown_cause(name, causes)}")
     with prefix_errors(options.session):
-        return signature_report(nominal, session, causes[options.show_cause], options.inputs())
+        return signature_report(nominal, session, causes[name], options.inputs())
 
 
 def _with_held_out(report: Report, found: Diagnosis) -> Report:
