@@ -140,7 +140,8 @@ class Search:
             beside: causes; at their station an effect is what these cannot do, so that their values stay determined.
             constants: whether an effect of the stage or of time has a constant as well, which may be a cause's.
         """
-        full = station_fields(self.full) if self.full is not self.subsample else self.fields
+        located = [each.field for each in effects]
+        full = self.fields if self.full is self.subsample else station_fields(self.full, located)
         sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
         searched = []
         for readings, fields in ((self.subsample, self.fields), (self.full, full)):

@@ -44,6 +44,11 @@ class StationField:
     displacement: Callable[[FloatArray], FloatArray]
     in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]] | None = None
 
+    @property
+    def kind(self) -> tuple[str, str, str]:
+        """Station, coordinates and form, which are those of one field of a session."""
+        return self.station, self.coordinates, self.form
+
 
 @dataclass(frozen=True, eq=False)
 class Terms:

@@ -32,9 +32,7 @@ class LocatedEffect:
 
     def over(self, fields: Sequence[StationField]) -> "LocatedEffect":
         """Return the same effect on other readings, of which these are the fields."""
-        kind = (self.field.station, self.field.coordinates, self.field.form)
-        same = next(each for each in fields if (each.station, each.coordinates, each.form) == kind)
-        return replace(self, field=same)
+        return replace(self, field=next(each for each in fields if each.kind == self.field.kind))
 
     @property
     def order(self) -> IntArray:

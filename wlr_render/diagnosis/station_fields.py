@@ -7,7 +7,7 @@ the coordinates with unknown coefficients; every function is one column. Fields 
 effect acts, whatever its shape.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,19 +34,33 @@ _SCREW_PERIODS_M = tuple(np.geomspace(0.00025, 0.004, 13))  # of the leads of sc
 _STEP_M = 1e-5  # of a dot on the target, for the differences
 
 
-def station_fields(readings: WeighedReadings) -> list[StationField]:
-    """Return all fields that a session can show, at the nominal bench."""
+def station_fields(readings: WeighedReadings, like: Sequence[StationField] | None = None) -> list[StationField]:
+    """Return all fields that a session can show, at the nominal bench.
+
+    Args:
+        readings: the readings.
+        like: fields of other readings; only the same ones are returned. None for all.
+    """
     plan = readings.observations.session.plan
-    makers: list[Callable[[WeighedReadings], Iterator[StationField]]] = []
+    makers: list[tuple[str, Callable[[WeighedReadings], Iterator[StationField]]]] = []
     if plan.display is not None:
-        makers.append(_panel_fields)
+        makers.append(("panel", _panel_fields))
     if plan.display is not None or plan.see_through is not None:
-        makers += [combiner_fields, _camera_fields, _stage_fields, _time_fields]
+        makers += [("combiner", combiner_fields), ("camera", _camera_fields)]
+        makers += [("stage", _stage_fields), ("time", _time_fields)]
     if plan.see_through is not None and plan.see_through.bare_pixel is None:
-        makers.append(_target_fields)
+        makers.append(("target", _target_fields))
     if plan.run_time is not None:
-        makers.append(_run_time_fields)
-    return [field for maker in makers for field in maker(readings) if field.order.size]
+        makers.append(("", _run_time_fields))
+    kinds = None if like is None else {field.kind for field in like}
+    stations = None if like is None else {"", *(field.station for field in like)}
+    return [
+        field
+        for station, maker in makers
+        if stations is None or station in stations
+        for field in maker(readings)
+        if field.order.size and (kinds is None or field.kind in kinds)
+    ]
 
 
 def _panel_lever(observations: Observations) -> FloatArray:
