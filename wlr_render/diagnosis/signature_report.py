@@ -1,6 +1,6 @@
 """Signature of a cause: what it would do to the readings of a session, before anything is fitted."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -127,9 +127,13 @@ def _table(signatures: Sequence[Signature]) -> ReportTable:
             "variant": "variant",
             "parameter": "parameter",
             "usual size": lambda each: f"{each.size:g} {each.unit}",
-            **{f"{part} ({units[part]})": lambda each, part=part: each.rms[part] for part in parts},
+            **{f"{part} ({units[part]})": _in_part(part) for part in parts},
         },
     )
+
+
+def _in_part(part: str) -> Callable[[Signature], float | None]:
+    return lambda each: each.rms[part]
 
 
 def _maps(predictor: Predictor, variant: str, signatures: Sequence[Signature]) -> list[Block]:
