@@ -131,6 +131,13 @@ def test_a_cause_that_explains_little_but_surely_is_accepted(bench, plan):
     assert names_of(searching(observations, ("target_scale",)).select()) == ("target_scale",)
 
 
+def test_a_cause_that_only_all_readings_show_is_accepted(bench, plan):
+    observations = measured(bench, plan, SIGMA_PX, seed=15, target_scale=[0.02, 0.02])
+    search = searching(observations, ("target_scale",), 60)
+    assert ranking_of(search).screened[0].gain < 0.0
+    assert names_of(search.select()) == ("target_scale",)
+
+
 @pytest.mark.parametrize("late", [2, 3, 4])
 def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, plan, late):
     """Two captures are as many as tell a slip from a capture that moved."""

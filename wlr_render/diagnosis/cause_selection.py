@@ -23,7 +23,7 @@ from wlr_render.diagnosis.fit import (
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.located_effects import LocatedEffect
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis
+from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation
 from wlr_render.diagnosis.scatter import LOG10_ODDS, Scatter
 from wlr_render.diagnosis.scatter_search import best_scatter, with_moved_captures
 from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
@@ -145,7 +145,8 @@ class Search:
         sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
         searched = []
         for readings, fields in ((self.subsample, self.fields), (self.full, full)):
-            columns = [_beyond(each.over(fields), beside, readings, constants) for each in effects]
+            causes = readings.predictor.linearised(beside)
+            columns = [_beyond(each.over(fields), causes, readings, constants) for each in effects]
             searched.append(readings.with_effects(np.concatenate(columns, axis=2), sizes))
         return replace(self, full=searched[1], subsample=searched[0], simulated=self.signatures)
 
@@ -238,7 +239,10 @@ class Search:
             for each in kept
             if (found := best_fit(self.subsample, at, each)) is not None and is_physical(found, settings)
         )
-        if not coarse or at.minus_two_log_evidence - coarse[0].fit.minus_two_log_evidence < field_gain:
+        if not coarse:
+            return []
+        gain = at.minus_two_log_evidence - coarse[0].fit.minus_two_log_evidence
+        if field_gain and gain < field_gain:
             return []
         close = [each for each in coarse if each.behind < settings.close_evidence][: settings.max_contenders]
         refits = ((each, fit(self.full, each.fit.explanation, each.fit.scatter)) for each in close)
@@ -322,19 +326,13 @@ class Search:
         return without - with_it
 
 
-def _beyond(effect: LocatedEffect, explanation: Explanation, readings: WeighedReadings, constants: bool) -> FloatArray:
+def _beyond(effect: LocatedEffect, at: Linearisation, readings: WeighedReadings, constants: bool) -> FloatArray:
     """Functions (n, 2, c) of an effect, less what causes of its own station do of them; see `with_effects`."""
     functions = effect.columns
     if not constants and effect.field.station in ELSEWHERE:
         functions = functions * (effect.order > 0)
-    at = readings.predictor.linearised(explanation)
-    stations = np.array(
-        [
-            hypothesis.cause.station
-            for hypothesis, values in zip(explanation.hypotheses, explanation.values, strict=True)
-            for _ in values
-        ]
-    )
+    hypotheses = at.explanation.hypotheses
+    stations = np.array([each.cause.station for each in hypotheses for _ in each.cause.parameters])
     same = stations[at.free] == effect.field.station if at.free.size else np.zeros(0, dtype=bool)
     if not same.any():
         return functions

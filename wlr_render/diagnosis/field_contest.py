@@ -64,12 +64,6 @@ class FieldContest:
     fields: Sequence[StationField]
     fixed: FixedColumns
 
-    @classmethod
-    def of(cls, readings: WeighedReadings, found: Fit, fields: Sequence[StationField]) -> "FieldContest":
-        """Of fields whose sums are not known yet."""
-        columns = [np.zeros((len(readings.observations), 2, 0)), *(field.columns for field in fields)]
-        return cls(readings, found, fields, readings.fixed(np.concatenate(columns, axis=2)))
-
     @cached_property
     def sums(self) -> ScatterSums:
         """Over all fixed columns, then those of the fit."""
@@ -197,22 +191,22 @@ class FieldContest:
                 best[number] = LocatedEffect(self.fields[number], degree, size, odds)
         return sorted(best.values(), key=lambda each: -each.log10_odds)
 
-    def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
-        """Return log10 odds for a cause against the fields of its own station, and of every other one.
+    def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
+        """Return log10 odds for a cause against the fields that come closest, and the station of these.
 
         A prism in the view turns it as a wrong pose of the target does: a name that a field of another station
         could take is not earned.
 
         Args:
-            number: of the cause in the fit.
+            number: index of the cause in the fit.
             station: its station.
             beside: effects located beside it.
         """
-        located = {each.field.station for each in beside} - {station}
-        others = {field.station for field in self.fields} - located - {station}
-        odds = [self._odds_at_its_station(number, station, beside)]
-        odds += [self._odds_beside(number, other, beside) for other in located]
-        odds += [self._odds_against(number, other, beside) for other in others]
+        located = {each.field.station for each in beside}
+        odds = [(self._odds_at_its_station(number, station, beside), station)]
+        for other in sorted({field.station for field in self.fields} - {station}):
+            against = self._odds_beside if other in located else self._odds_against
+            odds.append((against(number, other, beside), other))
         return min(odds)
 
     def _odds_at_its_station(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:

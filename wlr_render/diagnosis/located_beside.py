@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.coherence import FineEffect
@@ -90,10 +88,9 @@ def locate(search: Search, found: Fit) -> Located:
         if more.explanation.names == located.found.explanation.names:
             break
         again = _standing(search, more)
-        again = replace(again, dropped=(*located.dropped, *again.dropped))
         if again.found.explanation.names == located.found.explanation.names:
-            break
-        located = again
+            return replace(located, dropped=(*located.dropped, *again.dropped))
+        located = replace(again, dropped=(*located.dropped, *again.dropped))
     return located
 
 
@@ -111,22 +108,26 @@ def _standing(search: Search, found: Fit) -> Located:
             contest.odds_of_cause(number, hypothesis.cause.station, effects)
             for number, hypothesis in enumerate(found.explanation.hypotheses)
         ]
-        if not odds or min(odds) > least:
+        if not odds or min(odds)[0] > least:
             break
-        weakest = int(np.argmin(odds))
+        (weakest_odds, rival), weakest = min(odds), odds.index(min(odds))
         cause = found.explanation.hypotheses[weakest].cause
         dropped.append(
-            f"{cause.name} would explain part of it, but an effect of another shape ({cause.station}) explains as "
-            f"much: log10 odds for the name are {odds[weakest]:.1f}, and it is not named"
+            f"{cause.name} would explain part of it, but an effect of another shape ({rival}) explains as much: log10 "
+            f"odds for the name are {weakest_odds:.1f}, and it is not named"
         )
         found = search.refitted(found.explanation.without(weakest), found.scatter)
-    if effects:
-        search = search.with_effects(effects, found.explanation, constants=not found.explanation.hypotheses)
-        found = search.refitted(found.explanation, contest.scatter_beside(effects))
     tried = [
         TriedField(each.field.station, each.field.coordinates, each.field.form, each.degree, each.log10_odds)
         for each in contest.ranked
     ]
+    if effects:
+        alone, constants = search, not found.explanation.hypotheses
+        search = alone.with_effects(effects, found.explanation, constants)
+        found = search.refitted(found.explanation, contest.scatter_beside(effects))
+        # The effects' coefficients go with the values that the causes have beside them.
+        thinned = fit(readings, found.explanation, found.scatter, 0)
+        contest = contest if thinned is None else alone.contest(thinned)
     return Located(
         search,
         found,
@@ -135,5 +136,5 @@ def _standing(search: Search, found: Fit) -> Located:
         contest.scatter_beside(effects),
         tuple(tried),
         tuple(dropped),
-        tuple(odds),
+        tuple(each for each, _ in odds),
     )

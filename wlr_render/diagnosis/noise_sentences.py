@@ -46,18 +46,19 @@ def undetermined_parts(diagnosis: Diagnosis) -> set[str]:
 def _repeatability(motion: MotionSize) -> str:
     shift = _size(motion.shift_um, motion.shift_error_um, "um", UNUSUAL_SHIFT)
     turn = _size(motion.turn_urad, motion.turn_error_urad, "urad", UNUSUAL_TURN)
-    return f"positions repeat to {shift}, turns to {turn}"
+    return (
+        f"{f'positions repeat to {shift}' if shift else 'repeatability of positions unknown'}, "
+        f"{f'turns to {turn}' if turn else 'repeatability of turns unknown'}"
+    )
 
 
 def _size(value: float, error: float, unit: str, unusual: float) -> str:
-    """Return a size with its error, or its upper limit where the session shows no such size."""
+    """Return a size with its error, or its upper limit where the session shows no such size; empty if unknown."""
     if error <= _UNSURE * value:
         return f"{quantity(value, error)} {unit}"
     # A size that no reading depends on has an error of many powers of ten.
     limit = value * exp(min(2.0 * error / value, 100.0))
-    return (
-        f"better than {cell_text(float(f'{limit:.2g}'))} {unit}" if limit < unusual else f"an unknown number of {unit}"
-    )
+    return "" if limit > unusual else f"better than {cell_text(float(f'{limit:.2g}'))} {unit}"
 
 
 def _level(noise: NoiseFloor) -> str:
