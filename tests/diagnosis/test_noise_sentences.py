@@ -35,5 +35,7 @@ def test_sizes_that_are_not_known_are_not_stated():
     """A size within its own error has an upper limit: twice its relative error above it, as logarithms."""
     text = sentence((floor("display", NAN, NAN),), (MotionSize("display", 1.0, 0.9, 25.0, 3.0),))
     assert "positions repeat to better than 6 um" in text
+    unseen = sentence((floor("display", NAN, NAN),), (MotionSize("display", 13.0, 598.0, 25.0, 3.0),))
+    assert "repeatability of positions unknown, turns to 25 +- 3 urad" in unseen
     assert "noise 0.100 camera px as stated (too few points to measure it)" in text
     assert sentence((floor("run-time"),)) == "Run-time: noise 0.108 camera px where 0.100 is stated."
