@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
-from oracle.effects import APART, LISTED, LISTED_AT_RUN_TIME, UNLISTED
+from oracle.effects import LISTED, LISTED_AT_RUN_TIME, STATION_OF, UNLISTED, UNLISTED_AT_RUN_TIME
 
 from benchmarks.diagnosis.conditions import Condition
 from benchmarks.diagnosis.tables import tables
@@ -33,6 +33,7 @@ KindName = Literal[
 ]
 ConditionName = Literal["white", "repeatability", "sigma_misstated", "rim", "noisy_captures", "shared", "all_of_them"]
 
+_UNLISTED = (*UNLISTED, *UNLISTED_AT_RUN_TIME)
 _COMBINED = 4  # pairs, triples, and the like for every trial of a cause
 _TRIALS = "trials"
 _OF_CAPTURES = (Condition.REPEATABILITY, Condition.SHARED)  # need camera positions; run-time recordings have none
@@ -123,23 +124,30 @@ def _effects(kind: TrialKind, count: int, conditions: int, rng: np.random.Genera
         case TrialKind.CLEAN_RUN_TIME:
             return [()] * count
         case TrialKind.ONE:
-            names = [name for name in (*LISTED, *LISTED_AT_RUN_TIME, *UNLISTED) if name in CAUSES]
+            names = [name for name in (*LISTED, *LISTED_AT_RUN_TIME, *_UNLISTED) if name in CAUSES]
             return [(name,) for _ in range(count) for name in names]
         case TrialKind.UNLISTED:
-            return [(name,) for _ in range(count) for name in UNLISTED if name not in CAUSES]
+            return [(name,) for _ in range(count) for name in _UNLISTED if name not in CAUSES]
         case TrialKind.TWO | TrialKind.THREE:
             together = 2 if kind is TrialKind.TWO else 3
             return [_chosen(listed, together, rng) for _ in range(_COMBINED * count)]
         case TrialKind.LATE_SLIP:
             return [("headset_slip",)] * (_COMBINED * count)
         case TrialKind.UNLISTED_BESIDE:
-            pairs = [pair for pair in APART if pair[0] not in CAUSES and pair[1] in CAUSES]
-            return [pairs[rng.integers(len(pairs))] for _ in range(_COMBINED * count)]
+            unlisted = [name for name in _UNLISTED if name not in CAUSES]
+            return [_beside(str(rng.choice(unlisted)), rng) for _ in range(_COMBINED * count)]
         case TrialKind.MOVED:
             return [_chosen(listed, 1, rng) for _ in range(_COMBINED * count)]
         case TrialKind.MOVED_MANY:
             # Half of the trials hide a cause, too; the number of captures that moved changes from trial to trial.
             return [_chosen(listed, int(rng.integers(2)), rng) for _ in range(_COMBINED * count)]
+
+
+def _beside(unlisted: str, rng: np.random.Generator) -> tuple[str, str]:
+    """Return an unlisted effect and a listed cause of the same kind of session at another station."""
+    listed = LISTED_AT_RUN_TIME if unlisted in UNLISTED_AT_RUN_TIME else LISTED
+    causes = [name for name in listed if name in CAUSES and CAUSES[name].station != STATION_OF[unlisted]]
+    return unlisted, str(rng.choice(causes))
 
 
 def _chosen(names: Sequence[str], count: int, rng: np.random.Generator) -> tuple[str, ...]:

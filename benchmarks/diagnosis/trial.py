@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 from oracle.captures import Plan
-from oracle.devices import NAMES
+from oracle.devices import NAMES, own_device
 from oracle.effects import (
     LISTED_AT_RUN_TIME,
     OUTLIER,
-    SEE_THROUGH_ONLY,
+    UNLISTED_AT_RUN_TIME,
     Effect,
     draw_effect,
     draw_late_slip,
@@ -34,12 +34,16 @@ from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, CaptureName, Observations, observe
-from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.noise import noise_of
+from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName, observe
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.settings import Settings
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.assembly import combiner_middle
 
 AnyPlan = Plan | RunTimePlan
 
@@ -51,6 +55,8 @@ _MOST_MOVED = 6
 _LATE = 2  # captures after a late slip
 _LEAST_UNITS = 0.1  # micrometres and microradians of motions
 _SUBSAMPLE = 2000  # about a third of the readings, as in a session of full size
+_UNLISTED_SIGMA = (3.0, 10.0)  # rms change of the readings that an unlisted effect changes
+_CHANGED, _LARGEST = 0.1, 0.99  # share of the largest change from which a reading counts, and the largest's quantile
 
 
 class TrialKind(StrEnum):
@@ -63,7 +69,7 @@ class TrialKind(StrEnum):
     THREE = "three causes"
     LATE_SLIP = "a slip before the last two captures"
     UNLISTED = "an effect outside the list of causes"
-    UNLISTED_BESIDE = "an effect outside the list of causes, and a cause in the other part"
+    UNLISTED_BESIDE = "an effect outside the list of causes, and a cause at another station"
     MOVED = "one cause and a capture that moved"
     MOVED_MANY = "1 to 6 of 18 captures of the display that moved"
 
@@ -108,7 +114,8 @@ class DiagnosisTrial:
     @property
     def at_run_time(self) -> bool:
         """True if the session is a run-time recording."""
-        return self.kind is TrialKind.CLEAN_RUN_TIME or not set(self.effects).isdisjoint(LISTED_AT_RUN_TIME)
+        at_run_time = {*LISTED_AT_RUN_TIME, *UNLISTED_AT_RUN_TIME}
+        return self.kind is TrialKind.CLEAN_RUN_TIME or not at_run_time.isdisjoint(self.effects)
 
     def generator(self, seed: int) -> np.random.Generator:
         """Random numbers that depend on the study's seed and this trial alone."""
@@ -136,6 +143,9 @@ class DiagnosisOutcome:
         held_out: rms residual of a second session of the bench against the corrected bench, in units of sigma; that
             session has white noise of the stated size, whatever the condition.
         seconds: duration of the diagnosis.
+        again: verdict on the same session with the corrected bench, where only an unlisted effect was hidden; empty
+            where nothing was corrected.
+        place_off: distance of a bubble from the place stated for it, over its radius; None for other effects.
     """
 
     trial: DiagnosisTrial
@@ -152,6 +162,8 @@ class DiagnosisOutcome:
     remainder: tuple[float, ...]
     held_out: float
     seconds: float
+    again: str = ""
+    place_off: float | None = None
 
     @property
     def exact(self) -> bool:
@@ -169,6 +181,8 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
     rng = trial.generator(seed)
     nature, plan = nature_of(trial.condition, rng), _plan(trial, rng)
     effects, moved = _effects(trial, plan, rng), _moved(trial, plan, rng)
+    if trial.kind in (TrialKind.UNLISTED, TrialKind.UNLISTED_BESIDE):
+        effects[0] = _of_size(effects[0], plan, rng)
     nominal, session = observed(plan, [*effects, *moved], rng, nature)
     of_bench = observed(plan, effects, rng)[1]
     outcome = DiagnosisOutcome(
@@ -193,6 +207,7 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
     except (BadInputError, np.linalg.LinAlgError) as error:
         return replace(outcome, verdict=f"{type(error).__name__}: {error}")
     seconds = time.perf_counter() - start
+    again = trial.kind is TrialKind.UNLISTED and said.is_corrected
     return replace(
         outcome,
         verdict=said.verdict,
@@ -200,9 +215,11 @@ def run_trial(trial: DiagnosisTrial, seed: int) -> DiagnosisOutcome:
         stations=tuple(effect.station for effect in said.effects),
         excluded=tuple(str(moved_capture.capture) for moved_capture in said.excluded),
         deviations=_deviations(said, [effect for effect in effects if effect.name in CAUSES], plan),
-        remainder=_remainders(said, trial, nature),
+        remainder=_remainders(_readings(trial, said, effects, plan, nature), trial, nature),
         held_out=_rms(said.corrected, of_bench),
         seconds=seconds,
+        again=diagnose(said.corrected, session, settings=Settings(subsample=_SUBSAMPLE)).verdict if again else "",
+        place_off=_place_off(said, effects, plan) if trial.effects == ("combiner_bubble",) else None,
     )
 
 
@@ -249,30 +266,45 @@ def _moved(trial: DiagnosisTrial, plan: AnyPlan, rng: np.random.Generator) -> Se
     return ()
 
 
-def _remainders(said: Diagnosis, trial: DiagnosisTrial, nature: BenchNature) -> tuple[float, ...]:
-    """Return the `remainder` of each hidden cause; a listed cause in the part of an unlisted effect changes nothing."""
+def _of_size(effect: Effect, plan: AnyPlan, rng: np.random.Generator) -> Effect:
+    """Scale an effect such that the readings that it changes are off by 3 to 10 sigma, rms per axis."""
+    nominal, session = observed(plan, [effect], np.random.default_rng(0), BenchNature(noise_factor=0.0))
+    square = np.mean(_residual(nominal, session) ** 2, axis=1)
+    changed = float(np.sqrt(np.mean(square[square > _CHANGED**2 * np.quantile(square, _LARGEST)])))
+    return effect.scaled(float(np.exp(rng.uniform(*np.log(_UNLISTED_SIGMA)))) / changed)
+
+
+def _readings(
+    trial: DiagnosisTrial, said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan, nature: BenchNature
+) -> WeighedReadings:
+    """Return the readings on which causes must be told apart: without an unlisted effect, those of the diagnosis."""
+    if trial.kind is not TrialKind.UNLISTED_BESIDE:
+        return said.readings
+    listed = [effect for effect in effects if effect.name in CAUSES]
+    predictor = Predictor.of_session(*observed(plan, listed, np.random.default_rng(0), nature))
+    noise = noise_of(predictor.observations, predictor.residual(Explanation()), said.settings)
+    return WeighedReadings.of(predictor.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
+
+
+def _remainders(readings: WeighedReadings, trial: DiagnosisTrial, nature: BenchNature) -> tuple[float, ...]:
+    """Return the `remainder` of each hidden cause."""
     if trial.kind not in JUDGED_BY_REMAINDER:
         return ()
-    readings = said.readings
-    if trial.kind is TrialKind.UNLISTED_BESIDE:
-        part = DISPLAY if trial.causes[0] in SEE_THROUGH_ONLY else SEE_THROUGH
-        readings = replace(readings, predictor=Predictor(_as_predicted(readings.observations, part)))
     shift, turn = (max(each, _LEAST_UNITS) for each in (1e3 * nature.repeatability_mm, 1e6 * nature.turns_rad))
     usual = Scatter.usual(len(readings.observations.captures))
     scatter = replace(usual, shift_um=np.full(3, shift), turn_urad=np.full(3, turn))
     return tuple(remainder(readings, scatter, trial.causes, name) for name in trial.causes)
 
 
-def _as_predicted(observations: Observations, part: int) -> Observations:
-    """Observations of which the nominal bench predicts one part exactly."""
-    session = observations.session
-    predicted = simulate(observations.nominal, session.plan)
-    readings = (
-        replace(session.readings, panel_pixel=predicted.panel_pixel)
-        if part == DISPLAY
-        else replace(session.readings, dot_pixel=predicted.dot_pixel)
-    )
-    return replace(observations, session=replace(session, readings=readings))
+def _place_off(said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan) -> float:
+    """Return the distance of a bubble from the place stated for it, over its radius; infinite where none is stated."""
+    place = next((effect.place for effect in said.effects if effect.station == "combiner"), None)
+    if place is None:
+        return float("inf")
+    bubble, pivot = effects[0].amount, own_device(plan.device).pivot * [1.0, -1.0, -1.0]
+    middle = 1e3 * combiner_middle(said.observations.nominal.optics)
+    off = (pivot - middle)[:2] + [bubble["x_mm"], -bubble["y_mm"]] - np.array(place)
+    return float(np.linalg.norm(off)) / bubble["radius_mm"]
 
 
 def _capture_name(moved: Effect) -> str:
@@ -295,6 +327,9 @@ def _deviations(said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan) -> tu
 
 def _rms(bench: Bench, session: Session) -> float:
     """Return the rms residual of a session against a bench, in units of sigma."""
+    return float(np.sqrt(np.mean(_residual(bench, session) ** 2)))
+
+
+def _residual(bench: Bench, session: Session) -> FloatArray:
     observations = observe(bench, session)
-    residual = observations.residual(simulate(bench, observations.session.plan))
-    return float(np.sqrt(np.mean(residual**2)))
+    return observations.residual(simulate(bench, observations.session.plan))

@@ -11,7 +11,8 @@ from oracle.form_effects import FORM_EFFECTS
 from oracle.own_tracer import FloatArray, turn
 from oracle.recipes import Amount, Draw, Recipe, vector, xyz
 from oracle.run_time_effects import RUN_TIME_EFFECTS
-from oracle.unlisted_effects import UNLISTED_EFFECTS
+from oracle.unlisted_effects import STATIONS, UNLISTED_EFFECTS
+from oracle.unlisted_run_time_effects import STATIONS_AT_RUN_TIME, UNLISTED_AT_RUN_TIME_EFFECTS
 from oracle.world import World
 from wlr_render.errors import BadInputError
 
@@ -22,7 +23,13 @@ LISTED_AT_RUN_TIME = tuple(RUN_TIME_EFFECTS)
 """Names that a diagnosis of a run-time session is expected to find."""
 
 UNLISTED = tuple(UNLISTED_EFFECTS)
-"""Names that no list of causes holds."""
+"""Names of effects of a bench session that no list of causes holds."""
+
+UNLISTED_AT_RUN_TIME = tuple(UNLISTED_AT_RUN_TIME_EFFECTS)
+"""Names of effects of a run-time session that no list of causes holds."""
+
+STATION_OF = {**STATIONS, **STATIONS_AT_RUN_TIME}
+"""Station of each unlisted effect."""
 
 DISPLAY_ONLY = (
     *("panel_shift", "panel_axial_shift", "panel_rotation", "panel_scale", "panel_bow"),
@@ -36,21 +43,6 @@ SEE_THROUGH_ONLY = (
     *("print_waves", "substrate_wedge"),
 )
 """Names of the effects that act on the see-through table alone, with every headset."""
-
-APART = tuple(
-    (unlisted, listed)
-    for unlisted, other_part in (
-        ("code_stripes", SEE_THROUGH_ONLY),
-        ("combiner_ripple", SEE_THROUGH_ONLY),
-        ("target_wrinkle", DISPLAY_ONLY),
-    )
-    for listed in other_part
-    if listed in LISTED
-)
-"""Pairs of an unlisted effect and a listed one that acts in the other part alone.
-
-What a ripple changes in the see-through view is fifty times smaller than what it changes on the display.
-"""
 
 OUTLIER = "outlier"
 """Name of the effect that is one capture that moved."""
@@ -73,6 +65,7 @@ _RECIPES = {
     **BENCH_EFFECTS,
     **RUN_TIME_EFFECTS,
     **UNLISTED_EFFECTS,
+    **UNLISTED_AT_RUN_TIME_EFFECTS,
     OUTLIER: Recipe("the camera moved in one capture and was turned", _OUTLIER_DRAWS, _outlier),
 }
 
@@ -82,7 +75,7 @@ class Effect:
     """An effect and its size.
 
     Attributes:
-        name: one of `LISTED`, `LISTED_AT_RUN_TIME`, `UNLISTED`, or `OUTLIER`.
+        name: one of `LISTED`, `LISTED_AT_RUN_TIME`, `UNLISTED`, `UNLISTED_AT_RUN_TIME`, or `OUTLIER`.
         amount: by keys that end in their unit; the description fixes the signs.
     """
 
@@ -162,6 +155,6 @@ def _amount(name: str, rng: np.random.Generator, strength: float) -> dict[str, f
 def _recipe(name: str) -> Recipe:
     if name not in _RECIPES:
         raise BadInputError(
-            f"There is no effect '{name}' to hide; choose {', '.join((*LISTED, *LISTED_AT_RUN_TIME, *UNLISTED))}."
+            f"There is no effect '{name}' to hide; choose {', '.join(name for name in _RECIPES if name != OUTLIER)}."
         )
     return _RECIPES[name]

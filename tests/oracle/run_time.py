@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oracle import sights
-from oracle.captures import CAMERA_CENTRE_PX, CAMERA_FOCAL_PX
+from oracle.captures import CAMERA_CENTRE_PX, CAMERA_FOCAL_PX, CAMERA_SIZE_PX
 from oracle.devices import own_device
 from oracle.effects import Effect
 from oracle.nature import PERFECT, BenchNature
@@ -119,9 +119,17 @@ def _seen(world: World, motion: Motion) -> tuple[FloatArray, FloatArray]:
     for move in world.pupil:
         pupil = move(pupil, motion.gaze)
     for delay in world.late:
-        late_s = late_s + delay(pixel[:, 1] / panel.pixels[1])
+        late_s = late_s + delay(pixel / panel.pixels)
     virtual = sights.of_pixel(world, pupil, np.where(shown[:, None], pixel, np.nan), wanted)
-    return virtual, sights.of_point(world, pupil, motion.dot_in_device(late_s))
+    gravity = motion.axes[:, 1, :]
+    for flex in world.flex:
+        virtual = np.einsum("nij,nj->ni", flex(gravity, motion.time_s), virtual)
+    real = sights.of_point(world, pupil, motion.dot_in_device(late_s))
+    if world.shutter:
+        place = _camera_pixel(real) / CAMERA_SIZE_PX
+        late_s = late_s + sum(delay(place) for delay in world.shutter)
+        real = sights.of_point(world, pupil, motion.dot_in_device(late_s))
+    return virtual, real
 
 
 def _camera_pixel(direction: FloatArray) -> FloatArray:

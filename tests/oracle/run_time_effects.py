@@ -11,32 +11,34 @@ from oracle.world import Late, Pupil, World
 _STRAIGHT_AHEAD = np.array([0.0, 0.0, 1.0])
 
 
-def _with_pupil(world: World, pupil: Pupil) -> World:
+def with_pupil(world: World, pupil: Pupil) -> World:
+    """The glasses with one more thing wrong with where the pupil is."""
     return replace(world, pupil=(*world.pupil, pupil))
 
 
-def _with_delay(world: World, late: Late) -> World:
+def with_delay(world: World, late: Late) -> World:
+    """The glasses with one more delay of the picture."""
     return replace(world, late=(*world.late, late))
 
 
 def _eye_position_bias(world: World, amount: Amount) -> World:
     bias = vector(amount, xyz("mm"))
-    return _with_pupil(world, lambda pupil, gaze: pupil + bias)
+    return with_pupil(world, lambda pupil, gaze: pupil + bias)
 
 
 def _gaze_pupil_shift(world: World, amount: Amount) -> World:
     def moved(pupil: FloatArray, gaze: FloatArray) -> FloatArray:
         return np.asarray(pupil + amount["radius_mm"] * (gaze - _STRAIGHT_AHEAD))
 
-    return _with_pupil(world, moved)
+    return with_pupil(world, moved)
 
 
 def _latency(world: World, amount: Amount) -> World:
-    return _with_delay(world, lambda height: np.full(len(height), 1e-3 * amount["latency_ms"]))
+    return with_delay(world, lambda place: np.full(len(place), 1e-3 * amount["latency_ms"]))
 
 
 def _rolling_scanout(world: World, amount: Amount) -> World:
-    return _with_delay(world, lambda height: 1e-3 * amount["duration_ms"] * height)
+    return with_delay(world, lambda place: 1e-3 * amount["duration_ms"] * place[:, 1])
 
 
 RUN_TIME_EFFECTS = {

@@ -8,7 +8,6 @@ import pytest
 from oracle.captures import CAMERA_CENTRE_PX, Plan
 from oracle.devices import own_device
 from oracle.effects import (
-    APART,
     DISPLAY_ONLY,
     LISTED,
     SEE_THROUGH_ONLY,
@@ -65,19 +64,6 @@ def test_it_is_seen_where_it_should_be_and_nowhere_else(name):
         assert largest(dots) == 0.0
     if see_through_only:
         assert largest(display) == 0.0
-
-
-@pytest.mark.parametrize(("unlisted", "listed"), APART)
-def test_an_unlisted_effect_and_a_listed_one_stay_apart(unlisted, listed):
-    plan = replace(FREEFORM, channels=(0, 1, 2)) if listed == "lateral_colour" else FREEFORM
-    by_part = [
-        [np.sqrt(np.nanmean(part**2)) for part in change(plan, draw_effect(name, np.random.default_rng(6)))[:2]]
-        for name in (unlisted, listed)
-    ]
-    here = int(np.argmax(by_part[0]))
-    assert by_part[0][1 - here] < 0.05 * by_part[0][here]
-    assert by_part[1][here] == 0.0
-    assert by_part[1][1 - here] > 0.01
 
 
 @pytest.mark.parametrize("name", LISTED)

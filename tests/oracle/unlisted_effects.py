@@ -12,6 +12,7 @@ from oracle.captures import CAMERA_CENTRE_PX, CAMERA_FOCAL_PX, CAMERA_SIZE_PX, C
 from oracle.form_effects import with_bump
 from oracle.own_tracer import FloatArray, turn
 from oracle.recipes import Amount, Draw, Recipe, xyz
+from oracle.shapes import PlaneWaves, RandomWalks
 from oracle.world import World
 
 _SCREW_PITCH_MM = 1.0
@@ -60,32 +61,12 @@ def _target_wrinkle(world: World, amount: Amount) -> World:
     return adding_print(world, wrinkled)
 
 
-_WAVES = 6
 _REACH_MM = 12.0  # half the part of a combiner that is looked through
 _WALK_S, _WALK_STEP_S = 8000.0, 20.0
 
 
-class _PlaneWaves:
-    """A sum of random plane waves over a unit box, of unit rms, and its gradient."""
-
-    def __init__(self, seed: float, shortest: float = 0.8) -> None:
-        """Wavelengths are `shortest` to five times as long; the box is 2 wide."""
-        rng = np.random.default_rng(int(seed))
-        direction = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
-        number = 2.0 * np.pi / (shortest * rng.uniform(1.0, 5.0, _WAVES))
-        self._number = number[:, None] * np.stack([np.cos(direction), np.sin(direction)], axis=1)
-        self._phase, size = rng.uniform(0.0, 2.0 * np.pi, _WAVES), rng.normal(size=_WAVES)
-        self._size = size * np.sqrt(2.0) / np.linalg.norm(size)
-
-    def __call__(self, place: FloatArray) -> FloatArray:
-        return np.asarray(np.sin(place @ self._number.T + self._phase) @ self._size)
-
-    def gradient(self, place: FloatArray) -> FloatArray:
-        return np.asarray((np.cos(place @ self._number.T + self._phase) * self._size) @ self._number)
-
-
 def _combiner_waves(world: World, amount: Amount) -> World:
-    pivot, waves = world.device.pivot, _PlaneWaves(amount["seed"], shortest=1.6)
+    pivot, waves = world.device.pivot, PlaneWaves(amount["seed"], shortest=1.6)
 
     def bump(point: FloatArray) -> tuple[FloatArray, FloatArray]:
         place = (point - pivot)[:, :2] / _REACH_MM
@@ -117,7 +98,7 @@ def _substrate_wedge(world: World, amount: Amount) -> World:
 
 
 def _panel_waves(world: World, amount: Amount) -> World:
-    pixels, waves = world.device.panel.pixels, [_PlaneWaves(amount["seed"] + axis) for axis in (0, 1)]
+    pixels, waves = world.device.panel.pixels, [PlaneWaves(amount["seed"] + axis) for axis in (0, 1)]
 
     def decode(pixel: FloatArray, time_s: FloatArray, channel: FloatArray) -> FloatArray:
         place = 2.0 * pixel / pixels - 1.0
@@ -137,7 +118,7 @@ def _panel_swings(world: World, amount: Amount) -> World:
 
 
 def _lens_waves(world: World, amount: Amount) -> World:
-    waves = [_PlaneWaves(amount["seed"] + axis) for axis in (0, 1)]
+    waves = [PlaneWaves(amount["seed"] + axis) for axis in (0, 1)]
 
     def image(uv: FloatArray, time_s: FloatArray) -> FloatArray:
         place = (uv - CAMERA_CENTRE_PX) / CAMERA_CENTRE_PX
@@ -159,7 +140,7 @@ def _lens_decentred(world: World, amount: Amount) -> World:
 
 
 def _print_waves(world: World, amount: Amount) -> World:
-    waves = [_PlaneWaves(amount["seed"] + axis) for axis in range(3)]
+    waves = [PlaneWaves(amount["seed"] + axis) for axis in range(3)]
 
     def printed(dot: FloatArray, half_mm: FloatArray) -> FloatArray:
         off = np.column_stack([wave(dot[:, :2] / half_mm) for wave in waves])
@@ -174,25 +155,17 @@ def _stage_pitch(world: World, amount: Amount) -> World:
 
 
 def _pose_creep(world: World, amount: Amount) -> World:
-    rng, times = np.random.default_rng(int(amount["seed"])), np.arange(0.0, _WALK_S, _WALK_STEP_S)
-    window = np.hanning(25) / np.hanning(25).sum()
-    walks = np.cumsum(rng.normal(size=(6, len(times))), axis=1)
-    walks = np.stack([np.convolve(np.pad(walk, 12, "edge"), window, "valid") for walk in walks])
-    walks = (walks - walks.mean(axis=1, keepdims=True)) / walks.std(axis=1, keepdims=True)
-
-    def at(captures: Captures) -> FloatArray:
-        return np.stack([np.interp(captures.time_s, times, walk) for walk in walks], axis=1)
-
-    moved = adding_place(world, lambda position, captures: position + amount["shift_mm"] * at(captures)[:, :3])
-    return adding_turn(moved, lambda captures: turn(amount["turn_rad"] * at(captures)[:, 3:]))
+    walks = RandomWalks(amount["seed"], 6, _WALK_S, _WALK_STEP_S)
+    moved = adding_place(world, lambda place, captures: place + amount["shift_mm"] * walks(captures.time_s)[:, :3])
+    return adding_turn(moved, lambda captures: turn(amount["turn_rad"] * walks(captures.time_s)[:, 3:]))
 
 
-_SEED = Draw(("seed",), 0.0, 1e6, "setting")
+SEED = Draw(("seed",), 0.0, 1e6, "setting")
 
 UNLISTED_EFFECTS = {
     "combiner_waves": Recipe(
         "all surfaces are raised by plane waves at random, 10 to 48 mm long",
-        (Draw(("height_mm",), 0.0006, 0.002), _SEED),
+        (Draw(("height_mm",), 0.0006, 0.002), SEED),
         _combiner_waves,
     ),
     "combiner_bubble": Recipe(
@@ -208,7 +181,7 @@ UNLISTED_EFFECTS = {
         "the outer face is turned about the pivot", (Draw(("x_deg", "y_deg"), 0.02, 0.05),), _substrate_wedge
     ),
     "panel_waves": Recipe(
-        "decoded pixels are off by plane waves at random", (Draw(("shift_px",), 0.2, 1.0), _SEED), _panel_waves
+        "decoded pixels are off by plane waves at random", (Draw(("shift_px",), 0.2, 1.0), SEED), _panel_waves
     ),
     "panel_swings": Recipe(
         "the panel swings with the temperature of the room",
@@ -216,14 +189,14 @@ UNLISTED_EFFECTS = {
         _panel_swings,
     ),
     "lens_waves": Recipe(
-        "points are imaged off by plane waves at random", (Draw(("shift_px",), 0.15, 0.6), _SEED), _lens_waves
+        "points are imaged off by plane waves at random", (Draw(("shift_px",), 0.15, 0.6), SEED), _lens_waves
     ),
     "lens_decentred": Recipe(
         "tangential distortion p1, p2 of D. C. Brown", (Draw(("p1", "p2"), 4e-4, 1.4e-3),), _lens_decentred
     ),
     "print_waves": Recipe(
         "dots are off by plane waves at random; the size is that of a target 800 mm wide",
-        (Draw(("shift_mm",), 0.1, 0.4), _SEED),
+        (Draw(("shift_mm",), 0.1, 0.4), SEED),
         _print_waves,
     ),
     "stage_pitch": Recipe(
@@ -233,7 +206,7 @@ UNLISTED_EFFECTS = {
     ),
     "pose_creep": Recipe(
         "the camera creeps by smoothed random walks",
-        (Draw(("shift_mm",), 0.02, 0.06), Draw(("turn_rad",), 5e-5, 2e-4), _SEED),
+        (Draw(("shift_mm",), 0.02, 0.06), Draw(("turn_rad",), 5e-5, 2e-4), SEED),
         _pose_creep,
     ),
     "combiner_ripple": Recipe(
@@ -273,4 +246,4 @@ STATIONS = {
     **dict.fromkeys(("print_waves", "target_wrinkle"), "target"),
     **dict.fromkeys(("stage_pitch", "stage_screw_error"), "stage"),
 }
-"""Station of each effect."""
+"""Station of each effect of a bench session."""

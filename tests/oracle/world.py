@@ -32,7 +32,11 @@ Pupil = Callable[[FloatArray, FloatArray], FloatArray]
 """Places of the pupil (n, 3) that were believed, unit directions of gaze (n, 3) -> places that are true."""
 
 Late = Callable[[FloatArray], FloatArray]
-"""Heights on the panel (n,), 0 at its first row and 1 at its last -> seconds by which they are seen late."""
+"""Places (n, 2) on the panel or in the camera's image, 0 at the first column and row and 1 at the last -> seconds (n,)
+by which they are seen late."""
+
+Flex = Callable[[FloatArray, FloatArray], FloatArray]
+"""Unit directions of gravity in the device (n, 3), seconds (n,) -> rotation matrices (n, 3, 3) of the picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +53,9 @@ class World:
         pose: what the tracking camera gets wrong, in turn.
         beyond: elements between the optics and the world, from the eye outwards.
         pupil: what eye tracking gets wrong, in turn.
-        late: delays of the picture, which add up.
+        late: delays of the picture by places on the panel, which add up.
+        shutter: delays of the camera by places in its image, which add up.
+        flex: what turns the picture against the camera while the glasses move, the last one outermost.
     """
 
     device: OwnDevice
@@ -62,3 +68,5 @@ class World:
     beyond: tuple[Beyond, ...] = ()
     pupil: tuple[Pupil, ...] = ()
     late: tuple[Late, ...] = ()
+    shutter: tuple[Late, ...] = ()
+    flex: tuple[Flex, ...] = ()

@@ -6,11 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 from oracle.captures import Plan
-from oracle.effects import LISTED, LISTED_AT_RUN_TIME, draw_effect
+from oracle.effects import LISTED, LISTED_AT_RUN_TIME, STATION_OF, draw_effect
 from oracle.run_time import RunTimePlan
 
 from benchmarks.diagnosis import remainder, trial
 from benchmarks.diagnosis.conditions import Condition
+from benchmarks.diagnosis.study import DiagnosisOptions, trials
 from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, loaded_outcome, observed, run_trial
 from benchmarks.diagnosis.truths import truth_of
@@ -23,6 +24,7 @@ from wlr_render.errors import BadInputError
 SIGMA_PX = 1e-3
 TINY = Plan("northstar", grid=(5, 4), dots=(5, 4), nodes=4, off_plane=4, sigma_px=SIGMA_PX, channels=(0, 1, 2))
 SHORT = RunTimePlan("northstar", recordings=6, moments=20, sigma_px=SIGMA_PX)
+WRONG = {"stations": ("panel",), "deviations": (3.1, 0.0)}
 UNSTATED = {"headset_slip": ("moment", "start_s"), "see_through_plate": ("thickness", "thickness_mm")}
 """Parameters without a stated truth: a moment is any between two captures, a plate of other glass is thicker."""
 
@@ -83,6 +85,54 @@ def test_coverage_and_efficiency_are_those_of_the_deviations():
     found = figures([outcome(TrialKind.ONE, ("latency",), ("latency",), deviations=deviations)])
     assert found["68 % intervals cover (%)"] == (50.0, 4)
     assert found["mean square of (estimate - truth) / sigma"] == (pytest.approx((0.25 + 0.81 + 4 + 2.25) / 4), 4)
+
+
+def test_an_unlisted_effect_is_judged_by_station_names_and_what_its_extension_does():
+    bubble, waves = ("combiner_bubble",), ("lens_waves",)
+    found = figures(
+        [
+            outcome(TrialKind.UNLISTED, bubble, (), 0, stations=("combiner",), again="no effect", place_off=0.5),
+            outcome(TrialKind.UNLISTED, bubble, (), 1, stations=("panel", "combiner"), place_off=1.5, held_out=2.0),
+            outcome(TrialKind.UNLISTED, waves, ("camera_focal_length",), 2, stations=("camera",), held_out=2.0),
+        ]
+    )
+    assert found["unlisted effects: station located (%)"] == (pytest.approx(200 / 3), 3)
+    assert found["unlisted effects: place of a bubble within its radius (%)"] == (50.0, 2)
+    assert found["unlisted effects: a cause named (%)"] == (pytest.approx(100 / 3), 3)
+    assert found["unlisted effects: share of the excess removed in a second session, median"] == (0.25, 3)
+    assert found["unlisted effects: corrected session diagnosed again has no effect (%)"] == (pytest.approx(100 / 3), 3)
+
+
+def test_a_cause_beside_an_unlisted_effect_needs_both_and_its_value():
+    both, right = ("lens_waves", "panel_shift"), {"stations": ("camera",), "deviations": (2.9, -1.0)}
+    kind = TrialKind.UNLISTED_BESIDE
+    outcomes = [outcome(kind, both, both[1:], 0, **right), outcome(kind, both, (*both[1:], "stage_tilt"), 1, **right)]
+    outcomes += [outcome(kind, both, both[1:], 2, **{**right, key: value}) for key, value in WRONG.items()]
+    found = figures(outcomes)
+    name = "cause beside an unlisted effect: both right, values within 3 sigma, where 5 sigma remain (%)"
+    assert found[name] == (25.0, 4)
+    assert found["cause beside an unlisted effect: another cause named (%)"] == (25.0, 4)
+    assert found["cause beside an unlisted effect: among those named (%)"] == (100.0, 4)
+
+
+@pytest.mark.parametrize("at_run_time", [False, True])
+def test_effects_stand_beside_causes_of_other_stations(at_run_time):
+    options = DiagnosisOptions(trials=30, kinds=("unlisted_beside",), conditions=("white",))
+    pairs = {trial.effects for trial in trials(options) if trial.at_run_time == at_run_time}
+    assert len(pairs) > 3
+    for unlisted, listed in pairs:
+        assert unlisted not in CAUSES
+        assert CAUSES[listed].station != STATION_OF[unlisted]
+
+
+@pytest.mark.parametrize("name", ["combiner_bubble", "target_wrinkle", "hinge_flex"])
+def test_an_unlisted_effect_is_drawn_by_what_it_changes(name, monkeypatch):
+    plan = replace(SHORT if name == "hinge_flex" else TINY, sigma_px=0.1)
+    monkeypatch.setattr(trial, "_plan", lambda drawn, rng: plan)
+    monkeypatch.setattr(trial, "draw_effect", partial(draw_effect, strength=10.0))
+    monkeypatch.setattr(trial, "diagnose", stopped)
+    ran = run_trial(DiagnosisTrial(TrialKind.UNLISTED, (name,), 1), 1)
+    assert 0.3 < ran.size < 10.5
 
 
 def test_moved_captures_are_found_missed_or_wrong():
