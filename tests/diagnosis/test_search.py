@@ -11,7 +11,7 @@ from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.fit import reduced_chi_squared, times_between_captures
+from wlr_render.diagnosis.fit import fit, reduced_chi_squared, times_between_captures
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.scatter import Scatter
@@ -161,8 +161,8 @@ def test_a_candidate_that_loses_readings_is_none(two):
     nothing = ranking_of(search).subsample
     prospect, *_ = screen(search.signatures, nothing, search.hypotheses)
     assert best_fit(search.subsample, nothing, prospect) is not None
-    lost = replace(prospect, start=np.array([100.0, 0.0, 0.0]))
-    assert best_fit(search.subsample, nothing, lost) is None
+    lost = Explanation().plus(prospect.hypothesis, np.array([100.0, 0.0, 0.0]))
+    assert fit(search.subsample, lost, prospect.scatter) is None
 
 
 @pytest.mark.slow

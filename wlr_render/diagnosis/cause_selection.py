@@ -141,14 +141,15 @@ class Search:
             constants: whether an effect of the stage or of time has a constant as well, which may be a cause's.
         """
         located = [each.field for each in effects]
-        full = self.fields if self.full is self.subsample else station_fields(self.full, located)
+        is_whole = self.full is self.subsample
+        full = self.fields if is_whole else station_fields(self.full, located)
         sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
         searched = []
-        for readings, fields in ((self.subsample, self.fields), (self.full, full)):
+        for readings, fields in ((self.subsample, self.fields), (self.full, full))[: 1 if is_whole else 2]:
             causes = readings.predictor.linearised(beside)
             columns = [_beyond(each.over(fields), causes, readings, constants) for each in effects]
             searched.append(readings.with_effects(np.concatenate(columns, axis=2), sizes))
-        return replace(self, full=searched[1], subsample=searched[0], simulated=self.signatures)
+        return replace(self, full=searched[-1], subsample=searched[0], simulated=self.signatures)
 
     @cached_property
     def share(self) -> float:
@@ -166,6 +167,11 @@ class Search:
                 if other.fit.minus_two_log_evidence < best.fit.minus_two_log_evidence:
                     best = replace(other, first=first)
         return best
+
+    def on_subsample(self, found: Fit) -> Fit:
+        """Fit what is random to the subsample, at the values of a fit to all readings."""
+        at = found.at if self.full.predictor is self.subsample.predictor else None
+        return _fitted(self.subsample, found.explanation, found.scatter, 0, at)
 
     def refitted(self, explanation: Explanation, scatter: Scatter) -> Fit:
         """Fit to all readings, with the captures that moved found anew."""
@@ -201,7 +207,7 @@ class Search:
     def rank(self, current: Fit) -> CandidateRanking:
         """Rank the causes that are not yet at work."""
         taken = set(current.explanation.names)
-        at = _fitted(self.subsample, current.explanation, current.scatter, 0)
+        at = self.on_subsample(current)
         contest = self.contest(at)
         found = screen(
             self.signatures, at, [each for each in self.hypotheses if each.cause.name not in taken], contest.sums
@@ -269,7 +275,7 @@ class Search:
         """With the sizes of what is random found for the current fit from those of the best candidate, too."""
         if not at.candidates:
             return at
-        again = fit(self.full, at.current.explanation, at.candidates[0].fit.scatter, 0)
+        again = fit(self.full, at.current.explanation, at.candidates[0].fit.scatter, 0, at=at.current.at)
         if again is None or again.minus_two_log_evidence >= at.current.minus_two_log_evidence:
             return at
         return replace(at, current=again)
@@ -342,9 +348,15 @@ def _beyond(effect: LocatedEffect, at: Linearisation, readings: WeighedReadings,
     return np.asarray(functions - causes @ share)
 
 
-def _fitted(readings: WeighedReadings, explanation: Explanation, scatter: Scatter, iterations: int = 12) -> Fit:
+def _fitted(
+    readings: WeighedReadings,
+    explanation: Explanation,
+    scatter: Scatter,
+    iterations: int = 12,
+    at: Linearisation | None = None,
+) -> Fit:
     """Fit from an explanation's values, or from its null values where the former do not predict every reading."""
-    found = fit(readings, explanation, scatter, iterations)
+    found = fit(readings, explanation, scatter, iterations, at=at)
     if found is None:
         null = replace(explanation, values=tuple(each.cause.null() for each in explanation.hypotheses))
         found = fit(readings, null, scatter, iterations)

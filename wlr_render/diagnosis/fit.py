@@ -5,7 +5,7 @@ capture (`whitening`, `scatter`). Gauss-Newton with Levenberg's damping (D. W. M
 Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on readings whose errors are made independent.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,8 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _ITERATIONS = 12
 _SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
+_ROUGHLY = 0.5  # of chi-squared: likewise where fits are compared
+_AS_PROMISED = 0.1  # of the gain that derivatives promise: steps that come so close need no new ones
 _SAME_SCATTER = 0.1  # change of a logarithm below which the values are not fitted again
 _FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 _MOST_STEPS = 4  # whole steps from the best multiple that are counted
@@ -90,9 +92,9 @@ def fit(
     start: Explanation,
     scatter: Scatter,
     iterations: int = _ITERATIONS,
-    near: State | None = None,
     vary_scatter: bool = True,
-    settled: float = _SETTLED,
+    at: Linearisation | None = None,
+    roughly: bool = False,
 ) -> Fit | None:
     """Fit all causes of an explanation together, from its values on; None where it cannot predict every reading.
 
@@ -101,18 +103,17 @@ def fit(
         start: what to fit, and from where.
         scatter: sizes of what is random, from where they are searched for; the captures that moved stay the same.
         iterations: Gauss-Newton steps at most.
-        near: a state near the start, if one is known.
         vary_scatter: False where the sizes of what is random are known.
-        settled: chi-squared that a step must gain for another one.
+        at: the linearisation at the start, if it is known.
+        roughly: whether derivatives are kept while steps gain what these promise, which is enough to compare fits.
     """
-    predictor = readings.predictor
-    at = predictor.linearised(start, predictor.state(start, near))
+    at = at or readings.predictor.linearised(start)
     if not np.isfinite(at.residual).all():
         return None
-    found = _settled(readings, at, readings.whitening(scatter), iterations, settled)
+    found = _settled(readings, at, readings.whitening(scatter), iterations, roughly)
     scatter, evidence, off = _evidence(readings, found, scatter, vary_scatter)
     if iterations and off > _SAME_SCATTER and found.free.size:
-        found = _settled(readings, found, readings.whitening(scatter), iterations, settled)
+        found = _settled(readings, found, readings.whitening(scatter), iterations, roughly)
         scatter, evidence, _ = _evidence(readings, found, scatter, vary_scatter)
     whiten = readings.whitening(scatter)
     residual, jacobian = whiten(found.residual), whiten(found.jacobian)
@@ -121,27 +122,45 @@ def fit(
     return Fit(found.explanation, found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence)
 
 
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step that helps.
+
+    Attributes:
+        explanation, state: after it.
+        gained, promised: fall of chi-squared, and what the derivatives said of it.
+        damping: to go on with.
+    """
+
+    explanation: Explanation
+    state: State
+    gained: float
+    promised: float
+    damping: float
+
+
 def _settled(
-    readings: WeighedReadings, at: Linearisation, whiten: Whitening, iterations: int, enough: float
+    readings: WeighedReadings, at: Linearisation, whiten: Whitening, iterations: int, roughly: bool
 ) -> Linearisation:
-    damping = 1e-6
+    damping, predictor, enough = 1e-6, readings.predictor, _ROUGHLY if roughly else _SETTLED
     for _ in range(iterations):
-        if at.free.size == 0:
+        step = _step(predictor, at, whiten, damping) if at.free.size else None
+        if step is None:
             break
-        stepped = _stepped(readings.predictor, at, whiten, damping)
-        if stepped is None:
-            break
-        trial, state, gained, damping = stepped
-        at = readings.predictor.linearised(trial, state)
-        if gained < enough:
+        as_promised = roughly and abs(step.gained - step.promised) < _AS_PROMISED * step.promised
+        # A shape has no derivative before the effect has a size.
+        if step.gained < enough or (as_promised and at.free.size == len(at.explanation.vector())):
+            at = replace(at, explanation=step.explanation, state=step.state, residual=predictor.residual_of(step.state))
+        else:
+            at = predictor.linearised(step.explanation, step.state)
+        damping = step.damping
+        if step.gained < enough:
             break
     return at
 
 
-def _stepped(
-    predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float
-) -> tuple[Explanation, State, float, float] | None:
-    """Return the next explanation, its state, its gain, and the damping to go on with; None where no step helps."""
+def _step(predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float) -> _Step | None:
+    """Return the next step; None where none helps."""
     rows = whiten(at.jacobian).reshape(-1, at.free.size)
     residual, off = whiten(at.residual), off_prior(at.explanation)[at.free]
     information = rows.T @ rows + np.eye(len(off))
@@ -158,7 +177,8 @@ def _stepped(
         if np.isfinite(raw).all():
             after = float(np.sum(whiten(raw) ** 2)) + _prior_cost(trial)
             if after < before:
-                return trial, state, before - after, 0.1 * damping
+                promised = 2.0 * float(gradient @ step) - float(step @ information @ step)
+                return _Step(trial, state, before - after, promised, 0.1 * damping)
         if float(gradient @ step) < _SETTLED:
             return None
         damping = max(10.0 * damping, 1e-4)

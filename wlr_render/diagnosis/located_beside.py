@@ -12,10 +12,7 @@ from wlr_render.diagnosis.diagnosis import (
 )
 from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.field_contest import FieldContest
-from wlr_render.diagnosis.fit import (
-    Fit,
-    fit,
-)
+from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.scatter import Scatter
 
@@ -96,13 +93,9 @@ def locate(search: Search, found: Fit) -> Located:
 
 def _standing(search: Search, found: Fit) -> Located:
     """Locate effects beside the causes; drop causes that fields rival, one at a time."""
-    readings, least, dropped = search.subsample, search.settings.least_log10_odds, list[str]()
+    least, dropped = search.settings.least_log10_odds, list[str]()
     while True:
-        thinned = fit(readings, found.explanation, found.scatter, 0)
-        if thinned is None:
-            count = len(found.explanation.hypotheses)
-            return Located(search, found, dropped=tuple(dropped), odds=(float("inf"),) * count)
-        contest = search.contest(thinned)
+        contest = search.contest(search.on_subsample(found))
         effects = contest.located(least)
         odds = [
             contest.odds_of_cause(number, hypothesis.cause.station, effects)
@@ -126,8 +119,7 @@ def _standing(search: Search, found: Fit) -> Located:
         search = alone.with_effects(effects, found.explanation, constants)
         found = search.refitted(found.explanation, contest.scatter_beside(effects))
         # The effects' coefficients go with the values that the causes have beside them.
-        thinned = fit(readings, found.explanation, found.scatter, 0)
-        contest = contest if thinned is None else alone.contest(thinned)
+        contest = alone.contest(alone.on_subsample(found))
     return Located(
         search,
         found,

@@ -19,7 +19,6 @@ HOPELESS = -2.0
 """Gain with the sizes of what is random as they are, below which other sizes do not help."""
 _TIMES = 6  # tried at once
 _CLOSELY = 12  # hypotheses of largest gain that find their own sizes of what is random
-_ROUGHLY = 0.5  # chi-squared that a step must gain where fits are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +214,15 @@ def _with_better_time(
 
 
 def best_fit(readings: WeighedReadings, current: Fit, screened: ScreenedHypothesis) -> Fit | None:
-    """Fit an explanation with one more cause from the start of its screened."""
+    """Fit an explanation with one more cause, roughly, from the start that was screened."""
     corrected = current.explanation.plus(screened.hypothesis, screened.start)
-    return fit(readings, corrected, screened.scatter, near=current.at.state, settled=_ROUGHLY)
+    added = readings.predictor.added(current.at.state, corrected)
+    at = replace(
+        added,
+        jacobian=np.concatenate([current.at.jacobian, added.jacobian], axis=2),
+        free=np.concatenate([current.at.free, added.free]),
+    )
+    return fit(readings, corrected, screened.scatter, at=at, roughly=True)
 
 
 def _starts(cause: Cause, plan: SessionPlan) -> list[FloatArray]:

@@ -59,7 +59,7 @@ class WeighedReadings:
 
     def of_rows(self, keep: BoolArray) -> "WeighedReadings":
         """Return the readings that a mask (n,) selects."""
-        return WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
+        return self if keep.all() else WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
 
     def whitening(self, scatter: Scatter) -> Whitening:
         """Return the map that makes errors independent and of unit size, given the sizes of what is random."""
