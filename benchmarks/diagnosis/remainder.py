@@ -7,9 +7,9 @@ import numpy as np
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.screening import Signatures, hypotheses, screen
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.scatter import Scatter
 
 _OTHERS = 6
 _WORTH_A_FIT = 0.3  # share of the truth's gain; a smaller first-order gain leaves far more residual than the truth

@@ -38,11 +38,11 @@ from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, SEE_THROUGH, CaptureName, observe
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.procedure import diagnose
-from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.scatter import Scatter
 from wlr_render.optics.assembly import combiner_middle
 
 AnyPlan = Plan | RunTimePlan

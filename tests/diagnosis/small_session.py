@@ -19,11 +19,11 @@ from wlr_render.diagnosis.noise import Noise, NoiseFloor
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, observe
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.procedure import diagnose
-from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.scatter import Scatter
 from wlr_render.optics.device_file import load_device
 
 SIGMA_PX = 0.1

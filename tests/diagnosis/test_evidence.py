@@ -10,7 +10,7 @@ from small_session import SIGMA_PX, explanation, fitted, fitted_at_rest, measure
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.fit import is_physical, reduced_chi_squared, whole_step_cost
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.scatter import Scatter, ScatterSums, marginal, minus_two_log_evidence
+from wlr_render.numerics.scatter import Scatter, ScatterSums, marginal, minus_two_log_evidence
 
 
 def fits(observations, *starts):

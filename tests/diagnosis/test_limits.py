@@ -9,7 +9,7 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.findings import detection_limits
 from wlr_render.diagnosis.fit import fit
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.numerics.scatter import Scatter
 
 
 @pytest.fixture(scope="module")

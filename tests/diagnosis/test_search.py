@@ -14,9 +14,9 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.fit import fit, reduced_chi_squared, times_between_captures
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.screening import Signatures, best_fit, hypotheses, screen
 from wlr_render.diagnosis.settings import Settings
+from wlr_render.numerics.scatter import Scatter
 
 NAMES = ("combiner_tilt", "panel_shift", "target_scale", "stage_scale")
 

@@ -6,8 +6,8 @@ from oracle.nature import smooth_field
 from small_session import measured, weighed
 
 from wlr_render.diagnosis.observations import DISPLAY
-from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
+from wlr_render.numerics.scatter import Scatter
 
 
 def matrix(whitening, count):

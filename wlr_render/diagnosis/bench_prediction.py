@@ -14,12 +14,12 @@ from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.scatter import LOG10_ODDS, UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums
-from wlr_render.diagnosis.scatter_search import best_scatter
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.scatter import LOG10_ODDS, UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums
+from wlr_render.numerics.scatter_search import best_scatter
 
 
 @dataclass(frozen=True)

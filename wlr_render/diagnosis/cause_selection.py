@@ -24,13 +24,13 @@ from wlr_render.diagnosis.fit import (
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation
-from wlr_render.diagnosis.scatter import LOG10_ODDS, Scatter
-from wlr_render.diagnosis.scatter_search import best_scatter, with_moved_captures
 from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.scatter import LOG10_ODDS, Scatter
+from wlr_render.numerics.scatter_search import best_scatter, with_moved_captures
 
 Progress = Callable[[str], None]
 

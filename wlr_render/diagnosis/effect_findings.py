@@ -9,8 +9,8 @@ from wlr_render.diagnosis.diagnosis import EffectMap, StationEffect
 from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.observations import PART_NAMES
-from wlr_render.diagnosis.scatter import Scatter
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.scatter import Scatter
 
 _LIKELY = {
     ("panel", "shift"): (

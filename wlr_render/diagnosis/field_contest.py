@@ -22,7 +22,9 @@ from wlr_render.diagnosis.held_out import (
     squares_of_captures,
 )
 from wlr_render.diagnosis.located_effects import LocatedEffect
-from wlr_render.diagnosis.scatter import (
+from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.scatter import (
     LOG10_ODDS,
     Known,
     Marginal,
@@ -34,9 +36,7 @@ from wlr_render.diagnosis.scatter import (
     of_columns,
     surprise,
 )
-from wlr_render.diagnosis.scatter_search import best_scatter
-from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.scatter_search import best_scatter
 
 _SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
 _LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the field

@@ -30,10 +30,10 @@ from wlr_render.diagnosis.fit import (
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
-from wlr_render.diagnosis.scatter import LOG10_ODDS
-from wlr_render.diagnosis.scatter_search import scatter_errors
 from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
 from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.scatter import LOG10_ODDS
+from wlr_render.numerics.scatter_search import scatter_errors
 
 _RANKED = 8
 

@@ -15,12 +15,12 @@ from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.observations import RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Linearisation, Predictor, State
-from wlr_render.diagnosis.scatter import Scatter, ScatterSums, cost, marginal, minus_two_log_evidence
-from wlr_render.diagnosis.scatter_search import best_scatter
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.diagnosis.whitening import Whitening
 from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.scatter import Scatter, ScatterSums, cost, marginal, minus_two_log_evidence
+from wlr_render.numerics.scatter_search import best_scatter
 
 _ITERATIONS = 12
 _SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
@@ -105,7 +105,8 @@ def fit(
         iterations: Gauss-Newton steps at most.
         vary_scatter: False where the sizes of what is random are known.
         at: the linearisation at the start, if it is known.
-        roughly: whether derivatives are kept while steps gain what these promise, which is enough to compare fits.
+        roughly: whether derivatives are kept while steps gain what these promise, and always those of other causes than
+            the last one: enough to compare fits.
     """
     at = at or readings.predictor.linearised(start)
     if not np.isfinite(at.residual).all():
@@ -149,8 +150,11 @@ def _settled(
             break
         as_promised = roughly and abs(step.gained - step.promised) < _AS_PROMISED * step.promised
         # A shape has no derivative before the effect has a size.
-        if step.gained < enough or (as_promised and at.free.size == len(at.explanation.vector())):
+        all_known = at.free.size == sum(each.role is not Role.TIME for each in at.explanation.parameters())
+        if step.gained < enough or (as_promised and all_known):
             at = replace(at, explanation=step.explanation, state=step.state, residual=predictor.residual_of(step.state))
+        elif roughly:
+            at = predictor.extended(at, step.state, step.explanation)
         else:
             at = predictor.linearised(step.explanation, step.state)
         damping = step.damping

@@ -14,7 +14,7 @@ from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
-from wlr_render.diagnosis.scatter import Scatter
+from wlr_render.numerics.scatter import Scatter
 
 _BEYOND_DOUBT = 20.0  # log10 odds of a field from which the readings have structure, whatever it is
 _ROUNDS = 2  # times that causes are searched for beside located effects

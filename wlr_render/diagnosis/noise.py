@@ -7,31 +7,19 @@ common (an autofocus that breathes, air that moves, a code that interpolates).
 """
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
+from wlr_render.diagnosis.neighbour_noise import CLEARLY, SharedNoise, shared_correlation, shared_noise
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
 from wlr_render.diagnosis.residual_surfaces import Surface, surfaces
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, total_degree
 
 _STATED_ERROR = 0.1  # relative error of a sigma that a bench states
-_CLEARLY = 4.5  # log likelihood that a further number must gain: three standard errors
 _ENOUGH_FOR_A_SPREAD = 8  # photographs
 _RIM_FACTORS = np.arange(0.3, 5.01, 0.05)
 _SPREADS = np.concatenate([[0.0], np.geomspace(0.03, 2.0, 60)])
-_SHARES = np.linspace(0.0, 0.95, 39)
-_REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # reaches of shared noise, in distances between neighbouring readings
-_USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # prior of the reach in these distances: median, and sigma of its logarithm
-_PHOTOGRAPHS = (4, 40)  # fewest and most photographs searched for shared noise
-_WORK = 4e7  # largest cube of the readings of a photograph, times the photographs, searched for shared noise
-_MOST_READINGS = 250  # most readings of a photograph searched for shared noise
-_ENOUGH_IN_COMMON = 5  # photographs
-_ENOUGH_FOR_A_CUBIC = 80  # readings of a photograph
-_COMMON_DEGREE = 6  # degree of the residual common to photographs
-_SMOOTHEST = 3  # degree of effects of the bench in a photograph; finer structure may be shared noise
 
 
 @dataclass(frozen=True)
@@ -151,9 +139,9 @@ def _floor(
     settings: Settings,
 ) -> NoiseFloor:
     stated = float(np.sqrt(np.mean(observations.sigma_px[observations.part == part] ** 2)))
-    share, reach, smooth, kept = _shared(observations, residual, own, shape)
-    within = _within(own, shape, kept)
-    repeats = _repeats(observations, residual, shape, kept, settings) if part == DISPLAY else Variance(np.nan, np.nan)
+    shared = shared_noise(observations, residual, own, shape)
+    within = _within(own, shape, shared)
+    repeats = _repeats(observations, residual, shape, shared, settings) if part == DISPLAY else Variance(np.nan, np.nan)
     measured = _combined(within, repeats, settings)
     within_px, repeats_px, measured_px = (stated * float(np.sqrt(e.value)) for e in (within, repeats, measured))
     error_px, used_px, is_believable = np.nan, stated, True
@@ -165,7 +153,9 @@ def _floor(
         weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
         used_px = stated * float(np.exp(0.5 * weight * logarithm)) if is_believable else measured_px
     pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
-    return NoiseFloor(PART_NAMES[part], *pixels, is_believable, rim, differ, share, reach, smooth)
+    return NoiseFloor(
+        PART_NAMES[part], *pixels, is_believable, rim, differ, shared.share, shared.reach_px, shared.is_smooth
+    )
 
 
 def _over_field(observations: Observations, rows: IntArray, rim: float) -> FloatArray:
@@ -188,7 +178,7 @@ def _rim_factor(observations: Observations, own: list[Surface]) -> float:
     # Both axes: two values a reading.
     likelihood = -np.sum(np.log(spread), axis=1) - np.sum(count * np.log(size.clip(1e-300)), axis=1)
     best = int(np.argmax(likelihood[:-1]))
-    return float(_RIM_FACTORS[best]) if likelihood[best] - likelihood[-1] > _CLEARLY else 1.0
+    return float(_RIM_FACTORS[best]) if likelihood[best] - likelihood[-1] > CLEARLY else 1.0
 
 
 def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArray, float]:
@@ -207,123 +197,11 @@ def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArr
     mean = np.sum(logarithm / total, axis=1) / np.sum(1.0 / total, axis=1)
     likelihood = -0.5 * np.sum(np.log(total) + (logarithm - mean[:, None]) ** 2 / total, axis=1)
     best = int(np.argmax(likelihood))
-    if likelihood[best] - likelihood[0] < _CLEARLY:
+    if likelihood[best] - likelihood[0] < CLEARLY:
         return np.ones(len(own)), 0.0
     spread = float(_SPREADS[best]) ** 2
     shrunk = spread / (spread + error) * (logarithm - mean[best])
     return np.exp(0.5 * shrunk), 0.5 * float(_SPREADS[best])
-
-
-def shared_correlation(place: FloatArray, reach_px: float, smooth: bool) -> FloatArray:
-    """Return the correlation (m, m) of the shared noise between places (m, 2) of the image.
-
-    Gaussian where it is smooth, else Matern's of order 3/2 (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes
-    for Machine Learning", 2006, 4.2).
-    """
-    square = np.sum(place**2, axis=1)
-    distance = np.sqrt((square[:, None] + square - 2.0 * place @ place.T).clip(0.0)) / reach_px
-    if smooth:
-        return np.asarray(np.exp(-0.5 * distance**2))
-    return np.asarray((1.0 + np.sqrt(3.0) * distance) * np.exp(-np.sqrt(3.0) * distance))
-
-
-def _shared(
-    observations: Observations, residual: FloatArray, own: list[Surface], shape: FloatArray
-) -> tuple[float, float, bool, float]:
-    """Return the share of the variance common to neighbours, its reach, its smoothness, and the share surfaces leave.
-
-    By the likelihood of what very smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood
-    approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
-    """
-    if not own:
-        return 0.0, np.nan, True, 1.0
-    readings = float(np.median([min(_MOST_READINGS, len(each.rows)) for each in own]))
-    step = int(np.ceil(len(own) / np.clip(_WORK / readings**3, *_PHOTOGRAPHS)))
-    chosen = own[step // 2 :: step]
-    incoherent = _incoherent(observations, residual, own)
-    blocks = [_contrasts(observations, incoherent, each, shape) for each in chosen]
-    spacing = float(np.median([_spacing(place) for _, _, place in blocks]))
-    white = sum(len(values) * np.log(np.sum(values**2).clip(1e-300)) for values, _, _ in blocks)
-    gain, share, reach, smooth = 0.0, 0.0, np.nan, True
-    for tried, is_smooth in product(spacing * np.array(_REACHES), (True, False)):
-        likelihood = np.zeros(len(_SHARES))
-        for values, projection, place in blocks:
-            shared = projection.T @ shared_correlation(place, tried, is_smooth) @ projection
-            own_variance, axes = np.linalg.eigh(shared)
-            power = np.sum((axes.T @ values) ** 2, axis=1)
-            variance = 1.0 - _SHARES[:, None] + _SHARES[:, None] * own_variance.clip(0.0)
-            likelihood -= np.sum(np.log(variance), axis=1) + len(values) * np.log(
-                np.sum(power / variance, axis=1).clip(1e-300)
-            )
-        likelihood -= 0.5 * (np.log(tried / spacing / _USUAL_REACH) / _REACH_RANGE) ** 2
-        likelihood += 2.0 * np.log1p(-_SHARES)  # a small share is likelier than a large one
-        at = int(np.argmax(likelihood))
-        if likelihood[at] + white > max(gain, _CLEARLY):
-            gain, share, reach, smooth = float(likelihood[at] + white), float(_SHARES[at]), float(tried), is_smooth
-    kept = [_kept(observations, each, share, reach, smooth) for each in chosen]
-    return share, reach, smooth, float(np.mean(kept))
-
-
-def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:
-    """Return the residual (n, 2) less the part common to photographs of one colour or target pose, which is not noise.
-
-    That is a smooth function of the camera pixel which changes with the stage's position.
-    """
-    left, plan = residual.copy(), observations.session.plan
-    stage = np.zeros((len(observations), 3))
-    for number, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
-        if table is not None:
-            stage[observations.part == number] = table.stage
-    kinds: dict[tuple[int, int], list[IntArray]] = {}
-    for each in own:
-        pose = observations.captures[observations.group[each.rows[0]]].target_pose
-        kinds.setdefault((pose, int(observations.photograph[each.rows[0]] % 3)), []).append(each.rows[each.good])
-    for photographs in kinds.values():
-        rows = np.concatenate(photographs)
-        if len(photographs) < _ENOUGH_IN_COMMON:
-            continue
-        place = Box.around(stage[rows]).scaled(stage[rows])
-        pixel, box = observations.image_place[rows], Box(np.zeros(2), observations.nominal.camera.size_px)
-        coarse = basis(pixel, total_degree(2, _SMOOTHEST), box)
-        swimming = [coarse * place[:, [axis]] for axis in range(3)]
-        design = np.concatenate([basis(pixel, total_degree(2, _COMMON_DEGREE), box), *swimming], axis=1)
-        left[rows] -= design @ np.linalg.lstsq(design, residual[rows], rcond=None)[0]
-    return left
-
-
-def _spacing(place: FloatArray) -> float:
-    """Return the distance between neighbouring places (m, 2)."""
-    apart = np.linalg.norm(place[:, None] - place, axis=-1)
-    apart[np.diag_indices_from(apart)] = np.inf
-    return float(np.median(apart.min(axis=1)))
-
-
-def _kept(observations: Observations, surface: Surface, share: float, reach: float, smooth: bool) -> float:
-    """Return the mean square per degree of freedom that a surface leaves of noise of unit variance."""
-    if share == 0.0:
-        return 1.0
-    place = observations.image_place[surface.rows[surface.good]]
-    axes = np.linalg.qr(surface.design[surface.good])[0]
-    taken = float(np.sum(axes * (shared_correlation(place, reach, smooth) @ axes)))
-    return 1.0 - share + share * (len(place) - taken) / (len(place) - surface.terms)
-
-
-def _contrasts(
-    observations: Observations, residual: FloatArray, surface: Surface, shape: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return contrasts (c, 2) of a photograph's readings that no very smooth surface changes.
-
-    And how they follow from the readings (m, c), and the readings' places (m, 2): those nearest to each other.
-    """
-    rows = surface.rows[surface.good]
-    place = observations.image_place[rows]
-    if len(rows) > _MOST_READINGS:
-        near = np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]
-        rows, place = rows[near], place[near]
-    degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
-    design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]
-    projection = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
-    return projection.T @ (residual[rows] / shape[rows][:, None]), projection, place
 
 
 def _combined(within: Variance, repeats: Variance, settings: Settings) -> Variance:
@@ -344,13 +222,13 @@ def _combined(within: Variance, repeats: Variance, settings: Settings) -> Varian
     return Variance(float(np.exp(logarithm)), within.error * repeats.error / error)
 
 
-def _within(own: list[Surface], shape: FloatArray, kept: float) -> Variance:
+def _within(own: list[Surface], shape: FloatArray, shared: SharedNoise) -> Variance:
     """Return the variance over that of `shape`: the median over the photographs, so that one may be bad.
 
     Args:
         own: surfaces of the part.
         shape: (n,) relative sigma of all readings.
-        kept: what surfaces leave of the whole variance per degree of freedom.
+        shared: noise that neighbours share, which surfaces follow.
     """
     if not own:
         return Variance(np.nan, np.nan)
@@ -365,11 +243,12 @@ def _within(own: list[Surface], shape: FloatArray, kept: float) -> Variance:
         error = max(error, 1.48 * float(np.median(np.abs(variances - median))) / median)
     # 1.25: the standard error of a median over that of a mean.
     few = 1.25 if len(variances) > 2 else 1.0
-    return Variance(median / kept, few * error / float(np.sqrt(len(variances))))
+    error = few * error / float(np.sqrt(len(variances)))
+    return Variance(median / shared.kept, float(np.hypot(error, shared.kept_error)))
 
 
 def _repeats(
-    observations: Observations, residual: FloatArray, shape: FloatArray, kept: float, settings: Settings
+    observations: Observations, residual: FloatArray, shape: FloatArray, shared: SharedNoise, settings: Settings
 ) -> Variance:
     """Return the variance by display points seen more than once at one camera pixel from one place.
 
@@ -389,7 +268,7 @@ def _repeats(
     if not repeated.any():
         return Variance(np.nan, np.nan)
     twice = list(surfaces(observations.of_rows(repeated), deviation[times > 1], settings))
-    found = _within(twice, shape[repeated], kept)
+    found = _within(twice, shape[repeated], shared)
     # Of k photographs from one place, the deviations from their mean hold k - 1 independent ones.
     again = float(np.mean(times[times > 1]))
     return Variance(found.value, found.error / float(np.sqrt(1.0 - 1.0 / again)))

@@ -5,7 +5,7 @@ from math import exp, expm1, isfinite
 from wlr_render.diagnosis.diagnosis import LOCATED, PARTLY, UNEXPLAINED, Diagnosis, MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import PART_NAMES
-from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
+from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 from wlr_render.report.blocks import capitalised, cell_text, quantity
 
 _UNSURE = 0.5  # relative error of a size from which only its upper limit is stated

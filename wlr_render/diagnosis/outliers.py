@@ -7,10 +7,10 @@ import numpy as np
 
 from wlr_render.diagnosis.fit import Fit, off_prior
 from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observations
-from wlr_render.diagnosis.scatter import LOG10_ODDS, cost
-from wlr_render.diagnosis.scatter_search import motions_of, one_at_rest
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
+from wlr_render.numerics.scatter import LOG10_ODDS, cost
+from wlr_render.numerics.scatter_search import motions_of, one_at_rest
 
 
 @dataclass(frozen=True)

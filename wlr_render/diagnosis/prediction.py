@@ -196,14 +196,26 @@ class Predictor:
         """Residual and Jacobian at an explanation, whose state may be known, by forward differences."""
         return self._differences(explanation, 0, state or self.state(explanation))
 
-    def added(self, current: State, explanation: Explanation) -> Linearisation:
-        """Linearisation by the parameters of an explanation's last cause only, at values where it has no effect yet.
+    def added(self, state: State, explanation: Explanation) -> Linearisation:
+        """Linearisation by the parameters of an explanation's last cause only.
 
         Args:
-            current: of the explanation without its last cause.
-            explanation: with it.
+            state: of the explanation; while its last cause has no effect, of the others.
+            explanation: the explanation.
         """
-        return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), current)
+        return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), state)
+
+    def extended(self, old: Linearisation, state: State, explanation: Explanation) -> Linearisation:
+        """Linearisation by all parameters, where those of other causes than the last one act as elsewhere.
+
+        Args:
+            old: a linearisation, with or without the last cause.
+            state, explanation: as in `added`.
+        """
+        last = self.added(state, explanation)
+        same = old.free < len(explanation.vector()) - len(explanation.values[-1])
+        jacobian = np.concatenate([old.jacobian[:, :, same], last.jacobian], axis=2)
+        return replace(last, jacobian=jacobian, free=np.concatenate([old.free[same], last.free]))
 
     def _differences(self, explanation: Explanation, first: int, base: State) -> Linearisation:
         residual, vector, columns, free = self.residual_of(base), explanation.vector(), [], []

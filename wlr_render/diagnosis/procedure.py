@@ -46,12 +46,12 @@ from wlr_render.diagnosis.noise import Noise, NoiseFloor, noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 from wlr_render.diagnosis.screening import hypotheses
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
+from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 

@@ -8,10 +8,10 @@ from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ParameterValue
 from wlr_render.diagnosis.fit import times_between_captures
 from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
-from wlr_render.diagnosis.scatter import USUAL_SHIFT, USUAL_TURN
-from wlr_render.diagnosis.scatter_search import FEWEST_TO_STAND_OUT
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.diagnosis.verdict_sentences import undecided, value_text
+from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
+from wlr_render.numerics.scatter_search import FEWEST_TO_STAND_OUT
 from wlr_render.report.blocks import cell_text
 
 _SAME_STATED = 1e-3  # relative difference of two stated sigmas that is rounding

@@ -10,10 +10,10 @@ from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Role
 from wlr_render.diagnosis.fit import Fit, choices, fit, off_prior, times_between_captures
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
-from wlr_render.diagnosis.scatter import Scatter, ScatterSums, cost
-from wlr_render.diagnosis.scatter_search import best_scatter, one_by_one
 from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
 from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.scatter import Scatter, ScatterSums, cost
+from wlr_render.numerics.scatter_search import best_scatter, one_by_one
 
 HOPELESS = -2.0
 """Gain with the sizes of what is random as they are, below which other sizes do not help."""
@@ -216,12 +216,7 @@ def _with_better_time(
 def best_fit(readings: WeighedReadings, current: Fit, screened: ScreenedHypothesis) -> Fit | None:
     """Fit an explanation with one more cause, roughly, from the start that was screened."""
     corrected = current.explanation.plus(screened.hypothesis, screened.start)
-    added = readings.predictor.added(current.at.state, corrected)
-    at = replace(
-        added,
-        jacobian=np.concatenate([current.at.jacobian, added.jacobian], axis=2),
-        free=np.concatenate([current.at.free, added.free]),
-    )
+    at = readings.predictor.extended(current.at, current.at.state, corrected)
     return fit(readings, corrected, screened.scatter, at=at, roughly=True)
 
 

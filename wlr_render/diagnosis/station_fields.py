@@ -17,7 +17,7 @@ from wlr_render.bench.simulate_session import (
     dot_pixels,
     simulate_to_first_order,
 )
-from wlr_render.captures.session import SeeThroughPlan, SessionPlan
+from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.combiner_fields import combiner_fields
 from wlr_render.diagnosis.field_terms import StationField, Terms, field_of, lever_of, over_rows, smooth_terms
@@ -63,6 +63,11 @@ def station_fields(readings: WeighedReadings, like: Sequence[StationField] | Non
     ]
 
 
+def _predicted(readings: WeighedReadings) -> Readings:
+    """Return the readings that the nominal bench predicts."""
+    return readings.predictor.state(Explanation()).readings
+
+
 def _panel_lever(observations: Observations) -> FloatArray:
     """Change (n, 2, 2) of the readings by a panel pixel along u and v."""
     rows = observations.part == DISPLAY
@@ -75,7 +80,10 @@ def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
     assert plan is not None
     assert pixel is not None
     rows, lever = observations.part == DISPLAY, _panel_lever(observations)
-    smooth = smooth_terms("panel pixels", pixel, 1, 2, 4, 6, 8)
+    # Where a smooth function is taken at a reading, it has the reading's noise in it, and may imitate that noise.
+    smooth_at = _predicted(readings).panel_pixel
+    assert smooth_at is not None
+    smooth = smooth_terms("panel pixels", smooth_at, 1, 2, 4, 6, 8)
     yield field_of("panel", "shift", "panel px", smooth.over(rows), lever, "shift")
     phase = np.mod(pixel, _CODE_PERIOD_PX).astype(int)
     for axis, name in enumerate(("columns", "rows")):
@@ -85,14 +93,14 @@ def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
             "panel", f"shift that repeats every {_CODE_PERIOD_PX} {name}", "panel px", terms.over(rows), lever
         )
     stand = _scaled_to_box(plan.stage)
-    coarse = smooth_terms("panel pixels", pixel, 6)
+    coarse = smooth_terms("panel pixels", smooth_at, 6)
     swimming = np.concatenate([smooth.values, *(coarse.values * stand[:, [axis]] for axis in range(3))], axis=1)
     order = np.concatenate([smooth.order, *(coarse.order + 1,) * 3])
-    terms = Terms("panel pixels and viewpoint", pixel, swimming, order, (3, 5, 8))
+    terms = Terms("panel pixels and viewpoint", smooth_at, swimming, order, (3, 5, 8))
     yield field_of("panel", "shift", "panel px", terms.over(rows), lever)
     channels = np.unique(plan.channel)
     if len(channels) > 1:
-        some = smooth_terms("panel pixels and colour", pixel, 4)
+        some = smooth_terms("panel pixels and colour", smooth_at, 4)
         each = np.concatenate([some.values * (plan.channel == channel)[:, None] for channel in channels], axis=1)
         order = np.tile(some.order, len(channels))
         terms = replace(some, values=each, order=order, degrees=(1, 2, 4), polynomials=None)
@@ -106,7 +114,9 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     c - g(c); a dot on the ray of its bare pixel moves with g there, too.
     """
     observations = readings.observations
-    place = np.nan_to_num(observations.image_place)
+    place, dots = np.nan_to_num(observations.image_place), _predicted(readings).dot_pixel
+    if dots is not None:
+        place[observations.part == SEE_THROUGH] = dots
     still = observations.part != RUN_TIME
     terms = smooth_terms("camera pixels", place, 1, 2, 4, 6, 8)
     plan = observations.session.plan.see_through
@@ -210,7 +220,7 @@ def _dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
 def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     """Return the fields of a recording of head motion: shifts of the virtual dot, and delays, by all variables."""
     observations, predictor = readings.observations, readings.predictor
-    plan, seen = observations.session.plan.run_time, observations.session.readings.run_time_pixel
+    plan, seen = observations.session.plan.run_time, _predicted(readings).run_time_pixel
     assert plan is not None
     assert seen is not None
     rows = observations.part == RUN_TIME

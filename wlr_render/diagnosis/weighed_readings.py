@@ -8,9 +8,9 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.noise import Noise
 from wlr_render.diagnosis.observations import RUN_TIME, Observations
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
-from wlr_render.diagnosis.scatter import Scatter, ScatterSums
 from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
 from wlr_render.numerics.arrays import BoolArray, FloatArray, rows_by_label
+from wlr_render.numerics.scatter import Scatter, ScatterSums
 
 _POSE = ("camera_pupil_offset", "camera_rotation")
 _MICRO = {"mm": 1e3, "deg": float(np.radians(1e6))}

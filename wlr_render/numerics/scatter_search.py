@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize
 
-from wlr_render.diagnosis.scatter import (
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.scatter import (
     MOVED,
     PARTS,
     USUAL_SHIFT,
@@ -13,16 +14,14 @@ from wlr_render.diagnosis.scatter import (
     Scatter,
     ScatterSums,
     cost,
-    motion_slopes,
+    cost_and_slopes,
     without_motions,
 )
-from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _RAISED = 3.0  # times the usual size up to which motions are those of a capture that did not move
 _STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a capture may have moved
 _LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
 _NOISIEST = np.log(100.0)
-_STEP = 1e-3
 _ENOUGH = 0.02  # of -2 log evidence: a step that gains less ends the search
 FEWEST_TO_STAND_OUT = 4
 """Captures of a part among which one may stand out."""
@@ -39,29 +38,22 @@ def best_scatter(
     usual = np.repeat(np.log([1.0, USUAL_SHIFT, USUAL_TURN]), PARTS)
     first[~free] = usual[~free]
 
-    def at(inner: FloatArray) -> float:
+    def with_slopes(inner: FloatArray) -> tuple[float, FloatArray]:
         vector = first.copy()
         vector[free] = inner
-        return cost(sums, start.at(vector), mean, sigma)
-
-    def with_slope(inner: FloatArray) -> tuple[float, FloatArray]:
-        value, vector = at(inner), first.copy()
-        vector[free] = inner
-        by_motions = motion_slopes(sums, start.at(vector), mean, sigma).ravel()
-        noises = int(np.sum(present))
-        by_noise = [(at(inner + _STEP * unit) - value) / _STEP for unit in np.eye(len(inner))[:noises]]
-        return value, np.concatenate([by_noise, by_motions[free[PARTS:]]])
+        value, slopes = cost_and_slopes(sums, start.at(vector), mean, sigma)
+        return value, slopes.ravel()[free]
 
     low = np.concatenate([np.zeros(PARTS), np.full(2 * PARTS, _LOWEST)])[free]
     high = np.concatenate([np.full(PARTS, _NOISIEST), np.full(2 * PARTS, _HIGHEST)])[free]
     inside = np.clip(first[free], low, high)
     found = minimize(
-        with_slope,
+        with_slopes,
         inside,
         jac=True,
         method="L-BFGS-B",
         bounds=np.stack([low, high], axis=1),
-        options={"maxiter": 30, "ftol": _ENOUGH / max(abs(at(inside)), 1.0), "gtol": 0.05},
+        options={"maxiter": 30, "ftol": _ENOUGH / max(abs(with_slopes(inside)[0]), 1.0), "gtol": 0.05},
     )
     vector = first.copy()
     vector[free] = found.x

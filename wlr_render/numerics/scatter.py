@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 
 LOG10_ODDS = 0.5 / np.log(10.0)
@@ -26,7 +25,8 @@ UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
 _USUAL_RANGE = 1.2  # standard deviation of their logarithms: a factor of 3.3
 MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
 _COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
-PARTS = len(PART_NAMES)
+PARTS = 3
+"""Parts of a session, each with its own sizes: captures of the panel, of a target, and of both at run time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,28 +276,45 @@ def _priors(sums: ScatterSums, mean: FloatArray, sigma: FloatArray | float) -> t
     return np.concatenate([mean, np.zeros(len(sums.carried))]), sigmas
 
 
-def motion_slopes(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0) -> FloatArray:
-    """Return the derivatives (2, parts) of `cost` by the logarithms of shifts and turns."""
-    sizes, variance = scatter.sizes(sums.part_of), scatter.noise[sums.part_of] ** 2
-    inverse = np.linalg.inv(sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6))
-    y, x = ((inverse @ (sizes[:, :, None] * each)) for each in (sums.ey[:, :, None], sums.ex))
-    rest, explained = y[:, :, 0], np.zeros_like(y[:, :, 0])
+def cost_and_slopes(
+    sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
+) -> tuple[float, FloatArray]:
+    """Return `cost` and its derivatives (3, parts) by the logarithms of noise, shifts and turns.
+
+    The derivative of -2 log N(y; 0, C) is tr(C^-1 C') - y' C^-1 C' C^-1 y: what each size explains of the readings
+    against how far the readings determine it.
+    """
     means, sigmas = _priors(sums, mean, sigma)
-    if len(means):
-        every = without_motions(sums, scatter)
-        covariance = np.linalg.inv(every.information + np.diag(sigmas**-2.0))
-        rest = rest - x @ (covariance @ (every.gradient + means / sigmas**2))
-        explained = np.sum((x.reshape(-1, len(means)) @ covariance).reshape(x.shape) * x, axis=2)
+    every, variance = without_motions(sums, scatter), scatter.noise[sums.part_of] ** 2
+    value = minus_two_log_evidence(every, means, sigmas) + surprise(scatter, sums)
+    covariance = np.linalg.inv(every.information + np.diag(sigmas**-2.0))
+    values = covariance @ (every.gradient + means / sigmas**2)
+    sizes = scatter.sizes(sums.part_of)
+    inverse = np.linalg.inv(sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6))
+    pull = sums.ey - sums.ex @ values
+    rest = (inverse @ (sizes * pull)[:, :, None])[:, :, 0]
+    response = inverse @ (sizes[:, :, None] * sums.ex)
+    spread = response @ covariance
+    explained = np.sum(spread * response, axis=2)
     by_axis = 2.0 * (1.0 - np.diagonal(inverse, axis1=1, axis2=2) - (explained + rest**2) / variance[:, None])
     # A capture that moved has a wide prior beside the usual one, which does not change.
-    usual = scatter.at_rest().sizes(sums.part_of)
-    by_axis = by_axis * (usual / sizes) ** 2 * sums.used[:, None]
-    slopes = np.zeros((2, PARTS))
-    for number, (axes, size, at) in enumerate(
-        ((slice(0, 3), scatter.shift_um, USUAL_SHIFT), (slice(3, 6), scatter.turn_urad, USUAL_TURN))
-    ):
-        for part in np.unique(sums.part_of[sums.used]):
-            mine = sums.part_of == part
-            surprising = 2.0 * np.log(size[part] / at) / _USUAL_RANGE**2
-            slopes[number, part] = np.sum(by_axis[mine, axes]) + surprising
-    return slopes
+    by_axis = by_axis * (scatter.at_rest().sizes(sums.part_of) / sizes) ** 2 * sums.used[:, None]
+    # Squares of what motions leave, and the directions that motions and columns take up, of each capture.
+    motion, turned = sizes * rest, sizes[:, :, None] * response
+    left = np.einsum("gi,gij,gj->g", motion, sums.ee, motion) - 2.0 * np.sum(motion * pull, axis=1)
+    taken = 6.0 - np.trace(inverse, axis1=1, axis2=2)
+    by_columns = (sums.ee @ turned - 2.0 * sums.ex) * (sizes[:, :, None] * spread)
+    taken = taken + np.sum(by_columns, axis=(1, 2)) / variance
+    slopes = np.zeros((3, PARTS))
+    for part in np.unique(sums.part_of[sums.used]):
+        mine, noise = sums.used & (sums.part_of == part), scatter.noise[part] ** 2
+        square = sums.square[part] + values @ (sums.xx[part] @ values - 2.0 * sums.xy[part]) + np.sum(left[mine])
+        free = sums.count[part] - np.sum(taken[mine]) - np.sum(sums.xx[part] * covariance) / noise
+        slopes[0, part] = 2.0 * (free - square / noise)
+        for row, axes, size, usual in (
+            (1, slice(0, 3), scatter.shift_um, USUAL_SHIFT),
+            (2, slice(3, 6), scatter.turn_urad, USUAL_TURN),
+        ):
+            surprising = 2.0 * np.log(size[part] / usual) / _USUAL_RANGE**2
+            slopes[row, part] = np.sum(by_axis[mine, axes]) + surprising
+    return value, slopes

@@ -1,0 +1,208 @@
+"""Noise that neighbouring readings of a photograph share: its share of the variance, its reach and smoothness.
+
+Surfaces through photographs follow it. What very smooth surfaces leave shows it, in photographs of many readings.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
+from wlr_render.diagnosis.residual_surfaces import Surface
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, total_degree
+
+CLEARLY = 4.5  # log likelihood that a further number must gain: three standard errors
+_SHARES = np.linspace(0.0, 0.95, 39)
+_REACHES = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0)  # reaches of shared noise, in distances between neighbouring readings
+_USUAL_REACH, _REACH_RANGE = 1.7, 0.4  # prior of the reach in these distances: median, and sigma of its logarithm
+_PHOTOGRAPHS = (4, 40)  # fewest and most photographs searched for shared noise
+_WORK = 4e7  # largest cube of the readings of a photograph, times the photographs, searched for shared noise
+_MOST_READINGS = 250  # most readings of a photograph searched for shared noise
+_ENOUGH_IN_COMMON = 5  # photographs
+_ENOUGH_FOR_A_CUBIC = 80  # readings of a photograph
+_COMMON_DEGREE = 6  # degree of the residual common to photographs
+_SMOOTHEST = 3  # degree of effects of the bench in a photograph; finer structure may be shared noise
+_RANK = 1e-9  # of singular values
+_MOST_TAKEN = 0.9  # of the variance of a photograph's noise along one direction, that is made good
+_NEGLIGIBLE = 6.0  # log likelihood below the best one's from which a share is not counted
+_FEW_PHOTOGRAPHS = 8  # whose surfaces tell what they leave
+_NOT_EXCLUDED = 2.0  # log likelihood that two standard errors cost
+
+
+@dataclass(frozen=True)
+class SharedNoise:
+    """Noise that neighbours share.
+
+    Attributes:
+        share: of the variance that neighbouring readings have in common; 0 where it is not clear.
+        reach_px: distance in the image over which they do; NaN where nothing is shared.
+        is_smooth: whether what they share varies smoothly over the image.
+        kept: share of the whole variance that surfaces leave per degree of freedom, whatever is clear.
+        kept_error: its relative standard error.
+    """
+
+    share: float = 0.0
+    reach_px: float = float("nan")
+    is_smooth: bool = True
+    kept: float = 1.0
+    kept_error: float = 0.0
+
+
+def shared_noise(
+    observations: Observations, residual: FloatArray, own: list[Surface], shape: FloatArray
+) -> SharedNoise:
+    """Return the noise that neighbours share in the photographs of a part.
+
+    By the likelihood of what very smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood
+    approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
+
+    Args:
+        observations: what was read.
+        residual: (n, 2) in units of the stated sigma.
+        own: surfaces through the part's photographs.
+        shape: (n,) relative sigma of all readings.
+    """
+    if not own:
+        return SharedNoise()
+    readings = float(np.median([min(_MOST_READINGS, len(each.rows)) for each in own]))
+    step = int(np.ceil(len(own) / np.clip(_WORK / readings**3, *_PHOTOGRAPHS)))
+    chosen = own[step // 2 :: step]
+    incoherent = _incoherent(observations, residual, own)
+    blocks = [_contrasts(observations, incoherent, each, shape) for each in chosen]
+    spacing = float(np.median([_spacing(place) for _, _, place in blocks]))
+    white = sum(len(values) * np.log(np.sum(values**2).clip(1e-300)) for values, _, _ in blocks)
+    gain, share, reach, smooth = 0.0, 0.0, np.nan, True
+    every = list[tuple[float, bool, FloatArray]]()
+    for tried, is_smooth in product(spacing * np.array(_REACHES), (True, False)):
+        likelihood = np.zeros(len(_SHARES))
+        for values, projection, place in blocks:
+            shared = projection.T @ shared_correlation(place, tried, is_smooth) @ projection
+            own_variance, axes = np.linalg.eigh(shared)
+            power = np.sum((axes.T @ values) ** 2, axis=1)
+            variance = 1.0 - _SHARES[:, None] + _SHARES[:, None] * own_variance.clip(0.0)
+            likelihood -= np.sum(np.log(variance), axis=1) + len(values) * np.log(
+                np.sum(power / variance, axis=1).clip(1e-300)
+            )
+        likelihood -= 0.5 * (np.log(tried / spacing / _USUAL_REACH) / _REACH_RANGE) ** 2
+        likelihood += 2.0 * np.log1p(-_SHARES)  # a small share is likelier than a large one
+        every.append((float(tried), is_smooth, likelihood + white))
+        at = int(np.argmax(likelihood))
+        if likelihood[at] + white > max(gain, CLEARLY):
+            gain, share, reach, smooth = float(likelihood[at] + white), float(_SHARES[at]), float(tried), is_smooth
+    some = chosen[:: len(chosen) // _FEW_PHOTOGRAPHS + 1]
+    return SharedNoise(share, reach, smooth, *_kept(observations, some, every))
+
+
+def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:
+    """Return the residual (n, 2) less the part common to photographs of one colour or target pose, which is not noise.
+
+    That is a smooth function of the camera pixel which changes with the stage's position. A fit of it takes more of
+    smooth noise than of fine noise: of each photograph that is made good, as if all noise were white.
+    """
+    left, plan = residual.copy(), observations.session.plan
+    stage = np.zeros((len(observations), 3))
+    for number, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
+        if table is not None:
+            stage[observations.part == number] = table.stage
+    kinds: dict[tuple[int, int], list[IntArray]] = {}
+    for each in own:
+        pose = observations.captures[observations.group[each.rows[0]]].target_pose
+        kinds.setdefault((pose, int(observations.photograph[each.rows[0]] % 3)), []).append(each.rows[each.good])
+    for photographs in kinds.values():
+        rows = np.concatenate(photographs)
+        if len(photographs) < _ENOUGH_IN_COMMON:
+            continue
+        place = Box.around(stage[rows]).scaled(stage[rows])
+        pixel, box = observations.image_place[rows], Box(np.zeros(2), observations.nominal.camera.size_px)
+        coarse = basis(pixel, total_degree(2, _SMOOTHEST), box)
+        swimming = [coarse * place[:, [axis]] for axis in range(3)]
+        design = np.concatenate([basis(pixel, total_degree(2, _COMMON_DEGREE), box), *swimming], axis=1)
+        span = np.linalg.svd(design, full_matrices=False)
+        axes = span[0][:, span[1] > _RANK * span[1][0]]
+        rest = residual[rows] - axes @ (axes.T @ residual[rows])
+        ends = np.cumsum([len(each) for each in photographs])[:-1]
+        for mine, taken, its_rest in zip(photographs, np.split(axes, ends), np.split(rest, ends), strict=True):
+            directions, singular, _ = np.linalg.svd(taken, full_matrices=False)
+            larger = (1.0 - np.minimum(singular**2, _MOST_TAKEN)) ** -0.5 - 1.0
+            left[mine] = its_rest + directions @ (larger[:, None] * (directions.T @ its_rest))
+    return left
+
+
+def _spacing(place: FloatArray) -> float:
+    """Return the distance between neighbouring places (m, 2)."""
+    apart = np.linalg.norm(place[:, None] - place, axis=-1)
+    apart[np.diag_indices_from(apart)] = np.inf
+    return float(np.median(apart.min(axis=1)))
+
+
+def shared_correlation(place: FloatArray, reach_px: float, smooth: bool) -> FloatArray:
+    """Return the correlation (m, m) of the shared noise between places (m, 2) of the image.
+
+    Gaussian where it is smooth, else Matern's of order 3/2 (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes
+    for Machine Learning", 2006, 4.2).
+    """
+    square = np.sum(place**2, axis=1)
+    distance = np.sqrt((square[:, None] + square - 2.0 * place @ place.T).clip(0.0)) / reach_px
+    if smooth:
+        return np.asarray(np.exp(-0.5 * distance**2))
+    return np.asarray((1.0 + np.sqrt(3.0) * distance) * np.exp(-np.sqrt(3.0) * distance))
+
+
+def _kept(
+    observations: Observations, own: Sequence[Surface], tried: Sequence[tuple[float, bool, FloatArray]]
+) -> tuple[float, float]:
+    """Return the share of the variance that surfaces leave per degree of freedom, and its relative error.
+
+    Over all shares that noise may have, weighed by likelihood: photographs of few readings do not show how much
+    neighbours share.
+
+    Args:
+        observations: what was read.
+        own: surfaces of some photographs.
+        tried: reach and smoothness of shared noise, and the log likelihood of each of `_SHARES`.
+    """
+    best = max(float(likelihood.max()) for _, _, likelihood in tried)
+    weights, kept, possible = list[FloatArray](), list[FloatArray](), list[FloatArray]()
+    for reach, smooth, likelihood in tried:
+        if likelihood.max() < best - _NEGLIGIBLE:
+            continue
+        left = np.mean([_left_of_shared(observations, each, reach, smooth) for each in own])
+        kept.append(1.0 - _SHARES * (1.0 - left))
+        weights.append(np.exp(likelihood - best))
+        possible.append(kept[-1][likelihood > best - _NOT_EXCLUDED])
+    weight, shares = np.concatenate(weights), np.concatenate(kept)
+    # Noise is as often white as not.
+    weight[shares == 1.0] *= np.sum(shares < 1.0) / np.sum(shares == 1.0)
+    whole = float(np.average(1.0 / shares, weights=weight))
+    spread = float(np.sqrt(np.average((1.0 / shares - whole) ** 2, weights=weight)))
+    most = 1.0 / float(np.min(np.concatenate(possible)))
+    return 1.0 / whole, max(spread, 0.5 * (most - whole)) / whole
+
+
+def _left_of_shared(observations: Observations, surface: Surface, reach: float, smooth: bool) -> float:
+    """Return the mean square per degree of freedom that a surface leaves of shared noise of unit variance."""
+    place = observations.image_place[surface.rows[surface.good]]
+    axes = np.linalg.qr(surface.design[surface.good])[0]
+    taken = float(np.sum(axes * (shared_correlation(place, reach, smooth) @ axes)))
+    return (len(place) - taken) / (len(place) - surface.terms)
+
+
+def _contrasts(
+    observations: Observations, residual: FloatArray, surface: Surface, shape: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return contrasts (c, 2) of a photograph's readings that no very smooth surface changes.
+
+    And how they follow from the readings (m, c), and the readings' places (m, 2): those nearest to each other.
+    """
+    rows = surface.rows[surface.good]
+    place = observations.image_place[rows]
+    if len(rows) > _MOST_READINGS:
+        near = np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]
+        rows, place = rows[near], place[near]
+    degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
+    design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]
+    projection = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    return projection.T @ (residual[rows] / shape[rows][:, None]), projection, place
