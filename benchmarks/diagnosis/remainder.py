@@ -47,5 +47,5 @@ def _fitted(
     screened = screen(Signatures.of(readings, candidates), rest, candidates)
     chosen = [each for each in screened if each.gain > least_gain][:most]
     starts = [rest.explanation.plus(each.hypothesis, each.start) for each in chosen]
-    fits = [fit(readings, each, rest.scatter, near=rest.at.state, vary_scatter=False) for each in starts]
+    fits = [fit(readings, each, rest.scatter, vary_scatter=False) for each in starts]
     return [each for each in fits if each is not None] or [rest]
