@@ -21,6 +21,7 @@ if TYPE_CHECKING:  # in the order of the API reference
     from wlr_render.captures.camera_lens_file import load_lens as load_lens
     from wlr_render.bench.session_folder import save_session as save_session
     from wlr_render.bench.bench import Bench as Bench
+    from wlr_render.bench.bench_effects import BenchEffect as BenchEffect
     from wlr_render.diagnosis.cause import Parameter as Parameter, Role as Role, changed as changed
     from wlr_render.diagnosis.causes.user_causes import causes_for as causes_for
     from wlr_render.atomic_files import resource as resource

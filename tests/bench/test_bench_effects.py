@@ -11,7 +11,9 @@ from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.bench.session_captures import observations_of, session_of
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
+from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 from wlr_render.optics.device_file import load_device
 
@@ -23,14 +25,14 @@ BOXES = {
     "time": ([0.0], [2000.0]),
     "combiner": ([-20.0, -20.0], [20.0, 20.0]),
 }
-SIZES = {"panel": 0.5, "camera": 0.3, "target": 0.2, "stage": 30.0, "time": 5.0, "combiner": 0.5}
+SIZES = {"panel": 0.5, "camera": 0.3, "target": 0.2, "stage": 30.0, "time": 5.0, "combiner": 0.5, "view": 100.0}
 
 
 def effect(station, displaces, degree=2, seed=1):
     """A random effect of ordinary size."""
     kind, (low, high) = KINDS[station, displaces], BOXES[station]
-    orders = total_degree(len(low), degree)
-    coefficients = SIZES[station] * np.random.default_rng(seed).normal(size=(len(orders), len(kind.per_displacement)))
+    orders, size = total_degree(len(low), degree), SIZES.get(displaces, SIZES[station])
+    coefficients = size * np.random.default_rng(seed).normal(size=(len(orders), len(kind.per_displacement)))
     return BenchEffect(station, displaces, Polynomial(orders, Box(np.array(low), np.array(high)), coefficients))
 
 
@@ -118,13 +120,85 @@ def test_an_effect_of_one_target_pose_leaves_the_others_alone(bench, plan):
     np.testing.assert_array_equal(same, simulate(bench, plan).dot_pixel)
 
 
+def test_a_view_moves_what_each_part_sees_through_the_combiner_the_same_way(bench, plan):
+    """On the display the panel is read at given pixels of the camera: what is read comes from the other side."""
+    still = Polynomial(np.array([[0, 0]]), Box(np.full(2, -20.0), np.full(2, 20.0)), np.array([[1000.0, 0.0]]))
+    for part, (display, dots) in {"display": (True, False), "see-through": (False, True), "": (True, True)}.items():
+        moved = replace(bench, effects=(BenchEffect("combiner", "view", still, part=part),))
+        off = [a - b for a, b in zip(simulate(moved, plan).parts[:2], simulate(bench, plan).parts[:2], strict=True)]
+        assert [bool(np.nanmax(np.abs(each)) > 0.0) for each in off] == [display, dots]
+    np.testing.assert_allclose(np.nanmean(off[1], axis=0), [0.9, 0.0], atol=0.02)  # 1 mrad by 900 px
+    shifted = replace(plan.display, camera_pixel=plan.display.camera_pixel - [0.9, 0.0])
+    expected = simulate(bench, SessionPlan(shifted)).panel_pixel - simulate(bench, plan).panel_pixel
+    np.testing.assert_allclose(np.nanmean(off[0], axis=0), np.nanmean(expected, axis=0), rtol=0.02)
+
+
+def test_cells_hold_where_they_are_and_nowhere_else(bench, plan):
+    time_s = np.unique(plan.display.time_s)
+    cells = Cells(50.0, np.array([[125.0]]), np.array([[0.7, -0.2]]))
+    moved = replace(bench, effects=(BenchEffect("time", "shift", cells),))
+    off = simulate(moved, plan).panel_pixel - simulate(bench, plan).panel_pixel
+    inside = plan.display.time_s == time_s[1]
+    assert 100.0 <= time_s[1] < 150.0
+    np.testing.assert_allclose(off[inside & np.isfinite(off[:, 0])][0], [0.7, -0.2])
+    assert np.nanmax(np.abs(off[~inside])) == 0.0
+
+
+def test_any_function_displaces_a_station_and_a_file_states_it(bench, plan, tmp_path):
+    def wave(place):
+        return 0.4 * np.sin(place[:, :1] / 8.0) * np.cos(place[:, 1:] / 10.0)
+
+    low, high = (-45, -45), (45, 45)  # the farthest of these lines of sight meets the combiner 40 mm from its middle
+    own = BenchEffect.of_function("combiner", "all surfaces", wave, low, high)
+    moved = replace(bench, effects=(own,))
+    stated = load_bench(save_bench(moved, tmp_path / "bench.toml"))
+    exact, read = simulate(moved, plan).panel_pixel, simulate(stated, plan).panel_pixel
+    change = np.nanmax(np.abs(exact - simulate(bench, plan).panel_pixel))
+    assert change > 0.05
+    np.testing.assert_allclose(read, exact, atol=1e-3 * change)
+    (found,) = stated.effects
+    assert found.function.orders.max() > 5
+    # A lead screw: one coordinate of three, many periods.
+    screw = BenchEffect.of_function(
+        "stage", "pose", lambda x: np.sin(3.0 * x[:, :1]) * np.eye(6)[:1], (24,) * 3, (40,) * 3
+    )
+    place = np.array([[25.0, 30.0, 39.0], [33.3, 25.0, 30.0]])
+    np.testing.assert_allclose(screw.function.as_polynomial()(place), screw.function(place), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("lens", "shift", np.sin, [0], [1]), r"no station 'lens' with a displacement 'shift'; choose panel \(shift\)"),
+        (("time", "shift", np.sin, [5], [1]), r"The bounds \[5\] and \[1\] of an effect of the time"),
+        (("panel", "shift", np.sin, [0], [1]), "are not lower and upper ones of panel pixel u, v"),
+        (("time", "shift", np.sin, [0], [1]), r"returns shape \(2, 1\) for 2 places; it must return \(2, 2\): decoded"),
+    ],
+)
+def test_a_function_that_does_not_fit_its_station_is_refused(arguments, sentence):
+    with pytest.raises(BadInputError, match=sentence):
+        BenchEffect.of_function(*arguments)
+
+
 def test_effects_are_written_and_read_back(bench, tmp_path):
-    effects = (*(effect(*kind) for kind in KINDS), replace(effect("target", "shift"), target_pose=0))
+    root = np.random.default_rng(2).normal(size=(12, 12))
+    effects = (
+        *(effect(*kind) for kind in KINDS),
+        replace(effect("target", "shift"), target_pose=0),
+        replace(effect("camera", "shift"), part="display", covariance=root @ root.T),
+        BenchEffect("target", "shift", Cells(1.0, np.array([[0.5, -1.5], [2.5, 0.5]]), np.eye(3)[:2])),
+    )
     found = load_bench(save_bench(replace(bench, effects=effects), tmp_path / "bench.toml"))
-    assert [(each.station, each.displaces, each.target_pose) for each in found.effects] == [
-        (each.station, each.displaces, each.target_pose) for each in effects
+    assert [(each.station, each.displaces, each.target_pose, each.part) for each in found.effects] == [
+        (each.station, each.displaces, each.target_pose, each.part) for each in effects
     ]
     for one, other in zip(found.effects, effects, strict=True):
-        np.testing.assert_array_equal(one.polynomial.orders, other.polynomial.orders)
-        np.testing.assert_allclose(one.polynomial.coefficients, other.polynomial.coefficients, rtol=1e-12)
-        np.testing.assert_allclose(one.polynomial.box.high, other.polynomial.box.high)
+        assert (one.covariance is None) == (other.covariance is None)
+        if one.covariance is not None:
+            np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-8)
+        if isinstance(other.function, Cells):
+            np.testing.assert_array_equal(one.function.middles, other.function.middles)
+        else:
+            np.testing.assert_array_equal(one.function.orders, other.function.orders)
+        np.testing.assert_allclose(one.function.coefficients, other.function.coefficients, rtol=1e-12)
+        np.testing.assert_allclose(one.function.box.high, other.function.box.high)

@@ -173,6 +173,18 @@ orders = [[1]]
 coefficients = [[0.1, 0.2]]
 [target]"""
 
+CELLS = EFFECT.replace("low = [0]", "cell_size = 1").replace("high = [5]", "cells = [[2.5], [7.5]]")
+CELLS = CELLS.replace("orders = [[1]]\n", "").replace("[[0.1, 0.2]]", "[[0.1, 0.2], [0.3, 0.4]]")
+
+
+ELSEWHERE = EFFECT.replace('"time"', '"panel"').replace("[0]", "[-900, 0]").replace("[5]", "[-100, 9]")
+ELSEWHERE = ELSEWHERE.replace("[[1]]", "[[1, 0]]")
+
+
+def with_covariance(rows):
+    return EFFECT.replace("[target]", f"covariance = {rows}\n[target]")
+
+
 FAULTS = {
     "unit": ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a bench file is in mm"),
     "version": ("version = 1", "version = 2", "'version' is 2"),
@@ -225,6 +237,30 @@ FAULTS = {
     "effect's orders": ("[target]", EFFECT.replace("[[1]]", "[[0.5]]"), "'orders' must be at most 1000 lists of whole"),
     "effect's terms": ("[target]", EFFECT.replace("[[1]]", "[[1], [2]]"), "one list of 2 numbers (decoded position u"),
     "effect's key": ("[target]", EFFECT.replace("low", "lower"), "key 'low' is missing (found 'lower' instead)"),
+    "effect's cells": ("[target]", CELLS.replace("[7.5]", "[2.6]"), "two of 'cells' lie in one cell of 'cell_size' 1"),
+    "effect's cell values": ("[target]", CELLS.replace(", [0.3, 0.4]", ""), "each of the 2 lists of 'cells', not 1"),
+    "effect's cell size": ("[target]", CELLS.replace("cell_size = 1", "cell_size = 0"), "'cell_size' has the value 0"),
+    "effect of a height in cells": (
+        "[target]",
+        CELLS.replace('"time"', '"combiner"').replace('"shift"', '"all surfaces"'),
+        "a height of the combiner needs slopes",
+    ),
+    "effect's place": (
+        "[target]",
+        EFFECT.replace('"time"', '"panel"')
+        .replace("[0]", "[-900, 0]")
+        .replace("[5]", "[-100, 9]")
+        .replace("1]", "1, 0]"),
+        "'low' and 'high' state coordinates from [-900, 0] to [-100, 9], outside the panel ([0, 0] to [1440, 1600])",
+    ),
+    "effect's part": ("[target]", EFFECT.replace("low", 'part = "display"\nlow'), "unknown key 'part'; remove it"),
+    "effect's covariance, size": ("[target]", with_covariance("[[1, 0]]"), "has 1 lists; it must have 2"),
+    "effect's covariance, symmetry": ("[target]", with_covariance("[[1, 0.5], [0, 1]]"), "is not symmetric; write the"),
+    "effect's covariance, variance": (
+        "[target]",
+        with_covariance("[[1, 2], [2, 1]]"),
+        "'covariance' has the eigenvalue -1, so that it is no covariance",
+    ),
     "no stage": ("[stage]\norigin = [32, 1, 33]", "", "key 'stage' is missing"),
 }
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, measured, with_readings
 
+from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.captures.session import SessionPlan, select_rows
 from wlr_render.diagnosis.coherence import fine_effect
 from wlr_render.diagnosis.combiner_fields import footprints
-from wlr_render.diagnosis.observations import DISPLAY
+from wlr_render.diagnosis.fine_in_bench import fine_in_bench, with_fine
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 
 PLACE_MM = np.array([2.0, -1.5])
@@ -44,6 +46,40 @@ def test_a_spot_on_the_combiner_is_found_at_its_place(bench, plan):
     assert found.width < 2.0
     assert found.improvement.percent > 0
     assert len(found.cells) == len(found.means)
+
+
+def test_a_bench_with_the_cells_of_a_spot_has_no_spot(bench, plan, tmp_path):
+    observations = spotted(measured(bench, denser(plan, 12), SIGMA_PX, seed=12), radius_mm=3.0)
+    predictor, found = Predictor(observations), of(observations)
+    assert found.predicts
+    corrected = with_fine(bench, found, predictor, 2.0)
+    kinds = {(each.station, each.displaces, each.part) for each in corrected.effects}
+    assert kinds == {("combiner", "view", "display")}
+    left = Predictor(replace(observations, nominal=load_bench(save_bench(corrected, tmp_path / "bench.toml"))))
+    before, after = (each.residual(Explanation())[observations.part == DISPLAY] for each in (predictor, left))
+    assert np.mean(before**2) > 1.1
+    assert np.mean(after**2) - 1.0 < 0.4 * (np.mean(before**2) - 1.0)
+    again = fine_effect(left, left.residual(Explanation()), 2.0)
+    assert again is None or not again.predicts
+
+
+@pytest.mark.parametrize("station", ["panel", "camera", "target", "combiner"])
+def test_cells_of_any_station_change_the_readings_as_they_were_changed(bench, plan, station):
+    """The change of every reading is 1 sigma along u, whatever the station: the bench's effect must do the same."""
+    predictor = Predictor(measured(bench, plan, SIGMA_PX, seed=3))
+    observations, fine = predictor.observations, of(spotted(measured(bench, denser(plan), SIGMA_PX, seed=12)))
+    rows = np.flatnonzero(observations.part == DISPLAY)
+    if station == "target":  # at one distance
+        rows = np.flatnonzero(observations.part == SEE_THROUGH)[observations.session.plan.see_through.target_pose == 0]
+    change = np.tile([1.0, 0.0], (len(rows), 1))
+    fine = replace(fine, station=station, rows=rows, at=np.zeros((len(rows), 2)), cell=1e6, change=change)
+    (effect,) = fine_in_bench(fine, predictor)
+    everywhere = [replace(effect, function=replace(effect.function, middles=place)) for place in QUADRANTS]
+    read = predictor.residual_of_bench(replace(bench, effects=tuple(everywhere))) - predictor.residual(Explanation())
+    np.testing.assert_allclose(np.nanmean(read[rows], axis=0), [-1.0, 0.0], atol=0.05)
+
+
+QUADRANTS = [1e4 * np.array([[x, y]]) for x in (-1, 1) for y in (-1, 1)]
 
 
 @pytest.mark.parametrize("seed", [13, 14, 15])

@@ -115,10 +115,14 @@ def test_priors_of_what_does_not_exist_are_refused(priors, sentence):
 
 def test_the_documented_example_is_a_cause_and_the_list_is_complete(bench, own):
     text = DOCUMENT.read_text(encoding="utf-8")
-    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    example, screw = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     cause = causes_for(bench, [own(example)])["stage_squareness"]
     axes = cause.perturb(bench, np.array([1.0, 0.0])).stage.axes
     np.testing.assert_allclose(axes, [[1.0, np.tan(np.radians(1.0)), 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = causes_for(bench, [own(screw)])["lead_screw"].perturb(bench, np.array([3.0, 4.0]))
+    (effect,) = moved.effects
+    turns = effect.function(np.array([[2.5, 0.0, 0.0], [3.0, 1.0, 2.0]]))
+    np.testing.assert_allclose(turns, [[3.0, 0.0, 0.0, 0.0, 0.0, 0.0], [-4.0, 0.0, 0.0, 0.0, 0.0, 0.0]], atol=1e-12)
     for each in CAUSES.values():
         listed = ", ".join(f"`{p.name}`: {p.unit} ({p.prior_sigma:g})" for p in each.parameters)
         assert f"| `{each.name}` | {listed} |\n" in text
@@ -143,6 +147,25 @@ def test_a_cause_whose_null_values_change_the_bench_is_refused(bench, own, chang
     sentence = rf"'lens_hood' changes {where} in its variant 'v' at its null values \[0.0\]; there it must return"
     with pytest.raises(BadInputError, match=sentence):
         causes_for(given, [own(text)])
+
+
+@pytest.mark.parametrize(
+    ("function", "sentence"),
+    [
+        ("np.sign(np.sin(20.0 * t)) * s[0] * [1.0, 0.0]", r"cannot state \(its polynomial misses it by \d+ %\)"),
+        ("(0.1 + s[0] * t) * [1.0, 0.0]", r"changes effects in its variant 'v' at its null values"),
+        ("s[0] * t", r"returns shape \(2, 1\) for 2 places; it must return \(2, 2\)"),
+    ],
+)
+def test_an_effect_that_no_file_can_state_or_that_never_vanishes_is_refused(bench, own, function, sentence):
+    change = (
+        "lambda bench, s: replace(bench, effects=(BenchEffect.of_function('time', 'shift', lambda t: F, [0], [9]),))"
+    )
+    text = "import numpy as np\nfrom wlr_render.files import BenchEffect\n" + GOOD.replace(
+        'changed("camera", "centre_px", lambda old, deg: old + deg)', change.replace("F", function)
+    )
+    with pytest.raises(BadInputError, match=sentence):
+        causes_for(bench, [own(text)])
 
 
 HELPERS = """

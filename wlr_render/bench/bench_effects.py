@@ -1,7 +1,8 @@
-"""Effects at the stations of a bench that no key of its parts states: smooth displacements that a diagnosis locates.
+"""Effects at the stations of a bench that no key of its parts states: displacements that a diagnosis locates.
 
-An effect is a polynomial of the station's coordinates. Coordinates and displacements are in the units of the bench
-file; `displacement` converts them from and to metres and radians.
+An effect is a function of the station's coordinates: a polynomial, cells, or a function of a user's own cause.
+Coordinates and displacements are in the units of the bench file; `displacement` converts them from and to metres and
+radians.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,8 +11,10 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.numerics.cells import Cells
+from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial, basis, total_degree
 from wlr_render.optics.combiner_form import SURFACES, SmoothSag, surfaces_raised
 from wlr_render.optics.device import EyeOptics
 
@@ -19,6 +22,14 @@ _ROUNDS = 6  # of the fixed-point iterations: effects change little from one coo
 
 _UM, _URAD, _MM = 1e-6, 1e-6, 1e-3
 _POSE = (_UM, _UM, _UM, _URAD, _URAD, _URAD)
+_ON_COMBINER = "place right of and above the line of sight straight ahead, mm"
+_STEP = 1e-4  # of scaled coordinates, for the slopes of a function
+_DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10}  # of the polynomial that states a function of so many coordinates
+_NODES = 20  # places at which it is seen on which coordinates a function depends
+DISPLAY, SEE_THROUGH = PARTS = ("display", "see-through")
+"""Parts of a session that an effect may be limited to."""
+IN_BOTH_PARTS = (("camera", "shift"), ("combiner", "view"), ("stage", "pose"), ("time", "pose"))
+"""Kinds that may be limited to one; those of the panel and the target are in one part, heights are the headset's."""
 
 
 @dataclass(frozen=True)
@@ -50,32 +61,122 @@ KINDS = {
     ("time", "pose"): EffectKind("time, s", (1.0,), "camera's shift x, y, z, um, and turn x, y, z, urad", _POSE),
     ("time", "shift"): EffectKind("time, s", (1.0,), "decoded position u, v, panel px", (1.0, 1.0)),
     **{
-        ("combiner", surfaces): EffectKind(
-            "place right of and above the line of sight straight ahead, mm",
-            (_MM, _MM),
-            "height away from the eye, um",
-            (_UM,),
-        )
+        ("combiner", surfaces): EffectKind(_ON_COMBINER, (_MM, _MM), "height away from the eye, um", (_UM,))
         for surfaces in SURFACES
     },
+    ("combiner", "view"): EffectKind(
+        _ON_COMBINER, (_MM, _MM), "apparent direction right and up, in tangents, 1e-6", (_URAD, _URAD)
+    ),
 }
 """Kinds by station and by what is displaced."""
 
 
 @dataclass(frozen=True, eq=False)
+class AnyFunction:
+    """A smooth function of a user's own.
+
+    Attributes:
+        function: maps coordinates (n, variables) to displacements (n, components).
+        box: coordinates in which a file states it.
+    """
+
+    function: Callable[[FloatArray], FloatArray]
+    box: Box
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Return the displacements (n, components)."""
+        return np.asarray(self.function(inputs), dtype=np.float64)
+
+    def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the displacements (n, components) and their derivatives (n, components, variables)."""
+        steps = np.diag(_STEP / self.box.per_unit)
+        slopes = [(self(inputs + step) - self(inputs - step)) / (2.0 * step.sum()) for step in steps]
+        return self(inputs), np.stack(slopes, axis=-1)
+
+    def as_polynomial(self) -> Polynomial:
+        """Return the polynomial through its values at Chebyshev nodes of the box, as a file states it."""
+        places = self.box.places(_NODES)
+        value, axes = self(places), []
+        for axis in range(len(self.box.low)):
+            others = places.copy()
+            others[:, axis] = places[::-1, axis]
+            if not np.array_equal(self(others), value):
+                axes.append(axis)
+        degree = _DEGREES.get(len(axes), 0)
+        nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+        scaled = np.zeros((len(nodes) ** len(axes), len(self.box.low)))
+        scaled[:, axes] = np.stack(np.meshgrid(*[nodes] * len(axes)), axis=-1).reshape(len(scaled), len(axes))
+        orders = np.zeros((len(total_degree(len(axes), degree)), len(self.box.low)), dtype=np.int64)
+        orders[:, axes] = total_degree(len(axes), degree)
+        values = self(self.box.low + 0.5 * (scaled + 1.0) * (self.box.high - self.box.low))
+        design = basis(scaled, orders, Box(-np.ones(len(self.box.low)), np.ones(len(self.box.low))))
+        return Polynomial(orders, self.box, np.linalg.lstsq(design, values, rcond=None)[0])
+
+
+@dataclass(frozen=True, eq=False)
 class BenchEffect:
-    """A smooth displacement at a station.
+    """A displacement at a station.
 
     Attributes:
         station, displaces: the kind, a key of `KINDS`.
-        polynomial: displacement by the station's coordinates, in the units of the file; OpenXR axes.
+        function: displacement by the station's coordinates, in the units of the file; OpenXR axes.
         target_pose: pose of the target that it is for; -1 for all.
+        part: part of the session that shows it, one of `PARTS`; empty for all.
+        covariance: (p, p) of the coefficients, row by row, in the units of the file; None where it is not known.
     """
 
     station: str
     displaces: str
-    polynomial: Polynomial
+    function: Polynomial | Cells | AnyFunction
     target_pose: int = -1
+    part: str = ""
+    covariance: FloatArray | None = None
+
+    @classmethod
+    def of_function(
+        cls,
+        station: str,
+        displaces: str,
+        function: Callable[[FloatArray], FloatArray],
+        low: Sequence[float],
+        high: Sequence[float],
+        part: str = "",
+    ) -> "BenchEffect":
+        """Return the effect of any smooth function, for a cause of your own.
+
+        Args:
+            station, displaces: what it displaces, as an `[[effect]]` of bench.toml states it.
+            function: maps coordinates (n, variables) to displacements (n, components), in the units of the file.
+            low, high: bounds of the coordinates, between which a corrected bench.toml states it as a polynomial.
+            part: part of the session that shows it, "display" or "see-through"; empty for both.
+
+        Raises:
+            BadInputError: there is no such station, or the bounds or the function do not fit it.
+
+        Example:
+            >>> import numpy as np
+            >>> from wlr_render.files import BenchEffect
+            >>> ripple = BenchEffect.of_function(
+            ...     "combiner", "all surfaces", lambda place: 0.2 * np.sin(place[:, :1]), (-20, -20), (20, 20)
+            ... )
+        """
+        kind, box = KINDS.get((station, displaces)), Box(np.asarray(low, float), np.asarray(high, float))
+        if kind is None:
+            kinds = ", ".join(f"{station} ({displaces})" for station, displaces in KINDS)
+            raise BadInputError(f"There is no station '{station}' with a displacement '{displaces}'; choose {kinds}.")
+        if not len(box.low) == len(box.high) == len(kind.per_coordinate) or not np.all(box.low < box.high):
+            raise BadInputError(
+                f"The bounds {list(low)} and {list(high)} of an effect of the {station} are not lower and upper ones "
+                f"of {kind.coordinates}."
+            )
+        corners = np.stack([box.low, box.high])
+        shape, components = np.shape(function(corners)), len(kind.per_displacement)
+        if shape != (2, components):
+            raise BadInputError(
+                f"The function of an effect of the {station} returns shape {shape} for 2 places; it must return "
+                f"(2, {components}): {kind.displacement}."
+            )
+        return cls(station, displaces, AnyFunction(function, box), part=part)
 
 
 def displacement(
@@ -84,6 +185,7 @@ def displacement(
     displaces: str,
     coordinates: FloatArray,
     target_pose: IntArray | None = None,
+    part: str = "",
 ) -> FloatArray | None:
     """Return the sum of the effects of one kind, (n, components) in metres, radians or pixels; None without any.
 
@@ -92,14 +194,16 @@ def displacement(
         station, displaces: the kind.
         coordinates: (n, v) in metres, seconds or pixels.
         target_pose: (n,) of each row, where the station is the target.
+        part: part of the session that the rows are of, where effects may be limited to one.
     """
     own = [each for each in effects if (each.station, each.displaces) == (station, displaces)]
+    own = [each for each in own if not part or each.part in ("", part)]
     if not own:
         return None
     kind = KINDS[station, displaces]
     total = np.zeros((len(coordinates), len(kind.per_displacement)))
     for effect in own:
-        value = effect.polynomial(coordinates / np.array(kind.per_coordinate))
+        value = effect.function(coordinates / np.array(kind.per_coordinate))
         if effect.target_pose >= 0 and target_pose is not None:
             value = np.where((target_pose == effect.target_pose)[:, None], value, 0.0)
         total += value
@@ -110,8 +214,8 @@ def displacement(
 def optics_with_effects(optics: EyeOptics, effects: tuple[BenchEffect, ...]) -> EyeOptics:
     """Return an eye's optics with the heights that effects add to its combiner."""
     for effect in effects:
-        if effect.station == "combiner":
-            error = partial(SmoothSag, effect.polynomial)
+        if effect.displaces in SURFACES and not isinstance(effect.function, Cells):
+            error = partial(SmoothSag, effect.function)
             optics = surfaces_raised(optics, SURFACES[effect.displaces](optics), error)
     return optics
 

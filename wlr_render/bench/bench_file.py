@@ -18,13 +18,12 @@ from wlr_render.bench.bench import (
     Target,
     Tracking,
 )
-from wlr_render.bench.bench_effects import KINDS, BenchEffect
+from wlr_render.bench.bench_effects_file import effect_keys, effects_of
 from wlr_render.bench.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
 from wlr_render.captures.session_schema import MM
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES, rigid
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import device_content, save_device
@@ -32,7 +31,6 @@ from wlr_render.toml_files import Table, read_toml, write_toml
 
 _MOST_POSES = 10_000
 _MOST_SIGMA = 1e6
-_MOST_EFFECTS, _MOST_TERMS, _HIGHEST = 50, 1000, 30
 FORMAT = "bench-session"
 VERSION = 1
 WRITTEN_FRAME = "opencv"
@@ -85,7 +83,7 @@ def bench_of(file: Table, folder: Path) -> Bench:
         EyeTracking(**stated["eye_tracking"]),
         Clock(**stated["clock"]),
     )
-    priors, effects = _priors(file), _effects(file, len(bench.target.pitch))
+    priors, effects = _priors(file), effects_of(file, bench)
     file.finish()
     return replace(bench, **stated["light"], priors=priors, effects=effects)
 
@@ -105,7 +103,7 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
     ]
     content = head | {name: keys for name, keys in sections.items() if keys}
     content |= {"prior": bench.priors} if bench.priors else {}
-    content |= {"effect": [_effect_keys(effect) for effect in bench.effects]} if bench.effects else {}
+    content |= {"effect": [effect_keys(effect) for effect in bench.effects]} if bench.effects else {}
     return write_toml(path, content | ({"target_pose": poses} if poses else {}), "docs/bench-session.md has the format")
 
 
@@ -173,49 +171,6 @@ def _priors_of_cause(table: Table) -> dict[str, tuple[float, float]]:
             )
         priors[name] = (mean, sigma)
     return priors
-
-
-def _effects(file: Table, poses: int) -> tuple[BenchEffect, ...]:
-    """Read the [[effect]] tables."""
-    return tuple(_effect(table, poses) for table in file.tables("effect", required=False, most=_MOST_EFFECTS))
-
-
-def _effect(table: Table, poses: int) -> BenchEffect:
-    station = table.text("station", choices=sorted({station for station, _ in KINDS}))
-    displaces = table.text("displaces", choices=sorted(what for place, what in KINDS if place == station))
-    kind = KINDS[station, displaces]
-    variables, components = len(kind.per_coordinate), len(kind.per_displacement)
-    low, high = table.vector("low", variables), table.vector("high", variables)
-    if not np.all(low < high):
-        raise table.fail(f"'low' must be below 'high' in each of {kind.coordinates}.")
-    orders = table.vectors("orders", variables)
-    if len(orders) > _MOST_TERMS or not np.all((orders == np.round(orders)) & (orders >= 0) & (orders <= _HIGHEST)):
-        raise table.fail(
-            f"'orders' must be at most {_MOST_TERMS} lists of whole numbers from 0 to {_HIGHEST}, one for each of "
-            f"{kind.coordinates}."
-        )
-    coefficients = table.vectors("coefficients", components)
-    if len(coefficients) != len(orders):
-        raise table.fail(
-            f"'coefficients' must have one list of {components} numbers ({kind.displacement}) for each of the "
-            f"{len(orders)} lists of 'orders', not {len(coefficients)}."
-        )
-    pose = -1
-    if station == "target" and table.has("target_pose"):
-        stated = table.number("target_pose", least=0, most=max(poses - 1, 0))
-        pose = int(stated)
-        if pose != stated:
-            raise table.fail(f"'target_pose' is {stated:g}; it must be a whole number.")
-    table.finish()
-    return BenchEffect(station, displaces, Polynomial(orders.astype(np.int64), Box(low, high), coefficients), pose)
-
-
-def _effect_keys(effect: BenchEffect) -> dict[str, Any]:
-    polynomial = effect.polynomial
-    keys: dict[str, Any] = {"station": effect.station, "displaces": effect.displaces}
-    keys |= {"target_pose": effect.target_pose} if effect.target_pose >= 0 else {}
-    keys |= {"low": polynomial.box.low, "high": polynomial.box.high}
-    return keys | {"orders": polynomial.orders, "coefficients": polynomial.coefficients}
 
 
 def _target(file: Table, stated: dict[str, Any], axes: FloatArray) -> Target:

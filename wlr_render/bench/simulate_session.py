@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.bench.bench import Bench
-from wlr_render.bench.bench_effects import before_shift, displacement, optics_with_effects
+from wlr_render.bench.bench_effects import DISPLAY, SEE_THROUGH, before_shift, displacement, optics_with_effects
 from wlr_render.bench.simulate_run_time import run_time_readings
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.optics.combiner_form import places_on_combiner
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 from wlr_render.optics.tracer import trace
@@ -173,6 +174,9 @@ def _observed_points(bench: Bench, plan: SeeThroughPlan) -> ObservedPoints:
 def panel_pixels(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Return the decoded panel position (n, 2) for each display row: one trace."""
     viewpoint, view_dir = camera_positions(bench, plan), display_dirs(bench, plan)
+    turned = _view_shift(bench, viewpoint, view_dir, DISPLAY)
+    if turned is not None:
+        view_dir = dir_of_tangents(tangents_of_dir(view_dir) - turned)
     pixel, optics = np.full((len(plan), 2), np.nan), optics_with_effects(bench.optics, bench.effects)
     for channel in np.unique(plan.channel):
         rows = plan.channel == channel
@@ -219,20 +223,35 @@ def _creep_px(bench: Bench, plan: DisplayPlan) -> FloatArray:
 
 def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> FloatArray:
     """Return the camera pixel (n, 2) of each dot that is seen in the direction of its tangents (n, 2), device frame."""
-    _, _, device_from_camera = dot_geometry(bench, plan)
+    viewpoint, _, device_from_camera = dot_geometry(bench, plan)
+    turned = _view_shift(bench, viewpoint, dir_of_tangents(tangents), SEE_THROUGH)
+    tangents = tangents if turned is None else tangents + turned
     in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
-    return imaged(bench, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)))
+    return imaged(bench, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)), SEE_THROUGH)
 
 
-def imaged(bench: Bench, pixel: FloatArray) -> FloatArray:
-    """Return the pixels (n, 2) at which the camera has points whose perfect pixels are (n, 2)."""
-    shift = displacement(bench.effects, "camera", "shift", pixel)
+def _view_shift(bench: Bench, viewpoint: FloatArray, view_dir: FloatArray, part: str) -> FloatArray | None:
+    """Return by how much things seen in directions (n, 3) appear shifted, (n, 2) tangents; None without effects."""
+    if all((effect.station, effect.displaces) != ("combiner", "view") for effect in bench.effects):
+        return None
+    places = places_on_combiner(bench.optics, viewpoint, view_dir)
+    return displacement(bench.effects, "combiner", "view", places, part=part)
+
+
+def imaged(bench: Bench, pixel: FloatArray, part: str) -> FloatArray:
+    """Return the pixels (n, 2) at which the camera has points of a part whose perfect pixels are (n, 2)."""
+    shift = displacement(bench.effects, "camera", "shift", pixel, part=part)
     return pixel if shift is None else np.asarray(pixel + shift)
 
 
-def unshifted(bench: Bench, pixel: FloatArray) -> FloatArray:
+def unshifted(bench: Bench, pixel: FloatArray, part: str) -> FloatArray:
     """Return the inverse of `imaged`."""
-    return before_shift(pixel, lambda place: displacement(bench.effects, "camera", "shift", place))
+    return before_shift(pixel, lambda place: displacement(bench.effects, "camera", "shift", place, part=part))
+
+
+def part_of(plan: DisplayPlan | SeeThroughPlan) -> str:
+    """Return the name of the part of a session that a plan is of."""
+    return DISPLAY if isinstance(plan, DisplayPlan) else SEE_THROUGH
 
 
 def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -240,7 +259,7 @@ def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatA
     viewpoint, device_from_camera = camera_positions(bench, plan), camera_orientations(bench, plan)
     point = _dots(bench, plan)
     if plan.bare_pixel is not None:
-        in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, plan.bare_pixel)))
+        in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, plan.bare_pixel, SEE_THROUGH)))
         ray = np.einsum("nij,nj->ni", device_from_camera, in_camera)
         point = viewpoint + np.linalg.norm(point - viewpoint, axis=1, keepdims=True) * ray
     return viewpoint, point, device_from_camera
@@ -274,8 +293,8 @@ def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArr
 
 def _pose_error(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray | None:
     """Return shifts (metres) and turns (radians) of the camera, (n, 6), by effects of the stage and of time."""
-    of_stage = displacement(bench.effects, "stage", "pose", plan.stage)
-    of_time = displacement(bench.effects, "time", "pose", plan.time_s[:, None])
+    of_stage = displacement(bench.effects, "stage", "pose", plan.stage, part=part_of(plan))
+    of_time = displacement(bench.effects, "time", "pose", plan.time_s[:, None], part=part_of(plan))
     if of_stage is None or of_time is None:
         return of_time if of_stage is None else of_stage
     return np.asarray(of_stage + of_time)
@@ -305,7 +324,7 @@ def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
 
 def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Return the true unit view directions (n, 3) of the camera in each display row, device frame."""
-    pixel = unshifted(bench, plan.camera_pixel)
+    pixel = unshifted(bench, plan.camera_pixel, DISPLAY)
     if plan.orientation is None and not bench.mount.slip_rotation.any() and not bench.effects:
         return bench.camera.view_dir_of_pixel(pixel)
     in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(pixel))

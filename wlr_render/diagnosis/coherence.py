@@ -6,8 +6,8 @@ of that station have a mean. The station whose cells have means at the best odds
 its picture.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -25,7 +25,7 @@ _MOST_LEVERAGE = 0.8  # of a reading that its photograph's surface follows too c
 _CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
 _CELLS_PANEL = (80, 160)  # over the panel's width
 _CELLS_CAMERA = (80, 160)  # over the image's width
-_FOLDS = 8
+_FOLDS, _ROUNDS = 4, 4
 _BEYOND_DOUBT, _PREDICTS = 20.0, 2.0
 """Log10 odds, or else standard errors by which captures left out must be predicted better, of a fine effect."""
 _CHARGE = float(np.log10(3.0))  # of the best of the widths that are tried
@@ -52,7 +52,8 @@ class FineEffect:
         next_station: the station of next best evidence; empty where there is no other.
         odds_against_next: log10 odds against that station.
         improvement: of captures left out by the means of the others; and the share of the excess that this removes.
-        rows: (m,) of the readings, and change: (m, 2) of them by the effect, in units of sigma.
+        rows: (m,) of the readings of all parts that show it, at: (m, 2) their places at the station, and change: (m, 2)
+            of them by the effect, in units of sigma.
     """
 
     station: str
@@ -71,7 +72,13 @@ class FineEffect:
     improvement: HeldOutImprovement
     share_removed: float
     rows: IntArray
+    at: FloatArray
     change: FloatArray
+
+    @property
+    def predicts(self) -> bool:
+        """Whether captures left out are predicted better with it."""
+        return self.improvement.significance > _PREDICTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,53 +152,14 @@ class _Cells:
         odds = (float(np.logaddexp.reduce(logs)) - np.log(len(tried))) / np.log(10.0)
         return odds, tried[best][0], tried[best][1] * self.noise
 
-    def described(self, odds: float, rival: str, against_rival: float) -> FineEffect:
-        """Return the effect with its map and its improvement of captures left out."""
-        _, share, variance = self.agreement
-        count, total = self.sums(np.ones(len(self.cell), dtype=bool))
-        means = total / count[:, None]
-        power = np.sum(means**2, axis=1) * count / self.noise
-        place, width = _spot(self.middles, np.where(power > _CELL_STANDS_OUT, power, 0.0), _SPOT * self.width)
-        before, after = self._left_out(share, variance)
-        excess = 2.0 * share * variance * len(self.left)
-        return FineEffect(
-            station=self.station,
-            coordinates=self.coordinates,
-            unit=self.unit,
-            part=PART_NAMES[self.part],
-            cell=self.width,
-            log10_odds=odds,
-            size=float(np.sqrt(share * variance)),
-            cells=self.middles,
-            means=means,
-            place=place,
-            width=width,
-            next_station=rival,
-            odds_against_next=against_rival,
-            improvement=held_out_improvement(before, after),
-            share_removed=float((np.sum(before) - np.sum(after)) / max(excess, 1e-9)),
-            rows=self.rows,
-            change=self._means(np.ones(len(self.cell), dtype=bool), share, variance)[self.cell],
-        )
-
-    def _means(self, rows: BoolArray, share: float, variance: float) -> FloatArray:
-        """Return the expected mean (c, 2) of each cell by some of the readings."""
+    def means(self, rows: BoolArray, share: float, variance: float) -> FloatArray:
+        """Return the expected mean (c, 2) of each cell by some of the readings (m,)."""
         count, total = self.sums(rows)
         square, size = np.sum(total**2, axis=1) / self.noise, variance / self.noise
         log_factor = np.log1p(count * size) - 0.5 * square * size / (1.0 + count * size)
         none = np.log1p(-share) if share < 1.0 else -np.inf
         probable = np.exp(-np.logaddexp(0.0, none - np.log(share) + log_factor))
         return np.asarray(total * (probable * size / (1.0 + count * size))[:, None])
-
-    def _left_out(self, share: float, variance: float) -> tuple[FloatArray, FloatArray]:
-        """Squares of each capture before and after taking off the means by the captures of the other folds."""
-        names, capture = np.unique(self.capture, return_inverse=True)
-        after = self.left.copy()
-        for number in range(_FOLDS):
-            mine = capture % _FOLDS == number
-            after[mine] -= self._means(~mine, share, variance)[self.cell[mine]]
-        sums = [np.bincount(capture, np.sum(each**2, axis=1), len(names)) for each in (self.left, after)]
-        return np.asarray(sums[0], dtype=np.float64), np.asarray(sums[1], dtype=np.float64)
 
 
 def _spot(middles: FloatArray, power: FloatArray, reach: float) -> tuple[FloatArray, float]:
@@ -227,22 +195,97 @@ def fine_effect(predictor: Predictor, residual: FloatArray, least_log10_odds: fl
     ranked = sorted(odds, key=lambda station: -odds[station])
     if not ranked or odds[ranked[0]] < least_log10_odds + np.log10(len(best)):
         return None
-    clearest = max((each for each in best.values() if each.station == ranked[0]), key=lambda each: each.agreement[0])
+    shown = [each for each in best.values() if each.station == ranked[0] and each.agreement[0] > least_log10_odds]
+    shown.sort(key=lambda each: -each.agreement[0])
     rival = ranked[1] if len(ranked) > 1 else ""
-    found = clearest.described(odds[ranked[0]], rival, odds[ranked[0]] - odds.get(rival, 0.0))
+    found = _described(predictor.observations, residual, shown, odds[ranked[0]], rival, odds.get(rival, 0.0))
     # Readings of one point at one pixel may err alike in neighbouring captures, without anything at a station.
-    is_plain = found.log10_odds > _BEYOND_DOUBT or found.improvement.significance > _PREDICTS
+    is_plain = found.log10_odds > _BEYOND_DOUBT or found.predicts
     return found if is_plain else None
+
+
+def _described(
+    observations: Observations, residual: FloatArray, parts: Sequence[_Cells], odds: float, rival: str, of_rival: float
+) -> FineEffect:
+    """Return the effect with its map and its improvement of captures left out; the first part shows it best."""
+    first, every = parts[0], np.ones(len(residual), dtype=bool)
+    change = _change(observations, residual, parts, every)
+    left = np.nan_to_num(_standardised(observations, residual - change)) + change
+    count, total = replace(first, left=left[first.rows]).sums(every[first.rows])
+    means = total / count[:, None]
+    power = np.sum(means**2, axis=1) * count / first.noise
+    place, width = _spot(first.middles, np.where(power > _CELL_STANDS_OUT, power, 0.0), _SPOT * first.width)
+    improvement, share = _held_out(observations, residual, parts, change)
+    rows = np.concatenate([each.rows for each in parts])
+    return FineEffect(
+        station=first.station,
+        coordinates=first.coordinates,
+        unit=first.unit,
+        part=PART_NAMES[first.part],
+        cell=first.width,
+        log10_odds=odds,
+        size=float(np.sqrt(np.mean(change[first.rows] ** 2))),
+        cells=first.middles,
+        means=means,
+        place=place,
+        width=width,
+        next_station=rival,
+        odds_against_next=odds - of_rival,
+        improvement=improvement,
+        share_removed=share,
+        rows=rows,
+        at=np.concatenate([each.place for each in parts]),
+        change=change[rows],
+    )
+
+
+def _change(observations: Observations, residual: FloatArray, parts: Sequence[_Cells], used: BoolArray) -> FloatArray:
+    """Return the change (n, 2) of all readings by the cells of some of them (n,).
+
+    A surface takes some of what the cells hold, and wild readings are clipped: what each round leaves is sorted into
+    the cells again.
+    """
+    change = np.zeros(residual.shape)
+    for _ in range(_ROUNDS):
+        left = np.nan_to_num(_standardised(observations, residual - change))
+        for cells in parts:
+            _, share, variance = cells.agreement
+            means = replace(cells, left=left[cells.rows]).means(used[cells.rows], share, variance)
+            change[cells.rows] += means[cells.cell]
+    return change
+
+
+def _held_out(
+    observations: Observations, residual: FloatArray, parts: Sequence[_Cells], change: FloatArray
+) -> tuple[HeldOutImprovement, float]:
+    """Return the improvement of captures left out, and its share of what the effect (n, 2) takes off all captures."""
+    rows = np.concatenate([each.rows for each in parts])
+    names, capture = np.unique(observations.group[rows], return_inverse=True)
+    left, after = (np.nan_to_num(_standardised(observations, each)) for each in (residual, residual - change))
+    held_out = left.copy()
+    for number in range(_FOLDS):
+        out = np.isin(observations.group, names[number::_FOLDS])
+        others = _change(observations, residual, parts, ~out)
+        held_out[out] = np.nan_to_num(_standardised(observations, residual - others))[out]
+    sums = [np.bincount(capture, np.sum(each[rows] ** 2, axis=1), len(names)) for each in (left, held_out, after)]
+    removed, excess = float(np.sum(sums[0] - sums[1])), float(np.sum(sums[0] - sums[2]))
+    return held_out_improvement(sums[0], sums[1]), removed / max(excess, removed, 1e-9)
+
+
+def _standardised(observations: Observations, residual: FloatArray) -> FloatArray:
+    """Return what surfaces leave of each reading (n, 2), at its expected size; NaN where they follow it too closely."""
+    left, leverage = np.full(residual.shape, np.nan), np.ones(len(residual))
+    for surface in surfaces(observations, residual):
+        left[surface.rows], leverage[surface.rows] = surface.left, surface.leverage
+    left[leverage >= _MOST_LEVERAGE] = np.nan
+    return np.clip(left / np.sqrt(1.0 - leverage.clip(0.0, _MOST_LEVERAGE))[:, None], -_CLIP, _CLIP)
 
 
 def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:
     """Yield the cells of every station and width to try."""
     observations = predictor.observations
-    left, leverage = np.full(residual.shape, np.nan), np.ones(len(residual))
-    for surface in surfaces(observations, residual):
-        left[surface.rows], leverage[surface.rows] = surface.left, surface.leverage
-    judged = np.isfinite(left).all(axis=1) & (leverage < _MOST_LEVERAGE)
-    left = np.clip(left / np.sqrt(1.0 - leverage.clip(0.0, _MOST_LEVERAGE))[:, None], -_CLIP, _CLIP)
+    left = _standardised(observations, residual)
+    judged = np.isfinite(left).all(axis=1)
     places = footprints(predictor)
     for part in (DISPLAY, SEE_THROUGH):
         mine = judged & (observations.part == part)

@@ -129,6 +129,7 @@ def _fine(fine: FineEffect) -> StationEffect:
         likely=_LIKELY[("combiner", "fine")] if fine.station == "combiner" else _likely(fine.station, ""),
         map=EffectMap(fine.cells, fine.means, fine.coordinates, "sigma"),
         length_unit=fine.unit,
+        is_in_bench=fine.predicts,
     )
 
 

@@ -9,7 +9,7 @@ from one set of sums over the readings.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -336,11 +336,19 @@ class FieldContest:
 
     def values(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> list[FloatArray]:
         """Return the most probable coefficients (c,) of effects that act together, the causes being as fitted."""
+        return [values for values, _ in self.values_and_covariances(effects, scatter)]
+
+    def values_and_covariances(
+        self, effects: Sequence[LocatedEffect], scatter: Scatter
+    ) -> list[tuple[FloatArray, FloatArray]]:
+        """Return the coefficients (c,) of `values` with their covariance (c, c), of each effect by itself."""
         columns, mean, sigma = self._known(effects, ~self._all_causes)
         sums = marginal(self.sums.of_columns(columns), scatter)
-        values = np.linalg.solve(sums.information + np.diag(sigma**-2.0), sums.gradient + mean / sigma**2)
-        ends = np.cumsum([effect.columns.shape[2] for effect in effects])
-        return np.split(values, ends[:-1])
+        covariance = np.linalg.inv(sums.information + np.diag(sigma**-2.0))
+        values = covariance @ (sums.gradient + mean / sigma**2)
+        ends = np.cumsum([0, *(effect.columns.shape[2] for effect in effects)])
+        slices = [slice(start, end) for start, end in pairwise(ends)]
+        return [(values[each], covariance[each, each]) for each in slices]
 
     def held_out(
         self, effect: LocatedEffect, scatter: Scatter, beside: Sequence[LocatedEffect] = ()

@@ -48,8 +48,8 @@ class Located:
         """Return a bench with the effects at work that a bench file can state."""
         if self.contest is None or self.scatter is None or not self.effects:
             return corrected
-        pairs = zip(self.effects, self.contest.values(self.effects, self.scatter), strict=True)
-        added = [each for effect, values in pairs for each in effect.in_bench(values)]
+        pairs = zip(self.effects, self.contest.values_and_covariances(self.effects, self.scatter), strict=True)
+        added = [each for effect, estimate in pairs for each in effect.in_bench(*estimate)]
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
 
     def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:

@@ -48,9 +48,23 @@ class LocatedEffect:
         """Return the displacement (n, d) at the station, in the field's unit, by coefficients (c,)."""
         return self.field.displacement(self._every(values))
 
-    def in_bench(self, values: FloatArray) -> tuple[BenchEffect, ...]:
-        """Return the effects of a bench that do the same by coefficients (c,); none where no bench file states such."""
-        return () if self.field.in_bench is None else self.field.in_bench(self._every(values))
+    def in_bench(self, values: FloatArray, covariance: FloatArray) -> tuple[BenchEffect, ...]:
+        """Return the effects of a bench that do the same; none where no bench file states such.
+
+        Args:
+            values: (c,) coefficients.
+            covariance: (c, c) of them.
+        """
+        if self.field.in_bench is None:
+            return ()
+        stated = self.field.in_bench
+        # Coefficients of the bench are linear in those of the field.
+        by_each = [stated(self._every(one)) for one in np.eye(len(values))]
+        effects = []
+        for number, effect in enumerate(stated(self._every(values))):
+            by_value = np.stack([each[number].function.coefficients.ravel() for each in by_each], axis=1)
+            effects.append(replace(effect, covariance=by_value @ covariance @ by_value.T))
+        return tuple(effects)
 
     def _every(self, values: FloatArray) -> FloatArray:
         every = np.zeros(self.field.order.size)

@@ -38,6 +38,7 @@ from wlr_render.diagnosis.findings import (
     residual_summary,
     usual_motion,
 )
+from wlr_render.diagnosis.fine_in_bench import with_fine
 from wlr_render.diagnosis.fit import (
     Fit,
 )
@@ -96,6 +97,9 @@ def diagnose(
         found, rankings = located.found, _rankings(search, located.found)
     fine = located.fine_beside(prepared.fine)
     left = _unexplained(located, prepared, fine, settings)
+    corrected = located.bench(found.explanation.bench(nominal))
+    if fine is not None and corrected.effects is not nominal.effects:
+        fine = fine_effect(stated, stated.residual_of_bench(corrected), settings.least_log10_odds)
     effects = located.records(fine)
     structure = located.structure(effects)
     named = tuple(
@@ -105,7 +109,7 @@ def diagnose(
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
     observations = all_readings.observations
-    corrected = located.bench(found.explanation.bench(nominal))
+    corrected = with_fine(corrected, fine, stated, settings.least_log10_odds)
     before, after = all_readings.residual(Explanation()), all_readings.residual_of_bench(corrected)
     used = ~prepared.noise.outlier & not_excluded(observations, excluded)
     motion = usual_motion(all_readings, found)
@@ -189,8 +193,9 @@ def _with_noise_left_by(
     if fine is not None:
         part = observations.part[fine.rows]
         change = fine.change * (observations.sigma_px / noise.sigma_px)[fine.rows, None]
-        number = PART_NAMES.index(fine.part)
-        variance[number] = float(0.5 * np.sum(change[part == number] ** 2) / np.sum(observations.part == number))
+        for number in np.unique(part):
+            square = np.sum(change[part == number] ** 2)
+            variance[int(number)] = float(0.5 * square / np.sum(observations.part == number))
     full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
     subsample = full.of_rows(full.observations.spread(settings.subsample))
     progress("what each cause and each field would do")

@@ -188,7 +188,7 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
     plan = observations.session.plan.see_through
     assert plan is not None
     rows, poses = observations.part == SEE_THROUGH, np.unique(plan.target_pose)
-    lever = over_rows(rows, _dot_lever(readings.predictor, plan))
+    lever = over_rows(rows, dot_lever(readings.predictor, plan))
     pitches = plan.dot / observations.nominal.target.pitch[plan.target_pose][:, None]
     shared = smooth_terms("place on the target", pitches, 1, 2, 4, 6, 8)
     yield field_of("target", "displacement, the same at each pose", "mm", shared.over(rows), lever, "shift")
@@ -202,7 +202,7 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
         yield field_of("target", "displacement of its own at each pose", "mm", terms.over(rows), lever, "shift")
 
 
-def _dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
+def dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
     """Change (m, 2, 3) of the dots' readings, in sigma, by a millimetre along the target's x, y and z."""
     state = predictor.state(Explanation())
     assert state.dot_views is not None

@@ -101,6 +101,11 @@ class Box:
         """Return whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
         return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
 
+    def places(self, count: int) -> FloatArray:
+        """Return places (count, variables) in the box, the same at each call."""
+        share = np.random.default_rng(0).uniform(size=(count, len(self.low)))
+        return np.asarray(self.low + share * (self.high - self.low))
+
     def select(self, axes: Sequence[int]) -> "Box":
         """Return the box of some of the variables."""
         return Box(self.low[list(axes)], self.high[list(axes)])

@@ -6,16 +6,18 @@ meets the combiner, in the device frame.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
 from wlr_render.geometry.transforms import rigid
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.optics.assembly import combiner_middle
-from wlr_render.optics.device import EyeOptics, Interaction, PlacedSurface
+from wlr_render.optics.device import EyeOptics, Interaction, Path, PlacedSurface
+from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.raised import FormError, raised
 from wlr_render.optics.sag_surfaces import SagSurface
+from wlr_render.optics.tracer import trace
 
 _FORWARD = np.array([0.0, 0.0, -1.0])
 _MM, _UM = 1e-3, 1e-6
@@ -37,23 +39,45 @@ SURFACES = {"all surfaces": _all, "reflecting surfaces": _reflecting, "outer sur
 """Names of the surfaces of an eye's optics that a height is added to."""
 
 
+class Differentiable(Protocol):
+    """A function with derivatives, as a polynomial is."""
+
+    def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the values (n, outputs) and derivatives (n, outputs, variables) at inputs (n, variables)."""
+
+
 @dataclass(frozen=True, eq=False)
 class SmoothSag(SagSurface):
-    """A height in micrometres as a polynomial of the place in millimetres, continued to first order outside its box.
+    """A height in micrometres as a smooth function of the place in millimetres.
 
     Attributes:
-        polynomial: one output.
+        function: one output; a polynomial goes on to first order outside its box.
         sign: of the height along the surface's normal.
     """
 
-    polynomial: Polynomial
+    function: Differentiable
     sign: float
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sag and slopes; see `SagSurface`."""
-        height, slopes = self.polynomial.with_jacobian(np.stack([x, y], axis=-1) / _MM)
+        height, slopes = self.function.with_jacobian(np.stack([x, y], axis=-1) / _MM)
         unit = self.sign * _UM
         return unit * height[:, 0], unit / _MM * slopes[:, 0, 0], unit / _MM * slopes[:, 0, 1]
+
+
+def places_on_combiner(optics: EyeOptics, viewpoint: FloatArray, direction: FloatArray) -> FloatArray:
+    """Return where lines of sight meet the first surface, (n, 2) metres right and up of the combiner's middle.
+
+    NaN where nothing is met, as without a combiner.
+
+    Args:
+        optics: the optics.
+        viewpoint, direction: (n, 3) of each line, device frame.
+    """
+    if not optics.display.steps:
+        return np.full((len(direction), 2), np.nan)
+    first = trace(Path(optics.display.steps[:1]), viewpoint, direction, GREEN_UM)
+    return np.asarray((first.origin - combiner_middle(optics))[:, :2])
 
 
 def surfaces_raised(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench_effects import AnyFunction, BenchEffect
 from wlr_render.diagnosis.cause import PARTS, Cause, Perturb, Role, unknown_cause, with_priors
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.errors import BadInputError
@@ -25,6 +26,8 @@ from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
 ENTRY_POINTS = "wlr_render.causes"
 """Group of entry points by which an installed package adds causes: each names a `CAUSES`, an iterable of `Cause`."""
+_PLACES = 50  # of a station at which the effects of two benches are compared
+_MOST_MISS = 0.05  # of the largest value of a function, by which a file may state it wrongly
 
 
 def causes_for(
@@ -155,16 +158,30 @@ def _fault(cause: Cause, bench: Bench) -> str:
             returned: list[Any] = [cause.perturb(bench, cause.null() + by, variant) for by in (sizes, 0.0 * sizes)]
         except Exception as error:
             return _failure(variant, error)
-        for each in returned:
-            if not isinstance(each, Bench):
-                return f"returns {type(each).__name__} in its variant '{variant}'; it must return a Bench"
-        where = _difference(given, returned[1])
-        if where:
-            return (
-                f"changes {where} in its variant '{variant}' at its null values {cause.null().tolist()}; there it must "
-                "return the same bench, and it must never change the given one in place"
-            )
+        fault = _fault_of(returned, given, variant, cause.null())
+        if fault:
+            return fault
     return ""
+
+
+def _fault_of(returned: Sequence[Any], given: Bench, variant: str, null: FloatArray) -> str:
+    """Return the fault of the benches that a variant returns for small values and for its null values."""
+    for each in returned:
+        if not isinstance(each, Bench):
+            return f"returns {type(each).__name__} in its variant '{variant}'; it must return a Bench"
+    for effect in returned[0].effects:
+        if (miss := _miss_in_file(effect)) > _MOST_MISS:
+            return (
+                f"displaces the {effect.station} by a function that a corrected bench.toml cannot state (its "
+                f"polynomial misses it by {100 * miss:.0f} %); give a smoother function or closer bounds"
+            )
+    where = _difference(given, returned[1])
+    if not where:
+        return ""
+    return (
+        f"changes {where} in its variant '{variant}' at its null values {null.tolist()}; there it must "
+        "return the same bench, and it must never change the given one in place"
+    )
 
 
 def _difference(given: Bench, returned: Bench) -> str:
@@ -180,6 +197,8 @@ def _difference(given: Bench, returned: Bench) -> str:
         old, new = getattr(given, field.name), getattr(returned, field.name)
         if field.name in ("device", "eye", "priors"):
             continue
+        if field.name == "effects":
+            old, new = ([each for effect in effects for each in _displaced(effect)] for effects in (old, new))
         names = [each.name for each in fields(old)] if is_dataclass(old) else []
         for name in names:
             if not _same_numbers(getattr(old, name), getattr(new, name)):
@@ -187,6 +206,22 @@ def _difference(given: Bench, returned: Bench) -> str:
         if not names and not _same_numbers(old, new):
             return field.name
     return ""
+
+
+def _displaced(effect: BenchEffect) -> list[FloatArray]:
+    """Return the displacements that an effect of a bench makes at places of its station; none where it makes none."""
+    values = effect.function(effect.function.box.places(_PLACES))
+    return [values] if np.any(values) else []
+
+
+def _miss_in_file(effect: BenchEffect) -> float:
+    """Return the largest error of the polynomial that states a function in a file, over its largest value."""
+    if not isinstance(effect.function, AnyFunction):
+        return 0.0
+    places = effect.function.box.places(_PLACES)
+    values = effect.function(places)
+    stated = effect.function.as_polynomial()(places)
+    return float(np.abs(stated - values).max() / max(np.abs(values).max(), np.finfo(float).tiny))
 
 
 def _rays(optics: EyeOptics, wavelengths_um: Sequence[float]) -> FloatArray:

@@ -1,0 +1,142 @@
+"""Effects of a bench as `[[effect]]` tables of its file (format: docs/bench-session.md)."""
+
+from typing import Any
+
+import numpy as np
+
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench_effects import IN_BOTH_PARTS, KINDS, PARTS, AnyFunction, BenchEffect, EffectKind
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.cells import Cells
+from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
+from wlr_render.optics.combiner_form import SURFACES
+from wlr_render.toml_files import Table
+
+_MOST_EFFECTS, _MOST_TERMS, _MOST_CELLS = 50, 1000, 50_000
+_MOST_WITH_COVARIANCE = 300  # coefficients
+_ASYMMETRY = _BELOW_ZERO = 1e-6  # of a covariance, relative to its largest value and eigenvalue
+_ANYWHERE = 1e6  # largest coordinate of a station without an edge
+_DIGITS = 9  # of a covariance that is written
+
+
+def effects_of(file: Table, bench: Bench) -> tuple[BenchEffect, ...]:
+    """Read the [[effect]] tables of a bench file.
+
+    Raises:
+        BadInputError: a table breaks the format, or names places that its station does not have.
+    """
+    return tuple(_effect(table, bench) for table in file.tables("effect", required=False, most=_MOST_EFFECTS))
+
+
+def effect_keys(effect: BenchEffect) -> dict[str, Any]:
+    """Return the keys of an effect's table; a function is stated as a polynomial."""
+    function = effect.function.as_polynomial() if isinstance(effect.function, AnyFunction) else effect.function
+    keys: dict[str, Any] = {"station": effect.station, "displaces": effect.displaces}
+    keys |= {"target_pose": effect.target_pose} if effect.target_pose >= 0 else {}
+    keys |= {"part": effect.part} if effect.part else {}
+    if isinstance(function, Cells):
+        keys |= {"cell_size": function.size, "cells": function.middles, "coefficients": function.coefficients}
+    else:
+        keys |= {"low": function.box.low, "high": function.box.high}
+        keys |= {"orders": function.orders, "coefficients": function.coefficients}
+    if effect.covariance is None or len(effect.covariance) > _MOST_WITH_COVARIANCE:
+        return keys
+    return keys | {"covariance": [[float(f"{each:.{_DIGITS}g}") for each in row] for row in effect.covariance]}
+
+
+def _effect(table: Table, bench: Bench) -> BenchEffect:
+    station = table.text("station", choices=sorted({station for station, _ in KINDS}))
+    displaces = table.text("displaces", choices=sorted(what for place, what in KINDS if place == station))
+    kind = KINDS[station, displaces]
+    if table.has("cells") and displaces in SURFACES:
+        raise table.fail("a height of the combiner needs slopes, which 'cells' do not have; state 'orders'.")
+    function = _cells(table, kind) if table.has("cells") else _polynomial(table, kind)
+    _check_places(table, station, function, bench)
+    covariance = _covariance(table, function.coefficients.size) if table.has("covariance") else None
+    pose, poses = -1, len(bench.target.pitch)
+    if station == "target" and table.has("target_pose"):
+        pose = table.whole("target_pose", 0, max(poses - 1, 0))
+    can_be_in_one = (station, displaces) in IN_BOTH_PARTS and table.has("part")
+    part = table.text("part", choices=PARTS) if can_be_in_one else ""
+    table.finish()
+    return BenchEffect(station, displaces, function, pose, part, covariance)
+
+
+def _polynomial(table: Table, kind: EffectKind) -> Polynomial:
+    variables = len(kind.per_coordinate)
+    low, high = table.vector("low", variables), table.vector("high", variables)
+    if not np.all(low < high):
+        raise table.fail(f"'low' must be below 'high' in each of {kind.coordinates}.")
+    orders = table.vectors("orders", variables)
+    if len(orders) > _MOST_TERMS or not np.all(
+        (orders == np.round(orders)) & (orders >= 0) & (orders <= HIGHEST_ORDER)
+    ):
+        raise table.fail(
+            f"'orders' must be at most {_MOST_TERMS} lists of whole numbers from 0 to {HIGHEST_ORDER}, one for each of "
+            f"{kind.coordinates}."
+        )
+    return Polynomial(orders.astype(np.int64), Box(low, high), _coefficients(table, kind, len(orders), "orders"))
+
+
+def _cells(table: Table, kind: EffectKind) -> Cells:
+    middles = table.vectors("cells", len(kind.per_coordinate))
+    if len(middles) > _MOST_CELLS:
+        raise table.fail(f"'cells' has {len(middles)} lists; {_MOST_CELLS} is the most that is read: leave some out.")
+    size = table.number("cell_size", above=0.0)
+    cells = Cells(size, middles, _coefficients(table, kind, len(middles), "cells"))
+    if not cells.are_distinct:
+        raise table.fail(f"two of 'cells' lie in one cell of 'cell_size' {size:g}; state each cell once.")
+    return cells
+
+
+def _coefficients(table: Table, kind: EffectKind, count: int, key: str) -> FloatArray:
+    components = len(kind.per_displacement)
+    coefficients = table.vectors("coefficients", components)
+    if len(coefficients) != count:
+        raise table.fail(
+            f"'coefficients' must have one list of {components} numbers ({kind.displacement}) for each of the "
+            f"{count} lists of '{key}', not {len(coefficients)}."
+        )
+    return coefficients
+
+
+def _check_places(table: Table, station: str, function: Polynomial | Cells, bench: Bench) -> None:
+    """Refuse coordinates that lie wholly outside the station."""
+    low, high = function.box.low, function.box.high
+    key = "'cells'" if isinstance(function, Cells) else "'low' and 'high'"
+    edges = {"panel": bench.optics.panel.pixels.size_px, "camera": bench.camera.size_px}
+    least = np.zeros(len(low)) if station in edges else np.full(len(low), -_ANYWHERE)
+    most = edges.get(station, np.full(len(low), _ANYWHERE))
+    if np.all((low < most) & (high > least)):
+        return
+    stated = f"{_listed(low)} to {_listed(high)}"
+    raise table.fail(
+        f"{key} state coordinates from {stated}, outside the {station} ({_listed(least)} to {_listed(most)}): correct "
+        "them."
+    )
+
+
+def _listed(values: FloatArray) -> str:
+    return f"[{', '.join(f'{value:g}' for value in values)}]"
+
+
+def _covariance(table: Table, count: int) -> FloatArray:
+    if count > _MOST_WITH_COVARIANCE:
+        raise table.fail(
+            f"'covariance' is for at most {_MOST_WITH_COVARIANCE} coefficients, not {count}; leave it out."
+        )
+    matrix = table.vectors("covariance", count)
+    if len(matrix) != count:
+        raise table.fail(
+            f"'covariance' has {len(matrix)} lists; it must have {count}, one for each coefficient, row by row."
+        )
+    largest = float(np.abs(matrix).max())
+    if np.abs(matrix - matrix.T).max() > _ASYMMETRY * largest:
+        raise table.fail("'covariance' is not symmetric; write the covariance of the coefficients, or leave it out.")
+    values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+    if values.min() < -_BELOW_ZERO * max(float(values.max()), largest):
+        raise table.fail(
+            f"'covariance' has the eigenvalue {values.min():.3g}, so that it is no covariance: its variances or "
+            "correlations are wrong; correct it, or leave it out."
+        )
+    return matrix

@@ -1,0 +1,97 @@
+"""Fine effects as a bench states them: their cells, and by how much each displaces what is at its station."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench_effects import PARTS, BenchEffect
+from wlr_render.bench.simulate_session import camera_orientations
+from wlr_render.diagnosis.coherence import FineEffect, fine_effect
+from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
+from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.station_fields import dot_lever
+from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.cells import Cells
+
+_ROUNDS = 3  # of finer cells
+_STATED = 0.05  # sigma; cells that move readings by less are not stated
+_DISPLACES = {"panel": "shift", "camera": "shift", "target": "shift", "combiner": "view"}
+_TO_FILE = {"panel": 1.0, "camera": 1.0, "target": 1.0, "combiner": 1e6}
+
+
+def with_fine(bench: Bench, fine: FineEffect | None, as_stated: Predictor, least_log10_odds: float) -> Bench:
+    """Return a bench with a fine effect and what is found in finer cells beside it, as far as captures left out agree.
+
+    Args:
+        bench: the bench.
+        fine: the effect that is found with this bench.
+        as_stated: predictor of all readings, with the noise as stated.
+        least_log10_odds: see `fine_effect`.
+    """
+    for _ in range(_ROUNDS):
+        if fine is None or not fine.predicts:
+            break
+        bench = replace(bench, effects=(*bench.effects, *fine_in_bench(fine, as_stated)))
+        fine = fine_effect(as_stated, as_stated.residual_of_bench(bench), least_log10_odds)
+    return bench
+
+
+def fine_in_bench(fine: FineEffect, predictor: Predictor) -> tuple[BenchEffect, ...]:
+    """Return the effects of a bench that do the same as a fine effect, one for each part of the session that shows it.
+
+    Args:
+        fine: the effect.
+        predictor: of all readings, with the sigma of the effect.
+    """
+    part = predictor.observations.part[fine.rows]
+    effects = [_of_part(fine, predictor, int(number), part == number) for number in np.unique(part)]
+    return tuple(effect for effect in effects if effect is not None)
+
+
+def _of_part(fine: FineEffect, predictor: Predictor, part: int, mine: BoolArray) -> BenchEffect | None:
+    """Return the effect that some of the readings (m,) show, which are of one part; None where it moves nothing."""
+    mine = mine & (np.linalg.norm(fine.change, axis=1) > _STATED)
+    if not mine.any():
+        return None
+    station, per_unit = fine.station, 1.0
+    displaced = _TO_FILE[station] * _displacement(station, predictor, part, fine.rows[mine], fine.change[mine])
+    cells, cell = np.unique(np.floor(fine.at[mine] / fine.cell), axis=0, return_inverse=True)
+    sums = [np.bincount(cell.reshape(-1), each) for each in displaced.T]
+    values = np.stack(sums, axis=1) / np.bincount(cell.reshape(-1))[:, None]
+    if station == "target":
+        per_unit = 1e-3 / float(np.median(predictor.observations.nominal.target.pitch))
+    function = Cells(per_unit * fine.cell, per_unit * fine.cell * (cells + 0.5), values)
+    in_one = "" if station in ("panel", "target") else PARTS[part]
+    return BenchEffect(station, _DISPLACES[station], function, part=in_one)
+
+
+def _displacement(station: str, predictor: Predictor, part: int, rows: IntArray, change: FloatArray) -> FloatArray:
+    """Return what a station must displace, (m, components), to change readings of one part by (m, 2) sigma.
+
+    Panel and camera in pixels, the target in millimetres, the view in tangents.
+    """
+    observations = predictor.observations
+    change = change * observations.sigma_px[rows, None]
+    of_part = rows - int(np.flatnonzero(observations.part == part)[0])
+    image_moves = -change if part == DISPLAY else change  # what the display shows at a pixel comes from its other side
+    if station == "camera":
+        return image_moves
+    if station == "panel":
+        return np.asarray(np.einsum("nij,nj->ni", observations.panel_from_camera[of_part], change))
+    if station == "target":
+        plan = observations.session.plan.see_through
+        assert plan is not None
+        lever = (dot_lever(predictor, plan) * observations.sigma_of(SEE_THROUGH)[:, :, None])[of_part]
+        across = np.linalg.solve(lever[:, :, :2], change[:, :, None])[:, :, 0]
+        return np.concatenate([across, np.zeros((len(across), 1))], axis=1)
+    bench, place = observations.nominal, observations.image_place[rows]
+    plan = observations.session.plan.display if part == DISPLAY else observations.session.plan.see_through
+    assert plan is not None
+    turned = camera_orientations(bench, plan)[of_part]
+    seen, moved = (
+        tangents_of_dir(np.einsum("nij,nj->ni", turned, dir_of_tangents(bench.camera.tangents_of_pixel(each))))
+        for each in (place, place + image_moves)
+    )
+    return np.asarray(moved - seen)

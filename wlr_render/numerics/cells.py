@@ -1,0 +1,45 @@
+"""Piecewise constant functions: one value in each cell of a regular grid."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """A vector-valued function that is constant in each cell of a grid, and zero in cells without a value.
+
+    Attributes:
+        size: width of a cell along each variable; cells meet at the origin.
+        middles: (c, variables) of the cells that have a value.
+        coefficients: (c, outputs) values.
+    """
+
+    size: float
+    middles: FloatArray
+    coefficients: FloatArray
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Return the values (n, outputs) at inputs (n, variables); zero where these are NaN."""
+        known = np.isfinite(inputs).all(axis=1)
+        places = np.floor(np.concatenate([self.middles, inputs[known]]) / self.size)
+        cell = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
+        count, value = len(self.middles), np.zeros((len(inputs), self.coefficients.shape[1]))
+        table = np.zeros((int(cell.max(initial=-1)) + 1, self.coefficients.shape[1]))
+        table[cell[:count]] = self.coefficients
+        value[known] = table[cell[count:]]
+        return value
+
+    @property
+    def box(self) -> Box:
+        """Bounds of all cells that have a value."""
+        half = 0.5 * self.size
+        return Box(self.middles.min(axis=0) - half, self.middles.max(axis=0) + half)
+
+    @property
+    def are_distinct(self) -> bool:
+        """Whether no two middles lie in one cell."""
+        return len(np.unique(np.floor(self.middles / self.size), axis=0)) == len(self.middles)
