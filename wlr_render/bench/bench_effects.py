@@ -110,7 +110,7 @@ class AnyFunction:
         orders[:, axes] = total_degree(len(axes), degree)
         values = self(self.box.low + 0.5 * (scaled + 1.0) * (self.box.high - self.box.low))
         design = basis(scaled, orders, Box(-np.ones(len(self.box.low)), np.ones(len(self.box.low))))
-        return Polynomial(orders, self.box, np.linalg.lstsq(design, values, rcond=None)[0])
+        return Polynomial(orders, self.box, np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], np.float64))
 
 
 @dataclass(frozen=True, eq=False)

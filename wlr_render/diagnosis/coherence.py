@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from wlr_render.diagnosis.combiner_fields import footprints
-from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
+from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, squares_of_captures
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.residual_surfaces import surfaces
@@ -267,7 +267,7 @@ def _held_out(
         out = np.isin(observations.group, names[number::_FOLDS])
         others = _change(observations, residual, parts, ~out)
         held_out[out] = np.nan_to_num(_standardised(observations, residual - others))[out]
-    sums = [np.bincount(capture, np.sum(each[rows] ** 2, axis=1), len(names)) for each in (left, held_out, after)]
+    sums = [squares_of_captures(each[rows], capture) for each in (left, held_out, after)]
     removed, excess = float(np.sum(sums[0] - sums[1])), float(np.sum(sums[0] - sums[2]))
     return held_out_improvement(sums[0], sums[1]), removed / max(excess, removed, 1e-9)
 

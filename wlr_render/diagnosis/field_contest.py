@@ -344,7 +344,7 @@ class FieldContest:
         """Return the coefficients (c,) of `values` with their covariance (c, c), of each effect by itself."""
         columns, mean, sigma = self._known(effects, ~self._all_causes)
         sums = marginal(self.sums.of_columns(columns), scatter)
-        covariance = np.linalg.inv(sums.information + np.diag(sigma**-2.0))
+        covariance = np.asarray(np.linalg.inv(sums.information + np.diag(sigma**-2.0)), np.float64)
         values = covariance @ (sums.gradient + mean / sigma**2)
         ends = np.cumsum([0, *(effect.columns.shape[2] for effect in effects)])
         slices = [slice(start, end) for start, end in pairwise(ends)]

@@ -81,9 +81,9 @@ def _displacement(station: str, predictor: Predictor, part: int, rows: IntArray,
     if station == "panel":
         return np.asarray(np.einsum("nij,nj->ni", observations.panel_from_camera[of_part], change))
     if station == "target":
-        plan = observations.session.plan.see_through
-        assert plan is not None
-        lever = (dot_lever(predictor, plan) * observations.sigma_of(SEE_THROUGH)[:, :, None])[of_part]
+        dots = observations.session.plan.see_through
+        assert dots is not None
+        lever = (dot_lever(predictor, dots) * observations.sigma_of(SEE_THROUGH)[:, :, None])[of_part]
         across = np.linalg.solve(lever[:, :, :2], change[:, :, None])[:, :, 0]
         return np.concatenate([across, np.zeros((len(across), 1))], axis=1)
     bench, place = observations.nominal, observations.image_place[rows]

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.bench.bench_effects import BenchEffect
+from wlr_render.bench.bench_effects import AnyFunction, BenchEffect
 from wlr_render.diagnosis.field_terms import StationField
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
@@ -62,7 +62,7 @@ class LocatedEffect:
         by_each = [stated(self._every(one)) for one in np.eye(len(values))]
         effects = []
         for number, effect in enumerate(stated(self._every(values))):
-            by_value = np.stack([each[number].function.coefficients.ravel() for each in by_each], axis=1)
+            by_value = np.stack([_coefficients(each[number]) for each in by_each], axis=1)
             effects.append(replace(effect, covariance=by_value @ covariance @ by_value.T))
         return tuple(effects)
 
@@ -70,3 +70,9 @@ class LocatedEffect:
         every = np.zeros(self.field.order.size)
         every[self.field.order <= self.degree] = values
         return every
+
+
+def _coefficients(effect: BenchEffect) -> FloatArray:
+    """Return the coefficients (p,) of an effect that a field states, row by row."""
+    assert not isinstance(effect.function, AnyFunction)
+    return effect.function.coefficients.ravel()
