@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.bench.bench_effects import KINDS, BenchEffect
+from wlr_render.bench.bench_effects import BENCH_KINDS, KINDS, BenchEffect
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.bench.session_captures import observations_of, session_of
 from wlr_render.bench.simulate_session import simulate
@@ -24,14 +24,17 @@ BOXES = {
     "stage": ([20.0, -10.0, 20.0], [45.0, 10.0, 45.0]),
     "time": ([0.0], [2000.0]),
     "combiner": ([-20.0, -20.0], [20.0, 20.0]),
+    "head motion": ([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]),
+    "picture by pupil": ([0.02, -0.01, 0.02], [0.04, 0.01, 0.04]),
+    "picture by gaze": ([-1.0, -1.0], [1.0, 1.0]),
 }
 SIZES = {"panel": 0.5, "camera": 0.3, "target": 0.2, "stage": 30.0, "time": 5.0, "combiner": 0.5, "view": 100.0}
 
 
 def effect(station, displaces, degree=2, seed=1):
     """A random effect of ordinary size."""
-    kind, (low, high) = KINDS[station, displaces], BOXES[station]
-    orders, size = total_degree(len(low), degree), SIZES.get(displaces, SIZES[station])
+    kind, (low, high) = KINDS[station, displaces], BOXES.get(displaces) or BOXES[station]
+    orders, size = total_degree(len(low), degree), SIZES.get(displaces) or SIZES.get(station, 1.0)
     coefficients = size * np.random.default_rng(seed).normal(size=(len(orders), len(kind.per_displacement)))
     return BenchEffect(station, displaces, Polynomial(orders, Box(np.array(low), np.array(high)), coefficients))
 
@@ -64,7 +67,7 @@ def plan(bench):
     return SessionPlan(display, see_through)
 
 
-@pytest.mark.parametrize(("station", "displaces"), KINDS)
+@pytest.mark.parametrize(("station", "displaces"), BENCH_KINDS)
 def test_captures_of_a_bench_with_an_effect_are_those_of_a_bench_without(bench, plan, station, displaces):
     """The effects of all stations but the combiner are the bench's: what is handed to calibration has none of them."""
     disturbed = replace(bench, effects=(effect(station, displaces),))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_noise, with_readings
 
+from wlr_render.bench.bench_effects import BENCH_KINDS, RUN_TIME_KINDS
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
@@ -196,3 +197,22 @@ def test_every_cause_has_a_station_that_a_session_shows(bench, plan, run_time):
     shown = {field.station for field in station_fields(weighed(measured(bench, plan)))}
     shown |= {field.station for field in station_fields(weighed(measured(bench, run_time)))}
     assert {cause.station for cause in CAUSES.values()} <= shown
+
+
+@pytest.mark.parametrize("session", ["bench", "run time"])
+def test_a_bench_with_an_effect_reads_what_the_field_says(bench, plan, run_time, session):
+    """Every field that a file can state, with small random coefficients: to first order the bench does the same."""
+    readings = weighed(measured(bench, plan if session == "bench" else run_time, SIGMA_PX, seed=2))
+    predictor, rng, stated = readings.predictor, np.random.default_rng(3), set()
+    for field in station_fields(readings):
+        if field.in_bench is None:
+            continue
+        low = field.order <= 2
+        values = 0.5 * low * rng.normal(size=low.size) / np.sqrt(low.sum())
+        effects = field.in_bench(values)
+        stated |= {(each.station, each.displaces) for each in effects}
+        read = predictor.residual(Explanation()) - predictor.residual_of_bench(replace(bench, effects=effects))
+        expected = field.columns @ values
+        assert np.sqrt(np.nanmean((read - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)), field.kind
+    missing = set(BENCH_KINDS if session == "bench" else RUN_TIME_KINDS) - stated
+    assert missing == ({("combiner", "view")} if session == "bench" else set())

@@ -1,12 +1,15 @@
 """Simulate run-time readings: camera pixels of a real dot and of the virtual dot drawn over it."""
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench_effects import RUN_TIME_KINDS, displacement
 from wlr_render.captures.session import RunTimePlan
-from wlr_render.geometry.transforms import rotations_of_vectors
+from wlr_render.geometry.directions import tangents_of_dir
+from wlr_render.geometry.transforms import inverse, rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
@@ -26,11 +29,58 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     pixel = drawn_pixels(bench, plan)
     height = bench.optics.panel.pixels.size_px[1]
     late_s = bench.clock.latency_s + bench.clock.scanout_s * pixel[:, 1] / height
+    late_s = late_s + _displaced(bench, _by_plan(plan, pixel), _DELAYS)[:, 0]
     tracking = bench.eye_tracking
     pupil = plan.viewpoint + tracking.bias + tracking.gaze_radius * (plan.gaze - _STRAIGHT_AHEAD)
     virtual = display.view_dir_of_pixel(pixel, pupil)
-    real = see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil)
-    return np.concatenate([bench.camera.pixel_of_view_dir(dot.value) for dot in (virtual, real)], axis=1)
+
+    def real_pixel(late_s: FloatArray) -> FloatArray:
+        return bench.camera.pixel_of_view_dir(
+            see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil).value
+        )
+
+    real = real_pixel(late_s)
+    if bench.effects:
+        real = real_pixel(late_s + _displaced(bench, {("camera", "delay"): real}, _DELAYS)[:, 0])
+    shift = _displaced(bench, _by_plan(plan, pixel) | {("camera", "picture"): real}, _PICTURES)
+    return np.concatenate([bench.camera.pixel_of_view_dir(virtual.value) + shift, real], axis=1)
+
+
+_PICTURES = [kind for kind, each in RUN_TIME_KINDS.items() if len(each.per_displacement) == 2]
+_DELAYS = [kind for kind in RUN_TIME_KINDS if kind not in _PICTURES]
+
+
+def _by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str], FloatArray]:
+    """Return the coordinates of each kind of effect except the camera's, (n, v), for dots drawn at pixels (n, 2)."""
+    gravity, rate = gravity_and_rate(plan)
+    return {
+        ("panel", "picture"): pixel,
+        ("panel", "delay"): pixel,
+        ("head motion", "picture by gravity"): gravity,
+        ("head motion", "picture by rate"): rate,
+        ("head motion", "delay by rate"): rate,
+        ("eye tracking", "picture by pupil"): plan.viewpoint,
+        ("eye tracking", "picture by gaze"): tangents_of_dir(plan.gaze),
+        ("time", "picture"): plan.time_s[:, None],
+    }
+
+
+def gravity_and_rate(plan: RunTimePlan) -> tuple[FloatArray, FloatArray]:
+    """Return the direction of gravity and the rate of the head in each row, (n, 3), device axes."""
+    device_from_world = inverse(plan.world_from_device)[:, :3, :3]
+    return -device_from_world[:, :, 1], np.asarray(np.einsum("nij,nj->ni", device_from_world, plan.head_rate))
+
+
+def _displaced(
+    bench: Bench, places: Mapping[tuple[str, str], FloatArray], kinds: Sequence[tuple[str, str]]
+) -> FloatArray:
+    """Return the sum of the effects of some kinds at their places, (n, components) seconds or pixels."""
+    rows, components = len(next(iter(places.values()))), len(RUN_TIME_KINDS[kinds[0]].per_displacement)
+    total = np.zeros((rows, components))
+    for kind in kinds:
+        moved = displacement(bench.effects, *kind, places[kind]) if kind in places else None
+        total = total if moved is None else total + moved
+    return total
 
 
 def drawn_pixels(bench: Bench, plan: RunTimePlan) -> FloatArray:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from wlr_render.bench.simulate_run_time import drawn_pixels
+from wlr_render.bench.simulate_run_time import drawn_pixels, gravity_and_rate
 from wlr_render.bench.simulate_session import (
     dot_pixels,
     simulate_to_first_order,
@@ -25,7 +25,6 @@ from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Ob
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
-from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 
@@ -227,9 +226,7 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     shift = over_rows(rows, np.broadcast_to(np.eye(2), (len(plan), 2, 2)) / observations.sigma_of(RUN_TIME)[:, :, None])
     delay = lever_of(predictor, Hypothesis(CAUSES["latency"], next(iter(CAUSES["latency"].variants))))
     delay[~rows] = 0.0
-    device_from_world = inverse(plan.world_from_device)[:, :3, :3]
-    gravity = -device_from_world[:, :, 1]
-    rate = np.einsum("nij,nj->ni", device_from_world, plan.head_rate)
+    gravity, rate = gravity_and_rate(plan)
     panel = drawn_pixels(observations.nominal, plan)
     gaze = tangents_of_dir(plan.gaze)
 
@@ -238,13 +235,16 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
 
     in_image = over("camera pixels", seen[:, 2:], 1, 2, 4)
     on_panel = over("panel pixels", panel, 1, 2, 4, 6)
-    yield field_of("camera", "shift of the image", "px", in_image, shift)
-    yield field_of("camera", "delay of its rows or columns", "ms", in_image, delay)
-    yield field_of("panel", "delay of its rows or columns", "ms", on_panel, delay)
-    yield field_of("panel", "shift", "px", over("panel pixels", panel, 1, 2, 4), shift)
-    yield field_of("head motion", "shift of the picture", "px", over("direction of gravity", gravity, 1, 2, 3), shift)
-    yield field_of("head motion", "shift of the picture", "px", over("rate of the head", rate, 1, 2), shift)
-    yield field_of("head motion", "delay", "ms", over("rate of the head", rate, 1, 2), delay)
-    yield field_of("eye tracking", "shift of the picture", "px", over("tracked pupil", plan.viewpoint, 1, 2, 3), shift)
-    yield field_of("eye tracking", "shift of the picture", "px", over("direction of gaze", gaze, 1, 2, 3), shift)
-    yield field_of("time", "shift of the picture", "px", over("time", plan.time_s[:, None], 2, 5, 10), shift)
+    yield field_of("camera", "shift of the image", "px", in_image, shift, "picture")
+    yield field_of("camera", "delay of its rows or columns", "ms", in_image, delay, "delay")
+    yield field_of("panel", "delay of its rows or columns", "ms", on_panel, delay, "delay")
+    yield field_of("panel", "shift", "px", over("panel pixels", panel, 1, 2, 4), shift, "picture")
+    by_gravity, by_rate = over("direction of gravity", gravity, 1, 2, 3), over("rate of the head", rate, 1, 2)
+    by_pupil, by_gaze = over("tracked pupil", plan.viewpoint, 1, 2, 3), over("direction of gaze", gaze, 1, 2, 3)
+    yield field_of("head motion", "shift of the picture", "px", by_gravity, shift, "picture by gravity")
+    yield field_of("head motion", "shift of the picture", "px", by_rate, shift, "picture by rate")
+    yield field_of("head motion", "delay", "ms", by_rate, delay, "delay by rate")
+    yield field_of("eye tracking", "shift of the picture", "px", by_pupil, shift, "picture by pupil")
+    yield field_of("eye tracking", "shift of the picture", "px", by_gaze, shift, "picture by gaze")
+    in_time = over("time", plan.time_s[:, None], 2, 5, 10)
+    yield field_of("time", "shift of the picture", "px", in_time, shift, "picture")
