@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +17,13 @@ from oracle.session_writer import write_session
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.session_captures import observations_of
 from wlr_render.bench.session_folder import load_session, save_session
-from wlr_render.bench.simulate_session import dot_geometry
+from wlr_render.bench.simulate_session import dot_geometry, simulate
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.session import select_rows
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.observations import readings_of_rows
+from wlr_render.diagnosis.observations import observe, readings_of_rows
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.jobs import diagnose
 
@@ -151,6 +152,76 @@ def test_the_signature_of_a_cause_is_drawn_before_anything_is_fitted(session, tm
     status, printed = run(capsys, session, "--show-cause", "target_scal", "--out", tmp_path / "no")
     assert status == 2
     assert "There is no cause 'target_scal'; did you mean target_scale" in printed.err
+
+
+SCREW = re.findall(
+    r"```python\n(.*?)```", (Path(__file__).parents[2] / "docs" / "diagnosis.md").read_text("utf-8"), re.DOTALL
+)[1]
+"""The documented cause that displaces the stage."""
+
+
+@pytest.fixture(scope="module")
+def screwed(tmp_path_factory):
+    """Folder of a session whose stage has a lead screw of 1 mm that errs by 100 um, and the file of that cause."""
+    folder = tmp_path_factory.mktemp("screw")
+    effect, plan = Effect("stage_screw_error", {"swing_mm": 0.1}), Plan(grid=(7, 6), dots=(7, 5), off_plane=6)
+    write_session(folder / "session", plan, [effect], np.random.default_rng(2))
+    causes = folder / "causes.py"
+    causes.write_text(SCREW.replace("PITCH_MM = 2.0", "PITCH_MM = 1.0").replace("8.0", "5.5"))
+    return folder / "session", causes
+
+
+def test_a_cause_of_your_own_at_a_station_is_drawn(screwed, tmp_path, capsys):
+    session, causes = screwed
+    status, printed = run(capsys, session, "--show-cause", "lead_screw", "--add-causes", causes, "--out", tmp_path)
+    assert status == 0
+    assert "acts at the station 'stage'" in printed.out
+    drawn = json.loads((tmp_path / "signature.json").read_text())
+    assert [each["name"] for each in drawn["parameters"]] == ["sine", "cosine"]
+    assert all(each["rms"]["display"] > 0.0 for each in drawn["parameters"])
+
+
+@pytest.mark.slow
+def test_a_cause_of_your_own_at_a_station_is_named_and_written(screwed, few_causes, tmp_path, capsys):
+    session, causes = screwed
+    status, _ = run(capsys, session, "--add-causes", causes, "--causes", "lead_screw", "--out", tmp_path)
+    assert status == 0
+    (cause,) = json.loads((tmp_path / "diagnosis.json").read_text())["causes"]
+    sine, cosine = (cause["parameters"][name] for name in ("sine", "cosine"))
+    assert sine["value"] == pytest.approx(100.0, abs=4 * sine["sigma"])
+    assert cosine["value"] == pytest.approx(0.0, abs=4 * cosine["sigma"])
+    corrected, measured = load_session(tmp_path / "corrected")
+    (effect,) = corrected.effects
+    assert (effect.station, effect.displaces) == ("stage", "pose")
+    residual = observe(corrected, measured).residual(simulate(corrected, measured.plan))
+    assert np.sqrt(np.nanmean(residual**2)) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ('displaces = "shift"', "[[effect]] number 1: key 'station' is missing"),
+        ('station = "lens"', "[[effect]] number 1: 'station' is 'lens'; it must be one of camera, combiner"),
+        ("low = [5000, 0]\nhigh = [6000, 9]\norders = [[0, 0]]\ncoefficients = [[1, 1]]", "outside the panel"),
+        ("low = [0, 0]\nhigh = [9, 9]\norders = [[0, 0]]\ncoefficients = [[1, 1], [2, 2]]", "each of the 1 lists of"),
+        (
+            "low = [0, 0]\nhigh = [9, 9]\norders = [[0, 0]]\ncoefficients = [[1, 1]]\ncovariance = [[1, 3], [3, 1]]",
+            "'covariance' has the eigenvalue -2",
+        ),
+    ],
+)
+@pytest.mark.parametrize("verb", ["diagnose", "predict"])
+def test_a_faulty_effect_is_one_sentence(session, tmp_path, capsys, verb, text, sentence):
+    faulty = shutil.copytree(session, tmp_path / "faulty")
+    kind = "" if "station" in text or "displaces" in text else 'station = "panel"\ndisplaces = "shift"\n'
+    with (faulty / "bench.toml").open("a") as file:
+        file.write(f"\n[[effect]]\n{kind}{text}\n")
+    places = [faulty] if verb == "diagnose" else [faulty / "bench.toml", session]
+    assert main([verb, *map(str, places), "--out", str(tmp_path / "out")]) == 2
+    printed = capsys.readouterr().err
+    assert f"{faulty / 'bench.toml'} [[effect]] number 1" in printed
+    assert sentence in printed
+    assert "Traceback" not in printed
 
 
 def test_a_session_is_not_replaced_by_what_is_found_in_it(session, tmp_path, capsys):
