@@ -1,14 +1,20 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
+from wlr_render.bench.bench_effects import BenchEffect, optics_with_effects
+from wlr_render.bench.bench_file import save_bench
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
 from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
+from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.device_file import load_device
-from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.optics.media import GREEN_UM
+from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
 
 
 def test_a_device_is_traced_and_a_model_is_read(straight_device, model_file):
@@ -17,6 +23,24 @@ def test_a_device_is_traced_and_a_model_is_read(straight_device, model_file):
     fitted = open_eye(Path(model_file))
     assert (fitted.name, fitted.eye) == ("fitted", "right")
     assert open_eye("no_optics").display.panel.width_px == 1280
+
+
+def test_a_bench_is_its_device_with_the_heights_of_its_effects(tmp_path):
+    camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([900.0, 900.0]), np.array([640.0, 300.0]), 0.1)
+    device = load_device("northstar")
+    middle = device.eyes["right"].eye_box.centre
+    bench = Bench(device, "right", camera, Stage(middle), Target(np.zeros((0, 4, 4)), np.zeros(0)))
+    box = Box(np.full(2, -20.0), np.full(2, 20.0))
+    tilted = BenchEffect("combiner", "all surfaces", Polynomial(np.array([[1, 0]]), box, np.array([[20.0]])))
+    path = save_bench(replace(bench, effects=(tilted,)), tmp_path / "bench.toml")
+    ahead = np.array([[0.05, -0.1, -1.0]])
+    stated, raised = open_eye(path, "right"), optics_with_effects(device.eyes["right"], (tilted,))
+    pixel = stated.display.pixel_of_view_dir(ahead, middle).value
+    expected = TracedDisplay(raised, GREEN_UM).pixel_of_view_dir(ahead, middle).value
+    np.testing.assert_allclose(pixel, expected, atol=1e-6)
+    assert np.abs(pixel - open_eye("northstar", "right").display.pixel_of_view_dir(ahead, middle).value).max() > 1.0
+    left = [open_eye(spec, "left").display.pixel_of_view_dir(ahead, middle).value for spec in (path, "northstar")]
+    np.testing.assert_array_equal(*left)
 
 
 def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path):

@@ -1,14 +1,18 @@
-"""A headset as the user names it: a device (its exact optics) or a file of fitted models. One place opens both."""
+"""A headset as the user names it: a device (its exact optics), a bench's device, or a file of fitted models."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import optics_with_effects
+from wlr_render.bench.bench_file import load_bench
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Eye, EyeChannels
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
 
@@ -38,8 +42,9 @@ def open_eye(spec: str | Path, eye: str = "right") -> Eye:
     """Return one eye of a headset, by exact optics or by fitted models.
 
     Args:
-        spec: name of a shipped device or path of a device file (.toml), whose optics are traced in green light; or path
-            of a model file (.json), such as `Calibration.save` writes.
+        spec: name of a shipped device or path of a device file (.toml), whose optics are traced in green light; a
+            bench.toml, for its device with the heights that its effects add to the combiner; or path of a model file
+            (.json), such as `Calibration.save` writes.
         eye: "left" or "right".
 
     Returns:
@@ -54,8 +59,18 @@ def open_eye(spec: str | Path, eye: str = "right") -> Eye:
         array([0.01 , 0.008, 0.006])
     """
     if not is_model(spec):
-        return traced_eye(load_device(spec), eye)
+        return traced_eye(_device(spec), eye)
     return load_eye_model(spec, eye).mappings
+
+
+def _device(spec: str | Path) -> Device:
+    """Return a device; of a bench, its device with the heights that its effects add to the combiner."""
+    if Path(spec).name != "bench.toml":
+        return load_device(spec)
+    bench = load_bench(spec)
+    return replace(
+        bench.device, eyes={**bench.device.eyes, bench.eye: optics_with_effects(bench.optics, bench.effects)}
+    )
 
 
 def open_channels(
@@ -95,7 +110,7 @@ def open_colours(
                 f"{spec}: is a device, which is traced in all colours; give --per-colour without models, or name the "
                 "model in green light with --red-model and --blue-model."
             )
-        device = load_device(spec)
+        device = _device(spec)
         return tuple(traced_eye(device, eye, wavelength_um) for wavelength_um in PRIMARIES_UM)
     if red_model is None or blue_model is None:
         raise BadInputError(
