@@ -9,12 +9,14 @@ from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.bench_effects import BENCH_KINDS, KINDS, BenchEffect
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.bench.session_captures import observations_of, session_of
-from wlr_render.bench.simulate_session import simulate
+from wlr_render.bench.simulate_session import display_dirs, simulate
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
+from wlr_render.diagnosis.observations import observe
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
+from wlr_render.optics.combiner_form import places_on_combiner
 from wlr_render.optics.device_file import load_device
 
 BOXES = {
@@ -145,6 +147,28 @@ def test_cells_hold_where_they_are_and_nowhere_else(bench, plan):
     assert 100.0 <= time_s[1] < 150.0
     np.testing.assert_allclose(off[inside & np.isfinite(off[:, 0])][0], [0.7, -0.2])
     assert np.nanmax(np.abs(off[~inside])) == 0.0
+
+
+def test_a_view_by_places_on_a_later_surface_moves_what_meets_it_there(bench, plan, tmp_path):
+    device = load_device("birdbath28")
+    middle = device.eyes["right"].eye_box.centre
+    folded = replace(bench, device=device, stage=Stage(middle), target=Target(np.zeros((0, 4, 4)), np.zeros(0)))
+    stage = plan.display.stage - bench.stage.origin + middle
+    one = SessionPlan(replace(plan.display, stage=stage))
+    places = 1e3 * places_on_combiner(folded.optics, stage, display_dirs(folded, one.display), 2)
+    seen = np.isfinite(simulate(folded, one).panel_pixel[:, 0])
+    cell = np.floor(places[np.flatnonzero(seen)[3]])
+    view = BenchEffect(
+        "combiner", "view", Cells(1.0, cell[None] + 0.5, np.array([[500.0, 0.0]])), part="display", meeting=2
+    )
+    stated = load_bench(save_bench(replace(folded, effects=(view,)), tmp_path / "bench.toml"))
+    off = simulate(stated, one).panel_pixel - simulate(folded, one).panel_pixel
+    moved = np.abs(off[:, 0]) > 0.01
+    np.testing.assert_array_equal(moved[seen], np.all(np.floor(places) == cell, axis=1)[seen])
+    assert 0 < moved.sum() < seen.sum()
+    session = Session("s", one, simulate(folded, one))
+    slopes = [observe(each, session).panel_from_camera for each in (folded, stated)]
+    np.testing.assert_array_equal(*slopes)
 
 
 def test_any_function_displaces_a_station_and_a_file_states_it(bench, plan, tmp_path):

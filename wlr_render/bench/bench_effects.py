@@ -144,6 +144,7 @@ class BenchEffect:
         function: displacement by the station's coordinates, in the units of the file; OpenXR axes.
         target_pose: pose of the target that it is for; -1 for all.
         part: part of the session that shows it, one of `PARTS`; empty for all.
+        meeting: number of the surface along the display's path on which the places of a view are.
         covariance: (p, p) of the coefficients, row by row, in the units of the file; None where it is not known.
     """
 
@@ -153,6 +154,7 @@ class BenchEffect:
     target_pose: int = -1
     part: str = ""
     covariance: FloatArray | None = None
+    meeting: int = 0
 
     @classmethod
     def of_function(

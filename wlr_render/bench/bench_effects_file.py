@@ -34,6 +34,7 @@ def effect_keys(effect: BenchEffect) -> dict[str, Any]:
     keys: dict[str, Any] = {"station": effect.station, "displaces": effect.displaces}
     keys |= {"target_pose": effect.target_pose} if effect.target_pose >= 0 else {}
     keys |= {"part": effect.part} if effect.part else {}
+    keys |= {"meeting": effect.meeting} if effect.meeting else {}
     if isinstance(function, Cells):
         keys |= {"cell_size": function.size, "cells": function.middles, "coefficients": function.coefficients}
     else:
@@ -58,8 +59,11 @@ def _effect(table: Table, bench: Bench) -> BenchEffect:
         pose = table.whole("target_pose", 0, max(poses - 1, 0))
     can_be_in_one = (station, displaces) in IN_BOTH_PARTS and table.has("part")
     part = table.text("part", choices=PARTS) if can_be_in_one else ""
+    meetings, meeting = len(bench.optics.display.steps), 0
+    if displaces == "view" and table.has("meeting"):
+        meeting = table.whole("meeting", 0, max(meetings - 1, 0))
     table.finish()
-    return BenchEffect(station, displaces, function, pose, part, covariance)
+    return BenchEffect(station, displaces, function, pose, part, covariance, meeting)
 
 
 def _polynomial(table: Table, kind: EffectKind) -> Polynomial:

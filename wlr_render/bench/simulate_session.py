@@ -232,10 +232,15 @@ def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> Floa
 
 def _view_shift(bench: Bench, viewpoint: FloatArray, view_dir: FloatArray, part: str) -> FloatArray | None:
     """Return by how much things seen in directions (n, 3) appear shifted, (n, 2) tangents; None without effects."""
-    if all((effect.station, effect.displaces) != ("combiner", "view") for effect in bench.effects):
+    views = [each for each in bench.effects if each.displaces == "view" and each.part in ("", part)]
+    if not views:
         return None
-    places = places_on_combiner(bench.optics, viewpoint, view_dir)
-    return displacement(bench.effects, "combiner", "view", places, part=part)
+    total = np.zeros((len(view_dir), 2))
+    for meeting in {effect.meeting for effect in views}:
+        mine = [effect for effect in views if effect.meeting == meeting]
+        moved = displacement(mine, "combiner", "view", places_on_combiner(bench.optics, viewpoint, view_dir, meeting))
+        total += 0.0 if moved is None else moved
+    return total
 
 
 def imaged(bench: Bench, pixel: FloatArray, part: str) -> FloatArray:

@@ -6,6 +6,7 @@ of that station have a mean. The station whose cells have means at the best odds
 its picture.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,15 +21,20 @@ from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.residual_surfaces import surfaces
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
-_CLIP = 4.0  # sigma: a wild reading counts no more than this
+_CLIP, _CLIP_OF_REST = 4.0, 8.0  # sigma: a wild reading counts no more than this, and in later rounds
 _MOST_LEVERAGE = 0.8  # of a reading that its photograph's surface follows too closely to judge
+_COORDINATES = {
+    "combiner": ("place on the combiner", "mm"),
+    "camera": ("camera pixels", "px"),
+    "panel": ("panel pixels", "px"),
+    "target": ("place on the target", "mm"),
+}
 _CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
 _CELLS_PANEL = (80, 160)  # over the panel's width
 _CELLS_CAMERA = (80, 160)  # over the image's width
-_FOLDS, _ROUNDS = 4, 4
+_FOLDS, _ROUNDS = 4, 6
 _BEYOND_DOUBT, _PREDICTS = 20.0, 2.0
 """Log10 odds, or else standard errors by which captures left out must be predicted better, of a fine effect."""
-_CHARGE = float(np.log10(3.0))  # of the best of the widths that are tried
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
 _SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the cells that may have a mean
 _SIZES = tuple(np.geomspace(0.02, 100.0, 18))  # of the means, as variances over that of the noise
@@ -42,6 +48,7 @@ class FineEffect:
     Attributes:
         station, coordinates, unit: where, by which coordinates, and their unit.
         part: of the session that shows it.
+        meeting: number of the surface along the display's path on which the places of the display are.
         cell: width of a cell, in the unit.
         log10_odds: for it against noise alone.
         size: rms that the captures have in common over all cells, in units of sigma.
@@ -60,6 +67,7 @@ class FineEffect:
     coordinates: str
     unit: str
     part: str
+    meeting: int
     cell: float
     log10_odds: float
     size: float
@@ -86,7 +94,7 @@ class _Cells:
     """Readings of one part by the cells of one station.
 
     Attributes:
-        station, coordinates, unit, part, width: as in `FineEffect`.
+        station, coordinates, unit, part, width, meeting: as in `FineEffect`.
         place: (m, 2) of the readings at the station.
         left: (m, 2) what surfaces leave of their residuals.
         capture: (m,) of each.
@@ -102,6 +110,7 @@ class _Cells:
     left: FloatArray
     capture: IntArray
     rows: IntArray
+    meeting: int = 0
 
     @cached_property
     def middles(self) -> FloatArray:
@@ -185,13 +194,16 @@ def fine_effect(predictor: Predictor, residual: FloatArray, least_log10_odds: fl
         The effect at the station where residuals agree most; None where they agree nowhere.
     """
     best: dict[tuple[str, int], _Cells] = {}
+    tried = Counter[tuple[str, int]]()
     for cells in _all_cells(predictor, residual):
         of_part = cells.station, cells.part
+        tried[of_part] += 1
         if of_part not in best or cells.agreement[0] > best[of_part].agreement[0]:
             best[of_part] = cells
     odds: dict[str, float] = {}
-    for (station, _), cells in best.items():  # the parts are independent
-        odds[station] = odds.get(station, 0.0) + max(cells.agreement[0] - _CHARGE, 0.0)
+    for (station, part), cells in best.items():  # the parts are independent
+        charged = cells.agreement[0] - float(np.log10(tried[station, part]))
+        odds[station] = odds.get(station, 0.0) + max(charged, 0.0)
     ranked = sorted(odds, key=lambda station: -odds[station])
     if not ranked or odds[ranked[0]] < least_log10_odds + np.log10(len(best)):
         return None
@@ -222,6 +234,7 @@ def _described(
         coordinates=first.coordinates,
         unit=first.unit,
         part=PART_NAMES[first.part],
+        meeting=max(each.meeting for each in parts),
         cell=first.width,
         log10_odds=odds,
         size=float(np.sqrt(np.mean(change[first.rows] ** 2))),
@@ -247,7 +260,7 @@ def _change(observations: Observations, residual: FloatArray, parts: Sequence[_C
     """
     change = np.zeros(residual.shape)
     for _ in range(_ROUNDS):
-        left = np.nan_to_num(_standardised(observations, residual - change))
+        left = np.nan_to_num(_standardised(observations, residual - change, _CLIP_OF_REST))
         for cells in parts:
             _, share, variance = cells.agreement
             means = replace(cells, left=left[cells.rows]).means(used[cells.rows], share, variance)
@@ -261,24 +274,26 @@ def _held_out(
     """Return the improvement of captures left out, and its share of what the effect (n, 2) takes off all captures."""
     rows = np.concatenate([each.rows for each in parts])
     names, capture = np.unique(observations.group[rows], return_inverse=True)
-    left, after = (np.nan_to_num(_standardised(observations, each)) for each in (residual, residual - change))
+    left, after = (
+        np.nan_to_num(_standardised(observations, each, _CLIP_OF_REST)) for each in (residual, residual - change)
+    )
     held_out = left.copy()
     for number in range(_FOLDS):
         out = np.isin(observations.group, names[number::_FOLDS])
         others = _change(observations, residual, parts, ~out)
-        held_out[out] = np.nan_to_num(_standardised(observations, residual - others))[out]
+        held_out[out] = np.nan_to_num(_standardised(observations, residual - others, _CLIP_OF_REST))[out]
     sums = [squares_of_captures(each[rows], capture) for each in (left, held_out, after)]
     removed, excess = float(np.sum(sums[0] - sums[1])), float(np.sum(sums[0] - sums[2]))
     return held_out_improvement(sums[0], sums[1]), removed / max(excess, removed, 1e-9)
 
 
-def _standardised(observations: Observations, residual: FloatArray) -> FloatArray:
+def _standardised(observations: Observations, residual: FloatArray, clip: float = _CLIP) -> FloatArray:
     """Return what surfaces leave of each reading (n, 2), at its expected size; NaN where they follow it too closely."""
     left, leverage = np.full(residual.shape, np.nan), np.ones(len(residual))
     for surface in surfaces(observations, residual):
         left[surface.rows], leverage[surface.rows] = surface.left, surface.leverage
     left[leverage >= _MOST_LEVERAGE] = np.nan
-    return np.clip(left / np.sqrt(1.0 - leverage.clip(0.0, _MOST_LEVERAGE))[:, None], -_CLIP, _CLIP)
+    return np.clip(left / np.sqrt(1.0 - leverage.clip(0.0, _MOST_LEVERAGE))[:, None], -clip, clip)
 
 
 def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:
@@ -286,34 +301,48 @@ def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:
     observations = predictor.observations
     left = _standardised(observations, residual)
     judged = np.isfinite(left).all(axis=1)
-    places = footprints(predictor)
     for part in (DISPLAY, SEE_THROUGH):
         mine = judged & (observations.part == part)
         captures = len(np.unique(observations.group[mine]))
         if captures < 4:
             continue
-        for station, coordinates, unit, place, widths in _stations(observations, places, part):
-            rows = mine & np.isfinite(place).all(axis=1)
-            for width in widths if rows.any() else ():
-                numbers = np.flatnonzero(rows)
-                yield _Cells(
-                    station, coordinates, unit, part, width, place[rows], left[rows], observations.group[rows], numbers
-                )
+        for meeting in range(len(observations.nominal.optics.display.steps)) if part == DISPLAY else (0,):
+            path = "display" if part == DISPLAY else ""
+            yield from _cells(
+                observations, left, mine, part, "combiner", footprints(predictor, path, meeting), _CELLS_MM, meeting
+            )
+        for station, place, widths in _stations(observations, part):
+            yield from _cells(observations, left, mine, part, station, place, widths)
 
 
-def _stations(
-    observations: Observations, places: FloatArray, part: int
-) -> Iterator[tuple[str, str, str, FloatArray, tuple[float, ...]]]:
-    """Stations that a part shows: name, coordinates, unit, places (n, 2), and widths of cells."""
-    yield "combiner", "place on the combiner", "mm", places, _CELLS_MM
+def _cells(
+    observations: Observations,
+    left: FloatArray,
+    judged: BoolArray,
+    part: int,
+    station: str,
+    place: FloatArray,
+    widths: Sequence[float],
+    meeting: int = 0,
+) -> Iterator[_Cells]:
+    """Yield the cells of places (n, 2) of a station, of each width."""
+    rows = judged & np.isfinite(place).all(axis=1)
+    numbers, (coordinates, unit) = np.flatnonzero(rows), _COORDINATES[station]
+    for width in widths if rows.any() else ():
+        capture = observations.group[rows]
+        yield _Cells(station, coordinates, unit, part, width, place[rows], left[rows], capture, numbers, meeting)
+
+
+def _stations(observations: Observations, part: int) -> Iterator[tuple[str, FloatArray, tuple[float, ...]]]:
+    """Stations but the combiner that a part shows: name, places (n, 2), and widths of cells."""
     widths = tuple(float(observations.nominal.camera.size_px[0] / count) for count in _CELLS_CAMERA)
-    yield "camera", "camera pixels", "px", observations.image_place, widths
+    yield "camera", observations.image_place, widths
     plan, rows = observations.session.plan, observations.part == part
     place = np.full((len(observations), 2), np.nan)
     if part == DISPLAY and observations.session.readings.panel_pixel is not None:
         place[rows] = observations.session.readings.panel_pixel
         size = float(observations.nominal.optics.panel.pixels.width_px)
-        yield "panel", "panel pixels", "px", place, tuple(size / count for count in _CELLS_PANEL)
+        yield "panel", place, tuple(size / count for count in _CELLS_PANEL)
     if part == SEE_THROUGH and plan.see_through is not None:
         pitch = float(np.median(observations.nominal.target.pitch))
         place[rows] = (
@@ -322,4 +351,4 @@ def _stations(
             * plan.see_through.dot
             / observations.nominal.target.pitch[plan.see_through.target_pose][:, None]
         )
-        yield "target", "place on the target", "mm", place, (1e3 * pitch,)
+        yield "target", place, (1e3 * pitch,)

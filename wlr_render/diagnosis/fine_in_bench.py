@@ -64,7 +64,8 @@ def _of_part(fine: FineEffect, predictor: Predictor, part: int, mine: BoolArray)
         per_unit = 1e-3 / float(np.median(predictor.observations.nominal.target.pitch))
     function = Cells(per_unit * fine.cell, per_unit * fine.cell * (cells + 0.5), values)
     in_one = "" if station in ("panel", "target") else PARTS[part]
-    return BenchEffect(station, _DISPLACES[station], function, part=in_one)
+    meeting = fine.meeting if part == DISPLAY else 0
+    return BenchEffect(station, _DISPLACES[station], function, part=in_one, meeting=meeting)
 
 
 def _displacement(station: str, predictor: Predictor, part: int, rows: IntArray, change: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from wlr_render.captures.session import Readings, Session, SessionPlan, select_r
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.cells import Cells
 
 DISPLAY, SEE_THROUGH, RUN_TIME = 0, 1, 2
 PART_NAMES = ("display", "see-through", "run-time")
@@ -249,6 +250,9 @@ def _panel_from_camera(bench: Bench, plan: SessionPlan) -> FloatArray:
     """Return the local Jacobian (n, 2, 2) of panel pixel by camera pixel."""
     if plan.display is None:
         return np.zeros((0, 2, 2))
+    # Cells have steps at their borders, and no slopes.
+    smooth = tuple(effect for effect in bench.effects if not isinstance(effect.function, Cells))
+    bench = bench if len(smooth) == len(bench.effects) else replace(bench, effects=smooth)
     columns = []
     for shift in _PIXEL_STEP * np.eye(2):
         ahead = replace(plan.display, camera_pixel=plan.display.camera_pixel + shift)

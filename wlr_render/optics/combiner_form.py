@@ -65,19 +65,20 @@ class SmoothSag(SagSurface):
         return unit * height[:, 0], unit / _MM * slopes[:, 0, 0], unit / _MM * slopes[:, 0, 1]
 
 
-def places_on_combiner(optics: EyeOptics, viewpoint: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return where lines of sight meet the first surface, (n, 2) metres right and up of the combiner's middle.
+def places_on_combiner(optics: EyeOptics, viewpoint: FloatArray, direction: FloatArray, meeting: int = 0) -> FloatArray:
+    """Return where lines of sight meet a surface, (n, 2) metres right and up of the combiner's middle.
 
     NaN where nothing is met, as without a combiner.
 
     Args:
         optics: the optics.
         viewpoint, direction: (n, 3) of each line, device frame.
+        meeting: number of the surface along the display's path.
     """
-    if not optics.display.steps:
+    if meeting >= len(optics.display.steps):
         return np.full((len(direction), 2), np.nan)
-    first = trace(Path(optics.display.steps[:1]), viewpoint, direction, GREEN_UM)
-    return np.asarray((first.origin - combiner_middle(optics))[:, :2])
+    met = trace(Path(optics.display.steps[: meeting + 1]), viewpoint, direction, GREEN_UM)
+    return np.asarray((met.origin - combiner_middle(optics))[:, :2])
 
 
 def surfaces_raised(
