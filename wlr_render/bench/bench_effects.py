@@ -23,7 +23,7 @@ _ROUNDS = 6  # of the fixed-point iterations: effects change little from one coo
 _UM, _URAD, _MM = 1e-6, 1e-6, 1e-3
 _POSE = (_UM, _UM, _UM, _URAD, _URAD, _URAD)
 _ON_COMBINER = "place right of and above the line of sight straight ahead, mm"
-_PX, _AS_IS = (1.0, 1.0), (1.0, 1.0, 1.0)
+_PX, _AS_IS, _MRAD = (1.0, 1.0), (1.0, 1.0, 1.0), (1e-3, 1e-3, 1e-3)
 _STEP = 1e-4  # of scaled coordinates, for the slopes of a function
 _DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10}  # of the polynomial that states a function of so many coordinates
 _NODES = 20  # places at which it is seen on which coordinates a function depends
@@ -72,6 +72,7 @@ BENCH_KINDS = {
 """Kinds of a bench session by station and by what is displaced."""
 
 _DOT = "image of the virtual dot u, v, camera px"
+_TURN = "turn of the picture about x, y, z, mrad"
 _LATE = "delay of the picture, ms"
 _IMAGE, _PANEL, _RATE = "camera pixel u, v", "panel pixel u, v", "rate of the head x, y, z, rad/s"
 
@@ -80,12 +81,12 @@ RUN_TIME_KINDS = {
     ("camera", "delay"): EffectKind(_IMAGE, _PX, _LATE, (1e-3,)),
     ("panel", "picture"): EffectKind(_PANEL, _PX, _DOT, _PX),
     ("panel", "delay"): EffectKind(_PANEL, _PX, _LATE, (1e-3,)),
-    ("head motion", "picture by gravity"): EffectKind("direction of gravity x, y, z", _AS_IS, _DOT, _PX),
-    ("head motion", "picture by rate"): EffectKind(_RATE, _AS_IS, _DOT, _PX),
+    ("head motion", "picture by gravity"): EffectKind("direction of gravity x, y, z", _AS_IS, _TURN, _MRAD),
+    ("head motion", "picture by rate"): EffectKind(_RATE, _AS_IS, _TURN, _MRAD),
     ("head motion", "delay by rate"): EffectKind(_RATE, _AS_IS, _LATE, (1e-3,)),
     ("eye tracking", "picture by pupil"): EffectKind("tracked pupil x, y, z, m", _AS_IS, _DOT, _PX),
     ("eye tracking", "picture by gaze"): EffectKind("tangents of the gaze right and up", _PX, _DOT, _PX),
-    ("time", "picture"): EffectKind("time, s", (1.0,), _DOT, _PX),
+    ("time", "picture"): EffectKind("time, s", (1.0,), _TURN, _MRAD),
 }
 """Kinds of a run-time session; all axes are the device's."""
 

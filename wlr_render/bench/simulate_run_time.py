@@ -40,14 +40,19 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
         )
 
     real = real_pixel(late_s)
-    if bench.effects:
-        real = real_pixel(late_s + _displaced(bench, {("camera", "delay"): real}, _DELAYS)[:, 0])
-    shift = _displaced(bench, _by_plan(plan, pixel) | {("camera", "picture"): real}, _PICTURES)
-    return np.concatenate([bench.camera.pixel_of_view_dir(virtual.value) + shift, real], axis=1)
+    if not bench.effects:
+        return np.concatenate([bench.camera.pixel_of_view_dir(virtual.value), real], axis=1)
+    real = real_pixel(late_s + _displaced(bench, {("camera", "delay"): real}, _DELAYS)[:, 0])
+    places = _by_plan(plan, pixel) | {("camera", "picture"): real}
+    turned = rotations_of_vectors(_displaced(bench, places, _TURNS))
+    shown = bench.camera.pixel_of_view_dir(np.einsum("nij,nj->ni", turned, virtual.value))
+    return np.concatenate([shown + _displaced(bench, places, _SHIFTS), real], axis=1)
 
 
-_PICTURES = [kind for kind, each in RUN_TIME_KINDS.items() if len(each.per_displacement) == 2]
-_DELAYS = [kind for kind in RUN_TIME_KINDS if kind not in _PICTURES]
+_DELAYS, _SHIFTS, _TURNS = (
+    [kind for kind, each in RUN_TIME_KINDS.items() if len(each.per_displacement) == components]
+    for components in (1, 2, 3)
+)
 
 
 def _by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str], FloatArray]:
@@ -74,7 +79,7 @@ def gravity_and_rate(plan: RunTimePlan) -> tuple[FloatArray, FloatArray]:
 def _displaced(
     bench: Bench, places: Mapping[tuple[str, str], FloatArray], kinds: Sequence[tuple[str, str]]
 ) -> FloatArray:
-    """Return the sum of the effects of some kinds at their places, (n, components) seconds or pixels."""
+    """Return the sum of the effects of some kinds at their places, (n, components) seconds, pixels or radians."""
     rows, components = len(next(iter(places.values()))), len(RUN_TIME_KINDS[kinds[0]].per_displacement)
     total = np.zeros((rows, components))
     for kind in kinds:

@@ -36,8 +36,8 @@ _LIKELY = {
     ("stage", "shift along"): ("the lead screw",),
     ("time", "shift of the panel"): ("temperature", "creep of the panel's mount"),
     ("time", "pose"): ("temperature", "a mount that creeps", "a drifting tracker"),
-    ("time", "shift"): ("temperature", "a drifting tracker"),
-    ("head motion", "shift"): ("a hinge or frame that flexes", "a filter of the head tracker"),
+    ("time", "turn"): ("temperature", "a drifting tracker"),
+    ("head motion", "turn"): ("a hinge or frame that flexes", "a filter of the head tracker"),
     ("head motion", "delay"): ("time stamps", "prediction of the head's motion"),
     ("eye tracking", "shift"): ("errors of the eye tracker that depend on gaze", "the pupil's motion with gaze"),
 }

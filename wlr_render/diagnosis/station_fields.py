@@ -25,6 +25,7 @@ from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Ob
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
+from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box
 
@@ -241,10 +242,19 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     yield field_of("panel", "shift", "px", over("panel pixels", panel, 1, 2, 4), shift, "picture")
     by_gravity, by_rate = over("direction of gravity", gravity, 1, 2, 3), over("rate of the head", rate, 1, 2)
     by_pupil, by_gaze = over("tracked pupil", plan.viewpoint, 1, 2, 3), over("direction of gaze", gaze, 1, 2, 3)
-    yield field_of("head motion", "shift of the picture", "px", by_gravity, shift, "picture by gravity")
-    yield field_of("head motion", "shift of the picture", "px", by_rate, shift, "picture by rate")
+    turn = over_rows(rows, _picture_turned(observations, seen[:, :2]) / observations.sigma_of(RUN_TIME)[:, :, None])
+    yield field_of("head motion", "turn of the picture", "mrad", by_gravity, turn, "picture by gravity")
+    yield field_of("head motion", "turn of the picture", "mrad", by_rate, turn, "picture by rate")
     yield field_of("head motion", "delay", "ms", by_rate, delay, "delay by rate")
     yield field_of("eye tracking", "shift of the picture", "px", by_pupil, shift, "picture by pupil")
     yield field_of("eye tracking", "shift of the picture", "px", by_gaze, shift, "picture by gaze")
-    in_time = over("time", plan.time_s[:, None], 2, 5, 10)
-    yield field_of("time", "shift of the picture", "px", in_time, shift, "picture")
+    in_time = over("time", plan.time_s[:, None], 2, 5, 10, 16, 24)
+    yield field_of("time", "turn of the picture", "mrad", in_time, turn, "picture")
+
+
+def _picture_turned(observations: Observations, virtual: FloatArray) -> FloatArray:
+    """Return the change (n, 2, 3) of the virtual dots' pixels (n, 2) by a milliradian about each axis of the device."""
+    camera = observations.nominal.camera
+    ahead = camera.view_dir_of_pixel(virtual)
+    turns = rotations_of_vectors(1e-3 * np.eye(3))
+    return np.stack([camera.pixel_of_view_dir(ahead @ turn.T) - virtual for turn in turns], axis=-1)
