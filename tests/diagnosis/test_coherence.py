@@ -8,7 +8,7 @@ from small_session import SIGMA_PX, measured, with_readings
 
 from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.captures.session import SessionPlan, select_rows
-from wlr_render.diagnosis.coherence import fine_effect
+from wlr_render.diagnosis.coherence import ROUNDS, fine_effect
 from wlr_render.diagnosis.combiner_fields import footprints
 from wlr_render.diagnosis.fine_in_bench import fine_in_bench, with_fine
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
@@ -17,9 +17,9 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 PLACE_MM = np.array([2.0, -1.5])
 
 
-def of(observations):
+def of(observations, rounds=1):
     predictor = Predictor(observations)
-    return fine_effect(predictor, predictor.residual(Explanation()), 2.0)
+    return fine_effect(predictor, predictor.residual(Explanation()), 2.0, rounds)
 
 
 def spotted(observations, radius_mm=2.0, size_px=1.0):
@@ -50,7 +50,7 @@ def test_a_spot_on_the_combiner_is_found_at_its_place(bench, plan):
 
 def test_a_bench_with_the_cells_of_a_spot_has_no_spot(bench, plan, tmp_path):
     observations = spotted(measured(bench, denser(plan, 12), SIGMA_PX, seed=12), radius_mm=3.0)
-    predictor, found = Predictor(observations), of(observations)
+    predictor, found = Predictor(observations), of(observations, ROUNDS)
     assert found.predicts
     corrected = with_fine(bench, found, predictor, 2.0)
     kinds = {(each.station, each.displaces, each.part) for each in corrected.effects}
@@ -59,7 +59,7 @@ def test_a_bench_with_the_cells_of_a_spot_has_no_spot(bench, plan, tmp_path):
     before, after = (each.residual(Explanation())[observations.part == DISPLAY] for each in (predictor, left))
     assert np.mean(before**2) > 1.1
     assert np.mean(after**2) - 1.0 < 0.4 * (np.mean(before**2) - 1.0)
-    again = fine_effect(left, left.residual(Explanation()), 2.0)
+    again = fine_effect(left, left.residual(Explanation()), 2.0, ROUNDS)
     assert again is None or not again.predicts
 
 

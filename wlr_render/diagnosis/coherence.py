@@ -32,7 +32,7 @@ _COORDINATES = {
 _CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
 _CELLS_PANEL = (80, 160)  # over the panel's width
 _CELLS_CAMERA = (80, 160)  # over the image's width
-_FOLDS, _ROUNDS = 4, 6
+_FOLDS, ROUNDS = 4, 6
 _BEYOND_DOUBT, _PREDICTS = 20.0, 2.0
 """Log10 odds, or else standard errors by which captures left out must be predicted better, of a fine effect."""
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
@@ -182,13 +182,17 @@ def _spot(middles: FloatArray, power: FloatArray, reach: float) -> tuple[FloatAr
     return place, float(np.sqrt(weight @ np.sum((middles - place) ** 2, axis=1) / weight.sum()))
 
 
-def fine_effect(predictor: Predictor, residual: FloatArray, least_log10_odds: float) -> FineEffect | None:
+def fine_effect(
+    predictor: Predictor, residual: FloatArray, least_log10_odds: float, rounds: int = 1
+) -> FineEffect | None:
     """Find an effect that is finer than any smooth field.
 
     Args:
         predictor: of all readings, with the sigma of their noise; outliers included, as something fine looks like them.
         residual: (n, 2) what causes leave, in units of sigma.
         least_log10_odds: below which it is not said to be there.
+        rounds: in which its cells are filled. One takes off little of an effect that is fixed to another station;
+            `ROUNDS` take off all of one that is fixed to its cells.
 
     Returns:
         The effect at the station where residuals agree most; None where they agree nowhere.
@@ -210,24 +214,30 @@ def fine_effect(predictor: Predictor, residual: FloatArray, least_log10_odds: fl
     shown = [each for each in best.values() if each.station == ranked[0] and each.agreement[0] > least_log10_odds]
     shown.sort(key=lambda each: -each.agreement[0])
     rival = ranked[1] if len(ranked) > 1 else ""
-    found = _described(predictor.observations, residual, shown, odds[ranked[0]], rival, odds.get(rival, 0.0))
+    found = _described(predictor.observations, residual, shown, rounds, odds[ranked[0]], rival, odds.get(rival, 0.0))
     # Readings of one point at one pixel may err alike in neighbouring captures, without anything at a station.
     is_plain = found.log10_odds > _BEYOND_DOUBT or found.predicts
     return found if is_plain else None
 
 
 def _described(
-    observations: Observations, residual: FloatArray, parts: Sequence[_Cells], odds: float, rival: str, of_rival: float
+    observations: Observations,
+    residual: FloatArray,
+    parts: Sequence[_Cells],
+    rounds: int,
+    odds: float,
+    rival: str,
+    of_rival: float,
 ) -> FineEffect:
     """Return the effect with its map and its improvement of captures left out; the first part shows it best."""
     first, every = parts[0], np.ones(len(residual), dtype=bool)
-    change = _change(observations, residual, parts, every)
+    change = _change(observations, residual, parts, every, rounds)
     left = np.nan_to_num(_standardised(observations, residual - change)) + change
     count, total = replace(first, left=left[first.rows]).sums(every[first.rows])
     means = total / count[:, None]
     power = np.sum(means**2, axis=1) * count / first.noise
     place, width = _spot(first.middles, np.where(power > _CELL_STANDS_OUT, power, 0.0), _SPOT * first.width)
-    improvement, share = _held_out(observations, residual, parts, change)
+    improvement, share = _held_out(observations, residual, parts, change, rounds)
     rows = np.concatenate([each.rows for each in parts])
     return FineEffect(
         station=first.station,
@@ -252,15 +262,18 @@ def _described(
     )
 
 
-def _change(observations: Observations, residual: FloatArray, parts: Sequence[_Cells], used: BoolArray) -> FloatArray:
+def _change(
+    observations: Observations, residual: FloatArray, parts: Sequence[_Cells], used: BoolArray, rounds: int
+) -> FloatArray:
     """Return the change (n, 2) of all readings by the cells of some of them (n,).
 
     A surface takes some of what the cells hold, and wild readings are clipped: what each round leaves is sorted into
     the cells again.
     """
     change = np.zeros(residual.shape)
-    for _ in range(_ROUNDS):
-        left = np.nan_to_num(_standardised(observations, residual - change, _CLIP_OF_REST))
+    for number in range(rounds):
+        clip = _CLIP_OF_REST if number else _CLIP
+        left = np.nan_to_num(_standardised(observations, residual - change, clip))
         for cells in parts:
             _, share, variance = cells.agreement
             means = replace(cells, left=left[cells.rows]).means(used[cells.rows], share, variance)
@@ -269,7 +282,7 @@ def _change(observations: Observations, residual: FloatArray, parts: Sequence[_C
 
 
 def _held_out(
-    observations: Observations, residual: FloatArray, parts: Sequence[_Cells], change: FloatArray
+    observations: Observations, residual: FloatArray, parts: Sequence[_Cells], change: FloatArray, rounds: int
 ) -> tuple[HeldOutImprovement, float]:
     """Return the improvement of captures left out, and its share of what the effect (n, 2) takes off all captures."""
     rows = np.concatenate([each.rows for each in parts])
@@ -280,7 +293,7 @@ def _held_out(
     held_out = left.copy()
     for number in range(_FOLDS):
         out = np.isin(observations.group, names[number::_FOLDS])
-        others = _change(observations, residual, parts, ~out)
+        others = _change(observations, residual, parts, ~out, rounds)
         held_out[out] = np.nan_to_num(_standardised(observations, residual - others, _CLIP_OF_REST))[out]
     sums = [squares_of_captures(each[rows], capture) for each in (left, held_out, after)]
     removed, excess = float(np.sum(sums[0] - sums[1])), float(np.sum(sums[0] - sums[2]))

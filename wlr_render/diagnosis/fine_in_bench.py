@@ -7,7 +7,7 @@ import numpy as np
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import PARTS, BenchEffect
 from wlr_render.bench.simulate_session import camera_orientations
-from wlr_render.diagnosis.coherence import FineEffect, fine_effect
+from wlr_render.diagnosis.coherence import ROUNDS, FineEffect, fine_effect
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.station_fields import dot_lever
@@ -34,7 +34,7 @@ def with_fine(bench: Bench, fine: FineEffect | None, as_stated: Predictor, least
         if fine is None or not fine.predicts:
             break
         bench = replace(bench, effects=(*bench.effects, *fine_in_bench(fine, as_stated)))
-        fine = fine_effect(as_stated, as_stated.residual_of_bench(bench), least_log10_odds)
+        fine = fine_effect(as_stated, as_stated.residual_of_bench(bench), least_log10_odds, ROUNDS)
     return bench
 
 

@@ -15,7 +15,7 @@ from wlr_render.captures.session import Session
 from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.cause_selection import CandidateRanking, Progress, Search, Selection
 from wlr_render.diagnosis.causes import CAUSES
-from wlr_render.diagnosis.coherence import FineEffect, fine_effect
+from wlr_render.diagnosis.coherence import ROUNDS, FineEffect, fine_effect
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
     LOCATED,
@@ -98,8 +98,8 @@ def diagnose(
     fine = located.fine_beside(prepared.fine)
     left = _unexplained(located, prepared, fine, settings)
     corrected = located.bench(found.explanation.bench(nominal))
-    if fine is not None and corrected.effects is not nominal.effects:
-        fine = fine_effect(stated, stated.residual_of_bench(corrected), settings.least_log10_odds)
+    if fine is not None:
+        fine = fine_effect(stated, stated.residual_of_bench(corrected), settings.least_log10_odds, ROUNDS)
     effects = located.records(fine)
     structure = located.structure(effects)
     named = tuple(
