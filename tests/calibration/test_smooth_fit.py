@@ -120,7 +120,7 @@ def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count, 
         assert {each.capture for each in found.smooth.moved} == set(gone)
         for each in found.smooth.moved:
             assert each.shift_m == pytest.approx(size_m, rel=0.3)
-            assert each.times > 8
+            assert each.log10_odds > 4
         true, predicted = errors_arcmin(found.mapping, rng)
         assert np.sqrt(np.mean(true**2)) < 2 * np.sqrt(np.mean(predicted**2))
 

@@ -7,8 +7,9 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from wlr_render.calibration.moved_captures import CaptureMotion
 from wlr_render.calibration.readings import FitReadings
-from wlr_render.calibration.smooth_fit import CaptureMotion, MotionAgreement, SmoothFit
+from wlr_render.calibration.smooth_fit import MotionAgreement, SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select, with_copies
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between

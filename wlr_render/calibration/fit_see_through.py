@@ -4,6 +4,7 @@ import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.model_kinds import ModelKind, Side
+from wlr_render.calibration.print_field import print_field
 from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
@@ -136,6 +137,7 @@ def _readings(
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond, by_point),
+        print=None if captures.target_point is None else print_field(captures.target_point[:, :2], depth[:, 0]),
     )
 
 

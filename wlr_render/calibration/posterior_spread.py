@@ -44,7 +44,8 @@ def spread_of(
     else:
         design = (readings.multiplier[rows] * weight[:, None])[:, :, None] * sample[:, None]
         design = design.reshape(len(rows), -1)
-        root = _root(found.alone)
+        own = readings.coefficients
+        root = _root(found.alone[:own, :own])
         apart_root = root @ _principal(design @ root)
         own_factors = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
         own_factors = _with_constant(own_factors, orders, beyond)
@@ -52,7 +53,7 @@ def spread_of(
         # What the coefficients do with the side unknowns, the trend's parameters among them.
         trend = readings.trend
         shared = trend.parameters if trend else 0
-        follow = found.by_side.transpose(0, 2, 1)  # (2, columns, side)
+        follow = found.by_side[:, :, :own].transpose(0, 2, 1)  # (2, columns, side)
         by_axis = follow.reshape(2, blocks, len(orders), follow.shape[2]).transpose(2, 1, 0, 3)
         by_term = by_axis.reshape(len(orders), outputs, follow.shape[2])
         side = Polynomial(orders, box, by_axis.reshape(len(orders), outputs * follow.shape[2]))

@@ -1,19 +1,21 @@
 """Readings of captures as linear equations in the coefficients of polynomials: what every fit starts from."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from wlr_render.calibration.print_field import PrintField
 from wlr_render.captures.correspondences import CaptureMotionPrior, DisplayCaptures, SeeThroughCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, tangents_by_turn
 from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.evidence import Sums
+from wlr_render.numerics.evidence import Sums, weight_values
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
 from wlr_render.numerics.posterior import Posterior
+from wlr_render.numerics.shared_noise import SharedNoise
 
 _CHUNK = 4_096  # readings whose design is held at once
 _FLAT_M, _FLAT = 1e-6, 0.03
@@ -146,6 +148,8 @@ class FitReadings:
         trend: what is known of the model before the fit; None for nothing.
         motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
         common: errors that all captures share; None where none are known.
+        shared: noise that neighbouring readings of a capture share, as a fit found it; None for white noise.
+        print: smooth field of printing errors of the target; None without a target.
     """
 
     inputs: FloatArray
@@ -160,6 +164,8 @@ class FitReadings:
     trend: Trend | None = None
     motion_prior: CaptureMotionPrior | None = None
     common: Common | None = None
+    shared: SharedNoise | None = None
+    print: PrintField | None = None
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -210,7 +216,43 @@ class FitReadings:
         """Some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)
+        if self.print is not None:
+            chosen = replace(chosen, print=replace(self.print, columns=self.print.columns[rows]))
         return chosen.within(self.box)
+
+    def with_shared(self, shared: SharedNoise | None) -> "FitReadings":
+        """The same readings with other noise that neighbours share."""
+        return replace(self, shared=shared).within(self.box)
+
+    @property
+    def coefficients(self) -> int:
+        """Number of coefficients of the polynomials that are an output's own; they come before those of the print."""
+        return 0 if self.mixed else self.blocks * len(self.orders)
+
+    def design(self, rows: slice | IntArray) -> FloatArray:
+        """Columns of all that an output has of its own, see `design_of`: coefficients, then the print."""
+        design = design_of(self, rows, basis(self.inputs[rows], self.orders, self.box))
+        return design if self.print is None else np.hstack([design, self.print.columns[rows]])
+
+    @property
+    def image(self) -> FloatArray:
+        """Places (n, 2) in the image, by which readings are neighbours: pixels or directions."""
+        return self.inputs[:, ~self.is_place]
+
+    def blocks_of_noise(self, kept: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
+        """Readings whose noise is independent of that of all others, with their weight as `Sums.add` takes it.
+
+        Args:
+            kept: (n,) weights, 1 down to 0 for outliers.
+        """
+        if self.shared is None:
+            for first in range(0, len(self), _CHUNK):
+                rows = np.arange(first, min(first + _CHUNK, len(self)))
+                yield rows, (self.weight * kept)[rows]
+            return
+        for rows in rows_by_capture(self.capture):
+            if np.any(kept[rows] > 0):
+                yield rows, self.shared.root(self.image[rows], kept[rows]) * self.weight[rows]
 
     def within(self, box: Box) -> "FitReadings":
         """The same readings in another box: coefficients and their priors mean the same as of readings in it."""
@@ -268,7 +310,7 @@ class UndeterminedModelError(BadInputError):
     """The readings do not determine an unknown that no prior holds."""
 
 
-def design_of(readings: FitReadings, rows: slice, phi: FloatArray) -> FloatArray:
+def design_of(readings: FitReadings, rows: slice | IntArray, phi: FloatArray) -> FloatArray:
     """Columns of all blocks: (rows, blocks * terms), or (rows, 2, blocks * terms) if mixed; phi is (rows, terms)."""
     multiplier = readings.multiplier[rows]
     design = multiplier[..., None] * (phi[:, None, None] if readings.mixed else phi[:, None])
@@ -322,21 +364,20 @@ def sums_of(
     groups = (captures or int(readings.capture.max()) + 1) if own else 0
     trend = readings.trend
     parameters = trend.parameters if trend else 0
-    columns = 0 if readings.mixed else readings.blocks * terms
+    columns = readings.coefficients + (0 if readings.print is None else len(readings.print.frequency))
     side = readings.blocks * terms if readings.mixed else parameters, groups, own
     sums = Sums(columns, 2, *side) if still is None else still.with_side(*side)
     add = sums.add if still is None else sums.add_side
     observed = np.zeros_like(readings.observed)
-    if start is not None:
+    if start is not None and len(readings):
         observed = readings.observed - readings.values(start)
         observed = observed - (readings.values(trend.mean) if trend else 0.0)
-    for first in range(0, len(readings), _CHUNK):
-        rows = slice(first, first + _CHUNK)
-        design = design_of(readings, rows, basis(readings.inputs[rows], readings.orders, readings.box))
+    for rows, weight in readings.blocks_of_noise(kept):
+        design = readings.design(rows)
         mixed = design if readings.mixed else _by_parameter(readings, rows)
         add(
             observed[rows],
-            (readings.weight * kept)[rows],
+            weight,
             np.empty((len(design), 0)) if readings.mixed else design,
             mixed,
             None if motion is None else motion[rows],
@@ -345,7 +386,7 @@ def sums_of(
     return sums
 
 
-def _by_parameter(readings: FitReadings, rows: slice) -> FloatArray | None:
+def _by_parameter(readings: FitReadings, rows: slice | IntArray) -> FloatArray | None:
     """Columns (r, 2, parameters) of the trend; None without one."""
     if readings.trend is None:
         return None
@@ -372,11 +413,9 @@ def response_of(
     errors = readings.common.columns(readings.slopes(polynomial))
     columns, parameters, k = len(sums.gram), readings.trend.parameters if readings.trend else 0, errors.shape[2]
     moment, by_trend = np.zeros((2, columns, k)), np.zeros((parameters, k))
-    square = (readings.weight * kept) ** 2
-    for first in range(0, len(readings), _CHUNK):
-        rows = slice(first, first + _CHUNK)
-        design = design_of(readings, rows, basis(readings.inputs[rows], readings.orders, readings.box))
-        weighted = errors[rows] * square[rows, None, None]
+    for rows, weight in readings.blocks_of_noise(kept):
+        design = readings.design(rows)
+        weighted = weight_values(weight.T, weight_values(weight, errors[rows]))
         for axis in (0, 1):
             moment[axis] += design.T @ weighted[:, axis]
         if (of_trend := _by_parameter(readings, rows)) is not None:
@@ -393,14 +432,14 @@ def response_of(
         aim = by_trend - sum(each.T @ solved[:, :k] for each, solved in zip(cross, follow, strict=True))
         of_parameters = np.asarray(np.linalg.solve(rest, aim), np.float64)
     of_axes = [width[:, None] * (solved[:, :k] - solved[:, k:] @ of_parameters) for solved in follow]
-    return Response(np.stack(of_axes).transpose(2, 0, 1), of_parameters.T)
+    return Response(np.stack(of_axes).transpose(2, 0, 1)[:, :, : readings.coefficients], of_parameters.T)
 
 
 def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) -> Polynomial:
     """The polynomial of a posterior, with its free part `start` and its trend."""
     blocks, terms = readings.blocks, len(readings.orders)
     outputs = 1 if readings.mixed else 2
-    mean = found.mixed_mean if readings.mixed else found.mean
+    mean = found.mixed_mean if readings.mixed else found.mean[:, : readings.coefficients]
     by_term = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, blocks * outputs)
     coefficients = by_term.copy()
     coefficients[readings.free] += start.coefficients
@@ -453,3 +492,9 @@ def motion_columns(readings: FitReadings, polynomial: Polynomial) -> FloatArray:
     """Columns (n, 2, 6) of a shift and turn of the camera, by the slopes of a polynomial."""
     assert readings.motion is not None
     return readings.motion(readings.slopes(polynomial))
+
+
+def rows_by_capture(capture: IntArray) -> list[IntArray]:
+    """Rows of each capture in turn, from the index (n,) of each row's capture."""
+    order = np.argsort(capture, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(capture[order])) + 1)

@@ -12,7 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from wlr_render.calibration.posterior_spread import spread_of
+from wlr_render.calibration.moved_captures import CaptureMotion, moved_odds, usual_motion
+from wlr_render.calibration.posterior_spread import lower_root, spread_of
 from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
@@ -22,6 +23,7 @@ from wlr_render.calibration.readings import (
     motion_columns,
     polynomial_of,
     response_of,
+    rows_by_capture,
     sums_of,
 )
 from wlr_render.calibration.smooth_prior import (
@@ -44,6 +46,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.posterior import Posterior
+from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, neighbour_distance
 
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _BEYOND = 0.05  # share of a fit's variance that is expected of the terms beyond its own before it gets more of them
@@ -54,38 +57,14 @@ _ROUNDS = 4  # of outlier weights
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _SMOOTH_ORDER = 3  # of the place: motions that vary with it no faster are no motions
 _REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # share of the motions that is left to tell their sizes
-_SUSPICIOUS, _SURE = 4.0, 6.0  # a capture's motion over what it is uncertain by, the others' size included
-_NEAR_WORST = 0.8  # of the most suspicious one's: what is less so may be its doing
-_LARGER, _STANDS_OUT = 2.0, 8.0  # a capture's motion over the median one: of a suspect, and of one that moved
-_DOUBTFUL = 0.5  # of the largest score
-_ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # nothing stands out that is less than so many times these
+_NEAR_CLEAREST = 0.7  # of the odds of the clearest one: what is less clear may be its doing
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
-_BAD_STAGE_M, _BAD_STAGE_RAD = 1e-4, 3e-4  # repeatability per axis
+_ALIKE = 0.05  # shares of the noise's variance that count as the same
 _SETTLED = 0.02  # largest distance of a logarithm from its optimum where the search for it ends
 _SIDES_DIFFER = 0.1  # logarithm of the sizes of the motions of a headset's display captures over the others'
-_MOST = 0.25  # of the captures may stand out
+_MOST, _ROUNDS_OF_MOTIONS = 0.25, 8  # share of the captures that may stand out; fits without some
 _FEW_ORDERS = 3  # in all, of the fit that finds captures far off
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
-
-
-@dataclass(frozen=True)
-class CaptureMotion:
-    """A capture whose camera stood elsewhere than stated, by far more than the others'.
-
-    Attributes:
-        capture: its index among the readings.
-        shift_m, turn_rad: length of its shift, and its turn.
-        times: how many times the median of the captures'.
-        arcmin: mean error of its readings, predicted by the other captures.
-        score: its motion over what it is uncertain by, the others' motions included.
-    """
-
-    capture: int
-    shift_m: float
-    turn_rad: float
-    times: float
-    arcmin: float
-    score: float
 
 
 @dataclass(frozen=True)
@@ -217,9 +196,13 @@ class SmoothFit:
     @property
     def determined(self) -> tuple[float, int]:
         """How many coefficients and parameters of the trend the readings determine, and of how many."""
-        variance = np.diag(self.posterior.side_covariance)[self.posterior.mixed_mean.size :]
-        motions = float(np.sum(1.0 - variance / self._motion_sizes.ravel() ** 2))
-        return self.posterior.determined - motions, self.posterior.mean.size + self.posterior.mixed_mean.size
+        found, own = self.posterior, self.readings.coefficients
+        variance = np.diag(found.side_covariance)[found.mixed_mean.size :]
+        others = float(np.sum(1.0 - variance / self._motion_sizes.ravel() ** 2))
+        for follow in found.by_side[:, :, own:]:  # waves of the print
+            variance = np.diag(found.alone)[own:] + np.einsum("sc,st,tc->c", follow, found.side_covariance, follow)
+            others += float(np.sum(1.0 - variance / self._prior.sizes(self._hyper)[own:] ** 2))
+        return found.determined - others, 2 * own + found.mixed_mean.size
 
     @property
     def trend_parameters(self) -> tuple[FloatArray, FloatArray]:
@@ -267,7 +250,7 @@ class SmoothFit:
         """Covariance of a fit with these prior sizes, common errors included."""
         if readings.common is None:
             return spread_of(readings, found, beyond=self.beyond)
-        width = np.exp(self._prior.features @ list(found.hyper.values())) / found.noise
+        width = self._prior.sizes(np.array(list(found.hyper.values()))) / found.noise
         sums = sums_of(readings, None, None, kept)
         response = response_of(readings, polynomial, kept, sums, width, found.noise)
         return spread_of(readings, found, response, self.beyond)
@@ -285,7 +268,9 @@ class SmoothFit:
         readings, out = self.readings, rows & (self.kept > 0)
         chosen = readings.select(out)
         columns = None if self._columns is None else self._columns[out]
-        sums = self._sums - sums_of(chosen, self._start, columns, self.kept[out], captures=self._captures)
+        # Readings of a capture share noise: those that stay enter anew.
+        touched = np.isin(readings.capture, chosen.capture)
+        sums = self._sums - (self._sums_of(touched) - self._sums_of(touched & ~out))
         rest = posterior(sums, self._prior, self._hyper, evidence=False)
         polynomial = polynomial_of(readings, self._start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
@@ -302,6 +287,11 @@ class SmoothFit:
             variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
 
+    def _sums_of(self, rows: BoolArray) -> Sums:
+        """Sums over some of the readings, whole captures or what is left of them."""
+        columns = None if self._columns is None else self._columns[rows]
+        return sums_of(self.readings.select(rows), self._start, columns, self.kept[rows], captures=self._captures)
+
     def spread_with(self, readings: FitReadings) -> Covariance:
         """Covariance that further readings would give: `readings` are those of this fit, then more, at this noise."""
         return self._spread(readings, np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))]), self._hyper)
@@ -317,10 +307,13 @@ class SmoothFit:
         return self._spread(readings.within(self.readings.box), np.ones(len(readings)), np.array(values))
 
     def _spread(self, readings: FitReadings, kept: FloatArray, hyper: FloatArray) -> Covariance:
-        columns, prior = None, self._prior
+        columns, prior, readings = None, self._prior, readings.with_shared(self.readings.shared)
         if self._columns is not None:
             columns = motion_columns(readings, self.polynomial)
             prior = replace(prior, group_offset=np.log(motion_sizes(readings)))
+        if readings.print is None and self.readings.print is not None:
+            own = self.readings.coefficients
+            prior = replace(prior, features=prior.features[:own], offset=0.0)
         sums = sums_of(readings, None, columns, kept)
         found = posterior(sums, prior, hyper, evidence=False)
         return self._with_common(readings, found, self.polynomial, kept)
@@ -341,14 +334,15 @@ class SmoothFit:
     @property
     def prior_size(self) -> FloatArray:
         """(columns,) prior sizes of the coefficients of each output."""
-        return np.asarray(np.exp(self._prior.features @ self._hyper))
+        return self._prior.sizes(self._hyper)[: self.readings.coefficients]
 
     @property
     def coefficient_root(self) -> FloatArray:
         """F (columns, columns), F F' = posterior covariance of the coefficients of an output, the mean of both."""
         found = self.posterior
-        follow = [each.T @ found.side_covariance @ each for each in found.by_side]
-        covariance = found.alone + np.mean(follow, axis=0)
+        own = self.readings.coefficients
+        follow = [each[:, :own].T @ found.side_covariance @ each[:, :own] for each in found.by_side]
+        covariance = found.alone[:own, :own] + np.mean(follow, axis=0)
         size = np.sqrt(np.diag(covariance))
         values, vectors = np.linalg.eigh(covariance / size[:, None] / size)
         return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -369,12 +363,15 @@ class SmoothFit:
         if self._columns is not None:
             size = motion_sizes(readings) * np.exp(self._prior.group_features @ self._hyper)
             own = motion_columns(readings, self.polynomial) * (size[readings.capture] * weight)[:, None]
-        found = []
+        found, shared = [], self.readings.shared
         for number in range(places):
             rows = np.flatnonzero(place == number)
             visit = readings.capture[rows]
             moved = own[rows].reshape(len(rows), 12)
             noise = np.eye(len(rows)) + 0.5 * (visit[:, None] == visit) * (moved @ moved.T)
+            if shared is not None:
+                own_field = (visit[:, None] == visit) * shared.correlation(readings.image[rows])
+                noise += shared.share * (own_field - np.eye(len(rows)))
             found.append(
                 np.asarray(np.linalg.solve(np.linalg.cholesky(noise), design[rows] * weight[rows]), np.float64)
             )
@@ -448,44 +445,36 @@ def fit(
         return smooth
     if weights is not None:
         gone = np.setdiff1d(readings.capture, readings.capture[weights > 0])
-        smooth = replace(smooth, moved=tuple(CaptureMotion(int(name), 0.0, 0.0, 0.0, 0.0, 0.0) for name in gone))
-        return replace(smooth, moved=tuple(_standing_out(smooth)[1].values()))
-    if not _standing_out(smooth)[0]:
+        smooth = replace(smooth, moved=tuple(CaptureMotion(int(name), 0.0, 0.0, 0.0, 0.0) for name in gone))
+        return replace(smooth, moved=tuple(_suspects(smooth)[1].values()))
+    if not _suspects(smooth)[0]:
         return smooth
-    # Few orders cannot follow a capture that is far off; many find those that are less so.
-    few = readings.orders.sum(axis=1) <= _FEW_ORDERS
-    suspects: dict[int, CaptureMotion] = {}
-    if readings.trend is None:
-        coarse = _Search(replace(readings, orders=readings.orders[few]), search.start, None, None, stage)
-        suspects = _suspects(coarse, {})
-        suspects = {name: each for name, each in suspects.items() if each.times > _STANDS_OUT and each.score > _SURE}
-    suspects = _suspects(search, suspects)
-    moved = [each for each in suspects.values() if each.times > _STANDS_OUT and each.score > _SURE]
-    moved.sort(key=lambda each: -each.score)
-    if not moved:
-        return smooth
-    smooth = search.without(tuple(moved))
-    # Without so many the rest judge badly: the least suspicious come back unless they stand out again.
-    while moved[-1].score < _DOUBTFUL * moved[0].score:
-        trial = search.without(tuple(moved[:-1]))
-        if moved[-1].capture in _standing_out(trial)[0]:
-            break
-        smooth = trial
-        moved.pop()
+    if readings.trend is None:  # few orders cannot follow a capture that is far off; many find those that are less so
+        few = readings.orders.sum(axis=1) <= _FEW_ORDERS
+        coarse = replace(search, readings=replace(readings, orders=readings.orders[few]), start_at=None)
+        smooth = search.without(_without_moved(coarse, coarse.without(())).moved)
+    return _without_moved(search, smooth)
+
+
+def _without_moved(search: "_Search", smooth: SmoothFit) -> SmoothFit:
+    """The fit without all captures that moved, from one without some of them."""
+    most, cleared = int(_MOST * len(np.unique(search.readings.capture))), set[int]()
+    for _ in range(_ROUNDS_OF_MOTIONS):
+        others, judged = _suspects(smooth)
+        cleared |= {name for name, each in judged.items() if not each.stands_out}
+        chosen = [each for each in judged.values() if each.stands_out]
+        # One capture that moved makes others seem to have moved: the clearest go first, and some come back.
+        least = _NEAR_CLEAREST * max((each.log10_odds for each in others.values()), default=0.0)
+        chosen += [
+            each
+            for name, each in others.items()
+            if each.log10_odds >= least and (each.stands_out or name not in cleared)
+        ]
+        chosen = sorted(chosen, key=lambda each: -each.log10_odds)[:most]
+        if {each.capture for each in chosen} == judged.keys():
+            return replace(smooth, moved=tuple(chosen))
+        smooth = search.without(tuple(chosen))
     return smooth
-
-
-def _suspects(search: "_Search", suspects: dict[int, CaptureMotion]) -> dict[int, CaptureMotion]:
-    """More captures that stand out beside some, and all of them judged by the rest.
-
-    One that stands out makes others seem to: the worst go first.
-    """
-    while True:
-        smooth = search.without(tuple(suspects.values()))
-        others, suspects = _standing_out(smooth)
-        if not others or len(suspects) + len(others) > _MOST * len(np.unique(search.readings.capture)):
-            return suspects
-        suspects |= others
 
 
 @dataclass(frozen=True)
@@ -505,19 +494,22 @@ class _Search:
         kept = stays * (np.ones(len(readings)) if self.weights is None else self.weights)
         prior = smoothness_prior(readings, moving=False)
         starts = [dict(self.start_at)] if self.start_at is not None else search_starts(readings, prior, start, kept)
-        moves = readings.motion is not None and bool(np.any(readings.sigma > 0))
+        is_noisy = bool(np.any(readings.sigma > 0))
+        moves = readings.motion is not None and is_noisy
         columns: FloatArray | None = None
+        if is_noisy:  # a fit that takes shared noise for optics leaves none to be found
+            spacing = neighbour_distance([readings.image[rows] for rows in rows_by_capture(readings.capture)])
+            readings = readings.with_shared(SharedNoise(0.5, 1.4 * spacing) if spacing > 0 else None)
         still = sums_of(readings, start, None, kept)
         for _ in range(_ROUNDS):
             found = maximise(still, prior, starts)
             polynomial = polynomial_of(readings, start, found)
             columns = motion_columns(readings, polynomial) if moves else None
-            if self.weights is not None:
+            weights = kept if self.weights is not None else _weights(readings, polynomial, columns, kept) * stays
+            shared = _shared_noise(readings, polynomial, found, weights) if is_noisy else None
+            if np.allclose(weights, kept, atol=0.05) and _alike(shared, readings.shared):
                 break
-            weights = _weights(readings, polynomial, columns, kept) * stays
-            if np.allclose(weights, kept, atol=0.05):
-                break
-            kept, starts = weights, [dict(found.hyper)]
+            kept, starts, readings = weights, [dict(found.hyper)], readings.with_shared(shared)
             still = sums_of(readings, start, None, kept)
         if columns is None:
             return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, still)
@@ -541,6 +533,30 @@ class _Search:
             found = posterior(sums, prior, np.array(list(hyper.values())))
             polynomial = polynomial_of(readings, start, found)
         return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, sums, curvature)
+
+
+def _shared_noise(
+    readings: FitReadings, polynomial: Polynomial, found: Posterior, kept: FloatArray
+) -> SharedNoise | None:
+    """Noise that neighbouring readings of a capture share, by what a polynomial leaves of good readings."""
+    off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
+    captures = [rows[kept[rows] == 1.0] for rows in rows_by_capture(readings.capture)]
+    root = lower_root(found.alone)
+
+    def unsure(number: int, rows: IntArray) -> FloatArray:
+        chosen = captures[number][rows]
+        if readings.mixed:
+            return np.zeros((len(chosen), 0))
+        return np.asarray((readings.design(chosen) * readings.weight[chosen, None]) @ root)
+
+    return find_shared_noise([readings.image[rows] for rows in captures], [off[rows] for rows in captures], unsure)
+
+
+def _alike(shared: SharedNoise | None, before: SharedNoise | None) -> bool:
+    """Whether two findings of noise that neighbours share are alike."""
+    if shared is None or before is None:
+        return shared is before
+    return shared.length == before.length and abs(shared.share - before.share) < _ALIKE
 
 
 def _among(orders: IntArray, others: IntArray) -> BoolArray:
@@ -576,8 +592,8 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     return rough
 
 
-def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
-    """Captures that stand out by their motion, and those left out before, measured by the rest; by their indices."""
+def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
+    """Captures that may have moved, and those left out before, measured by the rest; by their indices."""
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
     kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
     offset = np.log(motion_sizes(readings))
@@ -589,43 +605,20 @@ def _standing_out(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int
         replace(smooth._prior, group_offset=offset),
         smooth._hyper,
     )
-    variance = np.diag(found.side_covariance)[-found.group_mean.size :].reshape(found.group_mean.shape)
     size = np.exp(offset + smooth._prior.group_features @ smooth._hyper)
-    # What the readings say of each motion before its own prior: a common prior draws the largest to the others.
-    alone = 1.0 / np.maximum(1.0 / variance - 1.0 / size**2, 1e-9 / size**2)
-    motion = found.group_mean * alone / variance
-    times, score = np.zeros(len(motion)), np.zeros(len(motion))
-    stage = ((SHIFT, _ORDINARY_SHIFT_M, smooth.shift_m), (TURN, _ORDINARY_TURN_RAD, smooth.turn_rad))
-    for part, least, typical in stage:
-        usual = np.maximum(smooth._motion_sizes[:, part], least)
-        this_score = np.linalg.norm(motion[:, part] / np.sqrt(alone[:, part] + usual**2), axis=1)
-        # A capture that may move by more must move by more to stand out.
-        length = np.linalg.norm(found.group_mean[:, part] * max(typical, least) / usual, axis=1)
-        this_times = length / max(float(np.median(length)), least)
-        larger = this_score > score
-        score, times = np.where(larger, this_score, score), np.where(larger, this_times, times)
-    shift, turn = (np.linalg.norm(found.group_mean[:, part], axis=1) for part in (SHIFT, TURN))
+    factors = np.exp(smooth._prior.group_features @ smooth._hyper)
+    usual = usual_motion(readings, factors, found.group_mean, np.setdiff1d(readings.capture, out))
     off = (readings.observed - readings.values(smooth.polynomial)) * readings.metric[:, None]
-    found_of = {
-        int(name): CaptureMotion(
-            int(name),
-            float(shift[name]),
-            float(turn[name]),
-            float(times[name]),
-            float(np.linalg.norm(off[readings.capture == name].mean(axis=0))),
-            float(score[name]),
-        )
-        for name in np.unique(readings.capture)
-    }
+    found_of = {}
+    for name in map(int, np.unique(readings.capture)):
+        block = found.mixed_mean.size + 6 * name + np.arange(6)
+        covariance = found.side_covariance[np.ix_(block, block)]
+        odds, motion = moved_odds(found.group_mean[name], covariance, size[name], usual[name])
+        shift, turn = (float(np.linalg.norm(motion[part])) for part in (SHIFT, TURN))
+        arcmin = float(np.linalg.norm(off[readings.capture == name].mean(axis=0)))
+        found_of[name] = CaptureMotion(name, shift, turn, arcmin, odds)
     before = {name: found_of.pop(name) for name in out}
-    # No stage is so bad: where all seem to have moved, a few have.
-    bad_stage = bool(
-        np.any(smooth.stage > np.maximum(_LARGER * motion_scale(readings), (_BAD_STAGE_M, _BAD_STAGE_RAD)))
-    )
-    larger = {name: each for name, each in found_of.items() if bad_stage or each.times > _LARGER}
-    worst = max((each.score for each in larger.values()), default=0.0)
-    enough = max(_SUSPICIOUS / (2.0 if bad_stage else 1.0), _NEAR_WORST * worst)
-    return {name: each for name, each in larger.items() if each.score >= enough}, before
+    return {name: each for name, each in found_of.items() if each.is_suspect}, before
 
 
 def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:
@@ -636,7 +629,7 @@ def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray 
     off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
     if columns is not None:
         columns = columns * readings.weight[:, None, None]
-        for rows in _by_capture(readings.capture):
+        for rows in rows_by_capture(readings.capture):
             design = (columns[rows] * kept[rows, None, None]).reshape(-1, 6)
             size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
             motion = np.linalg.lstsq(design / size, (off[rows] * kept[rows, None]).ravel(), rcond=1e-6)[0] / size
@@ -645,8 +638,3 @@ def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray 
     far = far / max(float(np.median(far[kept > 0])) / _MAD_OF_RAYLEIGH, noise_floor(readings))
     fall = _GROSS / np.maximum(far, _GROSS) * np.clip((_LOST - far) / (_LOST - _GROSS), 0.0, 1.0)
     return np.asarray(np.sqrt(np.where(far <= _GROSS, 1.0, fall)))
-
-
-def _by_capture(capture: IntArray) -> list[IntArray]:
-    order = np.argsort(capture, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(capture[order])) + 1)

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 from scipy.special import binom
 
+from wlr_render.calibration.print_field import FALLS_DIFFER, PRINTS_DIFFER, USUAL_FALL, USUAL_PRINT_M
 from wlr_render.calibration.readings import FitReadings, flat_places, sums_of
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Prior, Sums, posterior
@@ -63,7 +64,8 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     slopes = [f"{'mu' if readings.is_place[axis] else 'lambda'} {axis}" for axis in axes]
     ways = _log_ways(readings)
     footprint = [_FOOTPRINT] if np.any(ways) else []
-    names = (*sizes, *slopes, *footprint, "noise", *(("shift", "turn") if moving else ()))
+    print_names = () if readings.print is None else ("print", "fall")
+    names = (*sizes, *slopes, *footprint, *print_names, "noise", *(("shift", "turn") if moving else ()))
     features = np.zeros((blocks, len(orders), len(names)))
     for block in range(blocks):
         features[block, ~free, block] = 1.0
@@ -75,12 +77,19 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     none = np.zeros((0, len(names)))
     parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
     shared, mixed = (none, flat) if readings.mixed else (flat, parameters)
+    of_columns: FloatArray | float = 0.0
+    if readings.print is not None:
+        waves = np.zeros((len(readings.print.frequency), len(names)))
+        waves[:, names.index("print")], waves[:, names.index("fall")] = 1.0, -readings.print.frequency
+        of_columns = np.concatenate([np.zeros(len(shared)), readings.print.offset])
+        shared = np.concatenate([shared, waves])
     own = np.zeros((6 if moving else 0, len(names)))
     offset: FloatArray | float = 0.0
     if moving:
         own[SHIFT, -2] = own[TURN, -1] = 1.0
         offset = np.log(motion_sizes(readings))
     bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(0.0, 2.0)] * len(footprint)
+    bounds += [(np.log(LEAST_MOTION), 0.0), (0.0, 5.0)][: len(print_names)]
     bounds += [(np.log(noise_floor(readings)), 12.0)]
     if moving:
         usual = motion_scale(readings)
@@ -92,11 +101,14 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     expected[blocks : blocks + len(slopes), 1] = 1.0
     if footprint:
         expected[names.index(_FOOTPRINT)] = _USUAL_FOOTPRINT
+    if print_names:
+        expected[names.index("print")] = np.log(USUAL_PRINT_M), PRINTS_DIFFER
+        expected[names.index("fall")] = USUAL_FALL, FALLS_DIFFER
     if moving:
         expected[-2:, 1] = _STAGES_DIFFER if readings.motion_prior is None else readings.motion_prior.log_sigma
         if factors is not None:
             expected[-2:] = np.stack([factors.mean, factors.sigma], axis=-1)
-    return Prior(names, np.array(bounds), expected, shared, mixed, own, offset)
+    return Prior(names, np.array(bounds), expected, shared, mixed, own, offset, of_columns)
 
 
 def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArray:
@@ -107,7 +119,7 @@ def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArr
         hyper: hyperparameters that a fit found, logarithms.
     """
     prior = smoothness_prior(readings, moving=False)
-    features = prior.mixed_features if readings.mixed else prior.features
+    features = prior.mixed_features if readings.mixed else prior.features[: readings.coefficients]
     size = np.exp(features @ [hyper[name] for name in prior.names]).reshape(readings.blocks, -1)
     square = size**2 * 0.5 ** np.count_nonzero(readings.orders, axis=1)  # a Chebyshev polynomial's mean square is 1/2
     square[:, readings.free] = np.inf
@@ -185,6 +197,8 @@ def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise
         "mu": by_place,
         _FOOTPRINT: _USUAL_FOOTPRINT[0],
         "noise": float(np.log(noise)),
+        "print": float(np.log(USUAL_PRINT_M)),
+        "fall": USUAL_FALL,
     }
     return {name: values[name.split()[0]] for name in prior.names}
 

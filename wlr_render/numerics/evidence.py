@@ -74,19 +74,21 @@ class Sums:
 
         Args:
             value: (n, outputs).
-            weight: (n,) one over the relative sigma; zero leaves a reading out.
+            weight: (n,) one over the relative sigma, where zero leaves a reading out; or (n, n) a lower triangular
+                matrix that makes the noise of readings that share noise independent and of size one.
             design: (n, columns) A.
             mixed: (n, outputs, mixed) C.
             grouped: (n, outputs, grouped) H.
             group: (n,) each reading's group, 0..groups - 1.
         """
-        design, value = design * weight[:, None], value * weight[:, None]
-        self.count += int(np.count_nonzero(weight)) * value.shape[1]
-        self.log_weight += value.shape[1] * float(np.log(weight[weight > 0]).sum())
-        self.square += float(np.sum(value**2))
-        self.gram += design.T @ design
-        self.moment += value.T @ design
-        self._add_sides(value, weight, design, mixed, grouped, group)
+        weighted_design, weighted_value = weight_values(weight, design), weight_values(weight, value)
+        diagonal = weight if weight.ndim == 1 else np.diag(weight)
+        self.count += int(np.count_nonzero(diagonal)) * value.shape[1]
+        self.log_weight += value.shape[1] * float(np.log(diagonal[diagonal > 0]).sum())
+        self.square += float(np.sum(weighted_value**2))
+        self.gram += weighted_design.T @ weighted_design
+        self.moment += weighted_value.T @ weighted_design
+        self.add_side(value, weight, design, mixed, grouped, group)
 
     def add_side(
         self,
@@ -97,42 +99,43 @@ class Sums:
         grouped: FloatArray | None = None,
         group: IntArray | None = None,
     ) -> None:
-        """Add the side unknowns of n readings that were added before, see `add`."""
-        self._add_sides(value * weight[:, None], weight, design * weight[:, None], mixed, grouped, group)
+        """Add the side unknowns of n readings that were added before, see `add`.
 
-    def _add_sides(
-        self,
-        value: FloatArray,
-        weight: FloatArray,
-        design: FloatArray,
-        mixed: FloatArray | None,
-        grouped: FloatArray | None,
-        group: IntArray | None,
-    ) -> None:
-        """Add side unknowns like `add_side`, from values and a design that are already weighted."""
-        common = None if mixed is None else mixed * weight[:, None, None]
+        Raises:
+            ValueError: readings of several groups share noise.
+        """
         everyone = slice(0, self.mixed)
-        if common is not None:
-            self._add_side(everyone, common, value, design)
+        half = whole = None
+        if mixed is not None:
+            half = weight_values(weight, mixed)
+            whole = weight_values(weight.T, half)
+            self._add_side(everyone, half, whole, value, design)
         if grouped is None or group is None:
             return
-        grouped = grouped * weight[:, None, None]
-        order = np.argsort(group, kind="stable")
-        names, first = np.unique(group[order], return_index=True)
+        names, number = np.unique(group, return_inverse=True)
+        if weight.ndim == 2 and len(names) > 1:
+            raise ValueError("readings of several groups share noise; add each group by itself.")
+        own_half = weight_values(weight, grouped)
+        own_whole = weight_values(weight.T, own_half)
+        order = np.argsort(number.reshape(-1), kind="stable")
+        first = np.searchsorted(number.reshape(-1)[order], np.arange(len(names)))
         for name, rows in zip(names, np.split(order, first[1:]), strict=True):
             mine = slice(self.mixed + name * self.grouped, self.mixed + (name + 1) * self.grouped)
-            self._add_side(mine, grouped[rows], value[rows], design[rows])
-            if common is not None:
-                cross = grouped[rows].reshape(-1, self.grouped).T @ common[rows].reshape(-1, self.mixed)
+            self._add_side(mine, own_half[rows], own_whole[rows], value[rows], design[rows])
+            if half is not None:
+                cross = own_half[rows].reshape(-1, self.grouped).T @ half[rows].reshape(-1, self.mixed)
                 self.side_gram[mine, everyone] += cross
                 self.side_gram[everyone, mine] += cross.T
 
-    def _add_side(self, which: slice, columns: FloatArray, value: FloatArray, design: FloatArray) -> None:
-        rows = columns.reshape(-1, columns.shape[2])  # matrix products are many times faster than einsum
+    def _add_side(
+        self, which: slice, half: FloatArray, whole: FloatArray, value: FloatArray, design: FloatArray
+    ) -> None:
+        """Add columns weighted once, `half`, and twice, `whole`, both (n, outputs, k), of readings without weight."""
+        rows = half.reshape(-1, half.shape[2])  # matrix products are many times faster than einsum
         self.side_gram[which, which] += rows.T @ rows
-        self.side_moment[which] += rows.T @ value.ravel()
+        self.side_moment[which] += whole.reshape(-1, whole.shape[2]).T @ value.ravel()
         for output, cross in enumerate(self.side_cross):
-            cross[which] += columns[:, output].T @ design
+            cross[which] += whole[:, output].T @ design
 
     def with_side(self, mixed: int, groups: int, grouped: int) -> "Sums":
         """Return sums over the same readings with other side unknowns, all zero until `add_side` adds them."""
@@ -162,6 +165,13 @@ class Sums:
         return rest
 
 
+def weight_values(weight: FloatArray, values: FloatArray) -> FloatArray:
+    """Multiply values (n, ...) of n readings by weights (n,) or a matrix (n, n)."""
+    flat = values.reshape(len(values), -1)
+    product = weight[:, None] * flat if weight.ndim == 1 else weight @ flat
+    return np.asarray(product.reshape(values.shape))
+
+
 @dataclass(frozen=True)
 class Prior:
     """Prior sizes and noise as functions of the hyperparameters.
@@ -174,6 +184,7 @@ class Prior:
         mixed_features: (mixed, hyperparameters) of z.
         group_features: (grouped, hyperparameters) of b.
         group_offset: (groups, grouped) added to the logarithms of the prior sizes of b.
+        offset: (columns,) likewise of x.
     """
 
     names: tuple[str, ...]
@@ -183,6 +194,11 @@ class Prior:
     mixed_features: FloatArray
     group_features: FloatArray
     group_offset: FloatArray | float = 0.0
+    offset: FloatArray | float = 0.0
+
+    def sizes(self, hyper: FloatArray) -> FloatArray:
+        """Return the prior sizes (columns,) of the coefficients x of an output."""
+        return np.asarray(np.exp(self.offset + self.features @ hyper))
 
     @property
     def noise(self) -> int:
@@ -216,7 +232,7 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     log_noise = float(hyper[prior.noise])
     per_noise = float(np.exp(-log_noise))
     side_features, side_offset = prior.side(sums.groups)
-    scale, side_scale = np.exp(prior.features @ hyper), np.exp(side_offset + side_features @ hyper)
+    scale, side_scale = prior.sizes(hyper), np.exp(side_offset + side_features @ hyper)
     # Unknowns that the readings do not inform keep their prior; leaving them out saves most of the work.
     used = scale**2 * np.diag(sums.gram) * per_noise**2 > _NEGLIGIBLE
     side_used = side_scale**2 * np.diag(sums.side_gram) * per_noise**2 > _NEGLIGIBLE

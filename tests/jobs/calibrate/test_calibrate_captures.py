@@ -15,7 +15,8 @@ from wlr_render.bench.session_folder import save_session
 from wlr_render.bench.simulate_session import simulate as read_off
 from wlr_render.calibration.fit_eye import KindComparison
 from wlr_render.calibration.fit_report import FitReport, OneMore, Residuals
-from wlr_render.calibration.smooth_fit import CaptureMotion, MotionAgreement
+from wlr_render.calibration.moved_captures import CaptureMotion
+from wlr_render.calibration.smooth_fit import MotionAgreement
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import Captures, select
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
@@ -346,10 +347,10 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
     ("changes", "warning"),
     [
         (
-            {"moved": (CaptureMotion(5, 3.5e-4, 2e-4, 30.2, 5.0, 20.0),)},
+            {"moved": (CaptureMotion(5, 3.5e-4, 2e-4, 5.0, 20.0),)},
             "Display: the readings of set 5 lie as if its camera had stood 350 um and 200 microradians from where it "
-            "is stated, 30 times as far as the others: the camera or the headset moved, its entry is wrong, or the "
-            "optics are less smooth there than the model. The model was fitted without them.",
+            "is stated (log10 odds 20 against noise and an ordinary stage): the camera or the headset moved, its entry "
+            "is wrong, or the optics are less smooth there than the model. The model was fitted without them.",
         ),
         (
             {"noise_arcmin": 1.0},

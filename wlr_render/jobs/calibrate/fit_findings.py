@@ -107,8 +107,9 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
         found.append(
             f"{title}: the readings of {names[first[each.capture]]} lie as if its camera had stood "
             f"{_digits(1e6 * each.shift_m)} um and {_digits(1e6 * each.turn_rad)} microradians from where it is "
-            f"stated, {each.times:.0f} times as far as the others: the camera or the headset moved, its entry is "
-            "wrong, or the optics are less smooth there than the model. The model was fitted without them."
+            f"stated (log10 odds {each.log10_odds:.0f} against noise and an ordinary stage): the camera or the headset "
+            "moved, its entry is wrong, or the optics are less smooth there than the model. The model was fitted "
+            "without them."
         )
     stated = report.stated_noise_arcmin
     beside = "" if stated is None else f"({_digits(report.noise_arcmin, 3)}' beside {stated:.3g}')"

@@ -1,0 +1,99 @@
+"""Captures whose camera stood elsewhere than stated: the odds of that against noise and an ordinary stage."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from wlr_render.calibration.readings import FitReadings
+from wlr_render.calibration.smooth_prior import SHIFT, TURN, motion_scale, motion_sizes
+from wlr_render.numerics.arrays import FloatArray, IntArray
+
+_TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of the shift, and of the turn, of a camera that moved
+_SHARE_THAT_MOVES = 0.03  # of captures, before the readings
+_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # of a capture to be judged by the others, and to be named
+_MEDIAN_OF_THREE = 1.538  # median length of three standard normal numbers
+_MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # a motion below both is an ordinary stage's
+_PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # a larger motion is no camera's on a stage
+_ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # per axis, of a good stage
+_BAD_STAGE_M, _BAD_STAGE_RAD, _TIMES_STATED = 1e-4, 3e-4, 2.0  # likewise, of a bad one, or as often as stated
+
+
+@dataclass(frozen=True)
+class CaptureMotion:
+    """A capture whose camera stood elsewhere than stated, by far more than the others'.
+
+    Attributes:
+        capture: its index among the readings.
+        shift_m, turn_rad: length of its shift, and its turn.
+        arcmin: mean error of its readings, predicted by the other captures.
+        log10_odds: decimal logarithm of the odds that it moved, against noise and an ordinary motion of the stage.
+    """
+
+    capture: int
+    shift_m: float
+    turn_rad: float
+    arcmin: float
+    log10_odds: float
+
+    @property
+    def is_suspect(self) -> bool:
+        """Whether it may have moved, by more than an ordinary stage does and no more than a camera can."""
+        is_moved = self.shift_m > _MOVED_M or self.turn_rad > _MOVED_RAD
+        is_plausible = self.shift_m < _PLAUSIBLE_M and self.turn_rad < _PLAUSIBLE_RAD
+        return self.log10_odds > _SUSPECT_LOG10_ODDS and is_moved and is_plausible
+
+    @property
+    def stands_out(self) -> bool:
+        """Whether it moved at odds from which it is named."""
+        return self.is_suspect and self.log10_odds > _LEAST_LOG10_ODDS
+
+
+def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray, others: IntArray) -> FloatArray:
+    """Return sizes (captures, 6) of motions of captures that did not move: as found or, if smaller, as most show.
+
+    Args:
+        readings: what was fitted.
+        factors: (6,) sizes that the fit found over those of `motion_sizes`.
+        motion: (captures, 6) as the fit found it. others: captures that are not left out.
+    """
+    stated = motion_sizes(readings)
+    usual = stated * factors
+    parts = (SHIFT, _ORDINARY_SHIFT_M, _BAD_STAGE_M), (TURN, _ORDINARY_TURN_RAD, _BAD_STAGE_RAD)
+    for (part, least, bad), scale in zip(parts, motion_scale(readings), strict=True):
+        relative = np.linalg.norm(motion[others, part] / usual[others, part], axis=1)
+        most = float(np.max(factors[part]) * np.median(relative)) / _MEDIAN_OF_THREE
+        if readings.motion_prior is not None:
+            most = max(most, 1.0)
+        # No stage is so bad: where all seem to have moved, a few have.
+        usual[:, part] = np.minimum(usual[:, part], stated[:, part] * min(most, max(_TIMES_STATED, bad / scale)))
+        usual[:, part] = np.maximum(usual[:, part], least)
+    return usual
+
+
+def moved_odds(
+    motion: FloatArray, covariance: FloatArray, size: FloatArray, usual: FloatArray
+) -> tuple[float, FloatArray]:
+    """Return the decimal logarithm of the odds that a camera moved by more than is usual, and its motion (6,) if so.
+
+    Args:
+        motion: (6,) posterior mean. covariance: (6, 6) of it.
+        size: (6,) sizes of the prior that the posterior contains.
+        usual: (6,) sizes of motions of a camera that did not move.
+    """
+    mean, within = motion / usual, covariance / usual / usual[:, None]
+    within = within + 1e-9 * np.diag(np.diag(within))
+    precision = np.linalg.inv(within)
+    pull, information = precision @ mean, precision - np.diag((usual / size) ** 2)
+    logs, means = [], []
+    for pair in product(_TIMES_USUAL, repeat=2):
+        scale = np.repeat(pair, 3)
+        normal = np.eye(6) + scale[:, None] * information * scale
+        values, axes = np.linalg.eigh(0.5 * (normal + normal.T))
+        values = np.maximum(values, 1.0)  # by rounding alone they are less
+        along = axes.T @ (scale * pull)
+        logs.append(0.5 * float(np.sum(along**2 / values) - np.log(values).sum()))
+        means.append(usual * scale * (axes @ (along / values)))
+    moved = float(np.logaddexp.reduce(logs[1:])) - np.log(len(logs) - 1)
+    odds = float((moved - logs[0] + np.log(_SHARE_THAT_MOVES)) / np.log(10.0))
+    return odds, means[1 + int(np.argmax(logs[1:]))]

@@ -1,0 +1,125 @@
+"""Noise that neighbouring readings of a photograph share: a stationary random field of short length beside white noise.
+
+    cov(e_i, e_j) = sigma_i sigma_j ((1 - share) [i = j] + share (1 + d) exp(-d)),    d = sqrt(3) |x_i - x_j| / length
+
+Interpolation of the picture, its compression and air make such noise. Left out of the likelihood, it looks like motions
+of the camera and like optics, because the mean of many readings that share noise is not as good as their number says.
+
+The field is the Matern class of order 3/2 (Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006,
+chapter 4); share and length maximise the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971, 545-554)
+of what a polynomial leaves of each photograph.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.spatial import KDTree
+
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
+
+_LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the field, in distances between neighbours
+_SHARES = np.linspace(0.0, 0.96, 49)
+_READINGS, _GROUPS = 120, 16  # that take part, of a group and in all: a share is sure to 0.03 then
+_TOP_ORDER, _PER_TERM = 2, 5  # of the polynomial that stands for motions of the camera
+_ODDS = 100.0  # against white noise from which noise is taken for shared
+
+
+@dataclass(frozen=True)
+class SharedNoise:
+    """Noise that neighbouring readings of a photograph share.
+
+    Attributes:
+        share: of the variance that the field has; the rest is white.
+        length: of the field, in the unit of the places.
+    """
+
+    share: float
+    length: float
+
+    def correlation(self, place: FloatArray) -> FloatArray:
+        """Return the correlation (n, n) of the field between places (n, 2)."""
+        apart = np.sqrt(np.sum((place[:, None] - place) ** 2, axis=-1)) * (np.sqrt(3.0) / self.length)
+        return np.asarray((1.0 + apart) * np.exp(-apart))
+
+    def root(self, place: FloatArray, kept: FloatArray) -> FloatArray:
+        """Return a lower triangular matrix (n, n) that makes the noise of readings of unit sigma white.
+
+        Args:
+            place: (n, 2) places of the readings of one photograph.
+            kept: (n,) weights, 1 down to 0 for outliers, of the white noise.
+        """
+        rows = np.flatnonzero(kept > 0)
+        noise = self.share * self.correlation(place[rows])
+        noise[np.diag_indices(len(rows))] += (1.0 - self.share) / kept[rows] ** 2
+        root = np.zeros((len(kept), len(kept)))
+        lower = np.linalg.cholesky(noise)
+        root[np.ix_(rows, rows)] = solve_triangular(lower, np.eye(len(rows)), lower=True, check_finite=False)
+        return root
+
+
+def find_shared_noise(
+    places: Sequence[FloatArray],
+    residuals: Sequence[FloatArray],
+    unsure: Callable[[int, IntArray], FloatArray],
+) -> SharedNoise | None:
+    """Return the noise that neighbours share, by restricted likelihood; None where white noise is about as probable.
+
+    A fit follows the noise that readings share, so that its residuals have less of it: the expected likelihood over the
+    posterior of the fit counts (Dempster, Laird and Rubin, J. Royal Statistical Society B 39, 1977, 1-38).
+
+    Args:
+        places: (n, 2) of the readings of each photograph.
+        residuals: (n, 2) of a fit, over their sigma, without outliers.
+        unsure: (number of a photograph, some of its readings (m,)) -> (m, k) factor F of the posterior covariance F F'
+            of the fitted values, over their sigma.
+    """
+    rng = np.random.default_rng(0)
+    chosen = [each for each in range(len(places)) if len(places[each]) > 2 * _PER_TERM]
+    chosen = sorted(rng.permutation(chosen)[:_GROUPS])
+    patches = [(each, _patch(places[each], rng)) for each in chosen]
+    spacing = neighbour_distance([places[each] for each in chosen])
+    if not spacing > 0:
+        return None
+    logs, squares = np.zeros((len(_LENGTHS), len(_SHARES))), np.zeros((len(_LENGTHS), len(_SHARES)))
+    count = 0
+    for each, rows in patches:
+        place, across = places[each][rows], _across(places[each][rows])
+        seen = across.T @ np.hstack([residuals[each][rows], np.sqrt(2.0) * unsure(each, rows)])
+        count += 2 * across.shape[1]
+        for row, length in enumerate(_LENGTHS):
+            field = across.T @ SharedNoise(1.0, length * spacing).correlation(place) @ across
+            sizes, axes = np.linalg.eigh(field)
+            power = np.sum((axes.T @ seen) ** 2, axis=1)
+            variance = 1.0 + _SHARES * (np.maximum(sizes, 0.0)[:, None] - 1.0)
+            logs[row] += 2.0 * np.log(variance).sum(axis=0)
+            squares[row] += np.sum(power[:, None] / variance, axis=0)
+    minus_two = logs + count * np.log(np.maximum(squares, 1e-300))  # at the size of the noise that fits each best
+    row, column = divmod(int(np.argmin(minus_two)), len(_SHARES))
+    if minus_two[0, 0] - minus_two[row, column] < 2.0 * np.log(_ODDS):
+        return None
+    return SharedNoise(float(_SHARES[column]), float(_LENGTHS[row] * spacing))
+
+
+def neighbour_distance(places: Sequence[FloatArray]) -> float:
+    """Return the median distance between neighbours among the places (n, 2) of several photographs; NaN without any."""
+    distances = [np.median(KDTree(place).query(place, 2)[0][:, 1]) for place in places if len(place) > 1]
+    return float(np.median(distances)) if distances else np.nan
+
+
+def _patch(place: FloatArray, rng: np.random.Generator) -> IntArray:
+    """Return readings (m,) around a random one, so that neighbours stay neighbours."""
+    if len(place) <= _READINGS:
+        return np.arange(len(place))
+    middle = place[rng.integers(len(place))]
+    return np.argsort(np.sum((place - middle) ** 2, axis=1))[:_READINGS]
+
+
+def _across(place: FloatArray) -> FloatArray:
+    """Return orthonormal contrasts (n, n - p) in which no polynomial over the places has a part."""
+    order = next(n for n in range(_TOP_ORDER, -1, -1) if n == 0 or term_count(2, n) * _PER_TERM <= len(place))
+    design = basis(place, total_degree(2, order), Box.around(place))
+    axes, sizes, _ = np.linalg.svd(design)
+    return np.asarray(axes[:, int(np.sum(sizes > 1e-9 * sizes[0])) :])
