@@ -6,6 +6,7 @@ readings tell. They also tell which terms matter (`fit_within`). No design is re
 the posterior is wide.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -62,7 +63,9 @@ _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture tha
 _ALIKE = 0.05  # shares of the noise's variance that count as the same
 _SETTLED = 0.02  # largest distance of a logarithm from its optimum where the search for it ends
 _SIDES_DIFFER = 0.1  # logarithm of the sizes of the motions of a headset's display captures over the others'
-_MOST, _ROUNDS_OF_MOTIONS = 0.25, 8  # share of the captures that may stand out; fits without some
+_MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out, and that may seem to have moved
+_ROUNDS_OF_MOTIONS = 8  # fits without some of the captures
+_ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # that a capture is judged by beside those of a fit, up to so many in all
 _FEW_ORDERS = 3  # in all, of the fit that finds captures far off
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 
@@ -458,23 +461,29 @@ def fit(
 
 def _without_moved(search: "_Search", smooth: SmoothFit) -> SmoothFit:
     """The fit without all captures that moved, from one without some of them."""
-    most, cleared = int(_MOST * len(np.unique(search.readings.capture))), set[int]()
-    for _ in range(_ROUNDS_OF_MOTIONS):
+    captures, rejections = len(np.unique(search.readings.capture)), Counter[int]()
+    most = int(_MOST * captures)
+    for round_ in range(_ROUNDS_OF_MOTIONS):
         others, judged = _suspects(smooth)
-        cleared |= {name for name, each in judged.items() if not each.stands_out}
-        chosen = [each for each in judged.values() if each.stands_out]
-        # One capture that moved makes others seem to have moved: the clearest go first, and some come back.
+        rejections.update(name for name, each in judged.items() if not each.stands_out)
+        moved = tuple(each for each in judged.values() if each.stands_out)
+        # One capture that moved makes others seem to have moved: the clearest go first, and some come back. One that
+        # came back goes again only if it is clear, and stays when it came back twice.
         least = _NEAR_CLEAREST * max((each.log10_odds for each in others.values()), default=0.0)
-        chosen += [
+        more = tuple(
             each
             for name, each in others.items()
-            if each.log10_odds >= least and (each.stands_out or name not in cleared)
-        ]
-        chosen = sorted(chosen, key=lambda each: -each.log10_odds)[:most]
-        if {each.capture for each in chosen} == judged.keys():
-            return replace(smooth, moved=tuple(chosen))
-        smooth = search.without(tuple(chosen))
-    return smooth
+            if each.log10_odds >= least and rejections[name] <= int(each.stands_out)
+        )
+        if not more and len(moved) == len(judged):
+            return replace(smooth, moved=moved)
+        if len(moved) + len(more) > most or round_ == _ROUNDS_OF_MOTIONS - 1:
+            # Where most captures seem to have moved, they contradict each other, and none of them is to blame.
+            clear = len(moved) + sum(each.stands_out for each in others.values())
+            moved = moved if clear <= _MOST_THAT_MOVE * captures else ()
+            break
+        smooth = search.without(moved + more)
+    return replace(smooth, moved=moved) if len(moved) == len(judged) else search.without(moved)
 
 
 @dataclass(frozen=True)
@@ -592,6 +601,16 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     return rough
 
 
+def _with_terms_beyond(readings: FitReadings) -> FitReadings:
+    """Readings of a fit of few orders with more of them: what the orders cut off looks like motions of the camera."""
+    limits, variables = readings.limits, readings.is_place
+    if readings.trend is not None or not _FEW_ORDERS < limits.total < _ENOUGH_ORDERS:
+        return readings
+    more = Limits(*(min(order + _ORDERS_BEYOND, _ENOUGH_ORDERS) for order in (limits.pixel, limits.place, limits.total)))
+    wider = replace(readings, orders=more.orders(int(np.sum(~variables)), int(np.sum(variables))))
+    return wider.within(readings.box)
+
+
 def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
     """Captures that may have moved, and those left out before, measured by the rest; by their indices."""
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
@@ -599,11 +618,11 @@ def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, Ca
     offset = np.log(motion_sizes(readings))
     hyper = smooth.posterior.hyper
     offset[out, SHIFT], offset[out, TURN] = (np.log(_ANY_MOTION) - hyper[name] for name in ("shift", "turn"))
-    columns = motion_columns(readings, smooth.polynomial)
+    columns, judge = motion_columns(readings, smooth.polynomial), _with_terms_beyond(readings)
+    still = smooth._sums if judge is readings and not out else None
+    prior = smoothness_prior(judge, moving=True)
     found = posterior(
-        sums_of(readings, smooth._start, columns, kept, still=None if out else smooth._sums),
-        replace(smooth._prior, group_offset=offset),
-        smooth._hyper,
+        sums_of(judge, smooth._start, columns, kept, still=still), replace(prior, group_offset=offset), smooth._hyper
     )
     size = np.exp(offset + smooth._prior.group_features @ smooth._hyper)
     factors = np.exp(smooth._prior.group_features @ smooth._hyper)
