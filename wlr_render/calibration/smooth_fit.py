@@ -450,7 +450,7 @@ def fit(
         gone = np.setdiff1d(readings.capture, readings.capture[weights > 0])
         smooth = replace(smooth, moved=tuple(CaptureMotion(int(name), 0.0, 0.0, 0.0, 0.0) for name in gone))
         return replace(smooth, moved=tuple(_suspects(smooth)[1].values()))
-    if not _suspects(smooth)[0]:
+    if not any(each.stands_out for each in _suspects(smooth)[0].values()):
         return smooth
     if readings.trend is None:  # few orders cannot follow a capture that is far off; many find those that are less so
         few = readings.orders.sum(axis=1) <= _FEW_ORDERS
@@ -606,7 +606,8 @@ def _with_terms_beyond(readings: FitReadings) -> FitReadings:
     limits, variables = readings.limits, readings.is_place
     if readings.trend is not None or not _FEW_ORDERS < limits.total < _ENOUGH_ORDERS:
         return readings
-    more = Limits(*(min(order + _ORDERS_BEYOND, _ENOUGH_ORDERS) for order in (limits.pixel, limits.place, limits.total)))
+    most = (limits.pixel, limits.place, limits.total)
+    more = Limits(*(min(order + _ORDERS_BEYOND, _ENOUGH_ORDERS) for order in most))
     wider = replace(readings, orders=more.orders(int(np.sum(~variables)), int(np.sum(variables))))
     return wider.within(readings.box)
 
