@@ -44,7 +44,7 @@ _MOST_EFFECTS = 3  # that are located in one session
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
-_NEARLY_ALL = 0.9  # of the evidence for cause and field, from which a cause stands by itself
+_NEARLY_ALL = 0.95  # of the evidence for cause and field, from which a cause stands by itself
 _LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
 
 

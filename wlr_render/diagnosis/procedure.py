@@ -253,8 +253,11 @@ def _unexplained(
     observations, raw = located.search.full.observations, located.found.at.residual
     scatter = located.scatter or located.found.scatter
     for part in np.unique(observations.part):
-        error = _variance_error(observations, int(part), prepared.noise.floor(part), settings)
-        excess = float(scatter.noise[part] ** 2 - 1.0)
+        floor = prepared.noise.floor(part)
+        error = _variance_error(observations, int(part), floor, settings)
+        # What photographs show within is noise, if a stated noise that is smaller is believed, too.
+        within = max(1.0, float(np.nan_to_num(floor.measured_px)) / floor.used_px)
+        excess = float((scatter.noise[part] / within) ** 2 - 1.0)
         if fine is not None:
             excess -= prepared.fine_variance.get(int(part), 0.0)
         moves = max(scatter.shift_um[part] / UNUSUAL_SHIFT, scatter.turn_urad[part] / UNUSUAL_TURN)
