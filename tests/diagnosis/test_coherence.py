@@ -17,7 +17,7 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 PLACE_MM = np.array([2.0, -1.5])
 
 
-def of(observations, rounds=1):
+def of(observations, rounds=(1,)):
     predictor = Predictor(observations)
     return fine_effect(predictor, predictor.residual(Explanation()), 2.0, rounds)
 
@@ -48,8 +48,9 @@ def test_a_spot_on_the_combiner_is_found_at_its_place(bench, plan):
     assert len(found.cells) == len(found.means)
 
 
+@pytest.mark.slow
 def test_a_bench_with_the_cells_of_a_spot_has_no_spot(bench, plan, tmp_path):
-    observations = spotted(measured(bench, denser(plan, 12), SIGMA_PX, seed=12), radius_mm=3.0)
+    observations = spotted(measured(bench, denser(plan, 6), SIGMA_PX, seed=12), radius_mm=3.0)
     predictor, found = Predictor(observations), of(observations, ROUNDS)
     assert found.predicts
     corrected = with_fine(bench, found, predictor, 2.0)

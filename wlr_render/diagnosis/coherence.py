@@ -32,7 +32,7 @@ _COORDINATES = {
 _CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
 _CELLS_PANEL = (80, 160)  # over the panel's width
 _CELLS_CAMERA = (80, 160)  # over the image's width
-_FOLDS, ROUNDS = 4, 6
+_FOLDS, ROUNDS = 4, (1, 4)
 _BEYOND_DOUBT, _PREDICTS = 20.0, 2.0
 """Log10 odds, or else standard errors by which captures left out must be predicted better, of a fine effect."""
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
@@ -183,7 +183,7 @@ def _spot(middles: FloatArray, power: FloatArray, reach: float) -> tuple[FloatAr
 
 
 def fine_effect(
-    predictor: Predictor, residual: FloatArray, least_log10_odds: float, rounds: int = 1
+    predictor: Predictor, residual: FloatArray, least_log10_odds: float, rounds: Sequence[int] = (1,)
 ) -> FineEffect | None:
     """Find an effect that is finer than any smooth field.
 
@@ -191,8 +191,8 @@ def fine_effect(
         predictor: of all readings, with the sigma of their noise; outliers included, as something fine looks like them.
         residual: (n, 2) what causes leave, in units of sigma.
         least_log10_odds: below which it is not said to be there.
-        rounds: in which its cells are filled. One takes off little of an effect that is fixed to another station;
-            `ROUNDS` take off all of one that is fixed to its cells.
+        rounds: in which its cells are filled, those by which captures left out are predicted best. One takes off little
+            of an effect that is fixed to another station; more take off all of one that is fixed to its cells.
 
     Returns:
         The effect at the station where residuals agree most; None where they agree nowhere.
@@ -214,7 +214,11 @@ def fine_effect(
     shown = [each for each in best.values() if each.station == ranked[0] and each.agreement[0] > least_log10_odds]
     shown.sort(key=lambda each: -each.agreement[0])
     rival = ranked[1] if len(ranked) > 1 else ""
-    found = _described(predictor.observations, residual, shown, rounds, odds[ranked[0]], rival, odds.get(rival, 0.0))
+    described = [
+        _described(predictor.observations, residual, shown, each, odds[ranked[0]], rival, odds.get(rival, 0.0))
+        for each in rounds
+    ]
+    found = max(described, key=lambda each: each.improvement.significance)
     # Readings of one point at one pixel may err alike in neighbouring captures, without anything at a station.
     is_plain = found.log10_odds > _BEYOND_DOUBT or found.predicts
     return found if is_plain else None

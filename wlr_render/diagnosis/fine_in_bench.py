@@ -15,7 +15,7 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.cells import Cells
 
-_ROUNDS = 3  # of finer cells
+_ROUNDS = 2  # of cells
 _STATED = 0.05  # sigma; cells that move readings by less are not stated
 _DISPLACES = {"panel": "shift", "camera": "shift", "target": "shift", "combiner": "view"}
 _TO_FILE = {"panel": 1.0, "camera": 1.0, "target": 1.0, "combiner": 1e6}
