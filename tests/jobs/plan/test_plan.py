@@ -1,4 +1,5 @@
 import csv
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from wlr_render.jobs.plan import planned_bench
 from wlr_render.jobs.plan.designs import grids, offered, places_of, spread
 from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan import PLACES_FILE, PlanOptions, plan
+from wlr_render.jobs.plan.plan_report import places_csv
 from wlr_render.jobs.plan.planned_bench import PlannedBench, ReadingOptions
 from wlr_render.jobs.plan.planned_errors import PlannedFit, Scales, simulated_captures
 from wlr_render.jobs.plan.search import chosen_design, find_design
@@ -154,6 +156,17 @@ def test_grids_keep_to_the_number_of_places_and_to_the_shape_of_the_box():
     assert all(len(each) <= 30 for each in grids(np.array([0.012, 0.006]), 30))
     wide = grids(np.array([0.012, 0.006]), 81)
     assert np.ptp(wide[-1].unit, axis=0) == pytest.approx([2.0, 2.0, 0.0])
+
+
+def test_places_are_off_the_raster_and_in_random_order():
+    """A screw's error is then not that of a whole row, and a drift does not look like optics."""
+    for design in grids(np.array([0.012, 0.006]), 81):
+        assert all(len(np.unique(axis.round(4))) > 0.9 * len(design) for axis in design.unit[:, :2].T)
+        written = np.loadtxt(io.StringIO(places_csv(design.unit)), delimiter=",", skiprows=1)
+        assert sorted(map(tuple, written)) == sorted(map(tuple, (1e3 * design.unit).round(3)))
+        if len(design) >= 16:
+            time = np.arange(len(design))
+            assert np.abs(np.corrcoef(time, written[:, :2].T)[0, 1:]).max() < 0.6
 
 
 @pytest.fixture(scope="module")

@@ -11,6 +11,7 @@ from wlr_render.simulation import viewpoints
 GRID, SPREAD, CHOSEN = "grid", "spread", "chosen"
 """Families of designs."""
 _LEVELS = range(3, 10)
+_JITTER = 0.1  # of half the box: that of a screw's pitch of 1 to 2 mm, and little beside the steps of a grid
 _OFFERED = 37  # candidate places in each plane, in addition to a grid of 3 x 3
 
 
@@ -68,7 +69,7 @@ def grids(reach: FloatArray, most: int) -> list[Design]:
     sizes = sorted(shapes, key=lambda shape: (shape[0] * shape[1], abs(shape[0] / shape[1] - ratio**2)))
     distinct = {columns * rows: (columns, rows) for columns, rows in reversed(sizes)}
     return [
-        Design(f"{GRID} {columns} x {rows}", _grid(columns, rows))
+        Design(f"{GRID} {columns} x {rows}", _jittered(_grid(columns, rows)))
         for count, (columns, rows) in sorted(distinct.items())
         if count <= most
     ]
@@ -78,6 +79,16 @@ def _grid(columns: int, rows: int) -> FloatArray:
     """Closer at the edges, as Chebyshev points are: polynomials are least sure there."""
     x, y = (-np.cos(np.pi * (np.arange(count) + 0.5) / count) for count in (columns, rows))
     return _flat(np.stack(np.meshgrid(x / x.max(), y / y.max()), axis=-1).reshape(-1, 2))
+
+
+def _jittered(unit: FloatArray) -> FloatArray:
+    """Move the places (m, 3) of a grid at random within their plane; the grid still reaches from -1 to 1.
+
+    On a grid an error that a stage's screw makes at one reading of an axis is that of a whole row or column.
+    """
+    moved = unit[:, :2] + np.random.default_rng(len(unit)).uniform(-_JITTER, _JITTER, (len(unit), 2))
+    low, high = moved.min(axis=0), moved.max(axis=0)
+    return _flat(2.0 * (moved - low) / (high - low) - 1.0)
 
 
 def _flat(unit: FloatArray) -> FloatArray:

@@ -10,12 +10,13 @@ from wlr_render.jobs.plan.planned_errors import DesignErrors, EyeTests, place_va
 from wlr_render.jobs.plan.search import DesignSearch
 from wlr_render.mappings import EyeBox
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
 from wlr_render.report.plots import axis, curves
 
 _CELLS = 25  # cells of the map, across the eye box
 _FIGURES = ("median (arcmin)", "95 % (arcmin)")
+_ORDER_SEED = 1
 _WORTH = 0.05  # part of the error that a change takes away, to be named
 
 
@@ -67,17 +68,22 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
 
 
 def places_csv(places: FloatArray) -> str:
-    """Places (m, 3) from the centre of the eye box as CSV, millimetres."""
-    rows = [",".join(f"{1e3 * each:.3f}" for each in place) for place in places[_by_rows(places)]]
+    """Places (m, 3) from the centre of the eye box as CSV, millimetres, in random order."""
+    rows = [",".join(f"{1e3 * each:.3f}" for each in place) for place in places[_random_order(len(places))]]
     return "\n".join(["x_mm,y_mm,z_mm", *rows]) + "\n"
 
 
 def places_table(places: FloatArray) -> ReportTable:
-    """Places (m, 3) from the centre of the eye box."""
+    """Places (m, 3) from the centre of the eye box, in random order."""
+    ordered = places[_random_order(len(places))]
     rows: list[list[Cell]] = [
-        [number, *(f"{1e3 * each:+.3f}" for each in place)] for number, place in enumerate(places[_by_rows(places)])
+        [number, *(f"{1e3 * each:+.3f}" for each in place)] for number, place in enumerate(ordered)
     ]
-    notes = ("From the centre of the eye box, device frame: x to the right, y up, z backward. Also in places.csv.",)
+    notes = (
+        "From the centre of the eye box, device frame: x to the right, y up, z backward. Also in places.csv.",
+        "Photograph the places in this order, which is random: along a raster a warm-up or a stage that errs with its "
+        "direction of travel varies smoothly with the place, and a calibration takes it for optics.",
+    )
     return ReportTable("Camera places", ["place", "x (mm)", "y (mm)", "z (mm)"], rows, notes)
 
 
@@ -119,13 +125,9 @@ def error_map(
     return Plot("Predicted error over the eye box", data, layout, caption, height_px=560)
 
 
-def _by_rows(places: FloatArray) -> list[int]:
-    """Order in which a stage travels little: row by row, to and fro."""
-    if len(places) == 0:
-        return []
-    step = max(float(np.ptp(places[:, 1])) / max(1.0, np.sqrt(len(places))), 1e-9)
-    row = np.floor((places[:, 1] - places[:, 1].min()) / step)
-    return list(np.lexsort((places[:, 0] * np.where(row % 2, -1.0, 1.0), row)))
+def _random_order(count: int) -> IntArray:
+    """Return an order (count,) of places by which nothing that changes with time looks like optics."""
+    return np.random.default_rng(_ORDER_SEED).permutation(count)
 
 
 def _duration(seconds: float) -> str:
