@@ -173,11 +173,12 @@ class _Cells:
 
 def _spot(middles: FloatArray, power: FloatArray, reach: float) -> tuple[FloatArray, float]:
     """Middle (2,) and rms radius of the cells around which most of the power lies; NaN where it is spread out."""
-    apart = np.linalg.norm(middles[:, None, :] - middles, axis=2) < reach
-    near = apart @ power
-    if not power.any() or near.max() < _MOSTLY * power.sum():
+    middles, power = middles[power > 0.0], power[power > 0.0]
+    close = np.linalg.norm(middles[:, None, :] - middles, axis=2) < reach
+    near = close @ power
+    if not power.size or near.max() < _MOSTLY * power.sum():
         return np.full(2, np.nan), float("nan")
-    weight = power * apart[int(np.argmax(near))]
+    weight = power * close[int(np.argmax(near))]
     place = weight @ middles / weight.sum()
     return place, float(np.sqrt(weight @ np.sum((middles - place) ** 2, axis=1) / weight.sum()))
 

@@ -5,6 +5,7 @@ The scatter about the surface estimates the noise; readings far from it are outl
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -71,16 +72,16 @@ def photographs(observations: Observations) -> Iterator[IntArray]:
 
 def surfaces(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Iterator[Surface]:
     """Yield a smooth surface through the residual (n, 2) of each photograph that has enough points."""
-    for rows in photographs(observations):
-        design = image_basis(observations, rows)
-        if design is None:
-            continue
+    for rows, design, whole in _designs(observations):
         good = known = np.asarray(np.isfinite(residual[rows]).all(axis=1))
         own = np.nan_to_num(residual[rows])
         if good.sum() <= 2 * design.shape[1]:
             continue
         for _ in range(_OUTLIER_ROUNDS):
-            left, leverage, size = _studentised(design, own, good)
+            solve = whole
+            if not good.all():
+                solve = np.asarray(np.linalg.pinv(design[good]))
+            left, leverage, size = _studentised(design, own, good, solve)
             # 1.18: the median length of a two-vector of unit normal components.
             near = known & (size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18))
             if np.array_equal(near, good):
@@ -91,13 +92,23 @@ def surfaces(observations: Observations, residual: FloatArray, settings: Setting
             yield Surface(rows, design, left, leverage, good)
 
 
-def _studentised(design: FloatArray, values: FloatArray, good: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+@lru_cache(maxsize=1)
+def _designs(observations: Observations) -> list[tuple[IntArray, FloatArray, FloatArray]]:
+    """Return the rows of each photograph, its polynomials and their inverse, as surfaces are asked for in rounds."""
+    every = ((rows, image_basis(observations, rows)) for rows in photographs(observations))
+    return [(rows, design, np.asarray(np.linalg.pinv(design))) for rows, design in every if design is not None]
+
+
+def _studentised(
+    design: FloatArray, values: FloatArray, good: BoolArray, solve: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the rest (n, 2) of `values` about a surface through the good ones, leverages and studentised lengths.
+
+    `solve` (terms, good) gives the surface by the good values.
 
     A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
     "Residuals and Influence in Regression", 1982, chapter 2).
     """
-    solve = np.linalg.pinv(design[good])
     left = values - design @ (solve @ values[good])
     leverage = np.sum((design @ solve) ** 2, axis=1)
     spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))
