@@ -33,7 +33,7 @@ _NOT_EXCLUDED = 2.0  # log likelihood that two standard errors cost
 
 
 @dataclass(frozen=True)
-class SharedNoise:
+class NeighbourNoise:
     """Noise that neighbours share.
 
     Attributes:
@@ -51,9 +51,9 @@ class SharedNoise:
     kept_error: float = 0.0
 
 
-def shared_noise(
+def neighbour_noise(
     observations: Observations, residual: FloatArray, own: list[Surface], shape: FloatArray
-) -> SharedNoise:
+) -> NeighbourNoise:
     """Return the noise that neighbours share in the photographs of a part.
 
     By the likelihood of what very smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood
@@ -66,7 +66,7 @@ def shared_noise(
         shape: (n,) relative sigma of all readings.
     """
     if not own:
-        return SharedNoise()
+        return NeighbourNoise()
     readings = float(np.median([min(_MOST_READINGS, len(each.rows)) for each in own]))
     step = int(np.ceil(len(own) / np.clip(_WORK / readings**3, *_PHOTOGRAPHS)))
     chosen = own[step // 2 :: step]
@@ -93,7 +93,7 @@ def shared_noise(
         if likelihood[at] + white > max(gain, CLEARLY):
             gain, share, reach, smooth = float(likelihood[at] + white), float(_SHARES[at]), float(tried), is_smooth
     some = chosen[:: len(chosen) // _FEW_PHOTOGRAPHS + 1]
-    return SharedNoise(share, reach, smooth, *_kept(observations, some, every))
+    return NeighbourNoise(share, reach, smooth, *_kept(observations, some, every))
 
 
 def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:

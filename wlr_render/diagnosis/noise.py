@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.diagnosis.neighbour_noise import CLEARLY, SharedNoise, shared_correlation, shared_noise
+from wlr_render.diagnosis.neighbour_noise import CLEARLY, NeighbourNoise, neighbour_noise, shared_correlation
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
 from wlr_render.diagnosis.residual_surfaces import Surface, surfaces
 from wlr_render.diagnosis.settings import DEFAULT, Settings
@@ -139,7 +139,7 @@ def _floor(
     settings: Settings,
 ) -> NoiseFloor:
     stated = float(np.sqrt(np.mean(observations.sigma_px[observations.part == part] ** 2)))
-    shared = shared_noise(observations, residual, own, shape)
+    shared = neighbour_noise(observations, residual, own, shape)
     within = _within(own, shape, shared)
     repeats = _repeats(observations, residual, shape, shared, settings) if part == DISPLAY else Variance(np.nan, np.nan)
     measured = _combined(within, repeats, settings)
@@ -222,7 +222,7 @@ def _combined(within: Variance, repeats: Variance, settings: Settings) -> Varian
     return Variance(float(np.exp(logarithm)), within.error * repeats.error / error)
 
 
-def _within(own: list[Surface], shape: FloatArray, shared: SharedNoise) -> Variance:
+def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Variance:
     """Return the variance over that of `shape`: the median over the photographs, so that one may be bad.
 
     Args:
@@ -248,7 +248,7 @@ def _within(own: list[Surface], shape: FloatArray, shared: SharedNoise) -> Varia
 
 
 def _repeats(
-    observations: Observations, residual: FloatArray, shape: FloatArray, shared: SharedNoise, settings: Settings
+    observations: Observations, residual: FloatArray, shape: FloatArray, shared: NeighbourNoise, settings: Settings
 ) -> Variance:
     """Return the variance by display points seen more than once at one camera pixel from one place.
 
