@@ -47,12 +47,12 @@ class DegenerateCause:
 
     Attributes:
         name: of the other cause.
-        cosine: of the angle between the effect found and its best match by the other cause; 1 for the same effect.
+        share_of_gain: of the evidence that the named cause gains, to first order; 1 for the same effect.
         separated_by: the extra measurement that separates the two.
     """
 
     name: str
-    cosine: float
+    share_of_gain: float
     separated_by: str
 
 

@@ -70,7 +70,7 @@ def found_cause(
         hypothesis.variant,
         parameters,
         search.improvement(ranking.current, found),
-        _degenerate(ranking, cause.name, search.settings.degenerate_cosine),
+        _degenerate(ranking, cause.name, search.settings.degenerate_share),
         _ranked(ranking),
         float(np.sqrt(np.nanmean(change**2))),
         LOG10_ODDS * (ranking.current.minus_two_log_evidence - found.minus_two_log_evidence),
@@ -79,17 +79,14 @@ def found_cause(
     )
 
 
-def _degenerate(ranking: CandidateRanking, name: str, least_cosine: float) -> tuple[DegenerateCause, ...]:
-    """Return the causes whose best match of the effect is at a small angle to it.
-
-    To first order a hypothesis at the angle a to the effect gains cos^2 a of what the effect's own cause gains.
-    """
+def _degenerate(ranking: CandidateRanking, name: str, least_share: float) -> tuple[DegenerateCause, ...]:
+    """Return the causes that gain nearly as much evidence as the named one does, to first order."""
     best = {each.hypothesis.cause.name: each for each in sorted(ranking.screened, key=lambda each: each.gain)}
     most = best[name].gain if name in best else 0.0
     return tuple(
-        DegenerateCause(other, min(1.0, float(np.sqrt(each.gain / most))), each.hypothesis.cause.separated_by)
+        DegenerateCause(other, min(1.0, float(each.gain / most)), each.hypothesis.cause.separated_by)
         for other, each in sorted(best.items(), key=lambda item: -item[1].gain)
-        if other != name and most > 0.0 and each.gain > most * least_cosine**2
+        if other != name and most > 0.0 and each.gain > most * least_share
     )
 
 

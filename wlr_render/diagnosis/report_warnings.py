@@ -143,7 +143,7 @@ def _too_few(diagnosis: Diagnosis) -> list[str]:
 
 
 def _confusable(cause: FoundCause, settings: Settings) -> str:
-    names = ", ".join(f"{other.name} (cosine {other.cosine:.3f})" for other in cause.degenerate)
+    names = ", ".join(f"{other.name} ({100 * other.share_of_gain:.0f} % of its gain)" for other in cause.degenerate)
     close = undecided(cause, settings)
     if not close:
         return f"{cause.name} is nearly degenerate with {names}. The session decides for it."

@@ -34,8 +34,8 @@ class Settings:
             one that alone explains most may be neither.
         max_prior_sigmas: values beyond so many prior sigmas want another explanation.
         max_moved_captures: share of a part's captures beyond which those that moved cannot be told from the others.
-        degenerate_cosine: cosine between an effect and its best match by another cause, from which the two are called
-            degenerate; a tenth of the effect then tells them apart.
+        degenerate_share: share of a cause's gain that another one reaches to first order, from which the two are called
+            degenerate.
         decisive_odds: log10 odds against a degenerate cause beyond which the session decides.
         max_condition: condition of the correlations between values from which the report warns.
         detection_limit_se: standard errors that make a detection limit.
@@ -59,7 +59,7 @@ class Settings:
     restarts: int = 1
     max_prior_sigmas: float = 20.0
     max_moved_captures: float = 0.34
-    degenerate_cosine: float = 0.95
+    degenerate_share: float = 0.9
     decisive_odds: float = 4.34  # odds of exp(10)
     max_condition: float = 1e4
     detection_limit_se: float = 5.0

@@ -152,7 +152,7 @@ def degenerate_table(diagnosis: Diagnosis) -> ReportTable:
         {
             "cause": "cause.name",
             "nearly the same effect": "each.name",
-            "cosine": lambda row: f"{row.each.cosine:.4f}",
+            "share of its gain": lambda row: f"{100.0 * row.each.share_of_gain:.1f} %",
             "measurement that separates them": "each.separated_by",
         },
         (note,),
