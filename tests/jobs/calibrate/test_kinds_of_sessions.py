@@ -175,7 +175,7 @@ def test_a_stage_of_one_axis(tmp_path):
     session = replace(with_known_lenses(made), eyeball_camera=eyeball)
     found, report = calibrated(session, made.reading, tmp_path)
     assert_poses(found, made.session.display, made.truth.display)
-    assert any("one more row or column" in warning for warning in report.warnings)
+    assert any("add a column of" in step for step in report.advice)
 
 
 def test_a_camera_in_the_hand(tmp_path):
