@@ -149,7 +149,7 @@ class FitReadings:
         motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
         common: errors that all captures share; None where none are known.
         shared: noise that neighbouring readings of a capture share, as a fit found it; None for white noise.
-        print: smooth field of printing errors of the target; None without a target.
+        print_errors: smooth field of printing errors of the target; None without a target.
     """
 
     inputs: FloatArray
@@ -165,7 +165,7 @@ class FitReadings:
     motion_prior: CaptureMotionPrior | None = None
     common: Common | None = None
     shared: SharedNoise | None = None
-    print: PrintField | None = None
+    print_errors: PrintField | None = None
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -216,8 +216,8 @@ class FitReadings:
         """Some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)
-        if self.print is not None:
-            chosen = replace(chosen, print=replace(self.print, columns=self.print.columns[rows]))
+        if self.print_errors is not None:
+            chosen = replace(chosen, print_errors=replace(self.print_errors, columns=self.print_errors.columns[rows]))
         return chosen.within(self.box)
 
     def with_shared(self, shared: SharedNoise | None) -> "FitReadings":
@@ -232,7 +232,7 @@ class FitReadings:
     def design(self, rows: slice | IntArray) -> FloatArray:
         """Columns of all that an output has of its own, see `design_of`: coefficients, then the print."""
         design = design_of(self, rows, basis(self.inputs[rows], self.orders, self.box))
-        return design if self.print is None else np.hstack([design, self.print.columns[rows]])
+        return design if self.print_errors is None else np.hstack([design, self.print_errors.columns[rows]])
 
     @property
     def image(self) -> FloatArray:
@@ -364,7 +364,7 @@ def sums_of(
     groups = (captures or int(readings.capture.max()) + 1) if own else 0
     trend = readings.trend
     parameters = trend.parameters if trend else 0
-    columns = readings.coefficients + (0 if readings.print is None else len(readings.print.frequency))
+    columns = readings.coefficients + (0 if readings.print_errors is None else len(readings.print_errors.frequency))
     side = readings.blocks * terms if readings.mixed else parameters, groups, own
     sums = Sums(columns, 2, *side) if still is None else still.with_side(*side)
     add = sums.add if still is None else sums.add_side

@@ -314,7 +314,7 @@ class SmoothFit:
         if self._columns is not None:
             columns = motion_columns(readings, self.polynomial)
             prior = replace(prior, group_offset=np.log(motion_sizes(readings)))
-        if readings.print is None and self.readings.print is not None:
+        if readings.print_errors is None and self.readings.print_errors is not None:
             own = self.readings.coefficients
             prior = replace(prior, features=prior.features[:own], offset=0.0)
         sums = sums_of(readings, None, columns, kept)

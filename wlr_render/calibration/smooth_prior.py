@@ -64,7 +64,7 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     slopes = [f"{'mu' if readings.is_place[axis] else 'lambda'} {axis}" for axis in axes]
     ways = _log_ways(readings)
     footprint = [_FOOTPRINT] if np.any(ways) else []
-    print_names = () if readings.print is None else ("print", "fall")
+    print_names = () if readings.print_errors is None else ("print", "fall")
     names = (*sizes, *slopes, *footprint, *print_names, "noise", *(("shift", "turn") if moving else ()))
     features = np.zeros((blocks, len(orders), len(names)))
     for block in range(blocks):
@@ -78,10 +78,10 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
     shared, mixed = (none, flat) if readings.mixed else (flat, parameters)
     of_columns: FloatArray | float = 0.0
-    if readings.print is not None:
-        waves = np.zeros((len(readings.print.frequency), len(names)))
-        waves[:, names.index("print")], waves[:, names.index("fall")] = 1.0, -readings.print.frequency
-        of_columns = np.concatenate([np.zeros(len(shared)), readings.print.offset])
+    if readings.print_errors is not None:
+        waves = np.zeros((len(readings.print_errors.frequency), len(names)))
+        waves[:, names.index("print")], waves[:, names.index("fall")] = 1.0, -readings.print_errors.frequency
+        of_columns = np.concatenate([np.zeros(len(shared)), readings.print_errors.offset])
         shared = np.concatenate([shared, waves])
     own = np.zeros((6 if moving else 0, len(names)))
     offset: FloatArray | float = 0.0

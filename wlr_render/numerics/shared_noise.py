@@ -12,6 +12,7 @@ of what a polynomial leaves of each photograph.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -23,6 +24,7 @@ from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 _LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the field, in distances between neighbours
 _SHARES = np.linspace(0.0, 0.96, 49)
 _READINGS, _GROUPS = 120, 16  # that take part, of a group and in all: a share is sure to 0.03 then
+_KEPT_READINGS = 500  # of a photograph at most, whose root is kept
 _TOP_ORDER, _PER_TERM = 2, 5  # of the polynomial that stands for motions of the camera
 _ODDS = 100.0  # against white noise from which noise is taken for shared
 
@@ -51,13 +53,25 @@ class SharedNoise:
             place: (n, 2) places of the readings of one photograph.
             kept: (n,) weights, 1 down to 0 for outliers, of the white noise.
         """
-        rows = np.flatnonzero(kept > 0)
-        noise = self.share * self.correlation(place[rows])
-        noise[np.diag_indices(len(rows))] += (1.0 - self.share) / kept[rows] ** 2
-        root = np.zeros((len(kept), len(kept)))
-        lower = np.linalg.cholesky(noise)
-        root[np.ix_(rows, rows)] = solve_triangular(lower, np.eye(len(rows)), lower=True, check_finite=False)
-        return root
+        of = _root if len(kept) > _KEPT_READINGS else _kept_root
+        return of(self, place.tobytes(), np.asarray(kept, dtype=np.float64).tobytes())
+
+
+def _root(noise: SharedNoise, places: bytes, weights: bytes) -> FloatArray:
+    place, kept = np.frombuffer(places).reshape(-1, 2), np.frombuffer(weights)
+    rows = np.flatnonzero(kept > 0)
+    covariance = noise.share * noise.correlation(place[rows])
+    covariance[np.diag_indices(len(rows))] += (1.0 - noise.share) / kept[rows] ** 2
+    root = np.zeros((len(kept), len(kept)))
+    lower = np.linalg.cholesky(covariance)
+    root[np.ix_(rows, rows)] = solve_triangular(lower, np.eye(len(rows)), lower=True, check_finite=False)
+    root.flags.writeable = False
+    return root
+
+
+_kept_root = lru_cache(maxsize=128)(
+    _root
+)  # captures often see the same places, and a fit asks for them again and again
 
 
 def find_shared_noise(

@@ -1,6 +1,7 @@
 """The two-view benchmark on the published captures; skipped where they are not at hand."""
 
 import json
+import re
 
 import pytest
 
@@ -13,7 +14,8 @@ def test_display_captures_of_a_headset_support_a_bundle_of_rays(measured_data, t
     assert main(["published-data", "two-views", str(source), "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "Which model the captures support" in printed
-    assert "the rig's, 0.2" in printed
+    share = re.search(r"the rig's, ([0-9.]+) % of the mean square", printed)
+    assert 0.0 < float(share[1]) < 0.5  # 1.8' +- 0.5' of 32.6'
     rows = json.loads((tmp_path / "published-data.json").read_text())["tables"][0]["rows"]
     for ignored, point, bundle in (rows[:3], rows[3:]):
         assert ignored["over noise"] > 30
