@@ -141,11 +141,12 @@ class Search:
             constants: whether an effect of the stage or of time has a constant as well, which may be a cause's.
         """
         located = [each.field for each in effects]
-        is_whole = self.full is self.subsample
-        full = self.fields if is_whole else station_fields(self.full, located)
+        each_with_fields = [(self.subsample, self.fields)]
+        if self.full is not self.subsample:
+            each_with_fields.append((self.full, station_fields(self.full, located)))
         sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
         searched = []
-        for readings, fields in ((self.subsample, self.fields), (self.full, full))[: 1 if is_whole else 2]:
+        for readings, fields in each_with_fields:
             causes = readings.predictor.linearised(beside)
             columns = [_beyond(each.over(fields), causes, readings, constants) for each in effects]
             searched.append(readings.with_effects(np.concatenate(columns, axis=2), sizes))

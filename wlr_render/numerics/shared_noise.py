@@ -24,7 +24,7 @@ from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 _LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the field, in distances between neighbours
 _SHARES = np.linspace(0.0, 0.96, 49)
 _READINGS, _GROUPS = 120, 16  # that take part, of a group and in all: a share is sure to 0.03 then
-_KEPT_READINGS = 500  # of a photograph at most, whose root is kept
+_KEPT_READINGS = 300  # of a photograph up to which its root is kept: 128 of them take 90 MB
 _TOP_ORDER, _PER_TERM = 2, 5  # of the polynomial that stands for motions of the camera
 _ODDS = 100.0  # against white noise from which noise is taken for shared
 
