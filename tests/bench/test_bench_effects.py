@@ -16,6 +16,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
+from wlr_render.numerics.waves import Wave
 from wlr_render.optics.combiner_form import places_on_combiner
 from wlr_render.optics.device_file import load_device
 
@@ -191,6 +192,25 @@ def test_any_function_displaces_a_station_and_a_file_states_it(bench, plan, tmp_
     )
     place = np.array([[25.0, 30.0, 39.0], [33.3, 25.0, 30.0]])
     np.testing.assert_allclose(screw.function.as_polynomial()(place), screw.function(place), atol=1e-6)
+
+
+@pytest.mark.parametrize(("station", "displaces", "axis"), [("stage", "pose", 0), ("combiner", "all surfaces", 1)])
+def test_a_wave_is_the_sine_of_one_coordinate_and_a_file_states_it(bench, plan, tmp_path, station, displaces, axis):
+    (low, high), outputs = BOXES[station], len(KINDS[station, displaces].per_displacement)
+    coefficients = SIZES[station] * np.random.default_rng(3).normal(size=(2, outputs))
+
+    def sine(place):
+        phase = 2.0 * np.pi * place[:, [axis]] / 5.0
+        return np.sin(phase) * coefficients[0] + np.cos(phase) * coefficients[1]
+
+    wave = BenchEffect(station, displaces, Wave(axis, 5.0, coefficients))
+    stated = load_bench(save_bench(replace(bench, effects=(wave,)), tmp_path / "bench.toml"))
+    expected = replace(bench, effects=(BenchEffect.of_function(station, displaces, sine, low, high),))
+    read, exact, still = (simulate(each, plan).parts[:2] for each in (stated, expected, bench))
+    for one, other, without in zip(read, exact, still, strict=True):
+        change = np.nanmax(np.abs(other - without))
+        np.testing.assert_allclose(one, other, atol=1e-5 * change)
+    assert np.nanmax(np.abs(exact[0] - still[0])) > 0.05
 
 
 @pytest.mark.parametrize(

@@ -175,6 +175,7 @@ coefficients = [[0.1, 0.2]]
 
 CELLS = EFFECT.replace("low = [0]", "cell_size = 1").replace("high = [5]", "cells = [[2.5], [7.5]]")
 CELLS = CELLS.replace("orders = [[1]]\n", "").replace("[[0.1, 0.2]]", "[[0.1, 0.2], [0.3, 0.4]]")
+WAVE = EFFECT.replace("low = [0]", "along = 0").replace("high = [5]", "period = 2").replace("orders = [[1]]\n", "")
 
 
 ELSEWHERE = EFFECT.replace('"time"', '"panel"').replace("[0]", "[-900, 0]").replace("[5]", "[-100, 9]")
@@ -253,6 +254,9 @@ FAULTS = {
         .replace("1]", "1, 0]"),
         "'low' and 'high' state coordinates from [-900, 0] to [-100, 9], outside the panel ([0, 0] to [1440, 1600])",
     ),
+    "effect's period": ("[target]", WAVE.replace("2\n", "0\n"), "'period' has the value 0; it must be 1e-06 or more"),
+    "effect's coordinate": ("[target]", WAVE.replace("g = 0", "g = 1"), "'along' must be a whole number from 0 to 0"),
+    "effect's wave": ("[target]", WAVE, "(decoded position u, v, panel px) for the sine and the cosine, not 1"),
     "effect's part": ("[target]", EFFECT.replace("low", 'part = "display"\nlow'), "unknown key 'part'; remove it"),
     "effect's covariance, size": ("[target]", with_covariance("[[1, 0]]"), "has 1 lists; it must have 2"),
     "effect's covariance, symmetry": ("[target]", with_covariance("[[1, 0.5], [0, 1]]"), "is not symmetric; write the"),

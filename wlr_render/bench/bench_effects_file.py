@@ -9,6 +9,7 @@ from wlr_render.bench.bench_effects import IN_BOTH_PARTS, KINDS, PARTS, AnyFunct
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
+from wlr_render.numerics.waves import Wave
 from wlr_render.optics.combiner_form import SURFACES
 from wlr_render.toml_files import Table
 
@@ -16,6 +17,7 @@ _MOST_EFFECTS, _MOST_TERMS, _MOST_CELLS = 50, 1000, 50_000
 _MOST_WITH_COVARIANCE = 300  # coefficients
 _ASYMMETRY = _BELOW_ZERO = 1e-6  # of a covariance, relative to its largest value and eigenvalue
 _ANYWHERE = 1e6  # largest coordinate of a station without an edge
+_SHORTEST = 1e-6  # period, in the unit of its coordinate
 _DIGITS = 9  # of a covariance that is written
 
 
@@ -36,10 +38,12 @@ def effect_keys(effect: BenchEffect) -> dict[str, Any]:
     keys |= {"part": effect.part} if effect.part else {}
     keys |= {"meeting": effect.meeting} if effect.meeting else {}
     if isinstance(function, Cells):
-        keys |= {"cell_size": function.size, "cells": function.middles, "coefficients": function.coefficients}
+        keys |= {"cell_size": function.size, "cells": function.middles}
+    elif isinstance(function, Wave):
+        keys |= {"along": function.axis, "period": function.period}
     else:
-        keys |= {"low": function.box.low, "high": function.box.high}
-        keys |= {"orders": function.orders, "coefficients": function.coefficients}
+        keys |= {"low": function.box.low, "high": function.box.high, "orders": function.orders}
+    keys |= {"coefficients": function.coefficients}
     if effect.covariance is None or len(effect.covariance) > _MOST_WITH_COVARIANCE:
         return keys
     return keys | {"covariance": [[float(f"{each:.{_DIGITS}g}") for each in row] for row in effect.covariance]}
@@ -51,8 +55,12 @@ def _effect(table: Table, bench: Bench) -> BenchEffect:
     kind = KINDS[station, displaces]
     if table.has("cells") and displaces in SURFACES:
         raise table.fail("a height of the combiner needs slopes, which 'cells' do not have; state 'orders'.")
-    function = _cells(table, kind) if table.has("cells") else _polynomial(table, kind)
-    _check_places(table, station, function, bench)
+    function: Polynomial | Cells | Wave
+    if table.has("period"):
+        function = _wave(table, kind)
+    else:
+        function = _cells(table, kind) if table.has("cells") else _polynomial(table, kind)
+        _check_places(table, station, function, bench)
     covariance = _covariance(table, function.coefficients.size) if table.has("covariance") else None
     pose, poses = -1, len(bench.target.pitch)
     if station == "target" and table.has("target_pose"):
@@ -79,7 +87,11 @@ def _polynomial(table: Table, kind: EffectKind) -> Polynomial:
             f"'orders' must be at most {_MOST_TERMS} lists of whole numbers from 0 to {HIGHEST_ORDER}, one for each of "
             f"{kind.coordinates}."
         )
-    return Polynomial(orders.astype(np.int64), Box(low, high), _coefficients(table, kind, len(orders), "orders"))
+    return Polynomial(
+        orders.astype(np.int64),
+        Box(low, high),
+        _coefficients(table, kind, len(orders), _LISTS.format(len(orders), "orders")),
+    )
 
 
 def _cells(table: Table, kind: EffectKind) -> Cells:
@@ -87,19 +99,28 @@ def _cells(table: Table, kind: EffectKind) -> Cells:
     if len(middles) > _MOST_CELLS:
         raise table.fail(f"'cells' has {len(middles)} lists; {_MOST_CELLS} is the most that is read: leave some out.")
     size = table.number("cell_size", above=0.0)
-    cells = Cells(size, middles, _coefficients(table, kind, len(middles), "cells"))
+    cells = Cells(size, middles, _coefficients(table, kind, len(middles), _LISTS.format(len(middles), "cells")))
     if not cells.are_distinct:
         raise table.fail(f"two of 'cells' lie in one cell of 'cell_size' {size:g}; state each cell once.")
     return cells
 
 
-def _coefficients(table: Table, kind: EffectKind, count: int, key: str) -> FloatArray:
+def _wave(table: Table, kind: EffectKind) -> Wave:
+    axis = table.whole("along", 0, len(kind.per_coordinate) - 1)
+    period = table.number("period", least=_SHORTEST)
+    return Wave(axis, period, _coefficients(table, kind, 2, "the sine and the cosine"))
+
+
+_LISTS = "each of the {} lists of '{}'"
+
+
+def _coefficients(table: Table, kind: EffectKind, count: int, lists: str) -> FloatArray:
     components = len(kind.per_displacement)
     coefficients = table.vectors("coefficients", components)
     if len(coefficients) != count:
         raise table.fail(
-            f"'coefficients' must have one list of {components} numbers ({kind.displacement}) for each of the "
-            f"{count} lists of '{key}', not {len(coefficients)}."
+            f"'coefficients' must have one list of {components} numbers ({kind.displacement}) for {lists}, not "
+            f"{len(coefficients)}."
         )
     return coefficients
 
