@@ -209,8 +209,9 @@ def _difference(given: Bench, returned: Bench) -> str:
 
 
 def _displaced(effect: BenchEffect) -> list[FloatArray]:
-    """Return the displacements that an effect of a bench makes at places of its station; none where it makes none."""
-    values = effect.function(effect.function.box.places(_PLACES))
+    """Return the displacements of an effect's function at places, or its coefficients; none where it displaces none."""
+    function = effect.function
+    values = function(function.box.places(_PLACES)) if isinstance(function, AnyFunction) else function.coefficients
     return [values] if np.any(values) else []
 
 
