@@ -10,7 +10,7 @@ from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.captures.session import SessionPlan, select_rows
 from wlr_render.diagnosis.coherence import ROUNDS, fine_effect
 from wlr_render.diagnosis.combiner_fields import footprints
-from wlr_render.diagnosis.fine_in_bench import fine_in_bench, with_fine
+from wlr_render.diagnosis.fine_in_bench import fine_in_bench, size_of, with_fine
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 
@@ -46,6 +46,14 @@ def test_a_spot_on_the_combiner_is_found_at_its_place(bench, plan):
     assert found.width < 2.0
     assert found.improvement.percent > 0
     assert len(found.cells) == len(found.means)
+
+
+def test_the_size_of_a_spot_is_what_it_displaces_within_its_error(bench, plan):
+    observations = spotted(measured(bench, denser(plan, 12), SIGMA_PX, seed=12), radius_mm=3.0)
+    size, sigma = size_of(of(observations, ROUNDS), Predictor(observations))
+    true = 1e6 * np.hypot(1.0, 0.5) / bench.camera.focal_px[0]
+    assert sigma < 0.2 * true
+    assert abs(size - true) < 3.0 * sigma
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.station_fields import station_fields
@@ -191,6 +192,22 @@ def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordin
     first = of_fields(readings, fitted(observations, Explanation())).ranked[0]
     assert (first.field.station, first.field.coordinates) == (station, coordinates)
     assert first.log10_odds > 4
+
+
+def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench, plan):
+    fields = station_fields(weighed(measured(bench, plan)))
+    rng = np.random.default_rng(5)
+    for station, per_axis in (("camera", 2), ("stage", 6)):
+        field = next(each for each in fields if each.station == station)
+        effect = LocatedEffect(field, 1, 1.0, 10.0)
+        values = 1.0 + rng.uniform(size=effect.order.size)
+        root = 0.02 * rng.normal(size=(len(values), len(values)))
+        drawn = [effect.displacement(values + root @ each)[field.acts] for each in rng.normal(size=(400, len(values)))]
+        sizes = [np.sqrt(np.mean(np.sum(each[:, :3] ** 2, axis=1))) for each in drawn]
+        size, sigma = effect.size_of(values, root @ root.T)
+        assert drawn[0].shape[1] == per_axis
+        assert size == pytest.approx(np.mean(sizes), rel=0.02)
+        assert sigma == pytest.approx(np.std(sizes), rel=0.15)
 
 
 def test_every_cause_has_a_station_that_a_session_shows(bench, plan, run_time):

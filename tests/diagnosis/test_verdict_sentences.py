@@ -51,7 +51,7 @@ def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
     assert sentence.startswith(
         "Effect located: an effect on the panel that no listed cause has: shift, a smooth function "
     )
-    assert "panel px rms (log10 odds > 20)" in sentence
+    assert re.search(r"panel pixels, 2\.\d+ \+- 0\.0\d+ panel px rms \(log10 odds > 20\)", sentence)
     assert any("often come from a panel warped by its bonding" in step for step in advice(located))
     assert any("render with models fitted to the session" in step for step in advice(located))
     left = Unexplained("display", 0.5, 1.3)
@@ -66,8 +66,15 @@ def test_an_effect_is_stated_with_its_place_its_rival_station_and_what_it_leaves
     unsure = replace(located, effects=(replace(effect, next_station="camera", odds_against_next_station=0.4),))
     assert "; the session hardly tells it from an effect in the camera" in verdict_sentence(unsure)
     assert any("To tell the panel from the camera: a photograph of the bare panel" in step for step in advice(unsure))
-    spot = replace(effect, station="combiner", form="fine", place=(-3.8, 2.8), length=2.4, length_unit="mm")
-    assert "a spot 2.4 mm wide at (-3.8, 2.8) mm" in verdict_sentence(replace(located, effects=(spot,)))
+    shape = {"form": "fine", "size": 310.0, "size_sigma": 20.0, "place": (-3.8, 2.8), "length": 2.4}
+    spot = replace(effect, station="combiner", **shape, unit="urad", length_unit="mm")
+    said = verdict_sentence(replace(located, effects=(spot,)))
+    assert "a spot of 310 +- 20 urad, 2.4 mm wide, 3.8 mm left of and 2.8 mm above the line of sight" in said
+    on_panel = replace(spot, station="panel", unit="panel px", length_unit="px")
+    assert "2.4 px wide, at (-3.8, 2.8) px" in verdict_sentence(replace(located, effects=(on_panel,)))
+    assert "a fine pattern of 310 +- 20 urad rms" in verdict_sentence(
+        replace(located, effects=(replace(spot, place=None),))
+    )
     left = verdict_sentence(replace(located, verdict="partly explained"))
     assert ". The effects remove less than half of the excess of captures left out" in left
     assert "less than half" not in verdict_sentence(located)

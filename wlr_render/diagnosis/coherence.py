@@ -51,7 +51,7 @@ class FineEffect:
         meeting: number of the surface along the display's path on which the places of the display are.
         cell: width of a cell, in the unit.
         log10_odds: for it against noise alone.
-        size: rms that the captures have in common over all cells, in units of sigma.
+        noise: variance of the noise per reading by which means of cells vary, in squares of sigma.
         cells: (c, 2) middles of the cells, in the unit.
         means: (c, 2) mean residual of each, in units of sigma.
         place, width: (2,) and (): middle of the cells that stand out, and their rms distance from it, in the unit;
@@ -70,7 +70,7 @@ class FineEffect:
     meeting: int
     cell: float
     log10_odds: float
-    size: float
+    noise: float
     cells: FloatArray
     means: FloatArray
     place: FloatArray
@@ -239,6 +239,7 @@ def _described(
     change = _change(observations, residual, parts, every, rounds)
     left = np.nan_to_num(_standardised(observations, residual - change)) + change
     count, total = replace(first, left=left[first.rows]).sums(every[first.rows])
+    noise = replace(first, left=(left - change)[first.rows]).noise
     means = total / count[:, None]
     power = np.sum(means**2, axis=1) * count / first.noise
     place, width = _spot(first.middles, np.where(power > _CELL_STANDS_OUT, power, 0.0), _SPOT * first.width)
@@ -252,7 +253,7 @@ def _described(
         meeting=max(each.meeting for each in parts),
         cell=first.width,
         log10_odds=odds,
-        size=float(np.sqrt(np.mean(change[first.rows] ** 2))),
+        noise=noise,
         cells=first.middles,
         means=means,
         place=place,

@@ -133,7 +133,9 @@ class StationEffect:
         log10_odds: for it against none.
         next_station: the station of next best evidence; empty where no other was judged.
         odds_against_next_station: log10 odds against that station.
-        size: rms displacement at the station, or of the readings for a fine one, in `unit`.
+        size: rms displacement at the station over the readings that it acts on, in `unit`; of a spot, in its strongest
+            cell.
+        size_sigma: standard error of the size.
         length: diameter of its spot, or of its cells, in `length_unit`; None for a smooth one.
         place: (2,) middle of its spot in the coordinates of the station; None where it is spread over the station.
         held_out_improvement: on captures left out of its fit.
@@ -152,6 +154,7 @@ class StationEffect:
     next_station: str
     odds_against_next_station: float
     size: float
+    size_sigma: float
     unit: str
     length: float | None
     place: tuple[float, float] | None

@@ -7,8 +7,10 @@ import numpy as np
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import EffectMap, StationEffect
 from wlr_render.diagnosis.field_contest import FieldContest
+from wlr_render.diagnosis.fine_in_bench import UNITS, size_of
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.observations import PART_NAMES
+from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter
 
@@ -57,7 +59,11 @@ SEPARATED_BY = {
 
 
 def station_effects(
-    contest: FieldContest, located: Sequence[LocatedEffect], scatter: Scatter, fine: FineEffect | None
+    contest: FieldContest,
+    located: Sequence[LocatedEffect],
+    scatter: Scatter,
+    fine: FineEffect | None,
+    as_stated: Predictor,
 ) -> list[StationEffect]:
     """Return the records of effects, largest odds first.
 
@@ -66,13 +72,14 @@ def station_effects(
         located: these effects.
         scatter: sizes of noise and motions with all of them at work.
         fine: the effect that is too fine for a field, if there is one.
+        as_stated: predictor of all readings, with the noise as stated.
     """
-    values = contest.values(located, scatter) if located else []
+    estimates = contest.values_and_covariances(located, scatter) if located else []
     records = [
-        _smooth(contest, effect, found, scatter, [each for each in located if each is not effect])
-        for effect, found in zip(located, values, strict=True)
+        _smooth(contest, effect, *estimate, scatter, [each for each in located if each is not effect])
+        for effect, estimate in zip(located, estimates, strict=True)
     ]
-    records += [_fine(fine)] if fine is not None else []
+    records += [_fine(fine, as_stated)] if fine is not None else []
     return sorted(records, key=lambda each: -each.log10_odds)
 
 
@@ -80,6 +87,7 @@ def _smooth(
     contest: FieldContest,
     effect: LocatedEffect,
     values: FloatArray,
+    covariance: FloatArray,
     scatter: Scatter,
     beside: Sequence[LocatedEffect],
 ) -> StationEffect:
@@ -87,6 +95,7 @@ def _smooth(
     displaced = effect.displacement(values)[acts]
     improvement, share = contest.held_out(effect, scatter, beside)
     part = contest.readings.observations.part[acts]
+    size, size_sigma = effect.size_of(values, covariance)
     moves = np.any(effect.columns[acts] != 0.0, axis=(1, 2))
     return StationEffect(
         station=field.station,
@@ -97,7 +106,8 @@ def _smooth(
         log10_odds=float(effect.log10_odds),
         next_station=effect.next_station,
         odds_against_next_station=float(effect.odds_against_next),
-        size=float(np.sqrt(np.mean(np.sum(displaced[:, :3] ** 2, axis=1)))),
+        size=size,
+        size_sigma=size_sigma,
         unit=field.unit.split(",")[0],
         length=None,
         place=None,
@@ -109,8 +119,8 @@ def _smooth(
     )
 
 
-def _fine(fine: FineEffect) -> StationEffect:
-    located = bool(np.isfinite(fine.width))
+def _fine(fine: FineEffect, as_stated: Predictor) -> StationEffect:
+    located, (size, size_sigma) = bool(np.isfinite(fine.width)), size_of(fine, as_stated)
     return StationEffect(
         station=fine.station,
         coordinates=fine.coordinates,
@@ -120,8 +130,9 @@ def _fine(fine: FineEffect) -> StationEffect:
         log10_odds=float(fine.log10_odds),
         next_station=fine.next_station,
         odds_against_next_station=float(fine.odds_against_next),
-        size=fine.size,
-        unit="sigma",
+        size=size,
+        size_sigma=size_sigma,
+        unit=UNITS[fine.station],
         length=2.0 * fine.width if located else fine.cell,
         place=(float(fine.place[0]), float(fine.place[1])) if located else None,
         held_out_improvement=fine.improvement,

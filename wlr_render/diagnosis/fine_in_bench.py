@@ -8,7 +8,7 @@ from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import PARTS, BenchEffect
 from wlr_render.bench.simulate_session import camera_orientations
 from wlr_render.diagnosis.coherence import ROUNDS, FineEffect, fine_effect
-from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.station_fields import dot_lever
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
@@ -19,6 +19,8 @@ _ROUNDS = 2  # of cells
 _STATED = 0.05  # sigma; cells that move readings by less are not stated
 _DISPLACES = {"panel": "shift", "camera": "shift", "target": "shift", "combiner": "view"}
 _TO_FILE = {"panel": 1.0, "camera": 1.0, "target": 1.0, "combiner": 1e6}
+UNITS = {"panel": "panel px", "camera": "px", "target": "mm", "combiner": "urad"}
+"""Units of what fine effects displace, by station."""
 
 
 def with_fine(bench: Bench, fine: FineEffect | None, as_stated: Predictor, least_log10_odds: float) -> Bench:
@@ -48,6 +50,26 @@ def fine_in_bench(fine: FineEffect, predictor: Predictor) -> tuple[BenchEffect, 
     part = predictor.observations.part[fine.rows]
     effects = [_of_part(fine, predictor, int(number), part == number) for number in np.unique(part)]
     return tuple(effect for effect in effects if effect is not None)
+
+
+def size_of(fine: FineEffect, predictor: Predictor) -> tuple[float, float]:
+    """Return the rms displacement by a fine effect over the readings of its part, with its standard error.
+
+    Of a spot, the displacement in its strongest cell. In the unit of its station, see `UNITS`.
+
+    Args:
+        fine: the effect.
+        predictor: of all readings, with the sigma of the effect.
+    """
+    part = PART_NAMES.index(fine.part)
+    mine, strength = predictor.observations.part[fine.rows] == part, np.linalg.norm(fine.change, axis=1)
+    if np.isfinite(fine.width):
+        cell = np.floor(fine.at / fine.cell)
+        mine &= np.all(cell == cell[np.argmax(np.where(mine, strength, 0.0))], axis=1)
+    displaced = _displacement(fine.station, predictor, part, fine.rows[mine], fine.change[mine])
+    size = _TO_FILE[fine.station] * float(np.sqrt(np.mean(np.sum(displaced**2, axis=1))))
+    relative = np.sqrt(fine.noise / np.sum(mine)) / max(np.sqrt(np.mean(strength[mine] ** 2)), np.finfo(float).tiny)
+    return size, size * float(relative)
 
 
 def _of_part(fine: FineEffect, predictor: Predictor, part: int, mine: BoolArray) -> BenchEffect | None:

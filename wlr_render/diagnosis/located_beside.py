@@ -6,14 +6,12 @@ from dataclasses import dataclass, replace
 from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.coherence import FineEffect
-from wlr_render.diagnosis.diagnosis import (
-    StationEffect,
-    TriedField,
-)
+from wlr_render.diagnosis.diagnosis import StationEffect, TriedField
 from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
+from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.numerics.scatter import Scatter
 
 _BEYOND_DOUBT = 20.0  # log10 odds of a field from which the readings have structure, whatever it is
@@ -67,11 +65,11 @@ class Located:
             "and does not predict captures left out: something is left that no cause and no field describes",
         )
 
-    def records(self, fine: FineEffect | None) -> list[StationEffect]:
-        """Return the effects as the report states them."""
+    def records(self, fine: FineEffect | None, as_stated: Predictor) -> list[StationEffect]:
+        """Return the effects as the report states them; see `station_effects`."""
         if self.contest is None or self.scatter is None:
             return []
-        return station_effects(self.contest, self.effects, self.scatter, fine)
+        return station_effects(self.contest, self.effects, self.scatter, fine, as_stated)
 
 
 def locate(search: Search, found: Fit) -> Located:

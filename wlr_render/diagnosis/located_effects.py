@@ -48,6 +48,22 @@ class LocatedEffect:
         """Return the displacement (n, d) at the station, in the field's unit, by coefficients (c,)."""
         return self.field.displacement(self._every(values))
 
+    def size_of(self, values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+        """Return the rms displacement over the readings that feel the field, in its unit, with its standard error.
+
+        Of a pose these are its shifts alone.
+
+        Args:
+            values: (c,) coefficients.
+            covariance: (c, c) of them.
+        """
+        acts = self.field.acts
+        displaced = self.displacement(values)[acts, :3]
+        size = float(np.sqrt(np.mean(np.sum(displaced**2, axis=1))))
+        by_each = [np.sum(self.displacement(one)[acts, :3] * displaced) for one in np.eye(len(values))]
+        slope = np.array(by_each) / (max(size, np.finfo(float).tiny) * len(displaced))
+        return size, float(np.sqrt(slope @ covariance @ slope))
+
     def in_bench(self, values: FloatArray, covariance: FloatArray) -> tuple[BenchEffect, ...]:
         """Return the effects of a bench that do the same; none where no bench file states such.
 

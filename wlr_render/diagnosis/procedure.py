@@ -100,7 +100,7 @@ def diagnose(
     corrected = located.bench(found.explanation.bench(nominal))
     if fine is not None:
         fine = fine_effect(stated, stated.residual_of_bench(corrected), settings.least_log10_odds, ROUNDS)
-    effects = located.records(fine)
+    effects = located.records(fine, stated)
     structure = located.structure(effects)
     named = tuple(
         found_cause(search, found, number, ranking, odds)

@@ -249,14 +249,17 @@ def effects_table(diagnosis: Diagnosis) -> ReportTable:
             "function of": "coordinates",
             "displaces": "displaced",
             "form": "form",
-            "rms size": lambda each: f"{each.size:.3g} {each.unit}",
+            "size": lambda each: f"{quantity(each.size, each.size_sigma)} {each.unit}",
             "log10 odds": lambda each: _odds(each.log10_odds),
             "next station": lambda each: each.next_station or None,
             "log10 odds against it": lambda each: _odds(each.odds_against_next_station),
             "held-out improvement (%)": lambda each: _percent(each.held_out_improvement),
             "excess removed (%)": lambda each: 100.0 * each.share_of_excess_removed,
         },
-        ("Log10 odds: for the effect against noise and motions, with the effects of higher odds at work.",),
+        (
+            "Size: rms displacement over the readings that the effect acts on; of a spot, in its strongest cell.",
+            "Log10 odds: for the effect against noise and motions, with the effects of higher odds at work.",
+        ),
     )
 
 

@@ -129,20 +129,27 @@ def _changes(diagnosis: Diagnosis) -> str:
 
 def effect_sentence(effect: StationEffect) -> str:
     """Return the station, the shape, the size and the odds of a located effect."""
+    size = f"{quantity(effect.size, effect.size_sigma)} {effect.unit}"
     if effect.form == "smooth":
-        shape = (
-            f"{effect.displaced}, a smooth function of {effect.coordinates}, {cell_text(effect.size)} {effect.unit} rms"
-        )
+        shape = f"{effect.displaced}, a smooth function of {effect.coordinates}, {size} rms"
     elif effect.place is None or effect.length is None:
-        shape = f"a fine pattern, {cell_text(effect.size)} times the noise"
+        shape = f"a fine pattern of {size} rms"
     else:
-        place, unit = ", ".join(f"{each:.3g}" for each in effect.place), effect.length_unit
-        shape = f"a spot {cell_text(effect.length)} {unit} wide at ({place}) {unit}"
+        shape = f"a spot of {size}, {cell_text(effect.length)} {effect.length_unit} wide, {_place_text(effect)}"
     odds = f"log10 odds {odds_text(effect.log10_odds)}"
     sentence = f"an effect {WHERE[effect.station]} that no listed cause has: {shape} ({odds})"
     if _is_ambiguous(effect):
         sentence += f"; the session hardly tells it from an effect {WHERE[effect.next_station]}"
     return sentence
+
+
+def _place_text(effect: StationEffect) -> str:
+    """Return the place of a spot on its station."""
+    across, up = effect.place or (0.0, 0.0)
+    if effect.station != "combiner":
+        return f"at ({across:.3g}, {up:.3g}) {effect.length_unit}"
+    sides = "left" if across < 0.0 else "right", "below" if up < 0.0 else "above"
+    return f"{abs(across):.2g} mm {sides[0]} of and {abs(up):.2g} mm {sides[1]} the line of sight"
 
 
 def _is_ambiguous(effect: StationEffect) -> bool:
