@@ -28,6 +28,8 @@ BOXES = {
     "time": ([0.0], [2000.0]),
     "combiner": ([-20.0, -20.0], [20.0, 20.0]),
     "head motion": ([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]),
+    "shift by viewpoint": ([0.0, 0.0, 20.0, -10.0, 20.0], [1440.0, 1600.0, 45.0, 10.0, 45.0]),
+    "pose by travel": ([-1.0, 20.0, -10.0, 20.0], [1.0, 45.0, 10.0, 45.0]),
     "picture by pupil": ([0.02, -0.01, 0.02], [0.04, 0.01, 0.04]),
     "picture by gaze": ([-1.0, -1.0], [1.0, 1.0]),
 }
@@ -124,6 +126,28 @@ def test_an_effect_of_one_target_pose_leaves_the_others_alone(bench, plan):
     one = replace(effect("target", "shift"), target_pose=1)
     same = simulate(replace(bench, effects=(one,)), plan).dot_pixel
     np.testing.assert_array_equal(same, simulate(bench, plan).dot_pixel)
+
+
+@pytest.mark.parametrize("kind", [("panel", "shift"), ("panel", "shift by viewpoint"), ("time", "shift")])
+def test_an_effect_of_one_colour_leaves_the_others_alone(bench, plan, kind):
+    colours = SessionPlan(replace(plan.display, channel=plan.display.capture % 3))
+    of_red = replace(bench, effects=(replace(effect(*kind), channel=0),))
+    off = np.abs(simulate(of_red, colours).panel_pixel - simulate(bench, colours).panel_pixel).max(axis=1)
+    red, seen = colours.display.channel == 0, np.isfinite(off)
+    assert np.all(off[seen & red] > 0.0)
+    assert np.all(off[seen & ~red] == 0.0)
+
+
+def test_a_pose_by_travel_changes_sign_with_the_direction(bench, plan):
+    orders, box = np.array([[1, 0, 0, 0]]), Box(*map(np.array, BOXES["pose by travel"]))
+    backlash = BenchEffect("stage", "pose by travel", Polynomial(orders, box, 20.0 * np.eye(6)[:1]))
+    read = []
+    for travel in (1.0, -1.0):
+        moved = SessionPlan(replace(plan.display, travel=np.full(len(plan.display), travel)))
+        read.append(simulate(replace(bench, effects=(backlash,)), moved).panel_pixel)
+        stage = replace(bench, stage=replace(bench.stage, backlash=np.array([2e-5, -2e-5])))
+        np.testing.assert_allclose(read[-1], simulate(stage, moved).panel_pixel, atol=1e-9)
+    assert np.nanmax(np.abs(read[0] - read[1])) > 0.01
 
 
 def test_a_view_moves_what_each_part_sees_through_the_combiner_the_same_way(bench, plan):
@@ -232,13 +256,13 @@ def test_effects_are_written_and_read_back(bench, tmp_path):
     effects = (
         *(effect(*kind) for kind in KINDS),
         replace(effect("target", "shift"), target_pose=0),
+        replace(effect("panel", "shift by viewpoint"), channel=2),
         replace(effect("camera", "shift"), part="display", covariance=root @ root.T),
         BenchEffect("target", "shift", Cells(1.0, np.array([[0.5, -1.5], [2.5, 0.5]]), np.eye(3)[:2])),
     )
     found = load_bench(save_bench(replace(bench, effects=effects), tmp_path / "bench.toml"))
-    assert [(each.station, each.displaces, each.target_pose, each.part) for each in found.effects] == [
-        (each.station, each.displaces, each.target_pose, each.part) for each in effects
-    ]
+    for name in ("station", "displaces", "target_pose", "part", "channel"):
+        assert [getattr(each, name) for each in found.effects] == [getattr(each, name) for each in effects]
     for one, other in zip(found.effects, effects, strict=True):
         assert (one.covariance is None) == (other.covariance is None)
         if one.covariance is not None:

@@ -257,6 +257,11 @@ FAULTS = {
     "effect's period": ("[target]", WAVE.replace("2\n", "0\n"), "'period' has the value 0; it must be 1e-06 or more"),
     "effect's coordinate": ("[target]", WAVE.replace("g = 0", "g = 1"), "'along' must be a whole number from 0 to 0"),
     "effect's wave": ("[target]", WAVE, "(decoded position u, v, panel px) for the sine and the cosine, not 1"),
+    "effect's colour": (
+        "[target]",
+        EFFECT.replace("low", "channel = 3\nlow"),
+        "'channel' must be a whole number from 0 to 2",
+    ),
     "effect's part": ("[target]", EFFECT.replace("low", 'part = "display"\nlow'), "unknown key 'part'; remove it"),
     "effect's covariance, size": ("[target]", with_covariance("[[1, 0]]"), "has 1 lists; it must have 2"),
     "effect's covariance, symmetry": ("[target]", with_covariance("[[1, 0.5], [0, 1]]"), "is not symmetric; write the"),

@@ -26,12 +26,16 @@ _POSE = (_UM, _UM, _UM, _URAD, _URAD, _URAD)
 _ON_COMBINER = "place right of and above the line of sight straight ahead, mm"
 _PX, _AS_IS, _MRAD = (1.0, 1.0), (1.0, 1.0, 1.0), (1e-3, 1e-3, 1e-3)
 _STEP = 1e-4  # of scaled coordinates, for the slopes of a function
-_DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10}  # of the polynomial that states a function of so many coordinates
+_DEGREES = {
+    1: HIGHEST_ORDER,
+    2: 24,
+    3: 10,
+    4: 6,
+    5: 5,
+}  # of the polynomial that states a function of so many coordinates
 _NODES = 20  # places at which it is seen on which coordinates a function depends
 DISPLAY, SEE_THROUGH = PARTS = ("display", "see-through")
 """Parts of a session that an effect may be limited to."""
-IN_BOTH_PARTS = (("camera", "shift"), ("combiner", "view"), ("stage", "pose"), ("time", "pose"))
-"""Kinds that may be limited to one; those of the panel and the target are in one part, heights are the headset's."""
 
 
 @dataclass(frozen=True)
@@ -43,31 +47,47 @@ class EffectKind:
         per_coordinate: metres, seconds or pixels in that unit.
         displacement: names of its components, with the unit of the file.
         per_displacement: metres, radians or pixels in that unit, of each component.
+        limit: attribute of `BenchEffect` that limits it to some readings; empty where there is none.
     """
 
     coordinates: str
     per_coordinate: tuple[float, ...]
     displacement: str
     per_displacement: tuple[float, ...]
+    limit: str = ""
 
+
+_DECODED, _POSE_OF_CAMERA = "decoded position u, v, panel px", "camera's shift x, y, z, um, and turn x, y, z, urad"
 
 BENCH_KINDS = {
-    ("panel", "shift"): EffectKind("panel pixel u, v", (1.0, 1.0), "decoded position u, v, panel px", (1.0, 1.0)),
-    ("camera", "shift"): EffectKind("camera pixel u, v", (1.0, 1.0), "image u, v, camera px", (1.0, 1.0)),
+    ("panel", "shift"): EffectKind("panel pixel u, v", _PX, _DECODED, _PX, "channel"),
+    ("panel", "shift by viewpoint"): EffectKind(
+        "panel pixel u, v, and viewpoint x, y, z, mm", (*_PX, _MM, _MM, _MM), _DECODED, _PX, "channel"
+    ),
+    ("camera", "shift"): EffectKind("camera pixel u, v", _PX, "image u, v, camera px", _PX, "part"),
     ("target", "shift"): EffectKind(
-        "place on the target x, y, in pitches", (1.0, 1.0), "dot x, y, z in the target's axes, mm", (_MM, _MM, _MM)
+        "place on the target x, y, in pitches",
+        _PX,
+        "dot x, y, z in the target's axes, mm",
+        (_MM, _MM, _MM),
+        "target_pose",
     ),
-    ("stage", "pose"): EffectKind(
-        "stage reading x, y, z, mm", (_MM, _MM, _MM), "camera's shift x, y, z, um, and turn x, y, z, urad", _POSE
+    ("stage", "pose"): EffectKind("stage reading x, y, z, mm", (_MM, _MM, _MM), _POSE_OF_CAMERA, _POSE, "part"),
+    ("stage", "pose by travel"): EffectKind(
+        "direction of travel, +1 or -1, and stage reading x, y, z, mm",
+        (1.0, _MM, _MM, _MM),
+        _POSE_OF_CAMERA,
+        _POSE,
+        "part",
     ),
-    ("time", "pose"): EffectKind("time, s", (1.0,), "camera's shift x, y, z, um, and turn x, y, z, urad", _POSE),
-    ("time", "shift"): EffectKind("time, s", (1.0,), "decoded position u, v, panel px", (1.0, 1.0)),
+    ("time", "pose"): EffectKind("time, s", (1.0,), _POSE_OF_CAMERA, _POSE, "part"),
+    ("time", "shift"): EffectKind("time, s", (1.0,), _DECODED, _PX, "channel"),
     **{
         ("combiner", surfaces): EffectKind(_ON_COMBINER, (_MM, _MM), "height away from the eye, um", (_UM,))
         for surfaces in SURFACES
     },
     ("combiner", "view"): EffectKind(
-        _ON_COMBINER, (_MM, _MM), "apparent direction right and up, in tangents, 1e-6", (_URAD, _URAD)
+        _ON_COMBINER, (_MM, _MM), "apparent direction right and up, in tangents, 1e-6", (_URAD, _URAD), "part"
     ),
 }
 """Kinds of a bench session by station and by what is displaced."""
@@ -146,6 +166,7 @@ class BenchEffect:
         function: displacement by the station's coordinates, in the units of the file; OpenXR axes.
         target_pose: pose of the target that it is for; -1 for all.
         part: part of the session that shows it, one of `PARTS`; empty for all.
+        channel: colour that shows it: 0 red, 1 green, 2 blue; -1 for all.
         meeting: number of the surface along the display's path on which the places of a view are.
         covariance: (p, p) of the coefficients, row by row, in the units of the file; None where it is not known.
     """
@@ -157,6 +178,7 @@ class BenchEffect:
     part: str = ""
     covariance: FloatArray | None = None
     meeting: int = 0
+    channel: int = -1
 
     @classmethod
     def of_function(
@@ -210,8 +232,8 @@ def displacement(
     station: str,
     displaces: str,
     coordinates: FloatArray,
-    target_pose: IntArray | None = None,
     part: str = "",
+    **numbers: IntArray,
 ) -> FloatArray | None:
     """Return the sum of the effects of one kind, (n, components) in metres, radians or pixels; None without any.
 
@@ -219,19 +241,20 @@ def displacement(
         effects: of the bench.
         station, displaces: the kind.
         coordinates: (n, v) in metres, seconds or pixels.
-        target_pose: (n,) of each row, where the station is the target.
         part: part of the session that the rows are of, where effects may be limited to one.
+        numbers: (n,) of each row, for the attribute of this name by which effects may be limited.
     """
-    own = [each for each in effects if (each.station, each.displaces) == (station, displaces)]
-    own = [each for each in own if not part or each.part in ("", part)]
-    if not own:
+    of_kind = [each for each in effects if (each.station, each.displaces) == (station, displaces)]
+    of_kind = [each for each in of_kind if not part or each.part in ("", part)]
+    if not of_kind:
         return None
     kind = KINDS[station, displaces]
     total = np.zeros((len(coordinates), len(kind.per_displacement)))
-    for effect in own:
+    for effect in of_kind:
         value = effect.function(coordinates / np.array(kind.per_coordinate))
-        if effect.target_pose >= 0 and target_pose is not None:
-            value = np.where((target_pose == effect.target_pose)[:, None], value, 0.0)
+        for name, number in numbers.items():
+            if getattr(effect, name) >= 0:
+                value = np.where((number == getattr(effect, name))[:, None], value, 0.0)
         total += value
     return np.asarray(total * kind.per_displacement)
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render.bench.bench import Bench
-from wlr_render.bench.bench_effects import IN_BOTH_PARTS, KINDS, PARTS, AnyFunction, BenchEffect, EffectKind
+from wlr_render.bench.bench_effects import KINDS, PARTS, AnyFunction, BenchEffect, EffectKind
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
@@ -34,8 +34,8 @@ def effect_keys(effect: BenchEffect) -> dict[str, Any]:
     """Return the keys of an effect's table; a function is stated as a polynomial."""
     function = effect.function.as_polynomial() if isinstance(effect.function, AnyFunction) else effect.function
     keys: dict[str, Any] = {"station": effect.station, "displaces": effect.displaces}
-    keys |= {"target_pose": effect.target_pose} if effect.target_pose >= 0 else {}
     keys |= {"part": effect.part} if effect.part else {}
+    keys |= {name: getattr(effect, name) for name in ("target_pose", "channel") if getattr(effect, name) >= 0}
     keys |= {"meeting": effect.meeting} if effect.meeting else {}
     if isinstance(function, Cells):
         keys |= {"cell_size": function.size, "cells": function.middles}
@@ -62,16 +62,20 @@ def _effect(table: Table, bench: Bench) -> BenchEffect:
         function = _cells(table, kind) if table.has("cells") else _polynomial(table, kind)
         _check_places(table, station, function, bench)
     covariance = _covariance(table, function.coefficients.size) if table.has("covariance") else None
-    pose, poses = -1, len(bench.target.pitch)
-    if station == "target" and table.has("target_pose"):
-        pose = table.whole("target_pose", 0, max(poses - 1, 0))
-    can_be_in_one = (station, displaces) in IN_BOTH_PARTS and table.has("part")
-    part = table.text("part", choices=PARTS) if can_be_in_one else ""
+    limits = {kind.limit: _limit(table, kind.limit, bench)} if kind.limit and table.has(kind.limit) else {}
     meetings, meeting = len(bench.optics.display.steps), 0
     if displaces == "view" and table.has("meeting"):
         meeting = table.whole("meeting", 0, max(meetings - 1, 0))
     table.finish()
-    return BenchEffect(station, displaces, function, pose, part, covariance, meeting)
+    return BenchEffect(station, displaces, function, covariance=covariance, meeting=meeting, **limits)
+
+
+def _limit(table: Table, name: str, bench: Bench) -> Any:
+    """Read the value to which an effect is limited, see `EffectKind.limit`."""
+    if name == "part":
+        return table.text(name, choices=PARTS)
+    count = len(bench.target.pitch) if name == "target_pose" else len(bench.wavelengths_um)
+    return table.whole(name, 0, max(count - 1, 0))
 
 
 def _polynomial(table: Table, kind: EffectKind) -> Polynomial:
@@ -127,11 +131,11 @@ def _coefficients(table: Table, kind: EffectKind, count: int, lists: str) -> Flo
 
 def _check_places(table: Table, station: str, function: Polynomial | Cells, bench: Bench) -> None:
     """Refuse coordinates that lie wholly outside the station."""
-    low, high = function.box.low, function.box.high
     key = "'cells'" if isinstance(function, Cells) else "'low' and 'high'"
     edges = {"panel": bench.optics.panel.pixels.size_px, "camera": bench.camera.size_px}
-    least = np.zeros(len(low)) if station in edges else np.full(len(low), -_ANYWHERE)
-    most = edges.get(station, np.full(len(low), _ANYWHERE))
+    most = edges.get(station, np.full(len(function.box.low), _ANYWHERE))
+    least = np.zeros(len(most)) if station in edges else -most
+    low, high = function.box.low[: len(most)], function.box.high[: len(most)]
     if np.all((low < most) & (high > least)):
         return
     stated = f"{_listed(low)} to {_listed(high)}"

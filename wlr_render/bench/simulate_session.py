@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,20 +192,38 @@ def decoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
     """Return the decoded positions (n, 2) of light that leaves the cold panel at pixels (n, 2)."""
     centre, scale = _readout(bench, plan)
     shown = centre + scale * (pixel - _creep_px(bench, plan) - centre) + bench.readout.origin_px
-    for shift in (_panel_shift(bench)(shown), displacement(bench.effects, "time", "shift", plan.time_s[:, None])):
-        shown = shown if shift is None else shown + shift
-    return np.asarray(shown)
+    shift = _total(_panel_shift(bench, plan)(shown), _drift(bench, plan))
+    return shown if shift is None else np.asarray(shown + shift)
 
 
-def _panel_shift(bench: Bench) -> Callable[[FloatArray], FloatArray | None]:
-    return lambda pixel: displacement(bench.effects, "panel", "shift", pixel)
+def _panel_shift(bench: Bench, plan: DisplayPlan) -> Callable[[FloatArray], FloatArray | None]:
+    """Return the function that maps positions (n, 2) on the panel to their shifts (n, 2); None without effects."""
+    viewpoint = camera_positions(bench, plan) if bench.effects else np.zeros((len(plan), 3))
+    displaced = partial(displacement, bench.effects, "panel", channel=plan.channel)
+
+    def shift(pixel: FloatArray) -> FloatArray | None:
+        places = np.concatenate([pixel, viewpoint], axis=1)
+        return _total(displaced("shift", pixel), displaced("shift by viewpoint", places))
+
+    return shift
+
+
+def _drift(bench: Bench, plan: DisplayPlan) -> FloatArray | None:
+    """Return the shift (n, 2) of decoded positions with time; None without effects."""
+    return displacement(bench.effects, "time", "shift", plan.time_s[:, None], channel=plan.channel)
+
+
+def _total(*displacements: FloatArray | None) -> FloatArray | None:
+    """Return the sum of displacements, of which any may be None; None if all are."""
+    present = [each for each in displacements if each is not None]
+    return np.sum(present, axis=0) if present else None
 
 
 def undecoded(bench: Bench, plan: DisplayPlan, pixel: FloatArray) -> FloatArray:
     """Return the inverse of `decoded`."""
     centre, scale = _readout(bench, plan)
-    drift = displacement(bench.effects, "time", "shift", plan.time_s[:, None])
-    pixel = before_shift(pixel if drift is None else pixel - drift, _panel_shift(bench))
+    drift = _drift(bench, plan)
+    pixel = before_shift(pixel if drift is None else pixel - drift, _panel_shift(bench, plan))
     return np.asarray(centre + (pixel - bench.readout.origin_px - centre) / scale + _creep_px(bench, plan))
 
 
@@ -298,11 +316,12 @@ def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArr
 
 def _pose_error(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray | None:
     """Return shifts (metres) and turns (radians) of the camera, (n, 6), by effects of the stage and of time."""
-    of_stage = displacement(bench.effects, "stage", "pose", plan.stage, part=part_of(plan))
-    of_time = displacement(bench.effects, "time", "pose", plan.time_s[:, None], part=part_of(plan))
-    if of_stage is None or of_time is None:
-        return of_time if of_stage is None else of_stage
-    return np.asarray(of_stage + of_time)
+    displaced, with_travel = partial(displacement, bench.effects, part=part_of(plan)), plan.travel[:, None]
+    return _total(
+        displaced("stage", "pose", plan.stage),
+        displaced("stage", "pose by travel", np.concatenate([with_travel, plan.stage], axis=1)),
+        displaced("time", "pose", plan.time_s[:, None]),
+    )
 
 
 def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
@@ -356,7 +375,7 @@ def printed_places(bench: Bench, plan: SeeThroughPlan, point: FloatArray) -> tup
 def _print_shift(bench: Bench, plan: SeeThroughPlan, dot: FloatArray) -> FloatArray | None:
     """Return displacements (n, 3) of dots printed at (n, 2), metres in the target's axes."""
     pitches = dot / bench.target.pitch[plan.target_pose][:, None]
-    return displacement(bench.effects, "target", "shift", pitches, plan.target_pose)
+    return displacement(bench.effects, "target", "shift", pitches, target_pose=plan.target_pose)
 
 
 def _dots(bench: Bench, plan: SeeThroughPlan) -> FloatArray:

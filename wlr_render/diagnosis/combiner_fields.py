@@ -120,7 +120,7 @@ def combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
         done.append(names)
         columns = sum(_by_height(each, orders, box) for each in meetings if each.surface in names)
         coordinates, degrees = "place on the combiner", (2, 4, 6, 8, 10, 12)
-        form, in_bench = f"height of {surfaces}", partial(as_effects, "combiner", surfaces, orders, box, 1, 1)
+        form, in_bench = f"height of {surfaces}", partial(as_effects, "combiner", surfaces, orders, box, 1, ({},))
         field = StationField(
             "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
         )

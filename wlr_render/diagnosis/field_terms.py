@@ -1,8 +1,9 @@
 """Fields as sums of smooth functions of a station's coordinates, each with its column of changes of the readings."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -59,8 +60,8 @@ class Terms:
         place: (n, v) coordinates of each reading; zero where the functions are.
         values: (n, t) functions. order: (t,) of each.
         degrees: that are tried, ascending.
-        polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each target pose,
-            if there are `copies`.
+        polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each of `copies`.
+        copies: attributes of a bench's effect that limit each copy of the functions to some readings.
         means: (t,) what was taken off each of these polynomials.
     """
 
@@ -70,7 +71,7 @@ class Terms:
     order: IntArray
     degrees: tuple[int, ...]
     polynomials: tuple[IntArray, Box] | None = None
-    copies: int = 1
+    copies: tuple[Mapping[str, Any], ...] = ({},)
     means: FloatArray | None = None
 
     def varying(self) -> "Terms":
@@ -78,14 +79,21 @@ class Terms:
         means = np.where(self.order > 0, self.values.mean(axis=0), 0.0)
         return replace(self, values=self.values - means, means=means)
 
+    def for_each(self, limit: str, numbers: IntArray) -> "Terms":
+        """Return copies of the functions, one for each value of the numbers (n,) by which effects are limited."""
+        values = np.unique(numbers)
+        copies = np.concatenate([self.values * (numbers == each)[:, None] for each in values], axis=1)
+        limits = tuple({limit: int(each)} for each in values)
+        return replace(self, values=copies, order=np.tile(self.order, len(values)), copies=limits)
+
     def over(self, mask: BoolArray) -> "Terms":
         """Return the functions at some of the readings (n,), zero elsewhere; they are given for these (m,) only."""
         return replace(self, place=over_rows(mask, self.place), values=over_rows(mask, self.values))
 
 
-def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int) -> Terms:
-    """Return the polynomials of variables (n, v) up to the last of the degrees."""
-    orders = total_degree(variables.shape[1], degrees[-1])
+def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int, orders: IntArray | None = None) -> Terms:
+    """Return the polynomials of variables (n, v) up to the last of the degrees, or those of orders (t, v)."""
+    orders = total_degree(variables.shape[1], degrees[-1]) if orders is None else orders
     box = Box.around(variables)
     values = basis(variables, orders, box)
     return Terms(coordinates, variables, values, np.asarray(orders.sum(axis=1)), degrees, (orders, box))
@@ -97,19 +105,17 @@ def as_effects(
     orders: IntArray,
     box: Box,
     components: int,
-    copies: int,
+    copies: Sequence[Mapping[str, Any]],
     values: FloatArray,
     means: FloatArray | None = None,
 ) -> tuple[BenchEffect, ...]:
-    """Return effects of a bench by coefficients of terms and components, for each target pose if there are copies."""
+    """Return effects of a bench by coefficients of terms and components, one for each copy, with its limits."""
     terms = values.reshape(-1, components)
     if means is not None:
         terms = np.concatenate([terms[:1] - means @ terms, terms[1:]])
-    parts = np.split(terms, copies)
-    poses = range(copies) if copies > 1 else (-1,)
     return tuple(
-        BenchEffect(station, displaces, Polynomial(orders, box, part), pose)
-        for part, pose in zip(parts, poses, strict=True)
+        BenchEffect(station, displaces, Polynomial(orders, box, part), **limits)
+        for part, limits in zip(np.split(terms, len(copies)), copies, strict=True)
     )
 
 

@@ -13,10 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from wlr_render.bench.simulate_run_time import drawn_pixels, gravity_and_rate
-from wlr_render.bench.simulate_session import (
-    dot_pixels,
-    simulate_to_first_order,
-)
+from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simulate_to_first_order
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.combiner_fields import combiner_fields
@@ -26,8 +23,8 @@ from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
-from wlr_render.numerics.arrays import FloatArray
-from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, total_degree
 
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _SCREW_PERIODS_M = tuple(np.geomspace(0.00025, 0.004, 13))  # of the leads of screws and their fractions
@@ -92,19 +89,22 @@ def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
         yield field_of(
             "panel", f"shift that repeats every {_CODE_PERIOD_PX} {name}", "panel px", terms.over(rows), lever
         )
-    stand = _scaled_to_box(plan.stage)
-    coarse = smooth_terms("panel pixels", smooth_at, 6)
-    swimming = np.concatenate([smooth.values, *(coarse.values * stand[:, [axis]] for axis in range(3))], axis=1)
-    order = np.concatenate([smooth.order, *(coarse.order + 1,) * 3])
-    terms = Terms("panel pixels and viewpoint", smooth_at, swimming, order, (3, 5, 8))
-    yield field_of("panel", "shift", "panel px", terms.over(rows), lever)
-    channels = np.unique(plan.channel)
-    if len(channels) > 1:
-        some = smooth_terms("panel pixels and colour", smooth_at, 4)
-        each = np.concatenate([some.values * (plan.channel == channel)[:, None] for channel in channels], axis=1)
-        order = np.tile(some.order, len(channels))
-        terms = replace(some, values=each, order=order, degrees=(1, 2, 4), polynomials=None)
-        yield field_of("panel", "shift of each colour", "panel px", terms.over(rows), lever)
+    places = np.concatenate([smooth_at, 1e3 * camera_positions(observations.nominal, plan)], axis=1)
+    orders = np.concatenate([_with_viewpoint(8), *(_with_viewpoint(6, axis) for axis in range(3))])
+    swimming = smooth_terms("panel pixels and viewpoint", places, 3, 5, 8, orders=orders)
+    yield field_of("panel", "shift", "panel px", swimming.over(rows), lever, "shift by viewpoint")
+    if len(np.unique(plan.channel)) > 1:
+        of_colours = smooth_terms("panel pixels and colour", smooth_at, 1, 2, 4).for_each("channel", plan.channel)
+        yield field_of("panel", "shift of each colour", "panel px", of_colours.over(rows), lever, "shift")
+
+
+def _with_viewpoint(degree: int, axis: int | None = None) -> IntArray:
+    """Return orders (t, 5) of polynomials of the panel pixel, constant or linear along an axis of the viewpoint."""
+    of_pixel = total_degree(2, degree)
+    of_viewpoint = np.zeros((len(of_pixel), 3), dtype=np.int64)
+    if axis is not None:
+        of_viewpoint[:, axis] = 1
+    return np.concatenate([of_pixel, of_viewpoint], axis=1)
 
 
 def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
@@ -194,11 +194,7 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
     yield field_of("target", "displacement, the same at each pose", "mm", shared.over(rows), lever, "shift")
     # A pose to each capture leaves nothing to hold out.
     if 1 < len(poses) <= len(np.unique(plan.capture)) / 2:
-        one = smooth_terms("place on the target", pitches, 1, 2, 4, 6)
-        own = np.concatenate([one.values * (plan.target_pose == pose)[:, None] for pose in poses], axis=1)
-        polynomials = one.polynomials if np.array_equal(poses, np.arange(len(poses))) else None
-        order = np.tile(one.order, len(poses))
-        terms = replace(one, values=own, order=order, polynomials=polynomials, copies=len(poses))
+        terms = smooth_terms("place on the target", pitches, 1, 2, 4, 6).for_each("target_pose", plan.target_pose)
         yield field_of("target", "displacement of its own at each pose", "mm", terms.over(rows), lever, "shift")
 
 
