@@ -102,6 +102,14 @@ class FieldContest:
         ]
         return [(each, marginal(self.sums, each), surprise(each, self.sums)) for each in tried]
 
+    @cached_property
+    def _charge(self) -> FloatArray:
+        """Of each fixed column, in -2 log evidence, for the fields of which its field was chosen."""
+        charge = np.zeros(self.fixed.count)
+        for first, field in zip(self._first, self.fields, strict=True):
+            charge[first : first + field.order.size] = 2.0 * np.log(field.alternatives)
+        return charge
+
     def _columns(self, number: int, degree: int) -> IntArray:
         return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].order <= degree))
 
@@ -326,7 +334,8 @@ class FieldContest:
             # All sizes are equally likely beforehand.
             costs = np.sum(np.log1p(square * values) - pull**2 * square / (1.0 + square * values), axis=1)
             least = -2.0 * float(np.logaddexp.reduce(-0.5 * costs) - np.log(len(_SIZES)))
-            best = min(best, (alone.minus_two_log + cost + least, float(_SIZES[int(np.argmin(costs))])))
+            least += alone.minus_two_log + cost + self._charge[columns[0]]
+            best = min(best, (least, float(_SIZES[int(np.argmin(costs))])))
         return best
 
     def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:

@@ -20,6 +20,7 @@ from wlr_render.diagnosis.combiner_fields import combiner_fields
 from wlr_render.diagnosis.field_terms import StationField, Terms, field_of, lever_of, over_rows, smooth_terms
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.screw_fields import screw_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
@@ -27,7 +28,6 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, total_degree
 
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
-_SCREW_PERIODS_M = tuple(np.geomspace(0.00025, 0.004, 13))  # of the leads of screws and their fractions
 _STEP_M = 1e-5  # of a dot on the target, for the differences
 
 
@@ -140,12 +140,7 @@ def _stage_fields(readings: WeighedReadings) -> Iterator[StationField]:
         motions,
         "pose",
     )
-    for axis, name in enumerate("xyz"):
-        phases = [2.0 * np.pi * stage[:, axis] / period for period in _SCREW_PERIODS_M]
-        waves = np.stack([wave(phase[still]) for phase in phases for wave in (np.sin, np.cos)], axis=1)
-        order = np.ones(waves.shape[1], dtype=np.int64)
-        terms = Terms("stage readings", 1e3 * stage[still][:, [axis]], waves, order, (1,)).varying().over(still)
-        yield field_of("stage", f"shift along {name}, with periods of screws", "um", terms, motions[:, :, [axis]])
+    yield from screw_fields(readings, stage)
     travel = _of_captures(observations, "travel", 1)
     if len(np.unique(travel[still])) > 1:
         with_place = travel * np.concatenate([np.ones((len(stage), 1)), _scaled_to_box(stage)], axis=1)

@@ -1,0 +1,95 @@
+"""Errors of a stage that repeat with its screws: a shift along an axis that is periodic in the axis' reading."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from wlr_render.diagnosis.field_terms import StationField, Terms, field_of
+from wlr_render.diagnosis.observations import RUN_TIME
+from wlr_render.diagnosis.prediction import Explanation
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import FloatArray, rows_by_label
+from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
+
+_PERIODS_M = 0.00025, 0.004  # of the leads of screws and their fractions
+_PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
+
+
+def screw_fields(readings: WeighedReadings, stage: FloatArray) -> Iterator[StationField]:
+    """Return the field of the likeliest period of each axis; its alternatives are all periods that were tried.
+
+    Args:
+        readings: of the session.
+        stage: (n, 3) readings of the stage's axes, metres.
+    """
+    observations = readings.observations
+    still = observations.part != RUN_TIME
+    names, rows = rows_by_label(observations.group[still])
+    first = np.flatnonzero(still)[[mine[0] for mine in rows]]
+    place, part = stage[first], observations.part[first]
+    smooth = _smooth(place, part)
+    shift, variance = _shifts(readings, names)
+    for axis, name in enumerate("xyz"):
+        reading = place[:, axis]
+        periods = _periods(float(np.ptp(reading)))
+        if not periods.size:
+            continue
+        gains = _gains(reading, periods, smooth, shift[:, axis], variance[:, axis])
+        phase = 2.0 * np.pi * stage[:, [axis]] / periods[int(np.argmax(gains))]
+        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)[still]
+        terms = Terms("stage readings", 1e3 * stage[still][:, [axis]], waves, np.ones(2, dtype=np.int64), (1,))
+        lever = readings.camera_motions[:, :, [axis]]
+        found = field_of(
+            "stage", f"shift along {name}, with the period of a screw", "um", terms.varying().over(still), lever
+        )
+        yield replace(found, alternatives=len(periods))
+
+
+def _periods(over: float) -> FloatArray:
+    """Return the periods, metres, that differ over a range in metres."""
+    if over <= 0.0:
+        return np.zeros(0)
+    low, high = 1.0 / _PERIODS_M[1], 1.0 / _PERIODS_M[0]
+    return np.asarray(1.0 / np.arange(max(low, 2.0 / over), high, 1.0 / (_PER_RANGE * over)))
+
+
+def _smooth(place: FloatArray, part: FloatArray) -> FloatArray:
+    """Return linear functions (g, k) of the stage's readings (g, 3), and a constant of each part."""
+    return np.column_stack([Box.around(place).scaled(place), *(part == each for each in np.unique(part))])
+
+
+def _shifts(readings: WeighedReadings, captures: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the shift (g, 3) of each capture's camera that its residual shows, micrometres, and its variance.
+
+    The other shifts and turns of that capture are as large as usual; the variance contains the usual shift.
+    """
+    nothing = readings.predictor.residual(Explanation())
+    sums = readings.sums(nothing, np.zeros((*nothing.shape, 0)))
+    ee, ey = sums.ee[captures], sums.ey[captures]
+    usual = np.repeat([USUAL_SHIFT, USUAL_TURN], 3) ** -2.0
+    shift, variance = np.zeros((len(captures), 3)), np.zeros((len(captures), 3))
+    for axis in range(3):
+        prior = usual.copy()
+        prior[axis] = 0.0
+        covariance = np.linalg.pinv(ee + np.diag(prior))
+        shift[:, axis] = np.einsum("gk,gk->g", covariance[:, axis], ey)
+        variance[:, axis] = covariance[:, axis, axis] + USUAL_SHIFT**2
+    return shift, variance
+
+
+def _gains(
+    reading: FloatArray, periods: FloatArray, smooth: FloatArray, shift: FloatArray, variance: FloatArray
+) -> FloatArray:
+    """Return the part of a weighted sum of squares that each period's wave takes off beside smooth functions."""
+    weight = 1.0 / np.sqrt(variance)
+    axes = np.linalg.qr(smooth * weight[:, None])[0]
+    phase = 2.0 * np.pi * reading[:, None] / periods
+    waves = np.stack([np.sin(phase), np.cos(phase)], axis=-1) * weight[:, None, None]
+    waves -= np.einsum("gk,kpw->gpw", axes, np.einsum("gk,gpw->kpw", axes, waves))
+    left = shift * weight
+    left -= axes @ (axes.T @ left)
+    normal = np.einsum("gpv,gpw->pvw", waves, waves) + np.eye(2) * 1e-9
+    pull = np.einsum("gpw,g->pw", waves, left)
+    return np.asarray(np.einsum("pw,pw->p", pull, np.linalg.solve(normal, pull[..., None])[..., 0]))
