@@ -35,6 +35,7 @@ from wlr_render.optics.device import EyeOptics, Path
 from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.tracer import trace
 
+_OF_CAUSES = ("all surfaces", "reflecting surfaces")  # whose tilt and form are causes
 _SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
 
 
@@ -119,7 +120,9 @@ def combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
             continue
         done.append(names)
         columns = sum(_by_height(each, orders, box) for each in meetings if each.surface in names)
-        coordinates, degrees = "place on the combiner", (2, 4, 6, 8, 10, 12)
+        # A height of the second degree in all surfaces is a tilt and a form error, which are causes.
+        coordinates, degrees = "place on the combiner", (4, 6, 8, 10, 12)
+        degrees = degrees if surfaces in _OF_CAUSES else (2, *degrees)
         form, in_bench = f"height of {surfaces}", partial(as_effects, "combiner", surfaces, orders, box, 1, ({},))
         field = StationField(
             "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
