@@ -1,19 +1,22 @@
 """Errors of a stage that repeat with its screws: a shift along an axis that is periodic in the axis' reading."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from wlr_render.diagnosis.field_terms import StationField, Terms, field_of
+from wlr_render.bench.bench_effects import BenchEffect
+from wlr_render.diagnosis.field_terms import StationField, scaled
 from wlr_render.diagnosis.observations import RUN_TIME
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray, rows_by_label
-from wlr_render.numerics.polynomial import Box
+from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
+from wlr_render.numerics.waves import Wave
 
 _PERIODS_M = 0.00025, 0.004  # of the leads of screws and their fractions
+_ANYWHERE_MM = np.full(3, 1000.0)  # bounds of what does not depend on the reading
 _PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
 
 
@@ -37,14 +40,43 @@ def screw_fields(readings: WeighedReadings, stage: FloatArray) -> Iterator[Stati
         if not periods.size:
             continue
         gains = _gains(reading, periods, smooth, shift[:, axis], variance[:, axis])
-        phase = 2.0 * np.pi * stage[:, [axis]] / periods[int(np.argmax(gains))]
-        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)[still]
-        terms = Terms("stage readings", 1e3 * stage[still][:, [axis]], waves, np.ones(2, dtype=np.int64), (1,))
-        lever = readings.camera_motions[:, :, [axis]]
-        found = field_of(
-            "stage", f"shift along {name}, with the period of a screw", "um", terms.varying().over(still), lever
+        period = float(periods[int(np.argmax(gains))])
+        phase = 2.0 * np.pi * stage[:, [axis]] / period
+        waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
+        # A shift that is the same everywhere is the camera's.
+        mean = waves[still].mean(axis=0)
+        waves = still[:, None] * (waves - mean)
+        yield scaled(
+            StationField(
+                "stage",
+                "stage readings",
+                f"shift along {name}, with the period of a screw",
+                readings.camera_motions[:, :, [axis]] * waves[:, None, :],
+                np.ones(2, dtype=np.int64),
+                (1,),
+                1e3 * stage[:, [axis]],
+                still,
+                "um",
+                partial(_shift, waves),
+                partial(_in_bench, axis, 1e3 * period, mean),
+                len(periods),
+            )
         )
-        yield replace(found, alternatives=len(periods))
+
+
+def _shift(waves: FloatArray, values: FloatArray) -> FloatArray:
+    return np.asarray(waves @ values)[:, None]
+
+
+def _in_bench(axis: int, period_mm: float, mean: FloatArray, values: FloatArray) -> tuple[BenchEffect, ...]:
+    """Return a wave by coefficients (2,) of its sine and cosine, and the constant that takes its mean off."""
+    wave, constant = np.zeros((2, 6)), np.zeros((1, 6))
+    wave[:, axis], constant[:, axis] = values, -mean @ values
+    everywhere = Polynomial(np.zeros((1, 3), dtype=np.int64), Box(-_ANYWHERE_MM, _ANYWHERE_MM), constant)
+    return (
+        BenchEffect("stage", "pose", Wave(axis, period_mm, wave)),
+        BenchEffect("stage", "pose", everywhere),
+    )
 
 
 def _periods(over: float) -> FloatArray:
