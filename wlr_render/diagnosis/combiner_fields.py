@@ -121,8 +121,8 @@ def combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
         done.append(names)
         columns = sum(_by_height(each, orders, box) for each in meetings if each.surface in names)
         # A height of the second degree in all surfaces is a tilt and a form error, which are causes.
-        coordinates, degrees = "place on the combiner", (4, 6, 8, 10, 12)
-        degrees = degrees if surfaces in _OF_CAUSES else (2, *degrees)
+        coordinates, finer = "place on the combiner", (4, 6, 8, 10, 12)
+        degrees = finer if surfaces in _OF_CAUSES else (2, *finer)
         form, in_bench = f"height of {surfaces}", partial(as_effects, "combiner", surfaces, orders, box, 1, ({},))
         field = StationField(
             "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench

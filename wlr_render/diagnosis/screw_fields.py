@@ -10,7 +10,7 @@ from wlr_render.diagnosis.field_terms import StationField, scaled
 from wlr_render.diagnosis.observations import RUN_TIME
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import FloatArray, rows_by_label
+from wlr_render.numerics.arrays import FloatArray, IntArray, rows_by_label
 from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
 from wlr_render.numerics.waves import Wave
@@ -92,7 +92,7 @@ def _smooth(place: FloatArray, part: FloatArray) -> FloatArray:
     return np.column_stack([Box.around(place).scaled(place), *(part == each for each in np.unique(part))])
 
 
-def _shifts(readings: WeighedReadings, captures: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _shifts(readings: WeighedReadings, captures: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return the shift (g, 3) of each capture's camera that its residual shows, micrometres, and its variance.
 
     The other shifts and turns of that capture are as large as usual; the variance contains the usual shift.
