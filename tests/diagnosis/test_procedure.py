@@ -58,19 +58,33 @@ def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located):
     assert all(floor.used_px == pytest.approx(2 * SIGMA_PX, rel=0.2) for floor in located.noise_floors)
 
 
+def bent(u, plan, origin):
+    return 0.8 * np.sin(2 * np.pi * u / 1000)
+
+
+def magnified_red(u, plan, origin):
+    return 0.8 * (plan.channel == 0) * (u - 700) / 500
+
+
+def swimming(u, plan, origin):
+    return np.sin(2 * np.pi * u / 1200) * (plan.stage - origin)[:, 0] / 4e-3
+
+
 @pytest.mark.slow
-def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(bench, plan, tmp_path):
+@pytest.mark.parametrize(
+    ("off", "displaces"), [(bent, "shift"), (magnified_red, "shift"), (swimming, "shift by viewpoint")]
+)
+def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(bench, plan, tmp_path, off, displaces):
     observations = measured(bench, plan, SIGMA_PX, seed=17)
     read = observations.session.readings
-    read.panel_pixel[:, 0] += 0.8 * np.sin(2 * np.pi * read.panel_pixel[:, 0] / 1000)
-    bent = diagnosed(observations, ("target_scale",))
-    assert bent.is_corrected
-    assert bent.after.over_noise < 1.1 < bent.before.over_noise
-    bent.save(tmp_path)
+    read.panel_pixel[:, 0] += off(read.panel_pixel[:, 0].copy(), plan.display, bench.stage.origin)
+    said = diagnosed(observations, ("target_scale",))
+    assert said.is_corrected
+    assert said.after.over_noise < 1.1 < said.before.over_noise
+    said.save(tmp_path)
     nominal, session = load_session(tmp_path / "corrected")
-    (effect,) = nominal.effects
-    assert (effect.station, effect.displaces) == ("panel", "shift")
-    again = diagnose(nominal, session, causes={}, settings=bent.settings)
+    assert {(each.station, each.displaces) for each in nominal.effects} == {("panel", displaces)}
+    again = diagnose(nominal, session, causes={}, settings=said.settings)
     assert (again.verdict, again.effects) == (NO_EFFECT, ())
 
 

@@ -10,8 +10,9 @@ from wlr_render.bench.bench_effects import BenchEffect, optics_with_effects
 from wlr_render.bench.bench_file import save_bench
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions
-from wlr_render.jobs.headset import headset_path, open_colours, open_eye, require_in_eye_box
+from wlr_render.jobs.headset import effect_warnings, headset_path, open_colours, open_eye, require_in_eye_box
 from wlr_render.numerics.polynomial import Box, Polynomial
+from wlr_render.numerics.waves import Wave
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.traced_mappings import TracedDisplay, traced_eye
@@ -39,8 +40,22 @@ def test_a_bench_is_its_device_with_the_heights_of_its_effects(tmp_path):
     expected = TracedDisplay(raised, GREEN_UM).pixel_of_view_dir(ahead, middle).value
     np.testing.assert_allclose(pixel, expected, atol=1e-6)
     assert np.abs(pixel - open_eye("northstar", "right").display.pixel_of_view_dir(ahead, middle).value).max() > 1.0
+    assert effect_warnings(path) == effect_warnings("northstar") == []
     left = [open_eye(spec, "left").display.pixel_of_view_dir(ahead, middle).value for spec in (path, "northstar")]
     np.testing.assert_array_equal(*left)
+
+
+def test_effects_of_a_bench_that_its_maps_do_not_have_are_said(straight_device, tmp_path):
+    camera = EyeballCamera(np.array([1280.0, 1024.0]), np.array([900.0, 900.0]), np.array([640.0, 300.0]), 0.1)
+    device = load_device(straight_device)
+    bench = Bench(device, "right", camera, Stage(np.zeros(3)), Target(np.zeros((0, 4, 4)), np.zeros(0)))
+    warped, swing = (
+        BenchEffect(station, displaces, Wave(0, 500.0, np.ones((2, outputs))))
+        for station, displaces, outputs in (("panel", "shift by viewpoint", 2), ("time", "pose", 6))
+    )
+    path = save_bench(replace(bench, effects=(warped, swing)), tmp_path / "bench.toml")
+    (said,) = effect_warnings(path)
+    assert "do not have its effects of panel (shift by viewpoint); render with models fitted to the session" in said
 
 
 def test_a_model_cut_short_or_of_another_version_is_refused(model_file, tmp_path):

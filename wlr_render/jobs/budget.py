@@ -13,7 +13,7 @@ from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_w
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.budget_options import BudgetOptions
-from wlr_render.jobs.headset import headset_path, is_model, open_eye
+from wlr_render.jobs.headset import effect_warnings, headset_path, is_model, open_eye
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.mappings import Eye
@@ -243,6 +243,7 @@ _HOW = {
 
 def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
     warnings = [] if is_model(headset) else [f"{headset} is a device: its mappings are exact and have no errors."]
+    warnings += effect_warnings(headset)
     for each in found:
         if each.left_out > 0.01:
             warnings.append(

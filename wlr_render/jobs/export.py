@@ -28,6 +28,7 @@ from wlr_render.jobs.export_page import export_page
 from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_frames
 from wlr_render.jobs.headset import (
     PRIMARIES_UM,
+    effect_warnings,
     headset_path,
     is_model,
     open_channels,
@@ -84,6 +85,7 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
     removed, changed = finished.remove_replaced()
     warnings = [
         *not_held(views[0], form),
+        *effect_warnings(options.headset),
         *warnings,
         *_lost_pixels([line for path in maps for line in finished.remark(path).splitlines()]),
         *([f"{removed} files of an earlier export were removed from {folder}."] if removed else []),

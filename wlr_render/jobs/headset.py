@@ -12,6 +12,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.mappings import Eye, EyeChannels
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.combiner_form import SURFACES
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -71,6 +72,20 @@ def _device(spec: str | Path) -> Device:
     return replace(
         bench.device, eyes={**bench.device.eyes, bench.eye: optics_with_effects(bench.optics, bench.effects)}
     )
+
+
+def effect_warnings(spec: str | Path) -> list[str]:
+    """Return a sentence on the effects of a bench's headset that its maps do not have, if there are any."""
+    if Path(spec).name != "bench.toml":
+        return []
+    of_headset = [each for each in load_bench(spec).effects if each.station in ("panel", "combiner")]
+    left_out = sorted({f"{each.station} ({each.displaces})" for each in of_headset if each.displaces not in SURFACES})
+    if not left_out:
+        return []
+    return [
+        f"{spec}: the maps do not have its effects of {', '.join(left_out)}; render with models fitted to the session "
+        "(`calibrate`), which absorb them."
+    ]
 
 
 def open_channels(

@@ -30,7 +30,7 @@ from wlr_render.jobs.frame_plan import (
     planned_frames,
     read_trajectories,
 )
-from wlr_render.jobs.headset import headset_path
+from wlr_render.jobs.headset import effect_warnings, headset_path
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.jobs.pack import pack_frames
@@ -91,6 +91,7 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     first = reversed([*zip(plan, pictures, strict=True)])
     warnings = [
         *opened.scene.warnings,
+        *effect_warnings(options.headset),
         *(traced_instead(raster, options.backend) if options.method == "raster" else []),
         *gap_warnings(options, head, eyes),
         *column_warnings(head, eyes),
