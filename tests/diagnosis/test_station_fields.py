@@ -232,4 +232,4 @@ def test_a_bench_with_an_effect_reads_what_the_field_says(bench, plan, run_time,
         expected = field.columns @ values
         assert np.sqrt(np.nanmean((read - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)), field.kind
     missing = set(BENCH_KINDS if session == "bench" else RUN_TIME_KINDS) - stated
-    assert missing == ({("combiner", "view"), ("stage", "pose by travel")} if session == "bench" else set())
+    assert missing == ({("combiner", "view")} if session == "bench" else set())

@@ -25,7 +25,7 @@ from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, total_degree
+from wlr_render.numerics.polynomial import total_degree
 
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _STEP_M = 1e-5  # of a dot on the target, for the differences
@@ -143,16 +143,15 @@ def _stage_fields(readings: WeighedReadings) -> Iterator[StationField]:
     yield from screw_fields(readings, stage)
     travel = _of_captures(observations, "travel", 1)
     if len(np.unique(travel[still])) > 1:
-        with_place = travel * np.concatenate([np.ones((len(stage), 1)), _scaled_to_box(stage)], axis=1)
-        terms = Terms("direction of travel", travel, with_place * still[:, None], np.array([0, 1, 1, 1]), (0, 1))
-        yield field_of("stage", "pose of the camera", _POSE_UNIT, terms, motions)
+        orders = np.eye(4, dtype=np.int64)
+        orders[:, 0] = 1
+        places = np.concatenate([travel, 1e3 * stage], axis=1)[still]
+        terms = smooth_terms("direction of travel", places, 0, 1, orders=orders).over(still)
+        terms = replace(terms, place=travel, order=terms.order - 1)
+        yield field_of("stage", "pose of the camera", _POSE_UNIT, terms, motions, "pose by travel")
 
 
 _POSE_UNIT = "um, urad"  # three shifts, then three turns
-
-
-def _scaled_to_box(values: FloatArray) -> FloatArray:
-    return Box.around(values).scaled(values)
 
 
 def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
