@@ -1,10 +1,19 @@
 """Repeatability excuses motions that differ from capture to capture, and no error that all captures have in common."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from small_session import SIGMA_PX, measured, with_jitter
+from small_session import SIGMA_PX, measured, with_jitter, with_noise
 
+from wlr_render.bench.bench_effects import BenchEffect
+from wlr_render.bench.simulate_session import simulate
+from wlr_render.captures.session import Session
 from wlr_render.diagnosis.bench_prediction import predict_session
+from wlr_render.diagnosis.effect_errors import effect_errors
+from wlr_render.diagnosis.observations import DISPLAY, observe
+from wlr_render.diagnosis.prediction import Explanation, Predictor
+from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 
 
 def predicted(bench, plan, shift_um=0.0, turn_urad=0.0, **causes):
@@ -37,3 +46,47 @@ def test_an_error_that_all_captures_have_in_common_is_no_repeatability(bench, pl
     found = predicted(bench, plan, *repeatability, **causes)
     assert {name for name, part in found.items() if not part.is_noise} == set(parts)
     assert all(found[name].whitened > 1.05 for name in parts)
+
+
+def warped(covariance=None, coefficients=0.0):
+    """A panel whose warp is known to half a pixel in each of six terms."""
+    orders = total_degree(2, 2)
+    function = Polynomial(orders, Box(np.zeros(2), np.full(2, 1500.0)), np.zeros((len(orders), 2)) + coefficients)
+    return BenchEffect("panel", "shift", function, covariance=covariance)
+
+
+@pytest.fixture(scope="module")
+def root():
+    return 0.5 * np.eye(12) + 0.1 * np.random.default_rng(1).normal(size=(12, 12))
+
+
+def test_errors_of_effects_have_the_covariance_of_their_coefficients(bench, plan, root):
+    uncertain = replace(bench, effects=(warped(root @ root.T),))
+    predictor = Predictor(observe(uncertain, Session("s", plan, simulate(uncertain, plan))))
+    errors, rng = effect_errors(predictor), np.random.default_rng(2)
+    drawn = [
+        replace(bench, effects=(warped(None, (root @ each).reshape(6, 2)),)) for each in rng.normal(size=(100, 12))
+    ]
+    changes = [predictor.residual(Explanation()) - predictor.residual_of_bench(each) for each in drawn]
+    display = predictor.observations.part == DISPLAY
+    stated, seen = np.sum(errors[display] ** 2, axis=2), np.mean(np.square(changes), axis=0)[display]
+    assert np.all(errors[~display] == 0.0)
+    np.testing.assert_allclose(np.mean(stated, axis=0), np.mean(seen, axis=0), rtol=0.15)
+    assert effect_errors(Predictor(observe(bench, Session("s", plan, simulate(bench, plan))))).shape[2] == 0
+
+
+def test_a_bench_whose_effects_are_uncertain_predicts_within_their_errors(bench, plan, root):
+    true = replace(bench, effects=(warped(None, (root @ np.random.default_rng(3).normal(size=12)).reshape(6, 2)),))
+    observations = observe(bench, Session("s", plan, simulate(true, plan)))
+    session = with_noise(observations, SIGMA_PX, np.random.default_rng(4)).session
+    by_covariance = {}
+    for covariance in (root @ root.T, None):
+        display, see_through = predict_session(replace(bench, effects=(warped(covariance),)), session).parts
+        assert see_through.is_noise
+        assert see_through.effects_arcmin == 0.0
+        by_covariance[covariance is None] = display
+    assert by_covariance[False].is_noise
+    assert not by_covariance[True].is_noise
+    assert by_covariance[False].whitened == pytest.approx(1.0, abs=0.1)
+    assert by_covariance[True].whitened > 1.2
+    assert by_covariance[False].effects_arcmin == pytest.approx(by_covariance[False].rms_arcmin, rel=0.6)

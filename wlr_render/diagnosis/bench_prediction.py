@@ -1,6 +1,7 @@
 """How well a bench model predicts a session that it was not fitted to: by part, target distance and capture.
 
-The noise and the repeatability are those that a diagnosis measures (`noise`, `scatter`); no cause is fitted.
+The noise and the repeatability are those that a diagnosis measures (`noise`, `scatter`); no cause is fitted. The errors
+of the bench's effects, as their covariances state them, are errors of all readings in common.
 """
 
 from dataclasses import dataclass, field, replace
@@ -10,6 +11,7 @@ import numpy as np
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
+from wlr_render.diagnosis.effect_errors import effect_errors
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
@@ -18,7 +20,7 @@ from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.numerics.scatter import LOG10_ODDS, UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter, ScatterSums
+from wlr_render.numerics.scatter import LOG10_ODDS, UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter
 from wlr_render.numerics.scatter_search import best_scatter
 
 
@@ -33,9 +35,10 @@ class PredictedGroup:
         rms_arcmin: residual, rms per axis.
         mean_arcmin: mean residual, right and down.
         noise_arcmin: stated noise per axis.
+        effects_arcmin: standard error per axis of what is predicted, rms, by the covariances of the bench's effects.
         reduced_chi_squared: mean square of the residual over the stated variance.
         whitened: mean square of the residual over the measured variance, less the motions of the camera that the
-            repeatability admits.
+            repeatability admits, and of the errors of the bench's effects.
         by_own_bench: reduced chi-squared by the session's own bench; None if that is not known.
     """
 
@@ -46,6 +49,7 @@ class PredictedGroup:
     rms_arcmin: float
     mean_arcmin: tuple[float, float]
     noise_arcmin: float
+    effects_arcmin: float
     reduced_chi_squared: float
     whitened: float
     by_own_bench: float | None
@@ -124,14 +128,18 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
     by_own = None if own is None else residual_by(own)
     noise = noise_of(observations, residual, DEFAULT)
     used = ~noise.outlier
+    errors = effect_errors(predictor)
+    by_noise = (observations.sigma_px / noise.sigma_px)[used, None, None]
     readings = WeighedReadings.of(predictor.with_sigma(noise.sigma_px).of_rows(used), noise)
+    readings = readings.with_effects(errors[used] * by_noise, np.ones(errors.shape[2]))
     found = fit(readings, Explanation(), Scatter.usual(len(observations.captures)), 0)
     if found is None:
         raise BadInputError(f"{session.name}: the bench does not predict every reading; check its stage and targets.")
     scatter, systematic = _about_common_motions(readings, found)
     slipped = np.isfinite(bench.mount.slip_time_s)
     still = replace(bench.mount, slip_time_s=np.inf)
-    groups = _Groups(observations, residual, by_own, used, _whitened(readings, scatter, used))
+    effects = np.sqrt(np.sum(errors**2, axis=2))
+    groups = _Groups(observations, residual, by_own, used, _whitened(readings, scatter, used), effects)
     return BenchPrediction(
         session.name,
         _mean_square(residual, used),
@@ -163,13 +171,11 @@ def _about_common_motions(readings: WeighedReadings, found: Fit) -> tuple[Scatte
     Such a motion is an error of the bench, which repeatability alone would hide: captures scatter about zero.
     """
     observations, scatter, systematic = readings.observations, found.scatter, set[int]()
-    captures, white = len(observations.captures), readings.shared(found.at.residual)
     for part in np.unique(observations.part[observations.part != RUN_TIME]):
         rows = observations.part == part
         if len(np.unique(observations.group[rows])) < 2:
             continue
-        common = readings.motions * rows[:, None, None]
-        sums = ScatterSums.over(white, readings.motions, common, observations.group, observations.part, captures)
+        sums = readings.sums(found.at.residual, readings.camera_motions * rows[:, None, None])
         _, without = best_scatter(sums.of_columns(np.arange(0)), found.scatter, np.zeros(0))
         about, cost = best_scatter(sums, found.scatter, np.zeros(6), np.repeat([UNUSUAL_SHIFT, UNUSUAL_TURN], 3))
         if LOG10_ODDS * (without - cost) > DEFAULT.least_log10_odds:
@@ -193,7 +199,8 @@ def _whitened(readings: WeighedReadings, scatter: Scatter, used: BoolArray) -> F
 class _Groups:
     """Figures of groups of readings.
 
-    Residuals (n, 2) are by the bench and by the session's own in units of the stated sigma, and whitened; `used` (n,).
+    Residuals (n, 2) are by the bench and by the session's own in units of the stated sigma, and whitened; `used` (n,);
+    `effects` (n, 2) are standard errors by the bench's effects, in units of the stated sigma.
     """
 
     observations: Observations
@@ -201,6 +208,7 @@ class _Groups:
     by_own: FloatArray | None
     used: BoolArray
     white: FloatArray
+    effects: FloatArray
 
     def part(self, part: int, scatter: Scatter, random: bool) -> PredictedPart:
         """Return the figures of a part; `random` where its captures have no motion in common."""
@@ -216,11 +224,12 @@ class _Groups:
     def group(self, name: str, rows: BoolArray) -> PredictedGroup:
         """Return the figures of some readings (n,) of one part."""
         observations, part = self.observations, int(self.observations.part[rows][0])
-        seen = np.zeros_like(self.residual)
+        seen, errors = np.zeros_like(self.residual), np.zeros_like(self.residual)
         seen[observations.part == part] = observations.arcminutes(self.residual, part)
+        errors[observations.part == part] = observations.arcminutes(self.effects, part)
         right, down = seen[rows].mean(axis=0)
         reduced = _mean_square(self.residual, rows)
-        rms = float(np.sqrt(np.mean(seen[rows] ** 2)))
+        rms, by_effects = (float(np.sqrt(np.mean(each[rows] ** 2))) for each in (seen, errors))
         return PredictedGroup(
             name,
             PART_NAMES[part],
@@ -229,6 +238,7 @@ class _Groups:
             rms,
             (float(right), float(down)),
             rms / float(np.sqrt(reduced)) if reduced > 0.0 else 0.0,
+            by_effects,
             reduced,
             _mean_square(self.white, rows),
             None if self.by_own is None else _mean_square(self.by_own, rows),

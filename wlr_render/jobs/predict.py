@@ -123,6 +123,7 @@ def _verdict(found: BenchPrediction, bench: Path) -> Iterator[str]:
 def _part_sentence(part: PredictedPart, session: str) -> str:
     """Residual, noise, repeatability, and the comparison with the session's own bench."""
     noise = [f"noise {part.noise_arcmin:.3g}'"]
+    noise += [f"errors of the bench's effects {part.effects_arcmin:.2g}'"] if part.effects_arcmin > 0.0 else []
     if part.shift_um is not None and part.is_noise:
         noise.append(f"repeatability {part.shift_um:.2g} um, {part.turn_urad:.2g} urad")
     text = (
@@ -197,6 +198,8 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
 def _columns(first: str, found: BenchPrediction) -> dict[str, str | Callable[[PredictedGroup], Cell]]:
     """Return the columns of a table of groups; the session's own bench has one if it is known."""
     own = {} if found.by_own_bench is None else {"by the session's own bench": "by_own_bench"}
+    has_errors = any(part.effects_arcmin > 0.0 for part in found.parts)
+    effects = {"errors of the bench's effects (arcmin)": "effects_arcmin"} if has_errors else {}
     return {
         first: "name",
         "readings": "readings",
@@ -204,6 +207,7 @@ def _columns(first: str, found: BenchPrediction) -> dict[str, str | Callable[[Pr
         "mean right (arcmin)": lambda group: group.mean_arcmin[0],
         "mean down (arcmin)": lambda group: group.mean_arcmin[1],
         "stated noise (arcmin)": "noise_arcmin",
+        **effects,
         "reduced chi-squared": "reduced_chi_squared",
         "with measured noise and repeatability": "whitened",
         **own,
