@@ -33,7 +33,8 @@ def effect_errors(predictor: Predictor) -> FloatArray:
         parts = np.split(errors, ends[:-1])
         moved = (_moved(*each) for each in zip(effects, roots, parts, strict=True))
         bench = replace(by.observations.nominal, effects=tuple(moved))
-        return np.round(np.nan_to_num(by.residual(Explanation()) - by.residual_of_bench(bench)), _DECIMALS)
+        away = by.residual(Explanation()) - by.residual_of_bench(bench)
+        return np.asarray(np.round(np.nan_to_num(away), _DECIMALS), np.float64)
 
     few = predictor.of_rows(predictor.observations.spread(_FEW))
     columns = np.stack([change(few, error).ravel() for error in np.eye(count)], axis=1)

@@ -87,7 +87,7 @@ def _periods(over: float) -> FloatArray:
     return np.asarray(1.0 / np.arange(max(low, 2.0 / over), high, 1.0 / (_PER_RANGE * over)))
 
 
-def _smooth(place: FloatArray, part: FloatArray) -> FloatArray:
+def _smooth(place: FloatArray, part: IntArray) -> FloatArray:
     """Return linear functions (g, k) of the stage's readings (g, 3), and a constant of each part."""
     return np.column_stack([Box.around(place).scaled(place), *(part == each for each in np.unique(part))])
 
