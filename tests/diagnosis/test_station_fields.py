@@ -197,7 +197,7 @@ def test_an_effect_at_run_time_is_located(bench, run_time, off, station, coordin
 def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench, plan):
     fields = station_fields(weighed(measured(bench, plan)))
     rng = np.random.default_rng(5)
-    for station, per_axis in (("camera", 2), ("stage", 6)):
+    for station, per_axis in (("camera", 2), ("stage", 6), ("combiner", 1)):
         field = next(each for each in fields if each.station == station)
         effect = LocatedEffect(field, 1, 1.0, 10.0)
         values = 1.0 + rng.uniform(size=effect.order.size)
@@ -206,6 +206,8 @@ def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench
         sizes = [np.sqrt(np.mean(np.sum(each[:, :3] ** 2, axis=1))) for each in drawn]
         size, sigma = effect.size_of(values, root @ root.T)
         assert drawn[0].shape[1] == per_axis
+        # Heights are about their mean: a constant one moves no reading.
+        assert (abs(drawn[0].mean()) < 1e-9 * size) == (station == "combiner")
         assert size == pytest.approx(np.mean(sizes), rel=0.02)
         assert sigma == pytest.approx(np.std(sizes), rel=0.15)
 

@@ -111,8 +111,11 @@ def combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
     orders = total_degree(2, 12)
     value, order, done = basis(place, orders, box), np.asarray(orders.sum(axis=1)), list[set[str]]()
 
+    # A height that is the same everywhere moves next to nothing, and its value is next to unknown.
+    about_mean = value - value[met].mean(axis=0)
+
     def height(values: FloatArray) -> FloatArray:
-        return np.asarray(value @ values)[:, None]
+        return np.asarray(about_mean @ values)[:, None]
 
     for surfaces, names_of in SURFACES.items():
         names = names_of(readings.observations.nominal.optics)
