@@ -90,6 +90,16 @@ def test_the_slope_of_the_evidence_is_its_derivative(mixed: int) -> None:
     np.testing.assert_allclose(posterior(problem.sums(), problem.prior, HYPER).slope, slope, atol=1e-5)
 
 
+@pytest.mark.parametrize("mixed", [0, 4])
+def test_the_second_slope_of_the_evidence_is_its_second_derivative(mixed: int) -> None:
+    problem, step = Problem(6, mixed=mixed), 1e-4
+    sums = problem.sums()
+    steps = step * np.eye(len(HYPER))
+    after, before = ([posterior(sums, problem.prior, HYPER + by).slope for by in sign * steps] for sign in (1, -1))
+    second = np.subtract(after, before) / (2.0 * step)
+    np.testing.assert_allclose(posterior(sums, problem.prior, HYPER).second_slope, second, rtol=1e-5, atol=1e-4)
+
+
 def test_readings_of_weight_zero_are_not_there() -> None:
     problem = Problem(1)
     kept = np.arange(len(problem.value)) % 3 > 0

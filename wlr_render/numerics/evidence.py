@@ -6,8 +6,8 @@ The unknowns are the coefficients x, one set for each output of a reading, of a 
 the outputs share; and b_g, which the readings of group g share, such as the motion of the camera in one capture. All
 have normal priors about zero. sigma is the relative standard deviation of each reading. The logarithms of all prior
 sizes are linear in a few hyperparameters h: log size = features @ h, and the noise is exp(h[noise]). The
-hyperparameters maximise the evidence, the probability of the readings with all unknowns integrated out, by gradients
-from several starts within bounds.
+hyperparameters maximise the evidence, the probability of the readings with all unknowns integrated out, by Newton's
+method from several starts within bounds.
 
 Readings enter by their weighted sums alone: memory is that of the unknowns, however many readings there are.
 
@@ -20,16 +20,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.optimize import minimize
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.posterior import Posterior
+from wlr_render.numerics.posterior import Posterior, solved
 
 _LOG_2PI = float(np.log(2.0 * np.pi))
 _NEGLIGIBLE = 1e-7  # information of the readings on an unknown, relative to its prior
 _ROUNDED_AWAY = 1e-3  # share of the expected sum of squares that exact readings may lose by rounding
 _ROUGHLY, _ENOUGH = 0.05, 0.002  # gain in log evidence (nats) below which a search, and the last one, ends
-_FIRST_STEP = 0.3  # first step of a search, in its units
+_LONGEST = 2.0  # step of a search along each principal axis of the evidence
+_FLAT = 1e-3  # curvature below which the evidence says nothing of how far to go
+_STEPS, _TRIALS = 60, 10  # of a search, and of each step, which grows shorter
 
 
 class Sums:
@@ -242,48 +243,37 @@ def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True
     lower = _cholesky(_normal(sums.gram[np.ix_(used, used)], width))
     cross = side_width[:, None] * sums.side_cross[:, side_used][:, :, used] * width
     pull, side_pull = per_noise * width * sums.moment[:, used], per_noise * side_width * sums.side_moment[side_used]
-    half_cross = np.stack([_solved(lower, each.T) for each in cross])  # (outputs, used, side)
-    half_pull = _solved(lower, pull.T)
+    half_cross = np.stack([solved(lower, each.T) for each in cross])  # (outputs, used, side)
+    half_pull = solved(lower, pull.T)
     side_normal = _normal(sums.side_gram[np.ix_(side_used, side_used)], side_width)
     side_lower = _cholesky(side_normal - sum(each.T @ each for each in half_cross))
-    rest = side_pull - np.einsum("ois,io->s", half_cross, half_pull)
-    half_rest = _solved(side_lower, rest)
-    side_unit = _solved(side_lower, half_rest, transposed=True)
-    follow = np.stack([_solved(lower, each, transposed=True).T for each in half_cross])
-    unit = _solved(lower, half_pull, transposed=True).T - side_unit @ follow
-    inverse, side_inverse = _inverse(lower), _inverse(side_lower)
-    variance = np.diag(inverse) + np.einsum("osc,osc->oc", follow, side_inverse @ follow)
-    side_variance = np.diag(side_inverse)
+    half_rest = solved(side_lower, side_pull - np.einsum("ois,io->s", half_cross, half_pull))
+    side_unit = solved(side_lower, half_rest, transposed=True)
+    unit = solved(lower, half_pull - (half_cross @ side_unit).T, transposed=True).T
     quadratic = sums.square * per_noise**2 - float(np.sum(half_pull**2)) - float(half_rest @ half_rest)
-    determined = unit.size - float(variance.sum()) + len(side_unit) - float(side_variance.sum())
     square = quadratic - float(np.sum(unit**2)) - float(side_unit @ side_unit)
     if evidence and square < -_ROUNDED_AWAY * sums.count:
         raise np.linalg.LinAlgError("the sum of squares vanishes by rounding")
-    square = max(square, 0.0)
     log_determinant = 2.0 * float(len(pull) * np.log(np.diag(lower)).sum() + np.log(np.diag(side_lower)).sum())
     minus_two = log_determinant + quadratic + sums.count * (2.0 * log_noise + _LOG_2PI) - 2.0 * sums.log_weight
-    slope = (unit**2 + variance - 1.0).sum(axis=0) @ prior.features[used]
-    slope = slope + (side_unit**2 + side_variance - 1.0) @ side_features[side_used]
-    slope[prior.noise] += square + determined - sums.count
     mean, side_mean = np.zeros((len(pull), len(scale))), np.zeros(len(side_scale))
     mean[:, used], side_mean[side_used] = unit * scale[used], side_unit * side_scale[side_used]
     return Posterior(
         hyper=dict(zip(prior.names, map(float, hyper), strict=True)),
         log_evidence=-0.5 * minus_two,
-        slope=slope,
         mean=mean,
         mixed_mean=side_mean[: sums.mixed],
         group_mean=side_mean[sums.mixed :].reshape(sums.groups, sums.grouped),
-        determined=determined,
-        square=square / per_noise**2,
+        square=max(square, 0.0) / per_noise**2,
         sizes=np.concatenate([side_scale, scale]),
         features=np.concatenate([side_features, prior.features]),
         count=sums.count,
         used=used,
         side_used=side_used,
-        inverse=inverse,
-        side_inverse=side_inverse,
-        follow=follow,
+        unit=np.concatenate([side_unit, unit.ravel()]),
+        lower=lower,
+        side_lower=side_lower,
+        half_cross=half_cross,
     )
 
 
@@ -304,21 +294,6 @@ def _cholesky(normal: FloatArray) -> FloatArray:
     return np.asarray(factor)
 
 
-def _solved(lower: FloatArray, columns: FloatArray, transposed: bool = False) -> FloatArray:
-    if columns.size == 0:
-        return np.zeros_like(columns)
-    solution, _ = lapack.dtrtrs(lower, columns, lower=1, trans=int(transposed))
-    return np.asarray(solution)
-
-
-def _inverse(lower: FloatArray) -> FloatArray:
-    """Return the inverse of the matrix with this Cholesky factor."""
-    if len(lower) == 0:
-        return lower
-    half, _ = lapack.dpotri(lower, lower=1)
-    return np.asarray(half + np.tril(half, -1).T)
-
-
 def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) -> Posterior:
     """Return the posterior of maximum evidence, with the hyperprior as a penalty, by searches from several starts.
 
@@ -330,40 +305,58 @@ def maximise(sums: Sums, prior: Prior, starts: Sequence[Mapping[str, float]]) ->
     Raises:
         np.linalg.LinAlgError: the evidence cannot be computed at any start.
     """
-    best: list[Posterior] = []
-    least = np.inf
-
-    def cost(hyper: FloatArray) -> tuple[float, FloatArray]:
-        nonlocal least
-        try:
-            at = posterior(sums, prior, hyper)
-        except np.linalg.LinAlgError:
-            return 1e12, np.zeros_like(hyper)
-        surprise, slope = prior.surprise(hyper)
-        value = surprise - at.log_evidence
-        if value < least:
-            least, best[:] = value, [at]
-        return value, slope - at.slope
-
-    def search(first: FloatArray, unit: FloatArray, enough: float) -> None:
-        """Search with steps scaled by `unit`, until a step gains less than `enough`."""
-
-        def scaled(inner: FloatArray) -> tuple[float, FloatArray]:
-            value, slope = cost(inner / unit)
-            return value / weight, slope / unit / weight
-
-        value, slope = cost(first)
-        weight = max(float(np.abs(slope / unit).max()) / _FIRST_STEP, 1.0)
-        options = {"ftol": enough / max(abs(value), weight), "gtol": enough / weight, "maxiter": 100}
-        minimize(
-            scaled, first * unit, jac=True, method="L-BFGS-B", bounds=prior.bounds * unit[:, None], options=options
-        )
-
+    best: Posterior | None = None
     for start in starts:
-        search(np.clip([start[name] for name in prior.names], *prior.bounds.T), np.ones(len(prior.names)), _ROUGHLY)
-    if not best:
+        hyper = np.clip([start[name] for name in prior.names], *prior.bounds.T)
+        try:
+            found = _climb(sums, prior, posterior(sums, prior, hyper), _ROUGHLY)
+        except np.linalg.LinAlgError:
+            continue
+        if best is None or _height(prior, found) > _height(prior, best):
+            best = found
+    if best is None:
         raise np.linalg.LinAlgError("the evidence cannot be computed at any start")
-    # In units of their standard errors, all hyperparameters are equally easy to find.
-    last = np.array(list(best[0].hyper.values()))
-    search(last, np.sqrt(np.maximum(best[0].curvature, 1.0)), _ENOUGH)
-    return best[0]
+    return _climb(sums, prior, best, _ENOUGH)
+
+
+def _height(prior: Prior, at: Posterior) -> float:
+    """Return the log evidence with the hyperprior as a penalty."""
+    return at.log_evidence - prior.surprise(_values(at))[0]
+
+
+def _values(at: Posterior) -> FloatArray:
+    return np.array(list(at.hyper.values()))
+
+
+def _climb(sums: Sums, prior: Prior, at: Posterior, enough: float) -> Posterior:
+    """Return the posterior of highest evidence near another one, by Newton steps within the bounds.
+
+    The search ends where a step promises to gain less than `enough`.
+    """
+    radius = _LONGEST
+    for _ in range(_STEPS):
+        hyper, height = _values(at), _height(prior, at)
+        slope = at.slope - prior.surprise(hyper)[1]
+        curvature = np.diag(prior.expected[:, 1] ** -2.0) - at.second_slope
+        stuck = ((hyper <= prior.bounds[:, 0]) & (slope <= 0)) | ((hyper >= prior.bounds[:, 1]) & (slope >= 0))
+        free = np.flatnonzero(~stuck)
+        values, axes = np.linalg.eigh(curvature[np.ix_(free, free)])
+        along = axes.T @ slope[free]
+        whole = along / np.maximum(np.abs(values), _FLAT)
+        if along @ np.clip(whole, -_LONGEST, _LONGEST) < 2.0 * enough:
+            return at
+        for _ in range(_TRIALS):
+            step = np.clip(whole, -radius, radius)
+            tried = hyper.copy()
+            tried[free] += axes @ step
+            try:
+                there = posterior(sums, prior, np.clip(tried, *prior.bounds.T))
+            except np.linalg.LinAlgError:
+                there = None
+            if there is not None and _height(prior, there) > height:
+                at, radius = there, min(4.0 * radius, _LONGEST)
+                break
+            radius = 0.25 * float(np.abs(step).max())
+        else:
+            return at
+    return at

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lapack
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
@@ -16,35 +17,34 @@ class Posterior:
     Attributes:
         hyper: hyperparameters by name, logarithms.
         log_evidence: natural logarithm of the probability density of the readings.
-        slope: (hyperparameters,) gradient of `log_evidence`.
         mean: (outputs, columns) of x.
         mixed_mean: (mixed,) of z. group_mean: (groups, grouped) of b.
-        determined: effective number of unknowns that the readings determine (MacKay's gamma).
         square: weighted sum of squared residuals.
         sizes: (side + columns,) prior sizes of z and b, then of an output's x.
         features: (side + columns, hyperparameters) derivatives of the logarithms of `sizes`.
         count: number of readings.
         used, side_used: which of an output's x, and of z and b, the readings inform.
-        inverse, side_inverse: covariance of the used ones in units of their prior sizes; of x if z and b were known.
-        follow: (outputs, side, columns) negative derivative of x by the side unknowns, of the used ones in these units.
+        unit: mean of the used ones in units of their prior sizes: of z and b, then of x, output by output.
+        lower: Cholesky factor of the normal matrix of the used x of an output, in these units, if z and b were known.
+        side_lower: likewise, of the used z and b whatever x is.
+        half_cross: (outputs, columns, side) `lower` times the negative derivative of x by z and b.
     """
 
     hyper: Mapping[str, float]
     log_evidence: float
-    slope: FloatArray
     mean: FloatArray
     mixed_mean: FloatArray
     group_mean: FloatArray
-    determined: float
     square: float
     sizes: FloatArray
     features: FloatArray
     count: int
     used: BoolArray
     side_used: BoolArray
-    inverse: FloatArray
-    side_inverse: FloatArray
-    follow: FloatArray
+    unit: FloatArray
+    lower: FloatArray
+    side_lower: FloatArray
+    half_cross: FloatArray
 
     @property
     def noise(self) -> float:
@@ -54,34 +54,57 @@ class Posterior:
     @cached_property
     def side_covariance(self) -> FloatArray:
         """(side, side) covariance of z and b."""
-        return _in_place(self.side_inverse, self.sizes[: len(self.side_used)], self.side_used)
+        return _in_place(self._side_inverse, self.sizes[: len(self.side_used)], self.side_used)
 
     @cached_property
     def alone(self) -> FloatArray:
         """(columns, columns) covariance of x of each output if the side unknowns were known."""
-        return _in_place(self.inverse, self.sizes[len(self.side_used) :], self.used)
+        return _in_place(self._inverse, self.sizes[len(self.side_used) :], self.used)
 
     @cached_property
     def by_side(self) -> FloatArray:
         """(outputs, side, columns) derivative of x by the side unknowns."""
         side_scale, scale = np.split(self.sizes, [len(self.side_used)])
-        by_side = np.zeros((len(self.follow), len(side_scale), len(scale)))
-        every = np.ones(len(self.follow), bool)
-        follow = -self.follow * scale[self.used] / side_scale[self.side_used][:, None]
+        by_side = np.zeros((len(self.half_cross), len(side_scale), len(scale)))
+        every = np.ones(len(by_side), bool)
+        follow = -self._follow.transpose(0, 2, 1) * scale[self.used] / side_scale[self.side_used][:, None]
         by_side[np.ix_(every, self.side_used, self.used)] = follow
         return by_side
 
     @cached_property
     def covariance(self) -> FloatArray:
         """(side + outputs * columns, ...) covariance of z and b, then of x of output 0, output 1 and so on."""
-        outputs, side, columns = self.by_side.shape
-        follow = self.by_side.transpose(0, 2, 1).reshape(outputs * columns, side)
-        whole = follow @ self.side_covariance @ follow.T
-        for output in range(outputs):
-            block = slice(output * columns, (output + 1) * columns)
-            whole[block, block] += self.alone
-        cross = follow @ self.side_covariance
-        return np.block([[self.side_covariance, cross.T], [cross, whole]])
+        outputs, side = len(self.half_cross), len(self.side_used)
+        sizes = np.concatenate([self.sizes[:side], np.tile(self.sizes[side:], outputs)])
+        return _in_place(self._unit_covariance, sizes, np.concatenate([self.side_used, np.tile(self.used, outputs)]))
+
+    @cached_property
+    def determined(self) -> float:
+        """Effective number of unknowns that the readings determine (MacKay's gamma)."""
+        return len(self.unit) - float(self._variance.sum())
+
+    @cached_property
+    def slope(self) -> FloatArray:
+        """(hyperparameters,) gradient of `log_evidence`."""
+        slope = (self.unit**2 + self._variance - 1.0) @ self._features
+        slope[self._noise] += self.square / self.noise**2 + self.determined - self.count
+        return np.asarray(slope)
+
+    @cached_property
+    def second_slope(self) -> FloatArray:
+        """(hyperparameters, hyperparameters) second derivatives of `log_evidence`."""
+        unit, variance, features, left = self.unit, self._variance, self._features, self._unit_covariance
+        squared = left**2
+        pulled = left @ (unit[:, None] * np.column_stack([features, np.ones(len(unit))]))
+        change = 2.0 * unit[:, None] * pulled[:, :-1] - (unit**2 + variance)[:, None] * features + squared @ features
+        second = 2.0 * features.T @ change
+        rest = variance - squared.sum(axis=0)
+        by_noise = 2.0 * features.T @ (rest - 2.0 * unit * pulled[:, -1])
+        second[self._noise] += by_noise
+        second[:, self._noise] += by_noise
+        of_noise = 2.0 * float(unit @ pulled[:, -1]) - self.square / self.noise**2 - float(rest.sum())
+        second[self._noise, self._noise] += 2.0 * of_noise
+        return np.asarray(second)
 
     @cached_property
     def curvature(self) -> FloatArray:
@@ -90,14 +113,76 @@ class Posterior:
         This is the diagonal of the Fisher information: trace((C^-1 dC)^2) / 2, where C is the covariance of the
         readings.
         """
-        outputs, side, columns = self.by_side.shape
-        every = np.concatenate([np.arange(side), np.tile(np.arange(side, side + columns), outputs)])
-        sizes, features = self.sizes[every], self.features[every]
-        left = self.covariance / sizes / sizes[:, None]  # 1 for unknowns that the readings do not inform
+        left, features = self._unit_covariance, self._features
         learned = (np.eye(len(left)) - left) ** 2
         curvature = 2.0 * np.sum(features * (learned @ features), axis=0)
-        curvature[list(self.hyper).index("noise")] += 2.0 * (self.count - len(left) + np.sum(left**2))
+        curvature[self._noise] += 2.0 * (self.count - len(left) + np.sum(left**2))
         return np.asarray(curvature)
+
+    @property
+    def _noise(self) -> int:
+        return list(self.hyper).index("noise")
+
+    @cached_property
+    def _features(self) -> FloatArray:
+        """(unknowns, hyperparameters) of the used ones, in the order of `unit`."""
+        side, columns = np.split(self.features, [len(self.side_used)])
+        return np.concatenate([side[self.side_used], np.tile(columns[self.used], (len(self.half_cross), 1))])
+
+    @cached_property
+    def _inverse(self) -> FloatArray:
+        return _inverse(self.lower)
+
+    @cached_property
+    def _side_inverse(self) -> FloatArray:
+        return _inverse(self.side_lower)
+
+    @cached_property
+    def _follow(self) -> FloatArray:
+        """(outputs, columns, side) negative derivative of x by the side unknowns, of the used ones in prior units."""
+        return np.stack([solved(self.lower, each, transposed=True) for each in self.half_cross])
+
+    @cached_property
+    def _by_half_side(self) -> FloatArray:
+        """(outputs, columns, side): its products with itself are what z and b add to the covariance of x."""
+        return np.stack([solved(self.side_lower, each.T).T for each in self._follow])
+
+    @cached_property
+    def _variance(self) -> FloatArray:
+        """(unknowns,) of the used ones in prior units."""
+        of_x = np.diag(self._inverse) + np.sum(self._by_half_side**2, axis=2)
+        return np.concatenate([np.diag(self._side_inverse), of_x.ravel()])
+
+    @cached_property
+    def _unit_covariance(self) -> FloatArray:
+        """(unknowns, unknowns) covariance of the used ones in prior units."""
+        outputs, columns, side = self.half_cross.shape
+        half = self._by_half_side.reshape(outputs * columns, side)
+        whole = np.empty((side + len(half), side + len(half)))
+        whole[:side, :side] = self._side_inverse
+        whole[side:, side:] = half @ half.T
+        for output in range(outputs):
+            block = slice(side + output * columns, side + (output + 1) * columns)
+            whole[block, block] += self._inverse
+        whole[:side, side:] = -solved(self.side_lower, half.T, transposed=True)
+        whole[side:, :side] = whole[:side, side:].T
+        return whole
+
+
+def solved(lower: FloatArray, columns: FloatArray, transposed: bool = False) -> FloatArray:
+    """Return L^-1 columns, or L'^-1 columns, of a lower triangular matrix L."""
+    if columns.size == 0:
+        return np.zeros_like(columns)
+    solution, _ = lapack.dtrtrs(lower, columns, lower=1, trans=int(transposed))
+    return np.asarray(solution)
+
+
+def _inverse(lower: FloatArray) -> FloatArray:
+    """Return the inverse of the matrix with this Cholesky factor."""
+    if len(lower) == 0:
+        return lower
+    half, _ = lapack.dpotri(lower, lower=1)
+    return np.asarray(half + np.tril(half, -1).T)
 
 
 def _in_place(inverse: FloatArray, scale: FloatArray, used: BoolArray) -> FloatArray:
