@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.calibration.readings import FitReadings, Limits, angular_metric
-from wlr_render.calibration.smooth_fit import SmoothFit, fit
+from wlr_render.calibration.smooth_fit import SmoothFit
+from wlr_render.calibration.smooth_search import fit
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised

@@ -7,8 +7,8 @@ import pytest
 from toy_device import PANEL, display_captures, errors_arcmin, grid_in_plane
 
 from wlr_render.calibration.fit_display import fit_display
-from wlr_render.calibration.smooth_fit import fit
 from wlr_render.calibration.smooth_prior import smoothness_prior
+from wlr_render.calibration.smooth_search import fit
 from wlr_render.captures.correspondences import select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir

@@ -1,7 +1,7 @@
 """Outliers among captures: photographs not taken at the stated position, and dots measured beside their place.
 
 A fit finds the motion of the camera in each capture, and leaves out those that stand out from the others
-(`smooth_fit`).
+(`smooth_search`).
 
 Through the optics every dot is displaced from the straight line to it by an amount that varies smoothly over a
 photograph. A dot is an outlier if it does not follow that smooth field, or if its stated sigma is far above the

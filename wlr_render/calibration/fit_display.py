@@ -53,7 +53,7 @@ def fit_display(
         degree: highest total degree; None for the terms within `DISPLAY_LIMITS` that matter.
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
-        weights: (n,) of the captures' readings, see `smooth_fit.fit`.
+        weights: (n,) of the captures' readings, see `smooth_search.fit`.
         stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
 
     Raises:

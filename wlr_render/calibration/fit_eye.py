@@ -280,7 +280,7 @@ def fit_with_trends(
         kind: "grey-box" or "prescription".
         trends: see `eye_trends`.
         degrees: limits of the total orders of display and see-through.
-        weights: of the readings of both, see `smooth_fit.fit`.
+        weights: of the readings of both, see `smooth_search.fit`.
 
     Raises:
         BadInputError: as `fit_display` and `fit_see_through`.

@@ -49,7 +49,7 @@ def fit_see_through(
         degree: highest total degree; None for the terms within `SEE_THROUGH_LIMITS` that matter.
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
-        weights: (n,) of the captures' readings, see `smooth_fit.fit`.
+        weights: (n,) of the captures' readings, see `smooth_search.fit`.
         stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
 
     Raises:

@@ -9,9 +9,10 @@ import numpy as np
 
 from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
-from wlr_render.calibration.readings import TREND_ALONE, FitReadings, Limits, Trend, UndeterminedModelError
-from wlr_render.calibration.smooth_fit import fit_within
+from wlr_render.calibration.reading_sums import UndeterminedModelError
+from wlr_render.calibration.readings import TREND_ALONE, FitReadings, Limits, Trend
 from wlr_render.calibration.smooth_prior import MotionFactors, Stage
+from wlr_render.calibration.smooth_search import fit_within
 from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -57,7 +58,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         name: "display" or "see-through".
         subject: what the model's inputs are beside the place, "pixel" or "direction".
         kinds: by name; "planar" is one of them.
-        limits: of the orders of the fit that finds which terms matter, and of all fits; see `smooth_fit.fit_within`.
+        limits: of the orders of the fit that finds which terms matter, and of all fits; see `smooth_search.fit_within`.
         nearest: captures -> those from the camera position nearest to the eye box's centre.
         check: (captures, kind, plane), refuses captures that no fit is needed to refuse.
         lacking: (captures, kind) -> what captures that do not determine a model lack, as the end of a sentence.

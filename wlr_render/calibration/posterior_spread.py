@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from wlr_render.calibration.readings import FitReadings, Response
+from wlr_render.calibration.reading_sums import Response
+from wlr_render.calibration.readings import FitReadings
 from wlr_render.models.spread import Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.special import binom
 
 from wlr_render.calibration.print_field import FALLS_DIFFER, PRINTS_DIFFER, USUAL_FALL, USUAL_PRINT_M
-from wlr_render.calibration.readings import FitReadings, flat_places, sums_of
+from wlr_render.calibration.reading_sums import sums_of
+from wlr_render.calibration.readings import FitReadings, flat_places
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Prior, Sums, posterior
 from wlr_render.numerics.polynomial import Polynomial

@@ -61,6 +61,14 @@ class Posterior:
         """(columns, columns) covariance of x of each output if the side unknowns were known."""
         return _in_place(self._inverse, self.sizes[len(self.side_used) :], self.used)
 
+    def root_of(self, design: FloatArray) -> FloatArray:
+        """Return F (n, k): F F' is the covariance of design (n, columns) @ x of an output if z and b were known.
+
+        Unknowns that the readings do not inform are left out.
+        """
+        width = self.sizes[len(self.side_used) :][self.used]
+        return solved(self.lower, (design[:, self.used] * width).T).T
+
     @cached_property
     def by_side(self) -> FloatArray:
         """(outputs, side, columns) derivative of x by the side unknowns."""

@@ -12,16 +12,18 @@ of what a polynomial leaves of each photograph.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 _LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the field, in distances between neighbours
+_USUAL_LENGTH = 3  # index among them, from which the search goes to its neighbours
 _SHARES = np.linspace(0.0, 0.96, 49)
 _READINGS, _GROUPS = 120, 16  # that take part, of a group and in all: a share is sure to 0.03 then
 _KEPT_READINGS = 300  # of a photograph up to which its root is kept: 128 of them take 90 MB
@@ -43,7 +45,11 @@ class SharedNoise:
 
     def correlation(self, place: FloatArray) -> FloatArray:
         """Return the correlation (n, n) of the field between places (n, 2)."""
-        apart = np.sqrt(np.sum((place[:, None] - place) ** 2, axis=-1)) * (np.sqrt(3.0) / self.length)
+        return self.correlation_at(cdist(place, place))
+
+    def correlation_at(self, distance: FloatArray) -> FloatArray:
+        """Return the correlation of the field between places at these distances."""
+        apart = distance * (np.sqrt(3.0) / self.length)
         return np.asarray((1.0 + apart) * np.exp(-apart))
 
     def root(self, place: FloatArray, kept: FloatArray) -> FloatArray:
@@ -93,26 +99,36 @@ def find_shared_noise(
     rng = np.random.default_rng(0)
     chosen = [each for each in range(len(places)) if len(places[each]) > 2 * _PER_TERM]
     chosen = sorted(rng.permutation(chosen)[:_GROUPS])
-    patches = [(each, _patch(places[each], rng)) for each in chosen]
     spacing = neighbour_distance([places[each] for each in chosen])
     if not spacing > 0:
         return None
-    logs, squares = np.zeros((len(_LENGTHS), len(_SHARES))), np.zeros((len(_LENGTHS), len(_SHARES)))
-    count = 0
-    for each, rows in patches:
+    patches = []
+    for each in chosen:
+        rows = _patch(places[each], rng)
         place, across = places[each][rows], _across(places[each][rows])
         seen = across.T @ np.hstack([residuals[each][rows], np.sqrt(2.0) * unsure(each, rows)])
-        count += 2 * across.shape[1]
-        for row, length in enumerate(_LENGTHS):
-            field = across.T @ SharedNoise(1.0, length * spacing).correlation(place) @ across
-            sizes, axes = np.linalg.eigh(field)
-            power = np.sum((axes.T @ seen) ** 2, axis=1)
+        patches.append((cdist(place, place), across, seen @ seen.T))
+
+    @cache
+    def minus_two(row: int) -> FloatArray:
+        """Of the restricted likelihood of a length, (shares,), at the size of the noise that fits each share best."""
+        field = SharedNoise(1.0, _LENGTHS[row] * spacing)
+        logs, squares, count = np.zeros(len(_SHARES)), np.zeros(len(_SHARES)), 0
+        for distance, across, square in patches:
+            sizes, axes = np.linalg.eigh(across.T @ field.correlation_at(distance) @ across)
+            power = np.sum(axes * (square @ axes), axis=0)
             variance = 1.0 + _SHARES * (np.maximum(sizes, 0.0)[:, None] - 1.0)
-            logs[row] += 2.0 * np.log(variance).sum(axis=0)
-            squares[row] += np.sum(power[:, None] / variance, axis=0)
-    minus_two = logs + count * np.log(np.maximum(squares, 1e-300))  # at the size of the noise that fits each best
-    row, column = divmod(int(np.argmin(minus_two)), len(_SHARES))
-    if minus_two[0, 0] - minus_two[row, column] < 2.0 * np.log(_ODDS):
+            logs += 2.0 * np.log(variance).sum(axis=0)
+            squares += np.sum(power[:, None] / variance, axis=0)
+            count += 2 * across.shape[1]
+        return np.asarray(logs + count * np.log(np.maximum(squares, 1e-300)))
+
+    row, last = _USUAL_LENGTH, -1
+    while row != last:  # the likelihood has one maximum along the length
+        near = range(max(row - 1, 0), min(row + 2, len(_LENGTHS)))
+        row, last = min(near, key=lambda each: float(minus_two(each).min())), row
+    column = int(np.argmin(minus_two(row)))
+    if minus_two(row)[0] - minus_two(row)[column] < 2.0 * np.log(_ODDS):
         return None
     return SharedNoise(float(_SHARES[column]), float(_LENGTHS[row] * spacing))
 

@@ -1,0 +1,164 @@
+"""Sums over the readings of a fit, and the polynomials that their posterior is: from `FitReadings` to `numerics`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.calibration.readings import FitReadings, design_of
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.evidence import Sums, weight_values
+from wlr_render.numerics.polynomial import Polynomial, basis
+from wlr_render.numerics.posterior import Posterior
+
+
+@dataclass(frozen=True)
+class Response:
+    """How a fit follows common errors.
+
+    Attributes:
+        coefficients: (k, 2, columns) of each axis. parameters: (k, parameters) of the trend.
+    """
+
+    coefficients: FloatArray
+    parameters: FloatArray
+
+
+class UndeterminedModelError(BadInputError):
+    """The readings do not determine an unknown that no prior holds."""
+
+
+def free_part(readings: FitReadings) -> Polynomial:
+    """Least squares by the few free terms: what is left of the observed values is small, so that sums keep digits.
+
+    Raises:
+        BadInputError: the readings do not determine them.
+    """
+    orders = readings.orders[readings.free]
+    outputs = readings.blocks * (1 if readings.mixed else 2)
+    if len(orders) == 0:
+        return Polynomial(orders, readings.box, np.zeros((0, outputs)))
+    design = design_of(readings, slice(None), basis(readings.inputs, orders, readings.box))
+    values = readings.observed[:, :, None] if readings.mixed else readings.observed
+    weight = readings.weight.reshape(-1, *[1] * (design.ndim - 1))
+    design, values = design * weight, values * weight
+    columns = design.shape[-1]
+    design, values = design.reshape(-1, columns), values.reshape(-1, values.shape[-1])
+    scale = np.linalg.norm(design, axis=0)
+    solution, _, rank, _ = np.linalg.lstsq(design / np.where(scale > 0, scale, 1.0), values, rcond=1e-7)
+    if rank < columns:
+        raise UndeterminedModelError(f"{rank} of {columns} unknowns that no prior holds are determined")
+    solution = solution / scale[:, None]
+    by_term = solution.reshape(readings.blocks, len(orders), -1).transpose(1, 0, 2)
+    return Polynomial(orders, readings.box, np.ascontiguousarray(by_term.reshape(len(orders), -1)))
+
+
+def sums_of(
+    readings: FitReadings,
+    start: Polynomial | None,
+    motion: FloatArray | None,
+    kept: FloatArray,
+    captures: int | None = None,
+    still: Sums | None = None,
+) -> Sums:
+    """Sums over the readings less their free part and trend.
+
+    Args:
+        readings: the readings.
+        start: the free part; None for sums without values.
+        motion: (n, 2, 6) columns of the motion of each reading's camera; None without motions.
+        kept: (n,) weights of the readings.
+        captures: number of camera positions; None for that of the readings.
+        still: the sums of the same readings and weights without motions, if they are there; saves most of the work.
+    """
+    terms, own = len(readings.orders), 0 if motion is None else 6
+    groups = (captures or int(readings.capture.max()) + 1) if own else 0
+    trend = readings.trend
+    parameters = trend.parameters if trend else 0
+    columns = readings.coefficients + (0 if readings.print_errors is None else len(readings.print_errors.frequency))
+    side = readings.blocks * terms if readings.mixed else parameters, groups, own
+    sums = Sums(columns, 2, *side) if still is None else still.with_side(*side)
+    add = sums.add if still is None else sums.add_side
+    observed = np.zeros_like(readings.observed)
+    if start is not None and len(readings):
+        observed = readings.observed - readings.values(start)
+        observed = observed - (readings.values(trend.mean) if trend else 0.0)
+    for rows, weight in readings.blocks_of_noise(kept):
+        design = readings.design(rows)
+        mixed = design if readings.mixed else _by_parameter(readings, rows)
+        add(
+            observed[rows],
+            weight,
+            np.empty((len(design), 0)) if readings.mixed else design,
+            mixed,
+            None if motion is None else motion[rows],
+            readings.capture[rows],
+        )
+    return sums
+
+
+def _by_parameter(readings: FitReadings, rows: slice | IntArray) -> FloatArray | None:
+    """Columns (r, 2, parameters) of the trend; None without one."""
+    if readings.trend is None:
+        return None
+    by_parameter = readings.trend.by_parameter(readings.inputs[rows])
+    by_parameter = by_parameter.reshape(len(by_parameter), readings.blocks, 2, readings.trend.parameters)
+    return np.asarray(np.einsum("nb,nbop->nop", readings.multiplier[rows], by_parameter))
+
+
+def response_of(
+    readings: FitReadings, polynomial: Polynomial, kept: FloatArray, sums: Sums, width: FloatArray, noise: float
+) -> Response | None:
+    """How a fit follows the common errors of its readings; None without any.
+
+    Args:
+        readings: of a model that depends on the place.
+        polynomial: fitted to them.
+        kept: (n,) weights of the fit.
+        sums: over the readings.
+        width: (columns,) prior sizes of the coefficients, over the noise.
+        noise: of the fit.
+    """
+    if readings.common is None:
+        return None
+    errors = readings.common.columns(readings.slopes(polynomial))
+    columns, parameters, k = len(sums.gram), readings.trend.parameters if readings.trend else 0, errors.shape[2]
+    moment, by_trend = np.zeros((2, columns, k)), np.zeros((parameters, k))
+    for rows, weight in readings.blocks_of_noise(kept):
+        design = readings.design(rows)
+        weighted = weight_values(weight.T, weight_values(weight, errors[rows]))
+        for axis in (0, 1):
+            moment[axis] += design.T @ weighted[:, axis]
+        if (of_trend := _by_parameter(readings, rows)) is not None:
+            by_trend += of_trend.reshape(-1, parameters).T @ weighted.reshape(-1, k)
+    normal = width[:, None] * sums.gram * width + np.eye(columns)
+    # Coefficients first, for each axis; then the trend's parameters by the Schur complement.
+    cross = [width[:, None] * each[:parameters].T for each in sums.side_cross]
+    pull = [width[:, None] * each for each in moment]
+    follow = [np.linalg.solve(normal, np.hstack(each)) for each in zip(pull, cross, strict=True)]
+    of_parameters: FloatArray = np.zeros((parameters, k))
+    if parameters:
+        rest = sums.side_gram[:parameters, :parameters] + noise**2 * np.eye(parameters)
+        rest = rest - sum(each.T @ solved[:, k:] for each, solved in zip(cross, follow, strict=True))
+        aim = by_trend - sum(each.T @ solved[:, :k] for each, solved in zip(cross, follow, strict=True))
+        of_parameters = np.asarray(np.linalg.solve(rest, aim), np.float64)
+    of_axes = [width[:, None] * (solved[:, :k] - solved[:, k:] @ of_parameters) for solved in follow]
+    return Response(np.stack(of_axes).transpose(2, 0, 1)[:, :, : readings.coefficients], of_parameters.T)
+
+
+def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) -> Polynomial:
+    """The polynomial of a posterior, with its free part `start` and its trend."""
+    blocks, terms = readings.blocks, len(readings.orders)
+    outputs = 1 if readings.mixed else 2
+    mean = found.mixed_mean if readings.mixed else found.mean[:, : readings.coefficients]
+    by_term = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, blocks * outputs)
+    coefficients = by_term.copy()
+    coefficients[readings.free] += start.coefficients
+    polynomial = Polynomial(readings.orders, readings.box, coefficients)
+    if readings.trend is None:
+        return polynomial
+    mean_part, by_parameter = readings.trend.mean, readings.trend.by_parameter
+    moved = (
+        by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.trend.parameters) @ found.mixed_mean
+    )
+    return polynomial.plus(mean_part).plus(Polynomial(by_parameter.orders, by_parameter.box, moved))

@@ -1,0 +1,338 @@
+"""Searches for the smooth fit of highest evidence: its terms, outliers, noise, and captures that moved.
+
+Each search starts from the fit before it: the same readings with more terms, or without some of the captures, have
+nearly the same hyperparameters, weights and noise.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wlr_render.calibration.moved_captures import CaptureMotion, moved_odds, usual_motion
+from wlr_render.calibration.reading_sums import free_part, polynomial_of, sums_of
+from wlr_render.calibration.readings import FitReadings, Limits, motion_columns, rows_by_capture
+from wlr_render.calibration.smooth_fit import SmoothFit
+from wlr_render.calibration.smooth_prior import (
+    LEAST_MOTION,
+    SHIFT,
+    TURN,
+    MotionFactors,
+    Stage,
+    motion_scale,
+    motion_sizes,
+    motion_start,
+    noise_floor,
+    search_starts,
+    smoothness_prior,
+)
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.evidence import maximise, posterior
+from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+from wlr_render.numerics.posterior import Posterior
+from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, neighbour_distance
+
+_GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
+_WIDENINGS = 3
+_MOTION_ROUNDS = 3
+_ROUNDS = 4  # of outlier weights
+_MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
+_SMOOTH_ORDER = 3  # of the place: motions that vary with it no faster are no motions
+_REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # share of the motions that is left to tell their sizes
+_NEAR_CLEAREST = 0.7  # of the odds of the clearest one: what is less clear may be its doing
+_ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
+_ALIKE = 0.05  # shares of the noise's variance that count as the same
+_MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out, and that may seem to have moved
+_ROUNDS_OF_MOTIONS = 8  # fits without some of the captures
+_ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # that a capture is judged by beside those of a fit, up to so many in all
+_FEW_ORDERS = 3  # in all, of the fit that finds captures far off
+
+
+def fit_within(
+    readings_of: Callable[[Limits], FitReadings],
+    limits: Sequence[Limits],
+    weights: FloatArray | None = None,
+    stage: Stage | MotionFactors | None = None,
+) -> SmoothFit:
+    """Fit with the terms that matter, as the readings themselves tell.
+
+    A fit within the first limits that can be computed finds how fast coefficients fall with their order. While that
+    leads to expect more than `_BEYOND` of the fit's variance from the terms that it lacks, it is repeated with those of
+    the last limits that matter. The variance of all others adds to that of the fit.
+
+    Args:
+        readings_of: (limits) -> readings.
+        limits: the narrowest first; a single one holds whatever the readings tell.
+        weights, stage: as of `fit`.
+
+    Raises:
+        BadInputError: as `fit`.
+    """
+    widest = readings_of(limits[-1])
+    for each in limits[:-1]:
+        try:
+            smooth = fit(readings_of(each), None, weights, stage)
+            break
+        except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
+            continue
+    else:
+        smooth = fit(widest, None, weights, stage)
+    if len(limits) == 1:
+        return smooth
+    for _ in range(_WIDENINGS):
+        orders = smooth.orders_that_matter(widest)
+        if orders is None:
+            break
+        readings = replace(widest, orders=orders)
+        try:
+            smooth = fit(readings, smooth, weights, stage)
+        except np.linalg.LinAlgError:
+            smooth = fit(readings, None, weights, stage)
+    return replace(smooth, beyond=smooth.beyond_of(widest))
+
+
+def fit(
+    readings: FitReadings,
+    before: SmoothFit | None = None,
+    weights: FloatArray | None = None,
+    stage: Stage | MotionFactors | None = None,
+) -> SmoothFit:
+    """Fit by maximum evidence.
+
+    Args:
+        readings: what was measured.
+        before: fit to the same readings with other terms, to start from; None searches from several starts.
+        weights: (n,) of the readings, 1 to 0 for outliers; None to find them. Evidence of models is comparable only
+            with the same readings and weights.
+        stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
+
+    Raises:
+        BadInputError: the readings determine nothing, or contradict each other.
+    """
+    search = _Search(readings, free_part(readings), weights, stage)
+    moved = () if before is None else before.moved
+    smooth = search.without(moved, before)
+    if smooth.columns is None:
+        return smooth
+    if weights is not None:
+        gone = np.setdiff1d(readings.capture, readings.capture[weights > 0])
+        smooth = replace(smooth, moved=tuple(CaptureMotion(int(name), 0.0, 0.0, 0.0, 0.0) for name in gone))
+        return replace(smooth, moved=tuple(_suspects(smooth)[1].values()))
+    if moved:
+        return _without_moved(search, smooth)
+    if not any(each.stands_out for each in _suspects(smooth)[0].values()):
+        return smooth
+    if readings.trend is None:  # few orders cannot follow a capture that is far off; many find those that are less so
+        few = readings.orders.sum(axis=1) <= _FEW_ORDERS
+        coarse = replace(search, readings=replace(readings, orders=readings.orders[few]))
+        smooth = search.without(_without_moved(coarse, coarse.without((), smooth)).moved, smooth)
+    return _without_moved(search, smooth)
+
+
+def _without_moved(search: "_Search", smooth: SmoothFit) -> SmoothFit:
+    """The fit without all captures that moved, from one without some of them."""
+    captures, rejections = len(np.unique(search.readings.capture)), Counter[int]()
+    most = int(_MOST * captures)
+    for round_ in range(_ROUNDS_OF_MOTIONS):
+        others, judged = _suspects(smooth)
+        rejections.update(name for name, each in judged.items() if not each.stands_out)
+        moved = tuple(each for each in judged.values() if each.stands_out)
+        # One capture that moved makes others seem to have moved: the clearest go first, and some come back. One that
+        # came back goes again only if it is clear, and stays when it came back twice.
+        least = _NEAR_CLEAREST * max((each.log10_odds for each in others.values()), default=0.0)
+        more = tuple(
+            each
+            for name, each in others.items()
+            if each.log10_odds >= least and rejections[name] <= int(each.stands_out)
+        )
+        if not more and len(moved) == len(judged):
+            return replace(smooth, moved=moved)
+        if len(moved) + len(more) > most or round_ == _ROUNDS_OF_MOTIONS - 1:
+            # Where most captures seem to have moved, they contradict each other, and none of them is to blame.
+            clear = len(moved) + sum(each.stands_out for each in others.values())
+            moved = moved if clear <= _MOST_THAT_MOVE * captures else ()
+            break
+        smooth = search.without(moved + more, smooth)
+    return replace(smooth, moved=moved) if len(moved) == len(judged) else search.without(moved, smooth)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Fits to the same readings without some of the captures; see `fit`."""
+
+    readings: FitReadings
+    start: Polynomial
+    weights: FloatArray | None
+    stage: Stage | MotionFactors | None
+
+    def without(self, moved: tuple[CaptureMotion, ...], before: SmoothFit | None = None) -> SmoothFit:
+        """Fit to all captures but those that moved, from what another fit to them found; None for no such fit."""
+        still = self._without_motions(moved, before)
+        if still.columns is None:
+            return still
+        return self._with_motions(still, before if before is not None and before.moved == moved else None)
+
+    def _without_motions(self, moved: tuple[CaptureMotion, ...], before: SmoothFit | None) -> SmoothFit:
+        """Fit with the weights and the noise that are those of its own residuals; `columns` if motions are to come."""
+        readings, start = self.readings, self.start
+        stays = ~np.isin(readings.capture, [each.capture for each in moved])
+        kept = stays * (np.ones(len(readings)) if self.weights is None else self.weights)
+        prior = smoothness_prior(readings, moving=False)
+        is_noisy = bool(np.any(readings.sigma > 0))
+        moves = readings.motion is not None and is_noisy
+        if before is not None:
+            starts = [dict(before.posterior.hyper)]
+            back = np.isin(readings.capture, [each.capture for each in before.moved])
+            kept = kept * np.where(back, 1.0, before.kept) if self.weights is None else kept
+            readings = readings.with_shared(before.readings.shared)
+        else:
+            starts = search_starts(readings, prior, start, kept)
+            if is_noisy:  # a fit that takes shared noise for optics leaves none to be found
+                spacing = neighbour_distance([readings.image[rows] for rows in rows_by_capture(readings.capture)])
+                readings = readings.with_shared(SharedNoise(0.5, 1.4 * spacing) if spacing > 0 else None)
+        sums = sums_of(readings, start, None, kept)
+        for _ in range(_ROUNDS):
+            found = maximise(sums, prior, starts)
+            polynomial = polynomial_of(readings, start, found)
+            columns = motion_columns(readings, polynomial) if moves else None
+            weights = kept if self.weights is not None else _weights(readings, polynomial, columns, kept) * stays
+            shared = _shared_noise(readings, polynomial, found, weights) if is_noisy else None
+            if np.allclose(weights, kept, atol=0.05) and _alike(shared, readings.shared):
+                break
+            kept, starts, readings = weights, [dict(found.hyper)], readings.with_shared(shared)
+            sums = sums_of(readings, start, None, kept)
+        return SmoothFit(polynomial, found, readings, kept, moved, prior, columns, start, sums)
+
+    def _with_motions(self, still: SmoothFit, before: SmoothFit | None) -> SmoothFit:
+        """Add motions of the captures, of the sizes of a fit to the same captures; None for no such fit."""
+        readings, start, kept = still.readings, still.start, still.kept
+        factors = self.stage if isinstance(self.stage, MotionFactors) else None
+        prior = smoothness_prior(readings, moving=True, factors=factors)
+        if isinstance(self.stage, tuple):
+            prior.bounds[-2:] = np.log(np.maximum(self.stage, LEAST_MOTION) / motion_scale(readings))[:, None]
+        rough, polynomial, hyper = _rough(readings, kept), still.polynomial, dict(still.posterior.hyper)
+        of_rough, curvature = replace(prior, group_offset=0.0), np.zeros(2)
+        # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
+        for round_ in range(_MOTION_ROUNDS):
+            columns = motion_columns(readings, polynomial)
+            sums = sums_of(readings, start, columns, kept, still=still.sums)
+            if round_ > 0:
+                found = maximise(sums.combined(rough), of_rough, [hyper])
+                hyper, curvature = dict(found.hyper), found.curvature[-2:]
+            elif before is None:
+                hyper = motion_start(sums.combined(rough), of_rough, hyper)
+            else:
+                hyper |= {name: before.posterior.hyper[name] for name in ("shift", "turn")}
+            found = posterior(sums, prior, np.clip([hyper[name] for name in prior.names], *prior.bounds.T))
+            polynomial = polynomial_of(readings, start, found)
+        return SmoothFit(polynomial, found, readings, kept, still.moved, prior, columns, start, sums, curvature)
+
+
+def _shared_noise(
+    readings: FitReadings, polynomial: Polynomial, found: Posterior, kept: FloatArray
+) -> SharedNoise | None:
+    """Noise that neighbouring readings of a capture share, by what a polynomial leaves of good readings."""
+    off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
+    captures = [rows[kept[rows] == 1.0] for rows in rows_by_capture(readings.capture)]
+
+    def unsure(number: int, rows: IntArray) -> FloatArray:
+        chosen = captures[number][rows]
+        if readings.mixed:
+            return np.zeros((len(chosen), 0))
+        return found.root_of(readings.design(chosen) * readings.weight[chosen, None])
+
+    return find_shared_noise([readings.image[rows] for rows in captures], [off[rows] for rows in captures], unsure)
+
+
+def _alike(shared: SharedNoise | None, before: SharedNoise | None) -> bool:
+    """Whether two findings of noise that neighbours share are alike."""
+    if shared is None or before is None:
+        return shared is before
+    return shared.length == before.length and abs(shared.share - before.share) < _ALIKE
+
+
+def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
+    """Combinations (6, captures, k) of the captures' motions without those that vary smoothly with the place.
+
+    Smooth motions are another way to write the place; where the orders end before the optics do, they would be taken
+    for motions of the camera, of any size. The unknowns of the combinations are standard normal before the fit, up to
+    the factors.
+    """
+    captures = int(readings.capture.max()) + 1
+    used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
+    place = readings.inputs[:, readings.is_place]
+    count = np.maximum(np.bincount(readings.capture, minlength=captures), 1)
+    middle = np.stack([np.bincount(readings.capture, axis, captures) / count for axis in place.T], axis=-1)[used]
+    orders = [total_degree(place.shape[1], order) for order in range(_SMOOTH_ORDER + 1)]
+    rest = _REST_IF_UNKNOWN if readings.motion_prior is None else _REST_IF_STATED
+    smooth = [order for order in orders if len(order) <= (1.0 - rest) * len(used)]
+    if not smooth:
+        return np.zeros((6, captures, 0))
+    values, extent, _ = np.linalg.svd(basis(middle, smooth[-1], Box.around(middle)), full_matrices=False)
+    values = values[:, extent > 1e-6 * extent[0]]
+    rough = np.zeros((6, captures, len(used) - values.shape[1]))
+    for axis, own in enumerate(motion_sizes(readings)[used].T):
+        # In units of the prior sizes motions are independent, and so are their parts along and across smooth ones.
+        across = np.linalg.qr(values / own[:, None], mode="complete")[0][:, values.shape[1] :]
+        rough[axis, used] = own[:, None] * across
+    return rough
+
+
+def _with_terms_beyond(readings: FitReadings) -> FitReadings:
+    """Readings of a fit of few orders with more of them: what the orders cut off looks like motions of the camera."""
+    limits, variables = readings.limits, readings.is_place
+    if readings.trend is not None or not _FEW_ORDERS < limits.total < _ENOUGH_ORDERS:
+        return readings
+    most = (limits.pixel, limits.place, limits.total)
+    more = Limits(*(min(order + _ORDERS_BEYOND, _ENOUGH_ORDERS) for order in most))
+    wider = replace(readings, orders=more.orders(int(np.sum(~variables)), int(np.sum(variables))))
+    return wider.within(readings.box)
+
+
+def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
+    """Captures that may have moved, and those left out before, measured by the rest; by their indices."""
+    readings, out = smooth.readings, [each.capture for each in smooth.moved]
+    kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
+    offset = np.log(motion_sizes(readings))
+    hyper = smooth.posterior.hyper
+    offset[out, SHIFT], offset[out, TURN] = (np.log(_ANY_MOTION) - hyper[name] for name in ("shift", "turn"))
+    columns, judge = motion_columns(readings, smooth.polynomial), _with_terms_beyond(readings)
+    still = smooth.sums if judge is readings and not out else None
+    prior = smoothness_prior(judge, moving=True)
+    found = posterior(
+        sums_of(judge, smooth.start, columns, kept, still=still), replace(prior, group_offset=offset), smooth.hyper
+    )
+    size = np.exp(offset + smooth.prior.group_features @ smooth.hyper)
+    factors = np.exp(smooth.prior.group_features @ smooth.hyper)
+    usual = usual_motion(readings, factors, found.group_mean, np.setdiff1d(readings.capture, out))
+    off = (readings.observed - readings.values(smooth.polynomial)) * readings.metric[:, None]
+    found_of = {}
+    for name in map(int, np.unique(readings.capture)):
+        block = found.mixed_mean.size + 6 * name + np.arange(6)
+        covariance = found.side_covariance[np.ix_(block, block)]
+        odds, motion = moved_odds(found.group_mean[name], covariance, size[name], usual[name])
+        shift, turn = (float(np.linalg.norm(motion[part])) for part in (SHIFT, TURN))
+        arcmin = float(np.linalg.norm(off[readings.capture == name].mean(axis=0)))
+        found_of[name] = CaptureMotion(name, shift, turn, arcmin, odds)
+    before = {name: found_of.pop(name) for name in out}
+    return {name: each for name, each in found_of.items() if each.is_suspect}, before
+
+
+def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:
+    """1 for readings near the model, falling to 0 for those far off; Hampel's descending function.
+
+    Where cameras may have moved, a reading is judged beside the others of its capture.
+    """
+    off = (readings.observed - readings.values(polynomial)) * readings.weight[:, None]
+    if columns is not None:
+        columns = columns * readings.weight[:, None, None]
+        for rows in rows_by_capture(readings.capture):
+            design = (columns[rows] * kept[rows, None, None]).reshape(-1, 6)
+            size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+            motion = np.linalg.lstsq(design / size, (off[rows] * kept[rows, None]).ravel(), rcond=1e-6)[0] / size
+            off[rows] -= columns[rows] @ motion
+    far = np.linalg.norm(off, axis=1)
+    far = far / max(float(np.median(far[kept > 0])) / _MAD_OF_RAYLEIGH, noise_floor(readings))
+    fall = _GROSS / np.maximum(far, _GROSS) * np.clip((_LOST - far) / (_LOST - _GROSS), 0.0, 1.0)
+    return np.asarray(np.sqrt(np.where(far <= _GROSS, 1.0, fall)))
