@@ -12,10 +12,10 @@ of what a polynomial leaves of each photograph.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
@@ -26,7 +26,7 @@ _LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the field, in distance
 _USUAL_LENGTH = 3  # index among them, from which the search goes to its neighbours
 _SHARES = np.linspace(0.0, 0.96, 49)
 _READINGS, _GROUPS = 120, 16  # that take part, of a group and in all: a share is sure to 0.03 then
-_KEPT_READINGS = 300  # of a photograph up to which its root is kept: 128 of them take 90 MB
+_MOST_BYTES = 2e8  # of the roots of photographs that are kept
 _TOP_ORDER, _PER_TERM = 2, 5  # of the polynomial that stands for motions of the camera
 _ODDS = 100.0  # against white noise from which noise is taken for shared
 
@@ -59,25 +59,27 @@ class SharedNoise:
             place: (n, 2) places of the readings of one photograph.
             kept: (n,) weights, 1 down to 0 for outliers, of the white noise.
         """
-        of = _root if len(kept) > _KEPT_READINGS else _kept_root
-        return of(self, place.tobytes(), np.asarray(kept, dtype=np.float64).tobytes())
+        key = self, place.tobytes(), kept.tobytes()
+        root = _roots.pop(key, None)
+        if root is None:
+            root = self._new_root(place, kept)
+        _roots[key] = root
+        while sum(each.nbytes for each in _roots.values()) > _MOST_BYTES:
+            _roots.pop(next(iter(_roots)))
+        return root
+
+    def _new_root(self, place: FloatArray, kept: FloatArray) -> FloatArray:
+        rows = np.flatnonzero(kept > 0)
+        covariance = self.share * self.correlation(place[rows])
+        covariance[np.diag_indices(len(rows))] += (1.0 - self.share) / kept[rows] ** 2
+        root = np.zeros((len(kept), len(kept)))
+        root[np.ix_(rows, rows)] = lapack.dtrtri(np.linalg.cholesky(covariance), lower=1)[0]
+        root.flags.writeable = False
+        return root
 
 
-def _root(noise: SharedNoise, places: bytes, weights: bytes) -> FloatArray:
-    place, kept = np.frombuffer(places).reshape(-1, 2), np.frombuffer(weights)
-    rows = np.flatnonzero(kept > 0)
-    covariance = noise.share * noise.correlation(place[rows])
-    covariance[np.diag_indices(len(rows))] += (1.0 - noise.share) / kept[rows] ** 2
-    root = np.zeros((len(kept), len(kept)))
-    lower = np.linalg.cholesky(covariance)
-    root[np.ix_(rows, rows)] = solve_triangular(lower, np.eye(len(rows)), lower=True, check_finite=False)
-    root.flags.writeable = False
-    return root
-
-
-_kept_root = lru_cache(maxsize=128)(
-    _root
-)  # captures often see the same places, and a fit asks for them again and again
+_roots: dict[tuple[SharedNoise, bytes, bytes], FloatArray] = {}
+"""Roots in the order of their last use: captures often see the same places, and a fit asks for them again and again."""
 
 
 def find_shared_noise(
