@@ -203,13 +203,23 @@ def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench
         values = 1.0 + rng.uniform(size=effect.order.size)
         root = 0.02 * rng.normal(size=(len(values), len(values)))
         drawn = [effect.displacement(values + root @ each)[field.acts] for each in rng.normal(size=(400, len(values)))]
-        sizes = [np.sqrt(np.mean(np.sum(each[:, :3] ** 2, axis=1))) for each in drawn]
-        size, sigma = effect.size_of(values, root @ root.T)
+        size, sigma, unit = effect.size_of(values, root @ root.T)
+        part = slice(3, None) if unit == "urad" else slice(3)
+        sizes = [np.sqrt(np.mean(np.sum(each[:, part] ** 2, axis=1))) for each in drawn]
         assert drawn[0].shape[1] == per_axis
         # Heights are about their mean: a constant one moves no reading.
         assert (abs(drawn[0].mean()) < 1e-9 * size) == (station == "combiner")
         assert size == pytest.approx(np.mean(sizes), rel=0.02)
         assert sigma == pytest.approx(np.std(sizes), rel=0.15)
+
+
+def test_the_size_of_a_pose_is_its_shift_or_its_turn_whichever_is_clearer(bench, plan):
+    fields = station_fields(weighed(measured(bench, plan)))
+    effect = LocatedEffect(next(each for each in fields if each.station == "stage"), 1, 1.0, 10.0)
+    for axes, unit in (([0, 1, 2], "um"), ([3, 4, 5], "urad")):
+        moved = np.isin(np.arange(effect.order.size) % 6, axes)
+        size, sigma, said = effect.size_of(np.where(moved, 3.0, 0.001), 0.01 * np.eye(moved.size))
+        assert (said, size > 10.0 * sigma) == (unit, True)
 
 
 def test_every_cause_has_a_station_that_a_session_shows(bench, plan, run_time):

@@ -95,7 +95,7 @@ def _smooth(
     displaced = effect.displacement(values)[acts]
     improvement, share = contest.held_out(effect, scatter, beside)
     part = contest.readings.observations.part[acts]
-    size, size_sigma = effect.size_of(values, covariance)
+    size, size_sigma, unit = effect.size_of(values, covariance)
     moves = np.any(effect.columns[acts] != 0.0, axis=(1, 2))
     return StationEffect(
         station=field.station,
@@ -108,7 +108,7 @@ def _smooth(
         odds_against_next_station=float(effect.odds_against_next),
         size=size,
         size_sigma=size_sigma,
-        unit=field.unit.split(",")[0],
+        unit=unit,
         length=None,
         place=None,
         held_out_improvement=improvement,

@@ -48,21 +48,28 @@ class LocatedEffect:
         """Return the displacement (n, d) at the station, in the field's unit, by coefficients (c,)."""
         return self.field.displacement(self._every(values))
 
-    def size_of(self, values: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-        """Return the rms displacement over the readings that feel the field, in its unit, with its standard error.
+    def size_of(self, values: FloatArray, covariance: FloatArray) -> tuple[float, float, str]:
+        """Return the rms displacement over the readings that feel the field, its standard error and its unit.
 
-        Of a pose these are its shifts alone.
+        Of shifts and turns, those that exceed their error more.
 
         Args:
             values: (c,) coefficients.
             covariance: (c, c) of them.
         """
-        acts = self.field.acts
-        displaced = self.displacement(values)[acts, :3]
-        size = float(np.sqrt(np.mean(np.sum(displaced**2, axis=1))))
-        by_each = [np.sum(self.displacement(one)[acts, :3] * displaced) for one in np.eye(len(values))]
-        slope = np.array(by_each) / (max(size, np.finfo(float).tiny) * len(displaced))
-        return size, float(np.sqrt(slope @ covariance @ slope))
+        units = self.field.unit.split(", ")
+
+        def by_unit(coefficients: FloatArray) -> FloatArray:
+            """Return the displacement (units, n, k)."""
+            return np.stack(np.split(self.displacement(coefficients)[self.field.acts], len(units), axis=1))
+
+        displaced = by_unit(values)
+        size = np.sqrt(np.mean(np.sum(displaced**2, axis=2), axis=1))
+        products = [np.sum(by_unit(one) * displaced, axis=(1, 2)) for one in np.eye(len(values))]
+        slopes = np.array(products) / (np.maximum(size, np.finfo(float).tiny) * displaced.shape[1])
+        sigma = np.sqrt(np.einsum("cu,cd,du->u", slopes, covariance, slopes))
+        clearest = int(np.argmax(size / np.maximum(sigma, np.finfo(float).tiny)))
+        return float(size[clearest]), float(sigma[clearest]), units[clearest]
 
     def in_bench(self, values: FloatArray, covariance: FloatArray) -> tuple[BenchEffect, ...]:
         """Return the effects of a bench that do the same; none where no bench file states such.
