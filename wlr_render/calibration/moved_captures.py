@@ -85,15 +85,13 @@ def moved_odds(
     within = within + 1e-9 * np.diag(np.diag(within))
     precision = np.linalg.inv(within)
     pull, information = precision @ mean, precision - np.diag((usual / size) ** 2)
-    logs, means = [], []
-    for pair in product(_TIMES_USUAL, repeat=2):
-        scale = np.repeat(pair, 3)
-        normal = np.eye(6) + scale[:, None] * information * scale
-        values, axes = np.linalg.eigh(0.5 * (normal + normal.T))
-        values = np.maximum(values, 1.0)  # by rounding alone they are less
-        along = axes.T @ (scale * pull)
-        logs.append(0.5 * float(np.sum(along**2 / values) - np.log(values).sum()))
-        means.append(usual * scale * (axes @ (along / values)))
+    scale = np.repeat(list(product(_TIMES_USUAL, repeat=2)), 3, axis=1)
+    normal = np.eye(6) + scale[:, :, None] * (0.5 * (information + information.T)) * scale[:, None]
+    values, axes = np.linalg.eigh(normal)
+    values = np.maximum(values, 1.0)  # by rounding alone they are less
+    along = np.einsum("pki,pk->pi", axes, scale * pull)
+    logs = 0.5 * (np.sum(along**2 / values, axis=1) - np.log(values).sum(axis=1))
+    means = usual * scale * np.einsum("pki,pi->pk", axes, along / values)
     moved = float(np.logaddexp.reduce(logs[1:])) - np.log(len(logs) - 1)
     odds = float((moved - logs[0] + np.log(_SHARE_THAT_MOVES)) / np.log(10.0))
     return odds, means[1 + int(np.argmax(logs[1:]))]

@@ -126,7 +126,7 @@ def response_of(
     moment, by_trend = np.zeros((2, columns, k)), np.zeros((parameters, k))
     for rows, weight in readings.blocks_of_noise(kept):
         design = readings.design(rows)
-        weighted = weight_values(weight.T, weight_values(weight, errors[rows]))
+        weighted = weight_values(weight, weight_values(weight, errors[rows]), transposed=True)
         for axis in (0, 1):
             moment[axis] += design.T @ weighted[:, axis]
         if (of_trend := _by_parameter(readings, rows)) is not None:

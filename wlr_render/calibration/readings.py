@@ -11,6 +11,7 @@ from wlr_render.captures.correspondences import CaptureMotionPrior, DisplayCaptu
 from wlr_render.geometry.directions import ARCMIN, tangents_by_turn
 from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.evidence import Weights
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
 from wlr_render.numerics.shared_noise import SharedNoise
 
@@ -224,7 +225,7 @@ class FitReadings:
         """Places (n, 2) in the image, by which readings are neighbours: pixels or directions."""
         return self.inputs[:, ~self.is_place]
 
-    def blocks_of_noise(self, kept: FloatArray) -> Iterator[tuple[IntArray, FloatArray]]:
+    def blocks_of_noise(self, kept: FloatArray) -> Iterator[tuple[IntArray, Weights]]:
         """Readings whose noise is independent of that of all others, with their weight as `Sums.add` takes it.
 
         Args:
@@ -235,9 +236,12 @@ class FitReadings:
                 rows = np.arange(first, min(first + _CHUNK, len(self)))
                 yield rows, (self.weight * kept)[rows]
             return
-        for rows in rows_by_capture(self.capture):
-            if np.any(kept[rows] > 0):
-                yield rows, self.shared.root(self.image[rows], kept[rows]) * self.weight[rows]
+        image, blocks = self.image, [rows for rows in rows_by_capture(self.capture) if np.any(kept[rows] > 0)]
+        chunk = np.cumsum([len(rows) for rows in blocks]) // _CHUNK
+        for number in np.unique(chunk):
+            some = [blocks[each] for each in np.flatnonzero(chunk == number)]
+            roots = [self.shared.root(image[rows], kept[rows]) * self.weight[rows] for rows in some]
+            yield np.concatenate(some), roots
 
     def within(self, box: Box) -> "FitReadings":
         """The same readings in another box: coefficients and their priors mean the same as of readings in it."""

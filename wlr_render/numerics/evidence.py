@@ -32,6 +32,10 @@ _LONGEST = 2.0  # step of a search along each principal axis of the evidence
 _FLAT = 1e-3  # curvature below which the evidence says nothing of how far to go
 _STEPS, _TRIALS = 60, 10  # of a search, and of each step, which grows shorter
 
+Weights = FloatArray | Sequence[FloatArray]
+"""(n,) one over the relative sigma of each reading, where zero leaves it out; or, for blocks of readings in turn, lower
+triangular matrices (k, k) that make the noise that the readings of a block share independent and of size one."""
+
 
 class Sums:
     """Weighted sums over readings of `outputs` values each.
@@ -65,7 +69,7 @@ class Sums:
     def add(
         self,
         value: FloatArray,
-        weight: FloatArray,
+        weight: Weights,
         design: FloatArray,
         mixed: FloatArray | None = None,
         grouped: FloatArray | None = None,
@@ -75,15 +79,14 @@ class Sums:
 
         Args:
             value: (n, outputs).
-            weight: (n,) one over the relative sigma, where zero leaves a reading out; or (n, n) a lower triangular
-                matrix that makes the noise of readings that share noise independent and of size one.
+            weight: see `Weights`.
             design: (n, columns) A.
             mixed: (n, outputs, mixed) C.
             grouped: (n, outputs, grouped) H.
             group: (n,) each reading's group, 0..groups - 1.
         """
         weighted_design, weighted_value = weight_values(weight, design), weight_values(weight, value)
-        diagonal = weight if weight.ndim == 1 else np.diag(weight)
+        diagonal = weight if isinstance(weight, np.ndarray) else np.concatenate([np.diag(each) for each in weight])
         self.count += int(np.count_nonzero(diagonal)) * value.shape[1]
         self.log_weight += value.shape[1] * float(np.log(diagonal[diagonal > 0]).sum())
         self.square += float(np.sum(weighted_value**2))
@@ -94,7 +97,7 @@ class Sums:
     def add_side(
         self,
         value: FloatArray,
-        weight: FloatArray,
+        weight: Weights,
         design: FloatArray,
         mixed: FloatArray | None = None,
         grouped: FloatArray | None = None,
@@ -109,15 +112,17 @@ class Sums:
         half = whole = None
         if mixed is not None:
             half = weight_values(weight, mixed)
-            whole = weight_values(weight.T, half)
+            whole = weight_values(weight, half, transposed=True)
             self._add_side(everyone, half, whole, value, design)
         if grouped is None or group is None:
             return
         names, number = np.unique(group, return_inverse=True)
-        if weight.ndim == 2 and len(names) > 1:
-            raise ValueError("readings of several groups share noise; add each group by itself.")
+        if not isinstance(weight, np.ndarray):
+            ends = np.cumsum([len(each) for each in weight])[:-1]
+            if any(np.ptp(each) > 0 for each in np.split(group, ends)):
+                raise ValueError("readings of several groups share noise; give each group a matrix of its own.")
         own_half = weight_values(weight, grouped)
-        own_whole = weight_values(weight.T, own_half)
+        own_whole = weight_values(weight, own_half, transposed=True)
         order = np.argsort(number.reshape(-1), kind="stable")
         first = np.searchsorted(number.reshape(-1)[order], np.arange(len(names)))
         for name, rows in zip(names, np.split(order, first[1:]), strict=True):
@@ -166,11 +171,16 @@ class Sums:
         return rest
 
 
-def weight_values(weight: FloatArray, values: FloatArray) -> FloatArray:
-    """Multiply values (n, ...) of n readings by weights (n,) or a matrix (n, n)."""
+def weight_values(weight: Weights, values: FloatArray, transposed: bool = False) -> FloatArray:
+    """Multiply values (n, ...) of n readings by their weights, or by the transposes of their matrices."""
     flat = values.reshape(len(values), -1)
-    product = weight[:, None] * flat if weight.ndim == 1 else weight @ flat
-    return np.asarray(product.reshape(values.shape))
+    if isinstance(weight, np.ndarray):
+        return np.asarray((weight[:, None] * flat).reshape(values.shape))
+    product, last = np.empty(flat.shape), 0
+    for each in weight:
+        first, last = last, last + len(each)
+        np.matmul(each.T if transposed else each, flat[first:last], out=product[first:last])
+    return product.reshape(values.shape)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ _LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the field, in distance
 _USUAL_LENGTH = 3  # index among them, from which the search goes to its neighbours
 _SHARES = np.linspace(0.0, 0.96, 49)
 _READINGS, _GROUPS = 120, 16  # that take part, of a group and in all: a share is sure to 0.03 then
-_MOST_BYTES = 2e8  # of the roots of photographs that are kept
+_MOST_BYTES = 2e8  # of the roots that are kept, if all are of the size of the last one
 _TOP_ORDER, _PER_TERM = 2, 5  # of the polynomial that stands for motions of the camera
 _ODDS = 100.0  # against white noise from which noise is taken for shared
 
@@ -64,7 +64,7 @@ class SharedNoise:
         if root is None:
             root = self._new_root(place, kept)
         _roots[key] = root
-        while sum(each.nbytes for each in _roots.values()) > _MOST_BYTES:
+        while len(_roots) * root.nbytes > _MOST_BYTES:
             _roots.pop(next(iter(_roots)))
         return root
 
