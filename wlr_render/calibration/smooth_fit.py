@@ -219,17 +219,14 @@ class SmoothFit:
     @cached_property
     def spread(self) -> Covariance:
         """Low-rank factors of the covariance of `polynomial`."""
-        return self._with_common(self.readings, self.posterior, self.polynomial, self.kept)
+        return self._with_common(self.readings, self.posterior, self.sums, self.kept)
 
-    def _with_common(
-        self, readings: FitReadings, found: Posterior, polynomial: Polynomial, kept: FloatArray
-    ) -> Covariance:
-        """Covariance of a fit with these prior sizes, common errors included."""
+    def _with_common(self, readings: FitReadings, found: Posterior, sums: Sums, kept: FloatArray) -> Covariance:
+        """Covariance of a fit with these prior sizes, common errors included, by the sums over its readings."""
         if readings.common is None:
             return spread_of(readings, found, beyond=self.beyond)
         width = self.prior.sizes(np.array(list(found.hyper.values()))) / found.noise
-        sums = sums_of(readings, None, None, kept)
-        response = response_of(readings, polynomial, kept, sums, width, found.noise)
+        response = response_of(readings, self.polynomial, kept, sums, width, found.noise)
         return spread_of(readings, found, response, self.beyond)
 
     @property
@@ -293,7 +290,7 @@ class SmoothFit:
             prior = replace(prior, features=prior.features[:own], offset=0.0)
         sums = sums_of(readings, None, columns, kept)
         found = posterior(sums, prior, hyper, evidence=False)
-        return self._with_common(readings, found, self.polynomial, kept)
+        return self._with_common(readings, found, sums, kept)
 
     def with_motions(self, motion: FloatArray) -> Polynomial:
         """The polynomial that these readings would give if their cameras had moved by `motion`.

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.posterior import Posterior, solved
@@ -179,7 +179,8 @@ def weight_values(weight: Weights, values: FloatArray, transposed: bool = False)
     product, last = np.empty(flat.shape), 0
     for each in weight:
         first, last = last, last + len(each)
-        np.matmul(each.T if transposed else each, flat[first:last], out=product[first:last])
+        # The triangular product takes half the time; BLAS sees these arrays transposed.
+        product[first:last] = blas.dtrmm(1.0, each.T, flat[first:last].T, side=1, trans_a=int(transposed)).T
     return product.reshape(values.shape)
 
 
