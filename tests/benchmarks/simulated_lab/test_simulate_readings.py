@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_photo_session import CoarseView
 
 from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_real_point
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
@@ -11,6 +12,7 @@ from wlr_render.captures.decoded import sample
 from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.geometry import transforms
+from wlr_render.simulation.photographs import take_photographs
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
@@ -50,7 +52,8 @@ def test_readings_scatter_by_their_noise_about_the_true_projections(simulated):
 
 
 @pytest.mark.slow  # renders 50 photographs
-def test_photographs_of_the_same_bench_show_the_same(simulated, tmp_path):
+def test_photographs_of_the_same_bench_show_the_same(simulated, tmp_path, monkeypatch):
+    monkeypatch.setattr(take_photographs, "CameraView", CoarseView)
     truth = simulated.truth
     plan = plan_photographs(truth.bench, RECIPE.viewpoints)
     visits = true_camera_poses(truth.bench, plan)
