@@ -21,9 +21,8 @@ from functools import cached_property, lru_cache
 from math import comb
 
 import numpy as np
-from numpy.typing import NDArray
 
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 HIGHEST_ORDER = 50
 """Largest order of a variable in a term of a file: no fit comes near it."""
@@ -97,7 +96,7 @@ class Box:
         """Scale inputs (..., variables) to -1..1 inside the box."""
         return np.asarray((2.0 * inputs - self.low - self.high) / (self.high - self.low))
 
-    def contains(self, inputs: FloatArray, slack: float = BOX_SLACK) -> NDArray[np.bool_]:
+    def contains(self, inputs: FloatArray, slack: float = BOX_SLACK) -> BoolArray:
         """Return whether inputs (..., variables) lie in the box grown by `slack` of its size: (...) bool."""
         return np.asarray(np.all(np.abs(self.scaled(inputs)) <= 1.0 + 2.0 * slack, axis=-1))
 
@@ -203,10 +202,15 @@ def basis(inputs: FloatArray, orders: IntArray, box: Box) -> FloatArray:
 
 
 def _distinct(orders: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the distinct rows of (terms, variables), and for each term the index of its row."""
-    if orders.shape[1] == 0:
-        return np.zeros((1, 0), np.int64), np.zeros(len(orders), np.int64)
-    rows, index = np.unique(orders, axis=0, return_inverse=True)
+    """Return the distinct rows of (terms, variables), and for each term the index of its row; not to be changed."""
+    return _distinct_rows(orders.astype(np.int64).tobytes(), orders.shape)
+
+
+@lru_cache(maxsize=256)
+def _distinct_rows(content: bytes, shape: tuple[int, int]) -> tuple[IntArray, IntArray]:
+    if shape[1] == 0:
+        return np.zeros((1, 0), np.int64), np.zeros(shape[0], np.int64)
+    rows, index = np.unique(np.frombuffer(content, np.int64).reshape(shape), axis=0, return_inverse=True)
     return rows, index.reshape(-1)
 
 
