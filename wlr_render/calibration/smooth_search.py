@@ -1,7 +1,7 @@
 """Searches for the smooth fit of highest evidence: its terms, outliers, noise, and captures that moved.
 
 Each search starts from the fit before it: the same readings with more terms, or without some of the captures, have
-nearly the same hyperparameters, weights and noise.
+nearly the same hyperparameters, and with the same captures nearly the same weights and noise.
 """
 
 from collections import Counter
@@ -181,16 +181,13 @@ class _Search:
         prior = smoothness_prior(readings, moving=False)
         is_noisy = bool(np.any(readings.sigma > 0))
         moves = readings.motion is not None and is_noisy
-        if before is not None:
-            starts = [dict(before.posterior.hyper)]
-            back = np.isin(readings.capture, [each.capture for each in before.moved])
-            kept = kept * np.where(back, 1.0, before.kept) if self.weights is None else kept
+        starts = [dict(before.posterior.hyper)] if before is not None else search_starts(readings, prior, start, kept)
+        if before is not None and before.moved == moved:
+            kept = kept if self.weights is not None else kept * before.kept
             readings = readings.with_shared(before.readings.shared)
-        else:
-            starts = search_starts(readings, prior, start, kept)
-            if is_noisy:  # a fit that takes shared noise for optics leaves none to be found
-                spacing = neighbour_distance([readings.image[rows] for rows in rows_by_capture(readings.capture)])
-                readings = readings.with_shared(SharedNoise(0.5, 1.4 * spacing) if spacing > 0 else None)
+        elif is_noisy:  # a fit that takes shared noise for optics leaves none to be found
+            spacing = neighbour_distance([readings.image[rows] for rows in rows_by_capture(readings.capture)])
+            readings = readings.with_shared(SharedNoise(0.5, 1.4 * spacing) if spacing > 0 else None)
         sums = sums_of(readings, start, None, kept)
         for _ in range(_ROUNDS):
             found = maximise(sums, prior, starts)
