@@ -1,6 +1,6 @@
 """Effects at the stations of a bench that no key of its parts states: displacements that a diagnosis locates.
 
-An effect is a function of the station's coordinates: a polynomial, cells, a wave, or a function of a user's own cause.
+An effect is a function of the station's coordinates: a polynomial, cells, waves, or a function of a user's own cause.
 Coordinates and displacements are in the units of the bench file; `displacement` converts them from and to metres and
 radians.
 """
@@ -15,7 +15,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial, basis, total_degree
-from wlr_render.numerics.waves import Wave
+from wlr_render.numerics.waves import LocalWaves, Wave
 from wlr_render.optics.combiner_form import SURFACES, SmoothSag, surfaces_raised
 from wlr_render.optics.device import EyeOptics
 
@@ -173,7 +173,7 @@ class BenchEffect:
 
     station: str
     displaces: str
-    function: Polynomial | Cells | Wave | AnyFunction
+    function: Polynomial | Cells | Wave | LocalWaves | AnyFunction
     target_pose: int = -1
     part: str = ""
     covariance: FloatArray | None = None

@@ -9,7 +9,7 @@ from wlr_render.bench.bench_effects import KINDS, PARTS, AnyFunction, BenchEffec
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
-from wlr_render.numerics.waves import Wave
+from wlr_render.numerics.waves import LocalWaves, Wave
 from wlr_render.optics.combiner_form import SURFACES
 from wlr_render.toml_files import Table
 
@@ -42,7 +42,8 @@ def effect_keys(effect: BenchEffect) -> dict[str, Any]:
     elif isinstance(function, Wave):
         keys |= {"along": function.axis, "period": function.period}
     else:
-        keys |= {"low": function.box.low, "high": function.box.high, "orders": function.orders}
+        name = "waves" if isinstance(function, LocalWaves) else "orders"
+        keys |= {"low": function.box.low, "high": function.box.high, name: function.orders}
     keys |= {"coefficients": function.coefficients}
     if effect.covariance is None or len(effect.covariance) > _MOST_WITH_COVARIANCE:
         return keys
@@ -54,12 +55,12 @@ def _effect(table: Table, bench: Bench) -> BenchEffect:
     displaces = table.text("displaces", choices=sorted(what for place, what in KINDS if place == station))
     kind = KINDS[station, displaces]
     if table.has("cells") and displaces in SURFACES:
-        raise table.fail("a height of the combiner needs slopes, which 'cells' do not have; state 'orders'.")
-    function: Polynomial | Cells | Wave
+        raise table.fail("a height of the combiner needs slopes, which 'cells' do not have; state 'orders' or 'waves'.")
+    function: Polynomial | Cells | Wave | LocalWaves
     if table.has("period"):
         function = _wave(table, kind)
     else:
-        function = _cells(table, kind) if table.has("cells") else _polynomial(table, kind)
+        function = _cells(table, kind) if table.has("cells") else _in_box(table, kind)
         _check_places(table, station, function, bench)
     covariance = _covariance(table, function.coefficients.size) if table.has("covariance") else None
     limits = {kind.limit: _limit(table, kind.limit, bench)} if kind.limit and table.has(kind.limit) else {}
@@ -78,24 +79,22 @@ def _limit(table: Table, name: str, bench: Bench) -> Any:
     return table.whole(name, 0, max(count - 1, 0))
 
 
-def _polynomial(table: Table, kind: EffectKind) -> Polynomial:
+def _in_box(table: Table, kind: EffectKind) -> Polynomial | LocalWaves:
     variables = len(kind.per_coordinate)
     low, high = table.vector("low", variables), table.vector("high", variables)
     if not np.all(low < high):
         raise table.fail(f"'low' must be below 'high' in each of {kind.coordinates}.")
-    orders = table.vectors("orders", variables)
+    key, least = ("waves", 1) if table.has("waves") else ("orders", 0)
+    orders = table.vectors(key, variables)
     if len(orders) > _MOST_TERMS or not np.all(
-        (orders == np.round(orders)) & (orders >= 0) & (orders <= HIGHEST_ORDER)
+        (orders == np.round(orders)) & (orders >= least) & (orders <= HIGHEST_ORDER)
     ):
         raise table.fail(
-            f"'orders' must be at most {_MOST_TERMS} lists of whole numbers from 0 to {HIGHEST_ORDER}, one for each of "
-            f"{kind.coordinates}."
+            f"'{key}' must be at most {_MOST_TERMS} lists of whole numbers from {least} to {HIGHEST_ORDER}, one for "
+            f"each of {kind.coordinates}."
         )
-    return Polynomial(
-        orders.astype(np.int64),
-        Box(low, high),
-        _coefficients(table, kind, len(orders), _LISTS.format(len(orders), "orders")),
-    )
+    coefficients = _coefficients(table, kind, len(orders), _LISTS.format(len(orders), key))
+    return (LocalWaves if least else Polynomial)(orders.astype(np.int64), Box(low, high), coefficients)
 
 
 def _cells(table: Table, kind: EffectKind) -> Cells:
@@ -129,7 +128,7 @@ def _coefficients(table: Table, kind: EffectKind, count: int, lists: str) -> Flo
     return coefficients
 
 
-def _check_places(table: Table, station: str, function: Polynomial | Cells, bench: Bench) -> None:
+def _check_places(table: Table, station: str, function: Polynomial | Cells | LocalWaves, bench: Bench) -> None:
     """Refuse coordinates that lie wholly outside the station."""
     key = "'cells'" if isinstance(function, Cells) else "'low' and 'high'"
     edges = {"panel": bench.optics.panel.pixels.size_px, "camera": bench.camera.size_px}

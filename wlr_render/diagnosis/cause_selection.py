@@ -29,6 +29,7 @@ from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.scatter import LOG10_ODDS, Scatter
 from wlr_render.numerics.scatter_search import best_scatter, with_moved_captures
 
@@ -109,6 +110,7 @@ class Search:
         progress: called with a sentence at each step.
         settings: thresholds.
         fields: at the stations, over the subsample.
+        spot: on the combiner, of which there are finer fields.
         simulated: signatures of the hypotheses on the subsample, if they are known.
     """
 
@@ -118,6 +120,7 @@ class Search:
     progress: Progress = lambda _: None
     settings: Settings = DEFAULT
     fields: Sequence[StationField] = ()
+    spot: Box | None = None
     simulated: Signatures | None = None
 
     @cached_property
@@ -143,7 +146,7 @@ class Search:
         located = [each.field for each in effects]
         each_with_fields = [(self.subsample, self.fields)]
         if self.full is not self.subsample:
-            each_with_fields.append((self.full, station_fields(self.full, located)))
+            each_with_fields.append((self.full, station_fields(self.full, located, self.spot)))
         sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
         searched = []
         for readings, fields in each_with_fields:

@@ -20,6 +20,7 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, 
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.residual_surfaces import surfaces
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box
 
 _CLIP, _CLIP_OF_REST = 4.0, 8.0  # sigma: a wild reading counts no more than this, and in later rounds
 _MOST_LEVERAGE = 0.8  # of a reading that its photograph's surface follows too closely to judge
@@ -36,6 +37,7 @@ _FOLDS, ROUNDS = 4, (1, 4)
 _BEYOND_DOUBT, _PREDICTS = 20.0, 2.0
 """Log10 odds, or else standard errors by which captures left out must be predicted better, of a fine effect."""
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
+_BOX, _FEWEST_CELLS = 3.5, 3.0  # half a box around a spot, in its rms radii, and in cells at least
 _SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the cells that may have a mean
 _SIZES = tuple(np.geomspace(0.02, 100.0, 18))  # of the means, as variances over that of the noise
 _CELL_STANDS_OUT = 18.0  # two squares of unit normal variables exceed it in one cell of 8,000
@@ -82,6 +84,14 @@ class FineEffect:
     rows: IntArray
     at: FloatArray
     change: FloatArray
+
+    @property
+    def spot_on_combiner(self) -> Box | None:
+        """Box around the cells that stand out, if there is a spot of them on the combiner."""
+        if self.station != "combiner" or not np.isfinite(self.width):
+            return None
+        half = max(_BOX * self.width, _FEWEST_CELLS * self.cell)
+        return Box(self.place - half, self.place + half)
 
     @property
     def predicts(self) -> bool:

@@ -1,12 +1,13 @@
 """Fields of the combiner: heights of its surfaces wherever lines of sight meet them, or deflections of the view."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_session import (
     camera_positions,
     display_dirs,
@@ -29,6 +30,7 @@ from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
+from wlr_render.numerics.waves import LocalWaves, local_orders
 from wlr_render.optics.assembly import combiner_middle
 from wlr_render.optics.combiner_form import SURFACES, surfaces_raised
 from wlr_render.optics.device import EyeOptics, Path
@@ -36,6 +38,7 @@ from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.tracer import trace
 
 _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # whose tilt and form are causes
+_SPOT_DEGREES = (3, 5, 7, 9, 11)
 _SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
 
 
@@ -97,8 +100,13 @@ def _meetings(readings: WeighedReadings) -> list[_Meeting]:
     return meetings
 
 
-def combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
-    """Return heights of the combiner's surfaces over the places where the lines of sight meet them."""
+def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Iterator[StationField]:
+    """Return heights of the combiner's surfaces over the places where the lines of sight meet them.
+
+    Args:
+        readings: the readings.
+        spot: outside of which further heights are zero, millimetres; None for no such heights.
+    """
     if not readings.observations.nominal.optics.display.steps:
         yield from _view_fields(readings)
         return
@@ -131,6 +139,49 @@ def combiner_fields(readings: WeighedReadings) -> Iterator[StationField]:
             "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
         )
         yield scaled(field)
+        if spot is not None:
+            yield from _in_spot(spot, surfaces, [each for each in meetings if each.surface in names], first)
+
+
+def _in_spot(spot: Box, surfaces: str, meetings: Sequence[_Meeting], first: FloatArray) -> Iterator[StationField]:
+    """Return heights that are zero outside a spot, if readings look through it.
+
+    Args:
+        spot: in millimetres.
+        surfaces: a key of `SURFACES`.
+        meetings: with these.
+        first: (n, 2) where each reading's line of sight meets the first surface; NaN where it does not.
+    """
+    orders = local_orders(_SPOT_DEGREES[-1])
+    waves = LocalWaves(orders, spot, np.eye(len(orders)))
+    columns, value = np.zeros((len(first), 2, len(orders))), waves(first)
+    for each in meetings:
+        rows = np.all((each.place > spot.low) & (each.place < spot.high), axis=1)
+        height, slopes = waves.with_jacobian(each.place[rows])
+        moved = np.concatenate([height[:, :, None], slopes], axis=2)
+        columns[rows] += np.einsum("nik,ntk->nit", each.lever[rows], moved)
+
+    def in_bench(values: FloatArray) -> tuple[BenchEffect, ...]:
+        return (BenchEffect("combiner", surfaces, LocalWaves(orders, spot, values[:, None])),)
+
+    acts = np.any(columns != 0.0, axis=(1, 2)) & np.isfinite(first).all(axis=1)
+    if acts.any():
+        yield scaled(
+            StationField(
+                "combiner",
+                "place on the combiner",
+                f"height of {surfaces} in a spot",
+                columns,
+                orders.sum(axis=1) - 1,
+                _SPOT_DEGREES,
+                np.where(acts[:, None], first, 0.0),
+                acts,
+                "um",
+                lambda values: np.asarray(value @ values)[:, None],
+                in_bench,
+                is_in_spot=True,
+            )
+        )
 
 
 def _known(meeting: _Meeting) -> FloatArray:

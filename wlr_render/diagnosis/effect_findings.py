@@ -1,9 +1,11 @@
 """Located effects as a report states them: place, size, usual sources, and gain on held-out captures."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import EffectMap, StationEffect
 from wlr_render.diagnosis.field_contest import FieldContest
@@ -13,6 +15,7 @@ from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter
+from wlr_render.numerics.waves import LocalWaves
 
 _LIKELY = {
     ("panel", "shift"): (
@@ -44,6 +47,8 @@ _LIKELY = {
     ("eye tracking", "shift"): ("errors of the eye tracker that depend on gaze", "the pupil's motion with gaze"),
 }
 """Usual sources of an effect, by its station and the start of its form."""
+
+_BUMP_PLACES = 4000  # at which a bump's height is looked up
 
 SEPARATED_BY = {
     "panel": "a photograph of the bare panel that shows a lit grid",
@@ -92,16 +97,17 @@ def _smooth(
     beside: Sequence[LocatedEffect],
 ) -> StationEffect:
     field, acts = effect.field, effect.field.acts
+    bump = _bump(*effect.in_bench(values, covariance))
     displaced = effect.displacement(values)[acts]
     improvement, share = contest.held_out(effect, scatter, beside)
     part = contest.readings.observations.part[acts]
-    size, size_sigma, unit = effect.size_of(values, covariance)
+    size, size_sigma, unit = effect.size_of(values, covariance) if bump is None else (bump.height, bump.sigma, "um")
     moves = np.any(effect.columns[acts] != 0.0, axis=(1, 2))
     return StationEffect(
         station=field.station,
         coordinates=field.coordinates,
         displaced=field.form,
-        form="smooth",
+        form="smooth" if bump is None else "fine",
         parts=tuple(PART_NAMES[number] for number in np.unique(part[moves])),
         log10_odds=float(effect.log10_odds),
         next_station=effect.next_station,
@@ -109,14 +115,44 @@ def _smooth(
         size=size,
         size_sigma=size_sigma,
         unit=unit,
-        length=None,
-        place=None,
+        length=None if bump is None else bump.width,
+        place=None if bump is None else bump.place,
         held_out_improvement=improvement,
         share_of_excess_removed=share,
-        likely=_likely(field.station, field.form),
+        likely=_likely(field.station, field.form if bump is None else "fine"),
         is_in_bench=field.in_bench is not None,
         map=EffectMap(field.place[acts], displaced, field.coordinates, field.unit),
+        length_unit="" if bump is None else "mm",
     )
+
+
+@dataclass(frozen=True)
+class _Bump:
+    """A height in a spot of the combiner: where it is largest, um, with its standard error.
+
+    `place` (right, up) and `width` are of the part of more than half that height, millimetres.
+    """
+
+    height: float
+    sigma: float
+    place: tuple[float, float]
+    width: float
+
+
+def _bump(*effects: BenchEffect) -> _Bump | None:
+    """Return the bump that an effect states; None where it states none."""
+    function = effects[0].function if effects else None
+    if not isinstance(function, LocalWaves) or effects[0].covariance is None:
+        return None
+    places = function.box.places(_BUMP_PLACES)
+    heights = function(places)[:, 0]
+    top = int(np.argmax(np.abs(heights)))
+    high = heights / heights[top] > 0.5
+    by_coefficient = replace(function, coefficients=np.eye(len(function.orders)))(places[[top]])[0]
+    sigma = float(np.sqrt(by_coefficient @ effects[0].covariance @ by_coefficient))
+    right, up = places[high].mean(axis=0)
+    area = float(np.mean(high) * np.prod(function.box.high - function.box.low))
+    return _Bump(float(heights[top]), sigma, (float(right), float(up)), float(np.sqrt(4.0 * area / np.pi)))
 
 
 def _fine(fine: FineEffect, as_stated: Predictor) -> StationEffect:
@@ -137,7 +173,7 @@ def _fine(fine: FineEffect, as_stated: Predictor) -> StationEffect:
         place=(float(fine.place[0]), float(fine.place[1])) if located else None,
         held_out_improvement=fine.improvement,
         share_of_excess_removed=fine.share_removed,
-        likely=_LIKELY[("combiner", "fine")] if fine.station == "combiner" else _likely(fine.station, ""),
+        likely=_likely(fine.station, "fine" if fine.station == "combiner" else ""),
         map=EffectMap(fine.cells, fine.means, fine.coordinates, "sigma"),
         length_unit=fine.unit,
         is_in_bench=fine.predicts,

@@ -51,7 +51,8 @@ from wlr_render.diagnosis.screening import hypotheses
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import BoolArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
@@ -87,14 +88,8 @@ def diagnose(
     """
     progress("predicting the session with the nominal bench")
     stated = Predictor.of_session(nominal, session)
-    prepared = _prepared(stated, causes, settings, progress)
-    selection = prepared.selection
-    found, rankings = _compared(prepared.search, selection.fit, selection.first)
-    progress("looking for effects that no cause has")
-    located = locate(prepared.search, found)
-    search, readings = located.search, located.search.full
-    if located.found is not found:
-        found, rankings = located.found, _rankings(search, located.found)
+    prepared, located, rankings = _located(stated, causes, settings, progress)
+    search, readings, found = located.search, located.search.full, located.found
     fine = located.fine_beside(prepared.fine)
     left = _unexplained(located, prepared, fine, settings)
     corrected = located.bench(found.explanation.bench(nominal))
@@ -134,7 +129,7 @@ def diagnose(
         unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
         fields=located.tried,
         detection_limits=limits,
-        reasons=(*_about_readings(prepared.noise.outlier), *located.dropped, *structure, selection.reason),
+        reasons=(*_about_readings(prepared.noise.outlier), *located.dropped, *structure, prepared.selection.reason),
         captures=capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
         correlations=correlations(found),
         observations=observations,
@@ -167,6 +162,33 @@ class _Prepared:
     selection: Selection
 
 
+def _located(
+    as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress
+) -> tuple[_Prepared, Located, list[CandidateRanking]]:
+    """Select causes and locate effects; again, where an effect in a spot explains readings that were outliers."""
+    prepared = _prepared(as_stated, causes, settings, progress)
+    located, rankings = _beside_effects(prepared, progress)
+    if any(effect.field.is_in_spot for effect in located.effects):
+        nominal, explanation = as_stated.observations.nominal, located.found.explanation
+        residual = as_stated.residual_of_bench(located.bench(explanation.bench(nominal)))
+        noise, fine = _noise_of_rest(residual, as_stated, settings)
+        if not np.array_equal(noise.outlier, prepared.noise.outlier):
+            progress("the effect explains some of the readings that were excluded: again")
+            spot = prepared.search.spot
+            prepared = _with_noise(noise, fine, spot, explanation, as_stated, causes, settings, progress)
+            located, rankings = _beside_effects(prepared, progress)
+    return prepared, located, rankings
+
+
+def _beside_effects(prepared: _Prepared, progress: Progress) -> tuple[Located, list[CandidateRanking]]:
+    """Locate effects beside the selected causes; and return the candidates for the place of each."""
+    selection = prepared.selection
+    found, rankings = _compared(prepared.search, selection.fit, selection.first)
+    progress("looking for effects that no cause has")
+    located = locate(prepared.search, found)
+    return located, rankings if located.found is found else _rankings(located.search, located.found)
+
+
 def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress) -> _Prepared:
     """Measure the noise and select causes; again, where the residual by these causes shows another noise."""
     first = _with_noise_left_by(Explanation(), as_stated, causes, settings, progress)
@@ -174,7 +196,7 @@ def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Setti
     if not first.selection.fit.explanation.hypotheses:
         return first
     explanation = first.selection.fit.explanation
-    noise, _ = _noise_left_by(explanation, as_stated, settings)
+    noise, _ = _noise_of_rest(as_stated.residual(explanation), as_stated, settings)
     now, before = ([floor.shared for floor in each.floors] for each in (noise, first.noise))
     same = np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=settings.same_noise)
     same = same and np.allclose(now, before, atol=settings.same_noise)
@@ -188,7 +210,22 @@ def _with_noise_left_by(
     explanation: Explanation, as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress
 ) -> _Prepared:
     """Select causes by the noise that an explanation leaves within the photographs."""
-    noise, fine = _noise_left_by(explanation, as_stated, settings)
+    noise, fine = _noise_of_rest(as_stated.residual(explanation), as_stated, settings)
+    spot = None if fine is None else fine.spot_on_combiner
+    return _with_noise(noise, fine, spot, explanation, as_stated, causes, settings, progress)
+
+
+def _with_noise(
+    noise: Noise,
+    fine: FineEffect | None,
+    spot: Box | None,
+    explanation: Explanation,
+    as_stated: Predictor,
+    causes: Mapping[str, Cause],
+    settings: Settings,
+    progress: Progress,
+) -> _Prepared:
+    """Select causes by a noise, from an explanation on; `spot` is where the combiner has finer fields."""
     observations, variance = as_stated.observations, dict[int, float]()
     if fine is not None:
         part = observations.part[fine.rows]
@@ -199,15 +236,14 @@ def _with_noise_left_by(
     full = WeighedReadings.of(as_stated.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
     subsample = full.of_rows(full.observations.spread(settings.subsample))
     progress("what each cause and each field would do")
-    search = Search(full, subsample, hypotheses(causes), progress, settings, station_fields(subsample))
+    fields = station_fields(subsample, spot=spot)
+    search = Search(full, subsample, hypotheses(causes), progress, settings, fields, spot)
     return _Prepared(noise, fine, variance, search, search.select(explanation))
 
 
-def _noise_left_by(
-    explanation: Explanation, as_stated: Predictor, settings: Settings
-) -> tuple[Noise, FineEffect | None]:
-    """Noise of the readings by what an explanation leaves of them, less what different captures have in common."""
-    residual = as_stated.residual(explanation)
+def _noise_of_rest(residual: FloatArray, as_stated: Predictor, settings: Settings) -> tuple[Noise, FineEffect | None]:
+    """Noise of the readings by what is left (n, 2) of them, less what different captures have in common."""
+    residual = residual.copy()
     fine = fine_effect(as_stated, residual, settings.least_log10_odds)
     if fine is not None:
         residual[fine.rows] -= fine.change

@@ -77,17 +77,15 @@ def surfaces(observations: Observations, residual: FloatArray, settings: Setting
         own = np.nan_to_num(residual[rows])
         if good.sum() <= 2 * design.shape[1]:
             continue
+        left, leverage, size = _about_surface(design, own, good, whole)
         for _ in range(_OUTLIER_ROUNDS):
-            solve = whole
-            if not good.all():
-                solve = np.asarray(np.linalg.pinv(design[good]))
-            left, leverage, size = _studentised(design, own, good, solve)
             # 1.18: the median length of a two-vector of unit normal components.
             near = known & (size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18))
             if np.array_equal(near, good):
                 break
             # An outlier pulls the surface, and its neighbours seem to be outliers until it is left out.
             good = near
+            left, leverage, size = _about_surface(design, own, good, whole)
         if good.sum() > 2 * design.shape[1]:
             yield Surface(rows, design, left, leverage, good)
 
@@ -99,16 +97,17 @@ def _designs(observations: Observations) -> list[tuple[IntArray, FloatArray, Flo
     return [(rows, design, np.asarray(np.linalg.pinv(design))) for rows, design in every if design is not None]
 
 
-def _studentised(
-    design: FloatArray, values: FloatArray, good: BoolArray, solve: FloatArray
+def _about_surface(
+    design: FloatArray, values: FloatArray, good: BoolArray, whole: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the rest (n, 2) of `values` about a surface through the good ones, leverages and studentised lengths.
 
-    `solve` (terms, good) gives the surface by the good values.
+    `whole` (terms, n) gives the surface by all values.
 
     A corner that bends the surface to itself is left with little: hence the leverages (R. D. Cook and S. Weisberg,
     "Residuals and Influence in Regression", 1982, chapter 2).
     """
+    solve = whole if good.all() else np.asarray(np.linalg.pinv(design[good]))
     left = values - design @ (solve @ values[good])
     leverage = np.sum((design @ solve) ** 2, axis=1)
     spread = np.sqrt(np.where(good, 1.0 - leverage, 1.0 + leverage).clip(1e-6))

@@ -9,6 +9,7 @@ effect acts, whatever its shape.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -31,19 +32,22 @@ _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _STEP_M = 1e-5  # of a dot on the target, for the differences
 
 
-def station_fields(readings: WeighedReadings, like: Sequence[StationField] | None = None) -> list[StationField]:
+def station_fields(
+    readings: WeighedReadings, like: Sequence[StationField] | None = None, spot: Box | None = None
+) -> list[StationField]:
     """Return all fields that a session can show, at the nominal bench.
 
     Args:
         readings: the readings.
         like: fields of other readings; only the same ones are returned. None for all.
+        spot: on the combiner, millimetres, in which finer heights are tried; None for none.
     """
     plan = readings.observations.session.plan
     makers: list[tuple[str, Callable[[WeighedReadings], Iterator[StationField]]]] = []
     if plan.display is not None:
         makers.append(("panel", _panel_fields))
     if plan.display is not None or plan.see_through is not None:
-        makers += [("combiner", combiner_fields), ("camera", _camera_fields)]
+        makers += [("combiner", partial(combiner_fields, spot=spot)), ("camera", _camera_fields)]
         makers += [("stage", _stage_fields), ("time", _time_fields)]
     if plan.see_through is not None and plan.see_through.bare_pixel is None:
         makers.append(("target", _target_fields))

@@ -129,13 +129,14 @@ def _changes(diagnosis: Diagnosis) -> str:
 
 def effect_sentence(effect: StationEffect) -> str:
     """Return the station, the shape, the size and the odds of a located effect."""
-    size = f"{quantity(effect.size, effect.size_sigma)} {effect.unit}"
+    size = f"{quantity(abs(effect.size), effect.size_sigma)} {effect.unit}"
     if effect.form == "smooth":
         shape = f"{effect.displaced}, a smooth function of {effect.coordinates}, {size} rms"
     elif effect.place is None or effect.length is None:
         shape = f"a fine pattern of {size} rms"
     else:
-        shape = f"a spot of {size}, {cell_text(effect.length)} {effect.length_unit} wide, {_place_text(effect)}"
+        noun = "spot" if effect.unit != "um" else "dent" if effect.size < 0.0 else "bump"
+        shape = f"a {noun} of {size}, {cell_text(effect.length)} {effect.length_unit} wide, {_place_text(effect)}"
     odds = f"log10 odds {odds_text(effect.log10_odds)}"
     sentence = f"an effect {WHERE[effect.station]} that no listed cause has: {shape} ({odds})"
     if _is_ambiguous(effect):

@@ -1,10 +1,11 @@
-"""Sine waves in one of several variables."""
+"""Sine waves: in one of several variables, or products of them in a box."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,3 +33,51 @@ class Wave:
         jacobian = np.zeros((len(inputs), self.coefficients.shape[1], inputs.shape[1]))
         jacobian[:, :, self.axis] = per_unit * np.stack([cosine, -sine], axis=1) @ self.coefficients
         return np.stack([sine, cosine], axis=1) @ self.coefficients, jacobian
+
+
+@dataclass(frozen=True, eq=False)
+class LocalWaves:
+    """A vector-valued function that is zero, with its slopes, at the edge of a box and outside.
+
+    A term is a product of sin(pi s) sin(k pi s) over the variables, s from 0 to 1 across the box, with an order k each.
+
+    Attributes:
+        orders: (terms, variables) from 1.
+        box: outside of which the function is zero.
+        coefficients: (terms, outputs).
+    """
+
+    orders: IntArray
+    box: Box
+    coefficients: FloatArray
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Return the values (n, outputs) at inputs (n, variables); zero where these are NaN."""
+        factors, _ = self._factors(inputs)
+        return np.asarray(np.prod(factors, axis=2) @ self.coefficients)
+
+    def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the values (n, outputs) and their derivatives (n, outputs, variables)."""
+        factors, slopes = self._factors(inputs)
+        by = [
+            np.prod(np.where(np.arange(factors.shape[2]) == axis, slopes, factors), axis=2) @ self.coefficients
+            for axis in range(factors.shape[2])
+        ]
+        return np.asarray(np.prod(factors, axis=2) @ self.coefficients), np.stack(by, axis=-1)
+
+    def _factors(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the factors (n, terms, variables) and their derivatives."""
+        across = 0.5 * (self.box.scaled(inputs) + 1.0)
+        inside = np.all((across > 0.0) & (across < 1.0), axis=1)
+        angle = np.pi * np.where(inside[:, None], across, 0.0)
+        envelope, tilt = np.sin(angle)[:, None, :], np.cos(angle)[:, None, :]
+        phase = angle[:, None, :] * self.orders
+        wave, slope = np.sin(phase), self.orders * np.cos(phase)
+        per_unit = 0.5 * np.pi * self.box.per_unit
+        return envelope * wave, per_unit * (tilt * wave + envelope * slope)
+
+
+def local_orders(most: int) -> IntArray:
+    """Return the orders (terms, 2) of local waves in two variables whose sum is at most one above `most`."""
+    pairs = [(m, n) for m in range(1, most + 1) for n in range(1, most + 2 - m)]
+    return np.array(sorted(pairs, key=sum), dtype=np.int64)
