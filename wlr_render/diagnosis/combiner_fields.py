@@ -38,7 +38,7 @@ from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.tracer import trace
 
 _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # whose tilt and form are causes
-_SPOT_DEGREES = (3, 5, 7, 9, 11)
+_SPOT_DEGREES = (3, 5, 7, 9, 11, 14)
 _SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
 
 

@@ -98,6 +98,11 @@ def _smooth(
 ) -> StationEffect:
     field, acts = effect.field, effect.field.acts
     bump = _bump(*effect.in_bench(values, covariance))
+    if bump is not None:
+        # What the functions leave of a hard edge changes the height by about as much as fewer functions do.
+        coarser = replace(effect, degree=max((each for each in field.degrees if each < effect.degree), default=0))
+        rough = _bump(*coarser.in_bench(*contest.values_and_covariances([coarser, *beside], scatter)[0]))
+        bump = replace(bump, sigma=float(np.hypot(bump.sigma, bump.height - rough.height))) if rough else bump
     displaced = effect.displacement(values)[acts]
     improvement, share = contest.held_out(effect, scatter, beside)
     part = contest.readings.observations.part[acts]

@@ -30,11 +30,13 @@ from wlr_render.numerics.scatter import (
     Marginal,
     Scatter,
     ScatterSums,
+    costs_of_sizes,
     folded,
     marginal,
     minus_two_log_evidence,
     of_columns,
     surprise,
+    tridiagonal,
 )
 from wlr_render.numerics.scatter_search import best_scatter
 
@@ -44,6 +46,8 @@ _MOST_EFFECTS = 3  # that are located in one session
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+BEYOND_DOUBT = 20.0
+"""Log10 odds from which the readings have structure, whatever it is."""
 _NEARLY_ALL = 0.95  # of the evidence for cause and field, from which a cause stands by itself
 _LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
 
@@ -136,7 +140,9 @@ class FieldContest:
             if best is None or best.log10_odds < least:
                 break
             scatter = self.scatter_beside([*effects, best])
-            if self.held_out(best, scatter, effects)[0].significance < _PREDICTS:
+            # A spot is seen in few captures, too few for a comparison; cells of different captures agree there.
+            is_plain = best.field.is_in_spot and best.log10_odds > BEYOND_DOUBT
+            if not is_plain and self.held_out(best, scatter, effects)[0].significance < _PREDICTS:
                 break
             effects.append(best)
         return effects
@@ -320,7 +326,7 @@ class FieldContest:
         as well, at unit rms.
         """
         added = np.zeros(0, dtype=np.int64) if added is None else added
-        best = (np.inf, 0.0)
+        bases, tridiagonals = [], []
         for _, sums, cost in self._scatters:
             moved = _moved(sums, span, by)
             alone = folded(moved, known, np.r_[columns, added])
@@ -328,15 +334,13 @@ class FieldContest:
             scale[len(columns) :] = 1.0 / np.sqrt(
                 np.mean(self.found.at.jacobian[:, :, added - self.fixed.count] ** 2, axis=(0, 1))
             )
-            values, axes = np.linalg.eigh(scale[:, None] * alone.information * scale)
-            pull, values = axes.T @ (scale * alone.gradient), values.clip(0.0)
-            square = _SIZES[:, None] ** 2
-            # All sizes are equally likely beforehand.
-            costs = np.sum(np.log1p(square * values) - pull**2 * square / (1.0 + square * values), axis=1)
-            least = -2.0 * float(np.logaddexp.reduce(-0.5 * costs) - np.log(len(_SIZES)))
-            least += alone.minus_two_log + cost + self._charge[columns[0]]
-            best = min(best, (least, float(_SIZES[int(np.argmin(costs))])))
-        return best
+            bases.append(alone.minus_two_log + cost)
+            tridiagonals.append(tridiagonal(scale[:, None] * alone.information * scale, scale * alone.gradient))
+        costs = costs_of_sizes(tridiagonals, _SIZES)
+        # All sizes are equally likely beforehand.
+        least = np.array(bases) - 2.0 * (np.logaddexp.reduce(-0.5 * costs, axis=1) - np.log(len(_SIZES)))
+        best = int(np.argmin(least))
+        return float(least[best] + self._charge[columns[0]]), float(_SIZES[int(np.argmin(costs[best]))])
 
     def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
         """Return the sizes of what is random with the causes and effects at work."""

@@ -8,13 +8,12 @@ from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import StationEffect, TriedField
 from wlr_render.diagnosis.effect_findings import station_effects
-from wlr_render.diagnosis.field_contest import FieldContest
+from wlr_render.diagnosis.field_contest import BEYOND_DOUBT, FieldContest
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.numerics.scatter import Scatter
 
-_BEYOND_DOUBT = 20.0  # log10 odds of a field from which the readings have structure, whatever it is
 _ROUNDS = 2  # times that causes are searched for beside located effects
 
 
@@ -58,7 +57,7 @@ class Located:
     def structure(self, effects: Sequence[StationEffect]) -> tuple[str, ...]:
         """Return a sentence on a certain field that is not an effect, as it does not predict captures left out."""
         best = self.tried[0] if self.tried else None
-        if effects or best is None or best.log10_odds < _BEYOND_DOUBT:
+        if effects or best is None or best.log10_odds < BEYOND_DOUBT:
             return ()
         return (
             f"a field of {best.coordinates} ({best.station}: {best.displaced}) has log10 odds of {best.log10_odds:.0f} "

@@ -16,6 +16,7 @@ from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.cause_selection import CandidateRanking, Progress, Search, Selection
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.coherence import ROUNDS, FineEffect, fine_effect
+from wlr_render.diagnosis.combiner_fields import footprints
 from wlr_render.diagnosis.diagnosis import (
     EXPLAINED,
     LOCATED,
@@ -172,9 +173,13 @@ def _located(
         nominal, explanation = as_stated.observations.nominal, located.found.explanation
         residual = as_stated.residual_of_bench(located.bench(explanation.bench(nominal)))
         noise, fine = _noise_of_rest(residual, as_stated, settings)
+        spot = prepared.search.spot
+        if spot is not None:
+            # What lies far from its neighbours in the spot is at the effect's edge.
+            place = footprints(as_stated)
+            noise.outlier[np.all((place > spot.low) & (place < spot.high), axis=1)] = False
         if not np.array_equal(noise.outlier, prepared.noise.outlier):
             progress("the effect explains some of the readings that were excluded: again")
-            spot = prepared.search.spot
             prepared = _with_noise(noise, fine, spot, explanation, as_stated, causes, settings, progress)
             located, rankings = _beside_effects(prepared, progress)
     return prepared, located, rankings

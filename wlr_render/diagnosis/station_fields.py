@@ -26,7 +26,7 @@ from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.polynomial import total_degree
+from wlr_render.numerics.polynomial import Box, total_degree
 
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _STEP_M = 1e-5  # of a dot on the target, for the differences
@@ -228,14 +228,17 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     def over(coordinates: str, variables: FloatArray, *degrees: int) -> Terms:
         return smooth_terms(coordinates, variables, *degrees).over(rows)
 
-    in_image = over("camera pixels", seen[:, 2:], 1, 2, 4)
+    in_image = over("camera pixels", seen[:, 2:], 1, 2, 4, 6)
     on_panel = over("panel pixels", panel, 1, 2, 4, 6)
     yield field_of("camera", "shift of the image", "px", in_image, shift, "picture")
     yield field_of("camera", "delay of its rows or columns", "ms", in_image, delay, "delay")
     yield field_of("panel", "delay of its rows or columns", "ms", on_panel, delay, "delay")
-    yield field_of("panel", "shift", "px", over("panel pixels", panel, 1, 2, 4), shift, "picture")
+    yield field_of("panel", "shift", "px", over("panel pixels", panel, 1, 2, 4, 6), shift, "picture")
     by_gravity, by_rate = over("direction of gravity", gravity, 1, 2, 3), over("rate of the head", rate, 1, 2)
-    by_pupil, by_gaze = over("tracked pupil", plan.viewpoint, 1, 2, 3), over("direction of gaze", gaze, 1, 2, 3)
+    by_pupil, by_gaze = (
+        over("tracked pupil", plan.viewpoint, 1, 2, 3),
+        over("direction of gaze", gaze, 1, 2, 3, 4, 6, 8),
+    )
     turn = over_rows(rows, _picture_turned(observations, seen[:, :2]) / observations.sigma_of(RUN_TIME)[:, :, None])
     yield field_of("head motion", "turn of the picture", "mrad", by_gravity, turn, "picture by gravity")
     yield field_of("head motion", "turn of the picture", "mrad", by_rate, turn, "picture by rate")

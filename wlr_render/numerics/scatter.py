@@ -10,9 +10,11 @@ Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415; Pin
 in S and S-PLUS" (2000), chapter 2.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.linalg import lapack
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 
@@ -231,6 +233,46 @@ def folded(sums: Marginal, known: Known, columns: IntArray) -> Marginal:
         some.information - across @ solved[:, 1:],
         some.gradient - across @ solved[:, 0],
     )
+
+
+def tridiagonal(information: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the diagonal and off-diagonal (c + 1,), (c,) of a tridiagonal matrix with the same evidence.
+
+    It is the matrix with a border of the gradient, turned such that the border has one element: the first
+    off-diagonal one (G. H. Golub and G. Meurant, "Matrices, Moments and Quadrature", 1994).
+
+    Args:
+        information: (c, c) positive semi-definite.
+        gradient: (c,).
+    """
+    count = len(gradient)
+    bordered = np.zeros((count + 1, count + 1), order="F")
+    bordered[1:, 0], bordered[1:, 1:] = gradient, information
+    work, _ = lapack.dsytrd_lwork(count + 1, lower=1)
+    _, diagonal, beside, _, failed = lapack.dsytrd(bordered, lower=1, lwork=int(work), overwrite_a=1)
+    if failed:
+        raise np.linalg.LinAlgError("a matrix of a field has no tridiagonal form")
+    return diagonal, beside
+
+
+def costs_of_sizes(tridiagonals: Sequence[tuple[FloatArray, FloatArray]], sizes: FloatArray) -> FloatArray:
+    """Return by how much -2 log evidence changes, (t, s), if coefficients of a common size are integrated out.
+
+    Args:
+        tridiagonals: t results of `tridiagonal`, of one shape.
+        sizes: (s,) standard deviations of the coefficients.
+    """
+    diagonal, beside = (np.stack(each)[..., None] for each in zip(*tridiagonals, strict=True))
+    square = sizes**2
+    scaled, coupled = 1.0 + square * diagonal, (square * beside) ** 2
+    pivot, determinant = scaled[:, -1], np.zeros((len(tridiagonals), len(sizes)))
+    for row in range(diagonal.shape[1] - 2, 0, -1):
+        # Pivots from the last row up are at least one, but for rounding.
+        pivot = pivot.clip(1.0)
+        determinant += np.log(pivot)
+        pivot = scaled[:, row] - coupled[:, row] / pivot
+    pivot = pivot.clip(1.0)
+    return np.asarray(determinant + np.log(pivot) - square * beside[:, 0] ** 2 / pivot)
 
 
 def minus_two_log_evidence(found: Marginal, mean: FloatArray, sigma: FloatArray | float = 1.0) -> float:
