@@ -16,7 +16,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
-from wlr_render.numerics.waves import Wave
+from wlr_render.numerics.waves import LocalWaves, Wave
 from wlr_render.optics.combiner_form import places_on_combiner
 from wlr_render.optics.device_file import load_device
 
@@ -235,6 +235,26 @@ def test_a_wave_is_the_sine_of_one_coordinate_and_a_file_states_it(bench, plan, 
         change = np.nanmax(np.abs(other - without))
         np.testing.assert_allclose(one, other, atol=1e-5 * change)
     assert np.nanmax(np.abs(exact[0] - still[0])) > 0.05
+
+
+def test_waves_in_a_box_are_products_of_sines_and_nothing_outside(bench, plan, tmp_path):
+    low, high, orders = np.array([-4.0, -3.0]), np.array([5.0, 6.0]), np.array([[1, 1], [2, 1], [1, 3]])
+    coefficients = np.array([[3.0], [-2.0], [1.0]])
+
+    def height(place):
+        s = (place - low) / (high - low)
+        inside = np.all((s > 0) & (s < 1), axis=1)
+        terms = np.prod(np.sin(np.pi * s)[:, None] * np.sin(np.pi * s[:, None] * orders), axis=2)
+        return np.where(inside[:, None], terms @ coefficients, 0.0)
+
+    bump = BenchEffect("combiner", "all surfaces", LocalWaves(orders, Box(low, high), coefficients))
+    stated = load_bench(save_bench(replace(bench, effects=(bump,)), tmp_path / "bench.toml"))
+    own = BenchEffect.of_function("combiner", "all surfaces", height, low - 20, high + 20)
+    read, exact, still = (simulate(each, plan).panel_pixel for each in (stated, replace(bench, effects=(own,)), bench))
+    change = np.nanmax(np.abs(exact - still))
+    assert change > 1.0
+    np.testing.assert_allclose(read, exact, atol=1e-4 * change)
+    assert np.any(exact == still), "readings beside the box"
 
 
 @pytest.mark.parametrize(

@@ -235,6 +235,11 @@ FAULTS = {
         "'displaces' is 'shift'; it must be one of pose",
     ),
     "effect's box": ("[target]", EFFECT.replace("[5]", "[0]"), "'low' must be below 'high' in each of time, s"),
+    "effect's waves": (
+        "[target]",
+        EFFECT.replace("orders = [[1]]", "waves = [[0]]"),
+        "'waves' must be at most 1000 lists of whole numbers from 1",
+    ),
     "effect's orders": ("[target]", EFFECT.replace("[[1]]", "[[0.5]]"), "'orders' must be at most 1000 lists of whole"),
     "effect's terms": ("[target]", EFFECT.replace("[[1]]", "[[1], [2]]"), "one list of 2 numbers (decoded position u"),
     "effect's key": ("[target]", EFFECT.replace("low", "lower"), "key 'low' is missing (found 'lower' instead)"),

@@ -12,9 +12,11 @@ from wlr_render.numerics.scatter import (
     ScatterSums,
     cost,
     cost_and_slopes,
+    costs_of_sizes,
     marginal,
     minus_two_log_evidence,
     surprise,
+    tridiagonal,
 )
 from wlr_render.numerics.scatter_search import (
     best_scatter,
@@ -209,3 +211,17 @@ def test_a_shift_that_all_captures_have_is_for_the_causes(still):
     without, _ = best_scatter(sums.of_columns(np.zeros(0, dtype=int)), Scatter.usual(36), NOTHING)
     assert with_it.shift_um[DISPLAY] < 6.0
     assert without.shift_um[DISPLAY] > 100.0
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 40])
+def test_the_evidence_of_every_size_is_that_of_dense_algebra(count):
+    rng = np.random.default_rng(count)
+    half = rng.normal(size=(count // 2 + 1, count))
+    information, sizes = half.T @ half, np.array([0.03, 1.0, 40.0])
+    gradient = information @ rng.normal(size=count)
+    normals = np.eye(count) / sizes[:, None, None] ** 2 + information
+    gained = gradient @ np.linalg.solve(normals, np.tile(gradient[:, None], (3, 1, 1)))[..., 0].T
+    expected = np.linalg.slogdet(normals)[1] + 2 * count * np.log(sizes) - gained
+    costs = costs_of_sizes([tridiagonal(information, gradient), tridiagonal(information, 2 * gradient)], sizes)
+    np.testing.assert_allclose(costs[0], expected, rtol=1e-7)
+    np.testing.assert_allclose(costs[0] - costs[1], 3 * gained, rtol=1e-6)
