@@ -141,7 +141,7 @@ class FieldContest:
                 break
             scatter = self.scatter_beside([*effects, best])
             # A spot is seen in few captures, too few for a comparison; cells of different captures agree there.
-            is_plain = best.field.is_in_spot and best.log10_odds > BEYOND_DOUBT
+            is_plain = best.field.is_in_spot and best.log10_odds > BEYOND_DOUBT and not effects
             if not is_plain and self.held_out(best, scatter, effects)[0].significance < _PREDICTS:
                 break
             effects.append(best)

@@ -89,7 +89,8 @@ def diagnose(
     """
     progress("predicting the session with the nominal bench")
     stated = Predictor.of_session(nominal, session)
-    prepared, located, rankings = _located(stated, causes, settings, progress)
+    prepared = _prepared(stated, causes, settings, progress)
+    located, rankings = _beside_effects(prepared, progress)
     search, readings, found = located.search, located.search.full, located.found
     fine = located.fine_beside(prepared.fine)
     left = _unexplained(located, prepared, fine, settings)
@@ -163,28 +164,6 @@ class _Prepared:
     selection: Selection
 
 
-def _located(
-    as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress
-) -> tuple[_Prepared, Located, list[CandidateRanking]]:
-    """Select causes and locate effects; again, where an effect in a spot explains readings that were outliers."""
-    prepared = _prepared(as_stated, causes, settings, progress)
-    located, rankings = _beside_effects(prepared, progress)
-    if any(effect.field.is_in_spot for effect in located.effects):
-        nominal, explanation = as_stated.observations.nominal, located.found.explanation
-        residual = as_stated.residual_of_bench(located.bench(explanation.bench(nominal)))
-        noise, fine = _noise_of_rest(residual, as_stated, settings)
-        spot = prepared.search.spot
-        if spot is not None:
-            # What lies far from its neighbours in the spot is at the effect's edge.
-            place = footprints(as_stated)
-            noise.outlier[np.all((place > spot.low) & (place < spot.high), axis=1)] = False
-        if not np.array_equal(noise.outlier, prepared.noise.outlier):
-            progress("the effect explains some of the readings that were excluded: again")
-            prepared = _with_noise(noise, fine, spot, explanation, as_stated, causes, settings, progress)
-            located, rankings = _beside_effects(prepared, progress)
-    return prepared, located, rankings
-
-
 def _beside_effects(prepared: _Prepared, progress: Progress) -> tuple[Located, list[CandidateRanking]]:
     """Locate effects beside the selected causes; and return the candidates for the place of each."""
     selection = prepared.selection
@@ -208,29 +187,27 @@ def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Setti
     if same and np.array_equal(noise.outlier, first.noise.outlier):
         return first
     progress("the noise differs from the first estimate: again")
-    return _with_noise_left_by(explanation, as_stated, causes, settings, progress)
+    return _with_noise_left_by(explanation, as_stated, causes, settings, progress, first.search.spot)
 
 
 def _with_noise_left_by(
-    explanation: Explanation, as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress
-) -> _Prepared:
-    """Select causes by the noise that an explanation leaves within the photographs."""
-    noise, fine = _noise_of_rest(as_stated.residual(explanation), as_stated, settings)
-    spot = None if fine is None else fine.spot_on_combiner
-    return _with_noise(noise, fine, spot, explanation, as_stated, causes, settings, progress)
-
-
-def _with_noise(
-    noise: Noise,
-    fine: FineEffect | None,
-    spot: Box | None,
     explanation: Explanation,
     as_stated: Predictor,
     causes: Mapping[str, Cause],
     settings: Settings,
     progress: Progress,
+    spot: Box | None = None,
 ) -> _Prepared:
-    """Select causes by a noise, from an explanation on; `spot` is where the combiner has finer fields."""
+    """Select causes by the noise that an explanation leaves within the photographs.
+
+    A `spot` is one that was there without the explanation: a cause that explains it has its fields as rivals.
+    """
+    noise, fine = _noise_of_rest(as_stated.residual(explanation), as_stated, settings)
+    spot = spot if fine is None or spot is not None else fine.spot_on_combiner
+    if spot is not None:
+        # What lies far from its neighbours in the spot is the effect.
+        place = footprints(as_stated)
+        noise.outlier[np.all((place > spot.low) & (place < spot.high), axis=1)] = False
     observations, variance = as_stated.observations, dict[int, float]()
     if fine is not None:
         part = observations.part[fine.rows]
