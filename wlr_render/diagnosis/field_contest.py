@@ -42,7 +42,8 @@ from wlr_render.numerics.scatter_search import best_scatter
 
 _SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
 _LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the field
-_MOST_EFFECTS = 3  # that are located in one session
+MOST_EFFECTS = 3
+"""Effects that are located in one session."""
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
@@ -126,7 +127,7 @@ class FieldContest:
             sigma.append(np.full(columns[-1].size, effect.size))
         return np.concatenate(columns), np.concatenate(mean), np.concatenate(sigma)
 
-    def located(self, least_log10_odds: float) -> list[LocatedEffect]:
+    def located(self, least_log10_odds: float, most: int = MOST_EFFECTS) -> list[LocatedEffect]:
         """Return the effects that the readings show beside the causes, in the order of their evidence.
 
         Each has good odds and predicts captures that are left out of its fit better than nothing does: what only
@@ -134,7 +135,7 @@ class FieldContest:
         describes imperfectly leaves a little everywhere.
         """
         effects: list[LocatedEffect] = []
-        while len(effects) < _MOST_EFFECTS:
+        while len(effects) < most:
             best = self._best(effects)
             least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects else 0.0)
             if best is None or best.log10_odds < least:

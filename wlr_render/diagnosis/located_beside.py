@@ -8,7 +8,7 @@ from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import StationEffect, TriedField
 from wlr_render.diagnosis.effect_findings import station_effects
-from wlr_render.diagnosis.field_contest import BEYOND_DOUBT, FieldContest
+from wlr_render.diagnosis.field_contest import BEYOND_DOUBT, MOST_EFFECTS, FieldContest
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.prediction import Predictor
@@ -72,28 +72,30 @@ class Located:
 
 
 def locate(search: Search, found: Fit) -> Located:
-    """Locate effects beside the causes, and causes beside these effects, until there are no others."""
-    located = _standing(search, found)
+    """Locate effects beside the causes, and causes beside these effects, until there are no others.
+
+    Causes are searched for beside the first effect alone: further fields could take what a cause does.
+    """
+    located = _standing(search, found, most=1)
     for _ in range(_ROUNDS):
         if not located.effects:
             break
         beside = search.with_effects(located.effects, located.found.explanation, constants=False)
         more = beside.select(located.found.explanation).fit
-        if more.explanation.names == located.found.explanation.names:
-            break
-        again = _standing(search, more)
-        if again.found.explanation.names == located.found.explanation.names:
-            return replace(located, dropped=(*located.dropped, *again.dropped))
+        again = _standing(search, more, MOST_EFFECTS)
+        is_last = again.found.explanation.names == located.found.explanation.names
         located = replace(again, dropped=(*located.dropped, *again.dropped))
+        if is_last:
+            break
     return located
 
 
-def _standing(search: Search, found: Fit) -> Located:
-    """Locate effects beside the causes; drop causes that fields rival, one at a time."""
+def _standing(search: Search, found: Fit, most: int) -> Located:
+    """Locate at most so many effects beside the causes; drop causes that fields rival, one at a time."""
     least, dropped = search.settings.least_log10_odds, list[str]()
     while True:
         contest = search.contest(search.on_subsample(found))
-        effects = contest.located(least)
+        effects = contest.located(least, most)
         odds = [
             contest.odds_of_cause(number, hypothesis.cause.station, effects)
             for number, hypothesis in enumerate(found.explanation.hypotheses)

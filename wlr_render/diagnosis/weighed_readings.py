@@ -1,6 +1,7 @@
 """Readings of a session with the errors that a bench gives them: noise, shared noise, and motions of the camera."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -91,11 +92,20 @@ class WeighedReadings:
 
     def sums(self, residual: FloatArray, columns: FloatArray, fixed: "FixedColumns | None" = None) -> ScatterSums:
         """Of a residual (n, 2) and columns (n, 2, m) in units of sigma, after those that are fixed."""
-        observed = self.observations
-        y, x = self.shared(residual), self.shared(np.concatenate([columns, self.effects], axis=2))
-        captures = len(observed.captures)
-        sums = ScatterSums.over(y, self.motions, x, observed.group, observed.part, captures, self.effect_sizes)
+        observed, count = self.observations, columns.shape[2]
+        y, x = self.shared(residual), self.shared(columns)
+        sums = ScatterSums.over(y, self.motions, x, observed.group, observed.part, len(observed.captures))
+        if self.effect_sizes.size:
+            effects = self._fixed_effects
+            both = effects.sums.joined(sums, effects.white, y, x, observed.part)
+            last = np.r_[effects.count : effects.count + count, : effects.count]
+            sums = replace(both.of_columns(last), carried=self.effect_sizes)
+            x = np.concatenate([x, effects.white], axis=2)
         return sums if fixed is None else fixed.sums.joined(sums, fixed.white, y, x, observed.part)
+
+    @cached_property
+    def _fixed_effects(self) -> "FixedColumns":
+        return self.fixed(self.effects)
 
     def fixed(self, columns: FloatArray) -> "FixedColumns":
         """Return columns (n, 2, m), in units of sigma, of which sums are asked for again and again."""

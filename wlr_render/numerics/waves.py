@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 
 
@@ -53,28 +53,30 @@ class LocalWaves:
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Return the values (n, outputs) at inputs (n, variables); zero where these are NaN."""
-        factors, _ = self._factors(inputs)
-        return np.asarray(np.prod(factors, axis=2) @ self.coefficients)
+        value = np.zeros((len(inputs), self.coefficients.shape[1]))
+        inside, factors, _ = self._factors(inputs)
+        value[inside] = np.prod(factors, axis=2) @ self.coefficients
+        return value
 
     def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the values (n, outputs) and their derivatives (n, outputs, variables)."""
-        factors, slopes = self._factors(inputs)
-        by = [
-            np.prod(np.where(np.arange(factors.shape[2]) == axis, slopes, factors), axis=2) @ self.coefficients
-            for axis in range(factors.shape[2])
-        ]
-        return np.asarray(np.prod(factors, axis=2) @ self.coefficients), np.stack(by, axis=-1)
+        count, outputs, variables = len(inputs), self.coefficients.shape[1], inputs.shape[1]
+        value, jacobian = np.zeros((count, outputs)), np.zeros((count, outputs, variables))
+        inside, factors, slopes = self._factors(inputs)
+        value[inside] = np.prod(factors, axis=2) @ self.coefficients
+        for axis in range(variables):
+            along = np.where(np.arange(variables) == axis, slopes, factors)
+            jacobian[inside, :, axis] = np.prod(along, axis=2) @ self.coefficients
+        return value, jacobian
 
-    def _factors(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the factors (n, terms, variables) and their derivatives."""
+    def _factors(self, inputs: FloatArray) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """Return which inputs (n,) lie in the box, and their factors (m, terms, variables) with derivatives."""
         across = 0.5 * (self.box.scaled(inputs) + 1.0)
         inside = np.all((across > 0.0) & (across < 1.0), axis=1)
-        angle = np.pi * np.where(inside[:, None], across, 0.0)
-        envelope, tilt = np.sin(angle)[:, None, :], np.cos(angle)[:, None, :]
-        phase = angle[:, None, :] * self.orders
-        wave, slope = np.sin(phase), self.orders * np.cos(phase)
+        angle = np.pi * across[inside][:, None, :]
+        wave, slope = np.sin(angle * self.orders), self.orders * np.cos(angle * self.orders)
         per_unit = 0.5 * np.pi * self.box.per_unit
-        return envelope * wave, per_unit * (tilt * wave + envelope * slope)
+        return inside, np.sin(angle) * wave, per_unit * (np.cos(angle) * wave + np.sin(angle) * slope)
 
 
 def local_orders(most: int) -> IntArray:
