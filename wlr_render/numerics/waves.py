@@ -1,10 +1,11 @@
 """Sine waves: in one of several variables, or products of them in a box."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 
 
@@ -53,30 +54,45 @@ class LocalWaves:
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Return the values (n, outputs) at inputs (n, variables); zero where these are NaN."""
-        value = np.zeros((len(inputs), self.coefficients.shape[1]))
-        inside, factors, _ = self._factors(inputs)
-        value[inside] = np.prod(factors, axis=2) @ self.coefficients
-        return value
+        return self.with_jacobian(inputs)[0]
 
     def with_jacobian(self, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the values (n, outputs) and their derivatives (n, outputs, variables)."""
         count, outputs, variables = len(inputs), self.coefficients.shape[1], inputs.shape[1]
         value, jacobian = np.zeros((count, outputs)), np.zeros((count, outputs, variables))
-        inside, factors, slopes = self._factors(inputs)
-        value[inside] = np.prod(factors, axis=2) @ self.coefficients
-        for axis in range(variables):
-            along = np.where(np.arange(variables) == axis, slopes, factors)
-            jacobian[inside, :, axis] = np.prod(along, axis=2) @ self.coefficients
-        return value, jacobian
-
-    def _factors(self, inputs: FloatArray) -> tuple[BoolArray, FloatArray, FloatArray]:
-        """Return which inputs (n,) lie in the box, and their factors (m, terms, variables) with derivatives."""
         across = 0.5 * (self.box.scaled(inputs) + 1.0)
         inside = np.all((across > 0.0) & (across < 1.0), axis=1)
-        angle = np.pi * across[inside][:, None, :]
-        wave, slope = np.sin(angle * self.orders), self.orders * np.cos(angle * self.orders)
-        per_unit = 0.5 * np.pi * self.box.per_unit
-        return inside, np.sin(angle) * wave, per_unit * (np.cos(angle) * wave + np.sin(angle) * slope)
+        factors, slopes = self._factors(np.pi * across[inside])
+        value[inside] = self._sum(factors)
+        for axis in range(variables):
+            jacobian[inside, :, axis] = self._sum([*factors[:axis], slopes[axis], *factors[axis + 1 :]])
+        return value, jacobian
+
+    @cached_property
+    def _grid(self) -> FloatArray:
+        """Coefficients (orders, ..., outputs) by the order along each variable."""
+        most, variables = int(self.orders.max()), self.orders.shape[1]
+        grid = np.zeros((*(most,) * variables, self.coefficients.shape[1]))
+        np.add.at(grid, tuple(self.orders.T - 1), self.coefficients)
+        return grid
+
+    def _factors(self, angle: FloatArray) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Return the factors (m, orders) of each variable at angles (m, variables) from 0 to pi; and derivatives."""
+        each, per_unit = np.arange(1, len(self._grid) + 1), 0.5 * np.pi * self.box.per_unit
+        factors, slopes = [], []
+        for along, scale in zip(angle.T[:, :, None], per_unit, strict=True):
+            wave, envelope = np.sin(along * each), np.sin(along)
+            factors.append(envelope * wave)
+            slopes.append(scale * (np.cos(along) * wave + envelope * each * np.cos(along * each)))
+        return factors, slopes
+
+    def _sum(self, factors: list[FloatArray]) -> FloatArray:
+        """Return the sum (m, outputs) of all terms."""
+        count, orders = factors[0].shape
+        total = factors[0] @ self._grid.reshape(orders, -1)
+        for factor in factors[1:]:
+            total = np.einsum("mk,mkr->mr", factor, total.reshape(count, orders, -1))
+        return np.asarray(total)
 
 
 def local_orders(most: int) -> IntArray:
