@@ -180,6 +180,8 @@ WAVE = EFFECT.replace("low = [0]", "along = 0").replace("high = [5]", "period = 
 
 ELSEWHERE = EFFECT.replace('"time"', '"panel"').replace("[0]", "[-900, 0]").replace("[5]", "[-100, 9]")
 ELSEWHERE = ELSEWHERE.replace("[[1]]", "[[1, 0]]")
+ON_STAGE = EFFECT.replace('"time"', '"stage"').replace('"shift"', '"pose"')
+ON_STAGE = ON_STAGE.replace("[0]", "[0, 0, 0]").replace("[5]", "[9, 9, 9]")
 
 
 def with_covariance(rows):
@@ -235,6 +237,11 @@ FAULTS = {
         "'displaces' is 'shift'; it must be one of pose",
     ),
     "effect's box": ("[target]", EFFECT.replace("[5]", "[0]"), "'low' must be below 'high' in each of time, s"),
+    "effect's many waves": (
+        "[target]",
+        ON_STAGE.replace("orders = [[1]]", "waves = [[1, 1, 37]]"),
+        "'waves' of 3 coordinates must have orders of at most 36",
+    ),
     "effect's waves": (
         "[target]",
         EFFECT.replace("orders = [[1]]", "waves = [[0]]"),

@@ -93,6 +93,10 @@ def _in_box(table: Table, kind: EffectKind) -> Polynomial | LocalWaves:
             f"'{key}' must be at most {_MOST_TERMS} lists of whole numbers from {least} to {HIGHEST_ORDER}, one for "
             f"each of {kind.coordinates}."
         )
+    if least and orders.max() ** variables > _MOST_CELLS:
+        raise table.fail(
+            f"'waves' of {variables} coordinates must have orders of at most {int(_MOST_CELLS ** (1.0 / variables))}."
+        )
     coefficients = _coefficients(table, kind, len(orders), _LISTS.format(len(orders), key))
     return (LocalWaves if least else Polynomial)(orders.astype(np.int64), Box(low, high), coefficients)
 

@@ -309,7 +309,7 @@ class FieldContest:
     ) -> float:
         """-2 log evidence of what is known alone; `removed` columns are put to values `by` that do nothing."""
         return min(
-            minus_two_log_evidence(of_columns(_moved(sums, removed, by), known[0]), known[1], known[2]) + cost
+            minus_two_log_evidence(of_columns(sums.moved(removed, by), known[0]), known[1], known[2]) + cost
             for _, sums, cost in self._scatters
         )
 
@@ -329,8 +329,7 @@ class FieldContest:
         added = np.zeros(0, dtype=np.int64) if added is None else added
         bases, tridiagonals = [], []
         for _, sums, cost in self._scatters:
-            moved = _moved(sums, span, by)
-            alone = folded(moved, known, np.r_[columns, added])
+            alone = folded(sums.moved(span, by), known, np.r_[columns, added])
             scale = np.ones(len(alone.gradient))
             scale[len(columns) :] = 1.0 / np.sqrt(
                 np.mean(self.found.at.jacobian[:, :, added - self.fixed.count] ** 2, axis=(0, 1))
@@ -393,12 +392,3 @@ def _with_columns(known: Known, columns: IntArray) -> Known:
     """With columns in prior sigmas, of which nothing is expected."""
     count = len(columns)
     return np.concatenate([known[0], columns]), np.r_[known[1], np.zeros(count)], np.r_[known[2], np.ones(count)]
-
-
-def _moved(sums: Marginal, columns: IntArray | None, by: FloatArray | None) -> Marginal:
-    """Return the same readings, less the effect of some columns at values `by`."""
-    if columns is None or by is None or not columns.size:
-        return sums
-    across = sums.information[:, columns] @ by
-    value = sums.minus_two_log - 2.0 * float(by @ sums.gradient[columns]) + float(by @ across[columns])
-    return Marginal(value, sums.information, sums.gradient - across)

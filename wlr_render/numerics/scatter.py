@@ -178,6 +178,14 @@ class Marginal:
     information: FloatArray
     gradient: FloatArray
 
+    def moved(self, columns: IntArray | None, by: FloatArray | None) -> "Marginal":
+        """Return the same readings, less the effect of some columns at values `by`; None for no change."""
+        if columns is None or by is None or not columns.size:
+            return self
+        across = self.information[:, columns] @ by
+        value = self.minus_two_log - 2.0 * float(by @ self.gradient[columns]) + float(by @ across[columns])
+        return Marginal(value, self.information, self.gradient - across)
+
 
 def marginal(sums: ScatterSums, scatter: Scatter) -> Marginal:
     """Integrate the motions out, and the effects that are carried."""
