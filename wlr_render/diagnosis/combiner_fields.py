@@ -38,6 +38,7 @@ from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.tracer import trace
 
 _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # whose tilt and form are causes
+_SPOT_SHARES = (1.0, 0.65)  # of the box around a spot: the smaller, the finer
 _SPOT_DEGREES = (3, 5, 7, 9, 11, 14)
 _SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
 
@@ -139,8 +140,10 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
             "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
         )
         yield scaled(field)
-        if spot is not None:
-            yield from _in_spot(spot, surfaces, [each for each in meetings if each.surface in names], first)
+        for share in () if spot is None else _SPOT_SHARES:
+            middle, half = 0.5 * (spot.low + spot.high), 0.5 * share * (spot.high - spot.low)
+            met_here = [each for each in meetings if each.surface in names]
+            yield from _in_spot(Box(middle - half, middle + half), surfaces, met_here, first)
 
 
 def _in_spot(spot: Box, surfaces: str, meetings: Sequence[_Meeting], first: FloatArray) -> Iterator[StationField]:
@@ -170,7 +173,7 @@ def _in_spot(spot: Box, surfaces: str, meetings: Sequence[_Meeting], first: Floa
             StationField(
                 "combiner",
                 "place on the combiner",
-                f"height of {surfaces} in a spot",
+                f"height of {surfaces} in a spot {spot.high[0] - spot.low[0]:.2g} mm wide",
                 columns,
                 orders.sum(axis=1) - 1,
                 _SPOT_DEGREES,
