@@ -140,10 +140,15 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
             "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
         )
         yield scaled(field)
-        for share in () if spot is None else _SPOT_SHARES:
-            middle, half = 0.5 * (spot.low + spot.high), 0.5 * share * (spot.high - spot.low)
-            met_here = [each for each in meetings if each.surface in names]
-            yield from _in_spot(Box(middle - half, middle + half), surfaces, met_here, first)
+        for each in () if spot is None else _boxes(spot):
+            yield from _in_spot(each, surfaces, [met for met in meetings if met.surface in names], first)
+
+
+def _boxes(spot: Box) -> Iterator[Box]:
+    """Yield the boxes around the middle of a spot in which heights are tried."""
+    middle, half = 0.5 * (spot.low + spot.high), 0.5 * (spot.high - spot.low)
+    for share in _SPOT_SHARES:
+        yield Box(middle - share * half, middle + share * half)
 
 
 def _in_spot(spot: Box, surfaces: str, meetings: Sequence[_Meeting], first: FloatArray) -> Iterator[StationField]:

@@ -91,7 +91,7 @@ class LocalWaves:
         count, orders = factors[0].shape
         total = factors[0] @ self._grid.reshape(orders, -1)
         for factor in factors[1:]:
-            total = np.einsum("mk,mkr->mr", factor, total.reshape(count, orders, -1))
+            total = np.einsum("mk,mkr->mr", factor, total.reshape(count, orders, total.shape[1] // orders))
         return np.asarray(total)
 
 
