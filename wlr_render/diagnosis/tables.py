@@ -257,7 +257,8 @@ def effects_table(diagnosis: Diagnosis) -> ReportTable:
             "excess removed (%)": lambda each: 100.0 * each.share_of_excess_removed,
         },
         (
-            "Size: rms displacement over the readings that the effect acts on; of a spot, in its strongest cell.",
+            "Size: rms displacement over the readings that the effect acts on; of a spot, in its strongest cell; of a "
+            "bump, in its middle.",
             "Log10 odds: for the effect against noise and motions, with the effects of higher odds at work.",
         ),
     )
