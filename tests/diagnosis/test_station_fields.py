@@ -14,6 +14,7 @@ from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.observations import observe
 from wlr_render.diagnosis.prediction import Explanation
@@ -74,8 +75,14 @@ def at_stage(bench, plan, error):
 
 
 def screw(bench, plan):
-    """A stage whose screw of 1.6 mm lead is out of round by 60 micrometres."""
-    return at_stage(bench, plan, lambda table: 6e-5 * wave(table.stage[:, :1] + 2e-4, 1.6e-3) * [1.0, 0.0, 0.0])
+    """A stage whose screw of 1.6 mm lead errs by 60 um once a turn, by 15 um twice a turn, and in its mean lead."""
+
+    def error(table):
+        x = table.stage[:, :1]
+        turns = 6e-5 * wave(x + 2e-4, 1.6e-3) + 1.5e-5 * wave(x, 0.8e-3) + 2e-3 * (x - x.mean())
+        return turns * [1.0, 0.0, 0.0]
+
+    return at_stage(bench, plan, error)
 
 
 def hump(bench, plan):
@@ -118,8 +125,12 @@ def of_fields(readings, found):
     return Search(readings, readings, (), fields=station_fields(readings)).contest(found)
 
 
+def noisy(bench, plan, read):
+    return with_noise(observe(bench, Session("small", plan, read)), SIGMA_PX, np.random.default_rng(3))
+
+
 def contest(bench, plan, read, causes=None):
-    observations = with_noise(observe(bench, Session("small", plan, read)), SIGMA_PX, np.random.default_rng(3))
+    observations = noisy(bench, plan, read)
     readings = weighed(observations)
     return of_fields(readings, fitted(observations, causes or Explanation()))
 
@@ -130,6 +141,36 @@ def test_an_effect_is_located_at_its_station(bench, plan, effect, station, coord
     first = contest(bench, plan, effect(bench, plan)).located(2.0)[0]
     assert (first.field.station, first.field.coordinates) == (station, coordinates)
     assert first.log10_odds > 4
+
+
+@pytest.mark.slow
+def test_other_readings_get_the_periods_that_were_found(bench, plan):
+    readings = weighed(
+        with_noise(observe(bench, Session("small", plan, screw(bench, plan))), SIGMA_PX, np.random.default_rng(3))
+    )
+    some = readings.of_rows(np.arange(len(readings.observations)) % 7 == 0)
+    periods = [
+        [field.period for field in fields if field.period > 0.0]
+        for of in (readings, some)
+        for fields in (station_fields(of), station_fields(of, station_fields(some)))
+    ]
+    assert periods[0] != periods[1] == periods[2] == periods[3]
+
+
+@pytest.mark.slow
+def test_a_bump_of_any_degree_has_an_error(bench, plan):
+    observations = with_noise(
+        observe(bench, Session("small", plan, dent(bench, plan))), SIGMA_PX, np.random.default_rng(3)
+    )
+    readings = weighed(observations)
+    fields = station_fields(readings, spot=Box(np.array([-3.0, -8.0]), np.array([9.0, 4.0])))
+    contest = Search(readings, readings, (), fields=fields).contest(fitted(observations, Explanation()))
+    (field, *_) = (each for each in fields if each.is_in_spot)
+    for degree in field.degrees:
+        effect = LocatedEffect(field, degree, 1.0, 10.0)
+        (record,) = station_effects(contest, [effect], contest.scatter_beside([effect]), None, readings.predictor)
+        assert 0.0 < record.size_sigma < np.inf
+        assert record.unit == "um"
 
 
 @pytest.mark.slow

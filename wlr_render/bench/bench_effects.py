@@ -26,13 +26,7 @@ _POSE = (_UM, _UM, _UM, _URAD, _URAD, _URAD)
 _ON_COMBINER = "place right of and above the line of sight straight ahead, mm"
 _PX, _AS_IS, _MRAD = (1.0, 1.0), (1.0, 1.0, 1.0), (1e-3, 1e-3, 1e-3)
 _STEP = 1e-4  # of scaled coordinates, for the slopes of a function
-_DEGREES = {
-    1: HIGHEST_ORDER,
-    2: 24,
-    3: 10,
-    4: 6,
-    5: 5,
-}  # of the polynomial that states a function of so many coordinates
+_DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10, 4: 6, 5: 5}  # of the polynomial for a function of 1 to 5 coordinates
 _NODES = 20  # places at which it is seen on which coordinates a function depends
 DISPLAY, SEE_THROUGH = PARTS = ("display", "see-through")
 """Parts of a session that an effect may be limited to."""

@@ -146,7 +146,8 @@ class Search:
         located = [each.field for each in effects]
         each_with_fields = [(self.subsample, self.fields)]
         if self.full is not self.subsample:
-            each_with_fields.append((self.full, station_fields(self.full, located, self.spot)))
+            spot = self.spot if any(field.is_in_spot for field in located) else None
+            each_with_fields.append((self.full, station_fields(self.full, located, spot)))
         sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
         searched = []
         for readings, fields in each_with_fields:

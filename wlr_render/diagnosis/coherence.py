@@ -19,6 +19,7 @@ from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improveme
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.residual_surfaces import surfaces
+from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 
@@ -34,8 +35,7 @@ _CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
 _CELLS_PANEL = (80, 160)  # over the panel's width
 _CELLS_CAMERA = (80, 160)  # over the image's width
 _FOLDS, ROUNDS = 4, (1, 4)
-_BEYOND_DOUBT, _PREDICTS = 20.0, 2.0
-"""Log10 odds, or else standard errors by which captures left out must be predicted better, of a fine effect."""
+_PREDICTS = 2.0  # standard errors by which captures left out must be predicted better, where the odds leave a doubt
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
 _BOX, _FEWEST_CELLS = 3.5, 3.0  # half a box around a spot, in its rms radii, and in cells at least
 _SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the cells that may have a mean
@@ -231,7 +231,7 @@ def fine_effect(
     ]
     found = max(described, key=lambda each: each.improvement.significance)
     # Readings of one point at one pixel may err alike in neighbouring captures, without anything at a station.
-    is_plain = found.log10_odds > _BEYOND_DOUBT or found.predicts
+    is_plain = found.log10_odds > BEYOND_DOUBT or found.predicts
     return found if is_plain else None
 
 

@@ -141,7 +141,7 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
         )
         yield scaled(field)
         for each in () if spot is None else _boxes(spot):
-            yield from _in_spot(each, surfaces, [met for met in meetings if met.surface in names], first)
+            yield from _in_spot(each, surfaces, [meeting for meeting in meetings if meeting.surface in names], first)
 
 
 def _boxes(spot: Box) -> Iterator[Box]:

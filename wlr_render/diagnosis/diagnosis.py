@@ -134,7 +134,8 @@ class StationEffect:
         next_station: the station of next best evidence; empty where no other was judged.
         odds_against_next_station: log10 odds against that station.
         size: rms displacement at the station over the readings that it acts on, in `unit`; of a pose, its shift or
-            its turn, whichever exceeds its error more; of heights, about their mean; of a spot, in its strongest cell.
+            its turn, whichever exceeds its error more; of heights, about their mean; of a spot, in its strongest cell;
+            of a bump, its largest height, negative towards the eye.
         size_sigma: standard error of the size.
         length: diameter of its spot, or of its cells, in `length_unit`; None for a smooth one.
         place: (2,) middle of its spot in the coordinates of the station; None where it is spread over the station.

@@ -97,12 +97,14 @@ def _smooth(
     beside: Sequence[LocatedEffect],
 ) -> StationEffect:
     field, acts = effect.field, effect.field.acts
-    bump = _bump(*effect.in_bench(values, covariance))
-    if bump is not None:
-        # What the functions leave of a hard edge changes the height by about as much as fewer functions do.
-        coarser = replace(effect, degree=max((each for each in field.degrees if each < effect.degree), default=0))
-        rough = _bump(*coarser.in_bench(*contest.values_and_covariances([coarser, *beside], scatter)[0]))
-        bump = replace(bump, sigma=float(np.hypot(bump.sigma, bump.height - rough.height))) if rough else bump
+    bump = _bump(effect.in_bench(values, covariance))
+    # What the functions leave of a hard edge changes the height by about as much as fewer or more of them do.
+    fewer = [each for each in field.degrees if each < effect.degree][-1:]
+    others = fewer or [each for each in field.degrees if each > effect.degree][:1]
+    if bump is not None and others:
+        other = replace(effect, degree=others[0])
+        height = _bump(other.in_bench(*contest.values_and_covariances([other, *beside], scatter)[0]))
+        bump = bump if height is None else replace(bump, sigma=float(np.hypot(bump.sigma, bump.height - height.height)))
     displaced = effect.displacement(values)[acts]
     improvement, share = contest.held_out(effect, scatter, beside)
     part = contest.readings.observations.part[acts]
@@ -144,8 +146,8 @@ class _Bump:
     width: float
 
 
-def _bump(*effects: BenchEffect) -> _Bump | None:
-    """Return the bump that an effect states; None where it states none."""
+def _bump(effects: Sequence[BenchEffect]) -> _Bump | None:
+    """Return the bump that a field's effect in a bench is; None where it is none."""
     function = effects[0].function if effects else None
     if not isinstance(function, LocalWaves) or effects[0].covariance is None:
         return None

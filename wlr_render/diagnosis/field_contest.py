@@ -22,6 +22,7 @@ from wlr_render.diagnosis.held_out import (
     squares_of_captures,
 )
 from wlr_render.diagnosis.located_effects import LocatedEffect
+from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.scatter import (
@@ -47,8 +48,6 @@ MOST_EFFECTS = 3
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
-BEYOND_DOUBT = 20.0
-"""Log10 odds from which the readings have structure, whatever it is."""
 _NEARLY_ALL = 0.95  # of the evidence for cause and field, from which a cause stands by itself
 _LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
 

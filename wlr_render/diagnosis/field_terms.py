@@ -32,6 +32,7 @@ class StationField:
         displacement: coefficients (c,) -> (n, d) displacement in the unit.
         in_bench: coefficients (c,) -> effects of a bench that do the same; None where no bench file can state them.
         is_in_spot: whether it is zero but for a spot of its station.
+        period: of a wave along one coordinate, in the coordinate's unit; 0 for others.
         alternatives: number of such fields of which the readings chose this one; its evidence is charged for them.
     """
 
@@ -46,6 +47,7 @@ class StationField:
     unit: str
     displacement: Callable[[FloatArray], FloatArray]
     in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]] | None = None
+    period: float = 0.0
     alternatives: int = 1
     is_in_spot: bool = False
 

@@ -8,10 +8,11 @@ from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import StationEffect, TriedField
 from wlr_render.diagnosis.effect_findings import station_effects
-from wlr_render.diagnosis.field_contest import BEYOND_DOUBT, MOST_EFFECTS, FieldContest
+from wlr_render.diagnosis.field_contest import MOST_EFFECTS, FieldContest
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.prediction import Predictor
+from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.numerics.scatter import Scatter
 
 _ROUNDS = 2  # times that causes are searched for beside located effects

@@ -6,7 +6,7 @@ at the stations that no cause has, and what stays unexplained; in that order.
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,7 +52,7 @@ from wlr_render.diagnosis.screening import hypotheses
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import BoolArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
@@ -94,10 +94,7 @@ def diagnose(
     search, readings, found = located.search, located.search.full, located.found
     fine = located.fine_beside(prepared.fine)
     left = _unexplained(located, prepared, fine, settings)
-    corrected = located.bench(found.explanation.bench(nominal))
-    if fine is not None:
-        fine = fine_effect(stated, stated.residual_of_bench(corrected), settings.least_log10_odds, ROUNDS)
-    effects = located.records(fine, stated)
+    corrected, effects = _corrected(located, fine, stated, settings)
     structure = located.structure(effects)
     named = tuple(
         found_cause(search, found, number, ranking, odds)
@@ -106,7 +103,6 @@ def diagnose(
     excluded, too_many = _excluded(readings, found, settings)
     all_readings = stated.with_sigma(prepared.noise.sigma_px)
     observations = all_readings.observations
-    corrected = with_fine(corrected, fine, stated, settings.least_log10_odds)
     before, after = all_readings.residual(Explanation()), all_readings.residual_of_bench(corrected)
     used = ~prepared.noise.outlier & not_excluded(observations, excluded)
     motion = usual_motion(all_readings, found)
@@ -173,6 +169,16 @@ def _beside_effects(prepared: _Prepared, progress: Progress) -> tuple[Located, l
     return located, rankings if located.found is found else _rankings(located.search, located.found)
 
 
+def _corrected(
+    located: Located, fine: FineEffect | None, as_stated: Predictor, settings: Settings
+) -> tuple[Bench, list[StationEffect]]:
+    """Return the bench with causes and effects at work, and the records of these effects."""
+    bench = located.bench(located.found.explanation.bench(as_stated.observations.nominal))
+    if fine is not None:
+        fine = fine_effect(as_stated, as_stated.residual_of_bench(bench), settings.least_log10_odds, ROUNDS)
+    return with_fine(bench, fine, as_stated, settings.least_log10_odds), located.records(fine, as_stated)
+
+
 def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress) -> _Prepared:
     """Measure the noise and select causes; again, where the residual by these causes shows another noise."""
     first = _with_noise_left_by(Explanation(), as_stated, causes, settings, progress)
@@ -180,7 +186,7 @@ def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Setti
     if not first.selection.fit.explanation.hypotheses:
         return first
     explanation = first.selection.fit.explanation
-    noise, _ = _noise_of_rest(as_stated.residual(explanation), as_stated, settings)
+    noise, _, _ = _noise_left_by(explanation, as_stated, settings, first.search.spot)
     now, before = ([floor.shared for floor in each.floors] for each in (noise, first.noise))
     same = np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=settings.same_noise)
     same = same and np.allclose(now, before, atol=settings.same_noise)
@@ -202,12 +208,7 @@ def _with_noise_left_by(
 
     A `spot` is one that was there without the explanation: a cause that explains it has its fields as rivals.
     """
-    noise, fine = _noise_of_rest(as_stated.residual(explanation), as_stated, settings)
-    spot = spot if fine is None or spot is not None else fine.spot_on_combiner
-    if spot is not None:
-        # What lies far from its neighbours in the spot is the effect.
-        place = footprints(as_stated)
-        noise.outlier[np.all((place > spot.low) & (place < spot.high), axis=1)] = False
+    noise, fine, spot = _noise_left_by(explanation, as_stated, settings, spot)
     observations, variance = as_stated.observations, dict[int, float]()
     if fine is not None:
         part = observations.part[fine.rows]
@@ -223,13 +224,26 @@ def _with_noise_left_by(
     return _Prepared(noise, fine, variance, search, search.select(explanation))
 
 
-def _noise_of_rest(residual: FloatArray, as_stated: Predictor, settings: Settings) -> tuple[Noise, FineEffect | None]:
-    """Noise of the readings by what is left (n, 2) of them, less what different captures have in common."""
-    residual = residual.copy()
+def _noise_left_by(
+    explanation: Explanation, as_stated: Predictor, settings: Settings, spot: Box | None
+) -> tuple[Noise, FineEffect | None, Box | None]:
+    """Noise by what an explanation leaves of the readings, less what different captures have in common.
+
+    Returns:
+        The noise, what the captures have in common, and `spot`, or the one that this shows on the combiner.
+    """
+    residual = as_stated.residual(explanation)
     fine = fine_effect(as_stated, residual, settings.least_log10_odds)
     if fine is not None:
         residual[fine.rows] -= fine.change
-    return noise_of(as_stated.observations, residual, settings), fine
+        spot = fine.spot_on_combiner if spot is None else spot
+    noise = noise_of(as_stated.observations, residual, settings)
+    if spot is None:
+        return noise, fine, None
+    # What lies far from its neighbours in the spot is the effect.
+    place = footprints(as_stated)
+    is_in_spot = np.all((place > spot.low) & (place < spot.high), axis=1)
+    return replace(noise, outlier=noise.outlier & ~is_in_spot), fine, spot
 
 
 def _about_readings(outlier: BoolArray) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Errors of a stage that repeat with its screws: a shift along an axis that is periodic in the axis' reading."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -16,17 +16,22 @@ from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
 from wlr_render.numerics.waves import Wave
 
 _PERIODS_M = 0.00025, 0.004  # of the leads of screws and their fractions
+_ALONG = "shift along {}"  # the start of a field's form
 _ANYWHERE_MM = np.full(3, 1000.0)  # bounds of what does not depend on the reading
 _PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
 
 
-def screw_fields(readings: WeighedReadings, stage: FloatArray) -> Iterator[StationField]:
+def screw_fields(
+    readings: WeighedReadings, stage: FloatArray, like: Sequence[StationField] = ()
+) -> Iterator[StationField]:
     """Return the field of the likeliest period of each axis; its alternatives are all periods that were tried.
 
     Args:
         readings: of the session.
         stage: (n, 3) readings of the stage's axes, metres.
+        like: fields of other readings, of which those of screws have the periods to take.
     """
+    periods_mm = {field.form.partition(" with ")[0]: field.period for field in like if field.period > 0.0}
     observations = readings.observations
     still = observations.part != RUN_TIME
     names, rows = rows_by_label(observations.group[still])
@@ -40,8 +45,9 @@ def screw_fields(readings: WeighedReadings, stage: FloatArray) -> Iterator[Stati
         if not periods.size:
             continue
         gains = _gains(reading, periods, smooth, shift[:, axis], variance[:, axis])
-        period = float(periods[int(np.argmax(gains))])
-        phase = 2.0 * np.pi * stage[:, [axis]] / period
+        likeliest = 1e3 * float(periods[int(np.argmax(gains))])
+        period_mm = periods_mm.get(along := _ALONG.format(name), likeliest)
+        phase = 2e3 * np.pi * stage[:, [axis]] / period_mm
         waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
         # A shift that is the same everywhere is the camera's.
         mean = waves[still].mean(axis=0)
@@ -50,7 +56,7 @@ def screw_fields(readings: WeighedReadings, stage: FloatArray) -> Iterator[Stati
             StationField(
                 "stage",
                 "stage readings",
-                f"shift along {name}, with the period of a screw",
+                f"{along} with a period of {period_mm:.3g} mm",
                 readings.camera_motions[:, :, [axis]] * waves[:, None, :],
                 np.ones(2, dtype=np.int64),
                 (1,),
@@ -58,8 +64,9 @@ def screw_fields(readings: WeighedReadings, stage: FloatArray) -> Iterator[Stati
                 still,
                 "um",
                 partial(_shift, waves),
-                partial(_in_bench, axis, 1e3 * period, mean),
-                len(periods),
+                partial(_in_bench, axis, period_mm, mean),
+                period=period_mm,
+                alternatives=len(periods),
             )
         )
 

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+BEYOND_DOUBT = 20.0
+"""Log10 odds from which the readings have structure, whether or not it predicts captures left out."""
+
 
 @dataclass(frozen=True)
 class Settings:

@@ -48,7 +48,7 @@ def station_fields(
         makers.append(("panel", _panel_fields))
     if plan.display is not None or plan.see_through is not None:
         makers += [("combiner", partial(combiner_fields, spot=spot)), ("camera", _camera_fields)]
-        makers += [("stage", _stage_fields), ("time", _time_fields)]
+        makers += [("stage", partial(_stage_fields, like=like or ())), ("time", _time_fields)]
     if plan.see_through is not None and plan.see_through.bare_pixel is None:
         makers.append(("target", _target_fields))
     if plan.run_time is not None:
@@ -132,7 +132,7 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     yield field_of("camera", "shift of the image", "px", terms, lever, "shift")
 
 
-def _stage_fields(readings: WeighedReadings) -> Iterator[StationField]:
+def _stage_fields(readings: WeighedReadings, like: Sequence[StationField]) -> Iterator[StationField]:
     """Poses of the camera as functions of the stage's readings, the same in both parts."""
     observations, motions = readings.observations, readings.camera_motions
     stage, still = _of_captures(observations, "stage", 3), observations.part != RUN_TIME
@@ -144,7 +144,7 @@ def _stage_fields(readings: WeighedReadings) -> Iterator[StationField]:
         motions,
         "pose",
     )
-    yield from screw_fields(readings, stage)
+    yield from screw_fields(readings, stage, like)
     travel = _of_captures(observations, "travel", 1)
     if len(np.unique(travel[still])) > 1:
         orders = np.eye(4, dtype=np.int64)

@@ -258,7 +258,7 @@ def effects_table(diagnosis: Diagnosis) -> ReportTable:
         },
         (
             "Size: rms displacement over the readings that the effect acts on; of a spot, in its strongest cell; of a "
-            "bump, in its middle.",
+            "bump, its largest height.",
             "Log10 odds: for the effect against noise and motions, with the effects of higher odds at work.",
         ),
     )
