@@ -14,8 +14,7 @@ from wlr_render.bench.session_captures import observations_of
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.capture_file import load_observations, save_captures
-from wlr_render.captures.correspondences import Conditions
-from wlr_render.captures.observation_table import observation_table
+from wlr_render.captures.correspondences import Captures
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.procedure import diagnose
 from wlr_render.diagnosis.settings import Settings
@@ -82,7 +81,7 @@ def repeated(tmp_path_factory):
     truth, rng = traced_eye(load_device("northstar"), "right"), np.random.default_rng(3)
     setup = CaptureSetup(truth, 0.25, 5e-6, grid=(9, 8), stage_turn_rad=20e-6)
     positions = setup.camera_positions("volumetric", 16)
-    table = observation_table(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
+    table = Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))
     return save_captures(tmp_path_factory.mktemp("repeated") / "captures-right.npz", table)
 
 
@@ -102,11 +101,8 @@ def test_the_bench_of_captures_predicts_what_exact_captures_hold(tmp_path):
         parts = (display, see_through)
         if turned is not None:
             each = turned if isinstance(turned, tuple) else (turned, turned)
-            parts = [
-                replace(part, conditions=Conditions.recorded(len(part), device_from_camera=rotation))
-                for part, rotation in zip(parts, each, strict=True)
-            ]
-        path = save_captures(tmp_path / "captures-right.npz", observation_table(*parts))
+            parts = [replace(part, device_from_camera=rotation) for part, rotation in zip(parts, each, strict=True)]
+        path = save_captures(tmp_path / "captures-right.npz", Captures(*parts))
         bench, session = load_measurements(path)
         predicted = simulate(bench, session.plan)
         np.testing.assert_allclose(predicted.panel_pixel, session.readings.panel_pixel, atol=1e-6)
@@ -124,20 +120,19 @@ def _by_capture(*captures):
 
 
 def test_targets_that_are_not_flat_keep_their_shape(repeated, tmp_path):
-    table = load_observations(repeated)
-    seen = table.see_through()
+    shown, seen = load_observations(repeated).both
     lifted = seen.point + [0, 0, 0.001] * np.cos(300 * seen.point[:, :1])
     own = np.column_stack([seen.point[:, 1], -seen.point[:, 0], lifted[:, 2] - seen.point[:, 2]]) + [0.3, 0.0, 0.01]
-    for target_point in (None, own):
+    for target_point in (np.full(3, np.nan), own):
         changed = replace(seen, point=lifted, target_point=target_point)
-        path = save_captures(tmp_path / "captures-right.npz", observation_table(table.display(), changed))
+        path = save_captures(tmp_path / "captures-right.npz", Captures(shown, changed))
         bench, session = load_measurements(path)
         plan = session.plan.see_through
         assert plan.height.std() > 3e-4
         at = np.column_stack([plan.dot, plan.height])
         pose = bench.target.device_from_target[plan.target_pose]
         np.testing.assert_allclose(np.einsum("nij,nj->ni", pose[:, :3, :3], at) + pose[:, :3, 3], lifted, atol=1e-12)
-        if target_point is not None:
+        if target_point is own:
             np.testing.assert_allclose(at, own, atol=1e-9)
 
 
@@ -161,8 +156,7 @@ def test_benches_and_devices_that_do_not_fit_are_refused(captures, printed, tmp_
     ):
         with pytest.raises(BadInputError, match=words):
             load_measurements(*arguments)
-    table = replace(load_observations(captures), device="mine")
-    other = save_captures(tmp_path / "captures-right.npz", table)
+    other = save_captures(tmp_path / "captures-right.npz", load_observations(captures).of_device("mine"))
     with pytest.raises(BadInputError, match=r"is of 'mine', which is not a shipped device; name its presc"):
         load_measurements(other)
     assert load_measurements(other, None, "northstar")[0].device.name == "northstar"

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.session_captures import captures_of, observations_of, see_through_captures, session_of
 from wlr_render.bench.simulate_session import simulate
-from wlr_render.captures.correspondences import Conditions
+from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
@@ -134,8 +134,8 @@ def test_sigmas_of_readings_become_those_of_captures_and_back(bench, plan):
     stated = SessionPlan(replace(plan.display, sigma_px=sigma_px[0]), replace(plan.see_through, sigma_px=sigma_px[1]))
     session = Session("night", stated, simulate(bench, plan))
     table, uniform = observations_of(bench, session), observations_of(bench, replace(session, plan=plan))
-    ratio = table.sigma_arcmin / uniform.sigma_arcmin
-    np.testing.assert_allclose(ratio, sigma_px.ravel() / bench.camera.point_sigma_px)
+    for part, same, sigma in zip(table.both, uniform.both, sigma_px, strict=True):
+        np.testing.assert_allclose(part.sigma_arcmin / same.sigma_arcmin, sigma / bench.camera.point_sigma_px)
     found = session_of(bench, table, "night").plan
     np.testing.assert_allclose(found.display.sigma_px, sigma_px[0])
     np.testing.assert_allclose(found.see_through.sigma_px, sigma_px[1])
@@ -153,7 +153,7 @@ def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench, pl
         with pytest.raises(BadInputError, match=words):
             session_of(moved, table, "night")
     behind = replace(bench, camera=replace(bench.camera, device_from_camera=np.diag([-1.0, 1.0, -1.0])))
-    unrecorded = replace(table, conditions=Conditions.recorded(len(table)))
+    unrecorded = Captures(*(replace(part, device_from_camera=np.full((3, 3), np.nan)) for part in table.both))
     with pytest.raises(BadInputError, match="the camera looks back"):
         session_of(behind, unrecorded, "night")
 

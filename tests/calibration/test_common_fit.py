@@ -7,7 +7,8 @@ import pytest
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate
-from wlr_render.captures.correspondences import Captures, CommonErrors
+from wlr_render.captures.correspondences import Captures
+from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.models.registration import UNSHARED, model_registration_covariance
 from wlr_render.optics.device_file import load_device

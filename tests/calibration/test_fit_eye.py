@@ -10,7 +10,8 @@ from benchmarks.wrong_headset import wrong_headset
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate, eye_trends, fit_kinds, fit_with_trends
 from wlr_render.calibration.fit_prescription import fit_assembly
-from wlr_render.captures.correspondences import CaptureMotionPrior, Captures
+from wlr_render.captures.correspondences import Captures
+from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised

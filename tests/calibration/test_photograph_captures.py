@@ -77,18 +77,18 @@ def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_
     assert stated == pytest.approx(true, rel=0.02)
 
 
-def test_conditions_of_photographs_are_kept_and_the_camera_looks_along_its_minus_z():
+def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_minus_z():
     samples = DecodedSamples(np.full((3, 2), 200.5), np.full((3, 2), 5.0), np.full(3, 0.1), np.full(3, 2.0))
     taken = CodeSet(Path("set"), np.array([0.01, 0.02]), channel="blue", time_s=40.0)
     views = [PanelView(POSE, samples, recorded_of(taken)), PanelView(POSE, samples)]
-    conditions = display_captures(HEADSET, Panel(20, 10), CAMERA, views).conditions
-    assert conditions.channel.tolist() == [2, 2, 2, -1, -1, -1]
-    np.testing.assert_array_equal(conditions.time_s[:3], 40.0)
-    np.testing.assert_array_equal(conditions.stage[:3], [[0.01, 0.02]] * 3)
-    assert np.isnan(conditions.stage[3:]).all()
-    assert np.isnan(conditions.temperature_c).all()
-    np.testing.assert_allclose(-conditions.device_from_camera[:, :, 2], [POSE[:3, 2]] * 6)
-    np.testing.assert_allclose(np.linalg.det(conditions.device_from_camera), 1.0)
+    captures = display_captures(HEADSET, Panel(20, 10), CAMERA, views)
+    assert captures.channel.tolist() == [2, 2, 2, -1, -1, -1]
+    np.testing.assert_array_equal(captures.time_s[:3], 40.0)
+    np.testing.assert_array_equal(captures.stage[:3], [[0.01, 0.02]] * 3)
+    assert np.isnan(captures.stage[3:]).all()
+    assert np.isnan(captures.temperature_c).all()
+    np.testing.assert_allclose(-captures.device_from_camera[:, :, 2], [POSE[:3, 2]] * 6)
+    np.testing.assert_allclose(np.linalg.det(captures.device_from_camera), 1.0)
 
 
 def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():

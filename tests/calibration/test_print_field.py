@@ -47,7 +47,7 @@ def test_the_predicted_error_contains_printing_errors():
         squares = []
         for seed in range(3):
             captures = printed(seed)
-            captures = captures if has_target else replace(captures, target_point=None)
+            captures = captures if has_target else replace(captures, target_point=np.full(3, np.nan))
             true, predicted = errors_arcmin(fit_see_through(captures, "planar", 4).mapping, np.random.default_rng(seed))
             squares.append([np.mean(true**2), np.mean(predicted**2)])
         ratios.append(np.sqrt(np.divide(*np.mean(squares, axis=0))))

@@ -70,7 +70,17 @@ def display_captures(in_plane, pixels=None, height=0.0, sigma_arcmin=0.0, seed=0
     tangents = tangents_of(pixel, base)
     viewpoint = np.column_stack([base - height * tangents, np.full(len(base), PLANE.z + height)])
     view_dir = scattered(tangents, sigma_arcmin, seed)
-    return DisplayCaptures("toy", "right", EYE_BOX, PANEL, viewpoint, view_dir, pixel, capture, sigma_arcmin)
+    return DisplayCaptures(
+        device="toy",
+        eye="right",
+        eye_box=EYE_BOX,
+        panel=PANEL,
+        viewpoint=viewpoint,
+        view_dir=view_dir,
+        pixel=pixel,
+        capture=capture,
+        sigma_arcmin=sigma_arcmin,
+    )
 
 
 def errors_arcmin(mapping, rng):
@@ -97,13 +107,13 @@ def see_through_captures(in_plane, depths=(0.4, 3.0), tilt=0.0, bend=bend_of, si
     viewpoint = np.tile(PLANE.lift(base), (repeat, 1))
     view_dir = scattered(np.tile(tangents, (repeat, 1)), sigma_arcmin, seed)
     return SeeThroughCaptures(
-        "toy",
-        "right",
-        EYE_BOX,
-        viewpoint,
-        view_dir,
-        np.concatenate(points),
-        np.tile(capture, repeat),
-        np.concatenate(poses),
-        sigma_arcmin,
+        device="toy",
+        eye="right",
+        eye_box=EYE_BOX,
+        viewpoint=viewpoint,
+        view_dir=view_dir,
+        point=np.concatenate(points),
+        capture=np.tile(capture, repeat),
+        target_pose=np.concatenate(poses),
+        sigma_arcmin=sigma_arcmin,
     )

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.correspondences import (
-    CaptureMotionPrior,
     Captures,
-    Conditions,
     DisplayCaptures,
     SeeThroughCaptures,
     concatenate,
     select,
     with_copies,
 )
+from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox, Panel
 
@@ -21,11 +20,12 @@ FORWARD = np.array([[0.0, 0.0, -1.0], [0.6, 0.0, -0.8], [0.0, 0.28, -0.96]])
 PIXEL = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
 WHERE = np.zeros((3, 3))
 INDEX = np.array([0, 0, 1])
+EYE = {"device": "toy", "eye": "right", "eye_box": EYE_BOX}
 
 
 def display(**changes):
     values = {"viewpoint": WHERE, "view_dir": FORWARD, "pixel": PIXEL, "capture": INDEX, "sigma_arcmin": 1.0}
-    return DisplayCaptures("toy", "right", EYE_BOX, Panel(10, 8), **(values | changes))
+    return DisplayCaptures(**EYE, panel=Panel(10, 8), **(values | changes))
 
 
 def see_through(**changes):
@@ -37,12 +37,18 @@ def see_through(**changes):
         "target_pose": INDEX,
         "sigma_arcmin": np.array([1.0, 2.0, 3.0]),
     }
-    return SeeThroughCaptures("toy", "right", EYE_BOX, **(values | changes))
+    return SeeThroughCaptures(**EYE, **(values | changes))
 
 
-def test_one_sigma_stands_for_all_rows():
-    np.testing.assert_array_equal(display(sigma_arcmin=0.5).sigma_arcmin, [0.5, 0.5, 0.5])
-    assert len(display()) == 3
+def test_one_value_stands_for_all_rows_and_what_was_not_recorded_is_marked():
+    captures = display(sigma_arcmin=0.5, viewpoint=WHERE[0], time_s=3.0, stage=np.array([1.0, 2.0]))
+    np.testing.assert_array_equal(captures.sigma_arcmin, [0.5, 0.5, 0.5])
+    np.testing.assert_array_equal(captures.viewpoint, WHERE)
+    np.testing.assert_array_equal(captures.time_s, [3.0, 3.0, 3.0])
+    np.testing.assert_array_equal(captures.stage, [[1.0, 2.0]] * 3)
+    assert captures.channel.tolist() == captures.target_pose.tolist() == [-1, -1, -1]
+    assert np.isnan(captures.device_from_camera).all()
+    assert (len(captures), display().stage.shape) == (3, (3, 0))
 
 
 @pytest.mark.parametrize(
@@ -55,8 +61,10 @@ def test_one_sigma_stands_for_all_rows():
         ({"capture": np.array([0.0, 1.0, 2.0])}, "'capture' must be 3 whole numbers, not float64"),
         ({"sigma_arcmin": -1.0}, "'sigma_arcmin' must be positive everywhere"),
         ({"sigma_arcmin": np.array([0.0, 1.0, 1.0])}, "'sigma_arcmin' must be positive everywhere"),
-        ({"sigma_arcmin": np.ones(2)}, r"'sigma_arcmin' must be one number or 3"),
-        ({"viewpoint": np.empty((0, 3))}, "the table is empty"),
+        ({"sigma_arcmin": np.ones(2)}, r"'sigma_arcmin' must have shape \(3,\), not \(2,\)"),
+        ({"sigma_arcmin": np.nan}, "'sigma_arcmin' has numbers that are not finite"),
+        ({"view_dir": np.empty((0, 3))}, "the table is empty"),
+        ({"time_s": np.zeros(2)}, r"'time_s' must have shape \(3,\), not \(2,\)"),
     ],
 )
 def test_bad_display_captures_are_refused(changes, sentence):
@@ -111,31 +119,27 @@ def test_a_bad_prior_of_motions_is_refused(changes, sentence):
         CaptureMotionPrior(**({"capture": INDEX[1:], "size": SIZES, "log_sigma": 0.1} | changes))
 
 
-def numbered(visit):
-    return Conditions.recorded(3, visit=visit)
-
-
 def test_every_capture_needs_a_motion():
     motion = CaptureMotionPrior(np.array([0, 2]), SIZES, 0.1)
     with pytest.raises(BadInputError, match="'motion' has no size for capture 1; give one for every capture"):
         display(motion=motion)
     with pytest.raises(BadInputError, match="'motion' has no size for capture 7"):
-        see_through(motion=motion, conditions=numbered(np.array([0, 2, 7])))
+        see_through(motion=motion, visit=np.array([0, 2, 7]))
 
 
 def test_visits_are_those_that_are_numbered_and_else_one_of_each_position_and_target_pose():
     assert len(display().visits[0]) == 2
     assert len(see_through(target_pose=np.array([0, 1, 0])).visits[0]) == 3
-    names, visit = see_through(conditions=numbered(np.array([5, 4, 4]))).visits
+    names, visit = see_through(visit=np.array([5, 4, 4])).visits
     np.testing.assert_array_equal(names[visit], [5, 4, 4])
     assert len(names) == 3
-    names, visit = display(conditions=numbered(np.array([5, -1, 4]))).visits
+    names, visit = display(visit=np.array([5, -1, 4])).visits
     np.testing.assert_array_equal(names[visit], INDEX)
 
 
 def test_rows_keep_their_visits_and_motions():
     motion = CaptureMotionPrior(np.array([7, 3]), SIZES, 0.1)
-    captures = see_through(conditions=numbered(np.array([3, 3, 7])), motion=motion)
+    captures = see_through(visit=np.array([3, 3, 7]), motion=motion)
     chosen = concatenate([select(captures, np.array([2])), select(captures, np.array([0]))])
     assert chosen.motion is motion
     names, visit = chosen.visits
@@ -145,25 +149,24 @@ def test_rows_keep_their_visits_and_motions():
 def test_parts_that_record_less_than_others_join_without_losing_anything():
     motion = CaptureMotionPrior(np.array([0, 1]), SIZES, 0.1)
     timed = see_through(
-        conditions=Conditions.recorded(3, time_s=np.array([1.0, 2.0, 3.0]), stage=np.ones((3, 2))),
+        time_s=np.array([1.0, 2.0, 3.0]),
+        stage=np.ones((3, 2)),
         target_point=np.ones((3, 3)),
         motion=motion,
     )
     for parts, known in (((see_through(), timed), slice(3, 6)), ((timed, see_through()), slice(0, 3))):
         joined = concatenate(parts)
-        np.testing.assert_array_equal(joined.conditions.time_s[known], [1.0, 2.0, 3.0])
+        np.testing.assert_array_equal(joined.time_s[known], [1.0, 2.0, 3.0])
         np.testing.assert_array_equal(joined.target_point[known], 1.0)
-        assert np.isnan(joined.conditions.time_s).sum() == np.isnan(joined.target_point[:, 0]).sum() == 3
-        assert joined.conditions.stage.shape == (6, 2)
+        assert np.isnan(joined.time_s).sum() == np.isnan(joined.target_point[:, 0]).sum() == 3
+        assert joined.stage.shape == (6, 2)
         assert joined.motion is motion
-    assert concatenate([see_through(), see_through()]).conditions is None
 
 
-@pytest.mark.parametrize("visit", [None, np.array([4, 4, 9])])
+@pytest.mark.parametrize("visit", [-1, np.array([4, 4, 9])])
 def test_copies_are_visits_of_their_own_that_move_as_much(visit):
-    names = np.array([0, 1]) if visit is None else np.array([4, 9])
-    conditions = None if visit is None else numbered(visit)
-    captures = see_through(conditions=conditions, motion=CaptureMotionPrior(names, SIZES, 0.1))
+    names = np.array([0, 1]) if np.ndim(visit) == 0 else np.array([4, 9])
+    captures = see_through(visit=visit, motion=CaptureMotionPrior(names, SIZES, 0.1))
     copied = with_copies(captures, np.array([0, 1, 2, 2]), np.array([0, 0, 0, 1]))
     np.testing.assert_array_equal(copied.capture, [0, 0, 1, 2, 2, 2, 3])
     names, visit = copied.visits

@@ -7,15 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wlr_render.captures.capture_file import load_captures, save_captures
-from wlr_render.captures.correspondences import (
-    Captures,
-    CommonErrors,
-    Conditions,
-    DisplayCaptures,
-    SeeThroughCaptures,
-    point_terms,
-    with_copies,
-)
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, with_copies
+from wlr_render.captures.feature_captures import CommonErrors, point_terms
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import EyeBox, Panel
@@ -30,7 +23,10 @@ ROWS = {
     "view_dir": IN_CAMERA @ TURNED.T,
     "capture": np.arange(12) // 4,
     "sigma_arcmin": 0.5,
-    "conditions": Conditions.recorded(12, device_from_camera=TURNED),
+    "device_from_camera": TURNED,
+    "device": "toy",
+    "eye": "left",
+    "eye_box": EYE_BOX,
 }
 SOURCES = ("lens", "stage", "targets")
 LENS = Polynomial(total_degree(2, 2), Box(np.full(2, -0.5), np.full(2, 0.5)), RNG.normal(0, 1e-6, (6, 6)))
@@ -44,13 +40,8 @@ COMMON = CommonErrors(
     RNG.normal(0, 1e-6, (2, 3)),
 )
 OF_PANEL = dataclasses.replace(COMMON, target_pose=np.zeros(0, int), target=np.zeros(0), focus=np.zeros(0))
-DISPLAY = DisplayCaptures(
-    "toy", "left", EYE_BOX, Panel(10, 8), pixel=RNG.uniform(0, 8, (12, 2)), **ROWS, common=OF_PANEL
-)
+DISPLAY = DisplayCaptures(panel=Panel(10, 8), pixel=RNG.uniform(0, 8, (12, 2)), **ROWS, common=OF_PANEL)
 SEE_THROUGH = SeeThroughCaptures(
-    "toy",
-    "left",
-    EYE_BOX,
     point=ROWS["viewpoint"] + 0.7 * ROWS["view_dir"],
     target_pose=np.tile([4, 7], 6),
     **ROWS,
@@ -147,7 +138,7 @@ def test_captures_of_which_they_leave_something_out_are_refused():
     with pytest.raises(BadInputError, match="nothing for target pose 7; give one for every target pose"):
         dataclasses.replace(SEE_THROUGH, common=other)
     with pytest.raises(BadInputError, match="need the camera's rotation in every row"):
-        dataclasses.replace(SEE_THROUGH, conditions=None)
+        dataclasses.replace(SEE_THROUGH, device_from_camera=np.full((3, 3), np.nan))
 
 
 def test_both_parts_of_an_eye_must_share_the_same_variables():

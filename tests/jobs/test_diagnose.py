@@ -19,6 +19,7 @@ from wlr_render.bench.session_captures import observations_of
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.bench.simulate_session import dot_geometry, simulate
 from wlr_render.captures.capture_file import save_captures
+from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.session import select_rows
 from wlr_render.cli import main
 from wlr_render.diagnosis import procedure
@@ -117,9 +118,8 @@ def test_by_the_corrected_bench_the_session_shows_no_effect_and_the_old_bench_go
 def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes, tmp_path, capsys):
     calibrated, out = tmp_path / "calibrated", tmp_path / "out"
     calibrated.mkdir()
-    table = observations_of(*load_session(session))
-    unrecorded = replace(table.conditions, time_s=np.full(len(table), np.nan))
-    save_captures(calibrated / "captures-right.npz", replace(table, conditions=unrecorded))
+    untimed = Captures(*(replace(each, time_s=np.nan) for each in observations_of(*load_session(session)).both))
+    save_captures(calibrated / "captures-right.npz", untimed)
     status, printed = run(capsys, calibrated, "--device", "northstar", "--out", out)
     assert status == 0
     assert "Explained: printed size of the target (target_scale: scale_" in printed.out

@@ -164,8 +164,8 @@ def test_misread_points_are_counted_and_do_not_decide(corrected, second):
 
 def test_captures_test_the_optics_of_the_bench_only(corrected, first, tmp_path, capsys):
     nominal, session = load_session(first)
-    table = observations_of(replace(nominal, target=load_bench(corrected / "bench.toml").target), session)
-    path = save_captures(tmp_path / "captures-right.npz", table)
+    captures = observations_of(replace(nominal, target=load_bench(corrected / "bench.toml").target), session)
+    path = save_captures(tmp_path / "captures-right.npz", captures)
     for bench, words in ((corrected, "need no correction"), (first, "does not predict the 90 captures")):
         status, printed = run(capsys, bench, path, "--out", tmp_path / "out")
         assert status == 0

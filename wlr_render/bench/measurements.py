@@ -17,8 +17,7 @@ from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.session_captures import LEAST_SIGMA_PX, session_of
 from wlr_render.bench.session_folder import load_session
 from wlr_render.captures.capture_file import load_observations
-from wlr_render.captures.correspondences import SeeThroughCaptures
-from wlr_render.captures.observation_table import ObservationTable
+from wlr_render.captures.correspondences import Captures, SeeThroughCaptures
 from wlr_render.captures.session import Session
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, normalised, tangents_of_dir
@@ -48,8 +47,8 @@ def load_measurements(
         BadInputError: a file is missing or breaks its format, or bench, device and captures do not fit each other.
     """
     path = Path(path)
-    captures = path if path.is_file() else _captures_in(path, bench_file)
-    if captures is None:
+    file = path if path.is_file() else _captures_in(path, bench_file)
+    if file is None:
         if device is not None:
             raise BadInputError(
                 f"{path}: is neither a calibration's folder nor a capture file, so --device does not apply; name "
@@ -58,54 +57,58 @@ def load_measurements(
         return load_session(path, bench_file)
     if bench_file is not None and device is not None:
         raise BadInputError("--bench and --device both state the headset; give one of them.")
-    table = load_observations(captures)
-    table = replace(table, device=table.device.removesuffix(TRACED))
+    measured = load_observations(file)
+    name = measured.source.device.removesuffix(TRACED)
     if bench_file is None:
-        bench = direction_bench(load_device(device) if device else _named_device(table, captures), table, captures)
-        if table.panel is not None and table.panel != bench.optics.panel.pixels:
-            stated, panel = table.panel, bench.optics.panel.pixels
+        bench = direction_bench(load_device(device) if device else _named_device(name, file), measured, file)
+        stated, panel = measured.panel, bench.optics.panel.pixels
+        if stated is not None and stated != panel:
             raise BadInputError(
-                f"{captures}: is of a panel of {stated.width_px} x {stated.height_px} pixels, but {bench.device.name} "
+                f"{file}: is of a panel of {stated.width_px} x {stated.height_px} pixels, but {bench.device.name} "
                 f"has {panel.width_px} x {panel.height_px}; name the headset that was measured."
             )
-        table = replace(table, device=bench.device.name)  # a calibration may have called it otherwise
+        name = bench.device.name  # a calibration may have called it otherwise
     else:
         bench = load_bench(bench_file)
         if len(bench.target.pitch) == 0:
-            bench = replace(bench, target=_target(table.see_through(), captures))
-    return bench, session_of(bench, table, path.stem if path.is_file() else path.resolve().name)
+            bench = replace(bench, target=_target(measured.see_through, file))
+    return bench, session_of(bench, measured.of_device(name), path.stem if path.is_file() else path.resolve().name)
 
 
-def direction_bench(device: Device, table: ObservationTable, source: str | Path) -> Bench:
+def direction_bench(device: Device, captures: Captures, source: str | Path) -> Bench:
     """Return the bench of captures: the device, its targets, and a camera of one arcminute per pixel.
 
     Args:
         device: the nominal device.
-        table: the observations.
+        captures: what was measured.
         source: name of the captures, for messages.
 
     Raises:
         BadInputError: the device has no such eye, or the points of a target pose do not fix its pose.
     """
-    if table.eye not in device.eyes:
-        raise BadInputError(f"{source}: is of the {table.eye} eye, which {device.name} does not have.")
-    turned = table.conditions.device_from_camera
+    eye, parts = captures.source.eye, captures.parts
+    if eye not in device.eyes:
+        raise BadInputError(f"{source}: is of the {eye} eye, which {device.name} does not have.")
+    turned, view_dir, sigma_arcmin = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("device_from_camera", "view_dir", "sigma_arcmin")
+    )
     alike = np.isfinite(turned).all() and np.all(np.ptp(turned, axis=0) < 10.0**-_DECIMALS)
     device_from_camera = turned[0] if alike else np.eye(3)
     rotations = np.where(np.isfinite(turned), turned, device_from_camera)
-    tangents = tangents_of_dir(np.einsum("nji,nj->ni", rotations, table.view_dir))
+    tangents = tangents_of_dir(np.einsum("nji,nj->ni", rotations, view_dir))
     low, high = tangents.min(axis=0), tangents.max(axis=0)
     margin = _MARGIN * (high - low) + ARCMIN
     size = np.ceil((high - low + 2.0 * margin) / ARCMIN)
     centre = np.array([margin[0] - low[0], high[1] + margin[1]]) / ARCMIN
     # Away from the axis of a pinhole an angle covers more pixels: geometric mean of the radial and tangential scale.
     per_arcmin = (1.0 + np.sum(tangents**2, axis=1)) ** 0.75
-    sigma_px = max(LEAST_SIGMA_PX, float(np.sqrt(np.mean((table.sigma_arcmin * per_arcmin) ** 2))))
+    sigma_px = max(LEAST_SIGMA_PX, float(np.sqrt(np.mean((sigma_arcmin * per_arcmin) ** 2))))
     camera = EyeballCamera(
         size, np.full(2, 1.0 / ARCMIN), centre, sigma_px, device_from_camera=np.asarray(device_from_camera)
     )
-    stage = Stage(np.array(table.eye_box.centre))
-    return Bench(device, table.eye, camera, stage, _target(table.see_through(), source))
+    stage = Stage(np.array(captures.source.eye_box.centre))
+    return Bench(device, eye, camera, stage, _target(captures.see_through, source))
 
 
 def _captures_in(folder: Path, bench_file: str | Path | None) -> Path | None:
@@ -121,11 +124,11 @@ def _captures_in(folder: Path, bench_file: str | Path | None) -> Path | None:
     return files[0]
 
 
-def _named_device(table: ObservationTable, source: Path) -> Device:
-    if table.device in shipped_names("devices", ".toml"):
-        return load_device(table.device)
+def _named_device(name: str, source: Path) -> Device:
+    if name in shipped_names("devices", ".toml"):
+        return load_device(name)
     raise BadInputError(
-        f"{source}: is of '{table.device}', which is not a shipped device; name its prescription by --device, "
+        f"{source}: is of '{name}', which is not a shipped device; name its prescription by --device, "
         "or a bench by --bench."
     )
 
@@ -134,12 +137,11 @@ def _target(captures: SeeThroughCaptures | None, source: str | Path) -> Target:
     """Return the target at its observed poses; a pose without captures repeats the one before it."""
     if captures is None:
         return Target(np.zeros((0, 4, 4)), np.zeros(0))
-    on_target = np.full_like(captures.point, np.nan) if captures.target_point is None else captures.target_point
     numbers = np.unique(captures.target_pose)
     poses, pitches = [], []
     for number in numbers:
         rows = captures.target_pose == number
-        pose = _pose(captures.point[rows], on_target[rows])
+        pose = _pose(captures.point[rows], captures.target_point[rows])
         if pose is None:
             raise BadInputError(f"{source}: target pose {number} has no three points off one line; leave it out.")
         poses.append(pose)

@@ -5,6 +5,7 @@ points of the device frame. Only the headset's optics are not used: calibration 
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +25,7 @@ from wlr_render.bench.simulate_session import (
     undecoded,
     unshifted,
 )
-from wlr_render.captures.correspondences import Captures, Conditions, DisplayCaptures, SeeThroughCaptures
-from wlr_render.captures.observation_table import ObservationTable, observation_table
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
@@ -46,11 +46,11 @@ def captures_of(bench: Bench, session: Session) -> Captures:
     Raises:
         BadInputError: the session has no readings, or a dot lies behind the camera of this bench.
     """
-    return observations_of(bench, session).captures()
+    return observations_of(bench, session).in_colour()
 
 
-def observations_of(bench: Bench, session: Session) -> ObservationTable:
-    """Return all observations of a session's panel and targets; `captures_of` selects one colour.
+def observations_of(bench: Bench, session: Session) -> Captures:
+    """Return the captures of a session's panel in all colours, and of its targets; `captures_of` selects one colour.
 
     Raises:
         BadInputError: it has neither, or a dot lies behind the camera of this bench.
@@ -62,7 +62,7 @@ def observations_of(bench: Bench, session: Session) -> ObservationTable:
         display = _display(bench, select_rows(plan.display, kept), readings.panel_pixel[kept])
     if plan.see_through is not None and readings.dot_pixel is not None:
         see_through = see_through_captures(bench, plan.see_through, readings.dot_pixel)
-    return observation_table(display, see_through, bench.optics.panel.pixels)
+    return Captures(display, see_through, bench.optics.panel.pixels)
 
 
 def display_captures(bench: Bench, plan: DisplayPlan, panel_pixel: FloatArray) -> DisplayCaptures:
@@ -89,7 +89,8 @@ def _display(bench: Bench, rows: DisplayPlan, panel_pixel: FloatArray) -> Displa
         pixel=undecoded(bench, rows, panel_pixel),
         capture=rows.capture,
         sigma_arcmin=_sigma_px(bench.camera, rows) * _arcmin_per_px(bench.camera, rows.camera_pixel),
-        conditions=_conditions(bench, rows, channel=rows.channel),
+        channel=rows.channel,
+        **_recorded(bench, rows),
     )
 
 
@@ -116,31 +117,31 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
         capture=_numbered_on(rows),
         target_pose=rows.target_pose,
         sigma_arcmin=_sigma_px(bench.camera, rows) * _arcmin_per_px(bench.camera, pixel),
-        conditions=_conditions(bench, rows),
         target_point=np.column_stack([rows.dot, height]),
+        **_recorded(bench, rows),
     )
 
 
-def session_of(bench: Bench, table: ObservationTable, name: str) -> Session:
-    """Return the session whose observations are this table: the inverse of `observations_of`, for any bench.
+def session_of(bench: Bench, captures: Captures, name: str) -> Session:
+    """Return the session that these captures were taken in: the inverse of `observations_of`, for any bench.
 
-    The defaults for unrecorded conditions are time 0, a move towards +x, green light, and the camera rotation of the
+    The defaults for what was not recorded are time 0, a move towards +x, green light, and the camera rotation of the
     bench.
 
     Args:
         bench: bench with the poses of all targets.
-        table: observations of the bench's eye.
+        captures: captures of the bench's eye.
         name: name of the session.
 
     Raises:
-        BadInputError: the table is of another eye, or the bench's camera or targets cannot have been observed.
+        BadInputError: the captures are of another eye, or the bench's camera or targets cannot have been observed.
     """
-    if (table.device, table.eye) != (bench.device.name, bench.eye):
+    source, display, see_through = captures.source, captures.display, captures.see_through
+    if (source.device, source.eye) != (bench.device.name, bench.eye):
         raise BadInputError(
-            f"{name}: the captures are of {table.device} ({table.eye} eye), the bench is of {bench.device.name} "
+            f"{name}: the captures are of {source.device} ({source.eye} eye), the bench is of {bench.device.name} "
             f"({bench.eye} eye); choose a bench or a device of that headset."
         )
-    display, see_through = table.display(), table.see_through()
     display_plan = see_through_plan = panel_pixel = dot_pixel = None
     if display is not None:
         display_plan = _display_plan(bench, display, name)
@@ -151,9 +152,8 @@ def session_of(bench: Bench, table: ObservationTable, name: str) -> Session:
 
 
 def _display_plan(bench: Bench, captures: DisplayCaptures, name: str) -> DisplayPlan:
-    conditions = _recorded(captures)
-    channel = np.where(conditions.channel >= 0, conditions.channel, _GREEN)
-    time_s, travel = _moments(conditions)
+    channel = np.where(captures.channel >= 0, captures.channel, _GREEN)
+    time_s, travel = _moments(captures)
     empty = np.zeros((len(captures), 2))
     plan = DisplayPlan(_numbers(captures), time_s, travel, captures.viewpoint, channel, empty)
     stage, orientation, pixel = _camera_readings(bench, plan, captures, name)
@@ -168,7 +168,7 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
             f"{name}: the captures name target pose {highest}, but the bench has {poses} [[target_pose]], counted from "
             "0; add the missing ones, or leave all out to use the poses of the captures."
         )
-    time_s, travel = _moments(_recorded(captures))
+    time_s, travel = _moments(captures)
     empty = np.zeros((len(captures), 2))
     rows = SeeThroughPlan(_numbers(captures), time_s, travel, captures.viewpoint, captures.target_pose, empty)
     dot, height = printed_places(bench, rows, captures.point)
@@ -197,8 +197,7 @@ def _camera_readings(
     stage = np.round(stage_readings(bench, plan, captures.viewpoint), _DECIMALS)
     plan = replace(plan, stage=stage)
     as_stated = camera_orientations(bench, plan)
-    turned = _recorded(captures).device_from_camera
-    turned = np.where(np.isfinite(turned), turned, as_stated)
+    turned = np.where(np.isfinite(captures.device_from_camera), captures.device_from_camera, as_stated)
     in_camera = np.einsum("nji,nj->ni", turned, captures.view_dir)
     if np.any(in_camera[:, 2] >= 0):
         raise BadInputError(f"{name}: by [camera] 'rotation' of the bench, the camera looks back; correct it.")
@@ -208,31 +207,20 @@ def _camera_readings(
     return stage, None if np.array_equal(orientation, np.tile(np.eye(3), (len(plan), 1, 1))) else orientation, pixel
 
 
-def _conditions(bench: Bench, rows: DisplayPlan | SeeThroughPlan, channel: IntArray | None = None) -> Conditions:
-    return Conditions.recorded(
-        len(rows),
-        visit=rows.capture,
-        channel=-1 if channel is None else channel,
-        time_s=rows.time_s,
-        travel=rows.travel,
-        stage=rows.stage,
-        device_from_camera=camera_orientations(bench, rows),
-    )
+def _recorded(bench: Bench, rows: DisplayPlan | SeeThroughPlan) -> dict[str, Any]:
+    """Return the columns of captures for what is recorded of each photograph."""
+    recorded = {"visit": rows.capture, "time_s": rows.time_s, "travel": rows.travel, "stage": rows.stage}
+    return recorded | {"device_from_camera": camera_orientations(bench, rows)}
 
 
-def _recorded(captures: DisplayCaptures | SeeThroughCaptures) -> Conditions:
-    return captures.conditions or Conditions.recorded(len(captures))
-
-
-def _moments(conditions: Conditions) -> tuple[FloatArray, FloatArray]:
+def _moments(captures: DisplayCaptures | SeeThroughCaptures) -> tuple[FloatArray, FloatArray]:
     """Return the times (n,) and directions of the last move (n,)."""
-    return np.nan_to_num(conditions.time_s), np.where(np.isfinite(conditions.travel), conditions.travel, 1.0)
+    return np.nan_to_num(captures.time_s), np.where(np.isfinite(captures.travel), captures.travel, 1.0)
 
 
 def _numbers(captures: DisplayCaptures | SeeThroughCaptures) -> IntArray:
     """Return the numbers (n,) of the photographs: by camera position, unless the visits were recorded."""
-    visit = _recorded(captures).visit
-    return visit if np.all(visit >= 0) else captures.capture
+    return captures.visit if captures.has_visits else captures.capture
 
 
 def _numbered_on(rows: SeeThroughPlan) -> IntArray:

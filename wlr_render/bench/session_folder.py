@@ -18,7 +18,7 @@ from wlr_render.bench.bench_file import (
     save_bench,
 )
 from wlr_render.captures.camera_lens_file import require_plausible_view
-from wlr_render.captures.capture_file import require_on_panel
+from wlr_render.captures.capture_checks import require_on_panel
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan, select_rows
 from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table

@@ -28,7 +28,6 @@ from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.observation_table import observation_table
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet, PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
@@ -188,14 +187,11 @@ def _fitted(
     fit: Callable[[Captures], KindComparison],
 ) -> EyeCalibration:
     """Fit the models of one eye to green, white or the first colour, and to each other colour that was photographed."""
-    table = observation_table(captures.display, captures.see_through)
-    main, primaries = table.captures(), {}
+    main, primaries = captures.in_colour(), {}
     kinds = fit(main)
-    shown = main.display.conditions if main.display is not None else None
-    for number, name in enumerate(CHANNELS):
-        display = table.display(number)
-        if display is not None and shown is not None and shown.channel[0] != number:
-            primaries[name] = fit(Captures(display, main.see_through)).chosen
+    if captures.display is not None and main.display is not None:
+        for number in np.setdiff1d(captures.display.channel, [*main.display.channel[:1], -1]):
+            primaries[CHANNELS[number]] = fit(captures.in_colour(int(number))).chosen
     return EyeCalibration(session, main, kinds, excluded, primaries)
 
 
@@ -263,8 +259,7 @@ def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) 
 
 def _visits(captures: SeeThroughCaptures) -> IntArray:
     """(n,) number of each row's photograph."""
-    assert captures.conditions is not None
-    return captures.conditions.visit
+    return captures.visit
 
 
 def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:

@@ -137,7 +137,7 @@ def _readings(
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond, by_point),
-        print_errors=None if captures.target_point is None else print_field(captures.target_point[:, :2], depth[:, 0]),
+        print_errors=print_field(captures.target_point[:, :2], depth[:, 0]),
     )
 
 

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.captures.correspondences import Conditions, DisplayCaptures, SeeThroughCaptures, concatenate, select
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet
 from wlr_render.errors import BadInputError
@@ -46,7 +47,7 @@ class PanelView:
     Attributes:
         device_from_camera: (4, 4).
         samples: what was decoded.
-        conditions: what was recorded, by the names of `Conditions`.
+        conditions: what was recorded, by the names of columns of captures.
     """
 
     device_from_camera: FloatArray
@@ -93,16 +94,15 @@ def display_captures(headset: Headset, panel: Panel, camera: Lens, views: Sequen
         sigma_px = np.hypot(view.samples.sigma_px / view.samples.scale, _SYSTEMATIC_PX)
         parts.append(
             DisplayCaptures(
-                headset.device,
-                headset.eye,
-                headset.eye_box,
-                panel,
-                viewpoint=np.broadcast_to(view.device_from_camera[:3, 3], (int(sound.sum()), 3)),
+                device=headset.device,
+                eye=headset.eye,
+                eye_box=headset.eye_box,
+                panel=panel,
                 view_dir=direction[sound],
                 pixel=view.samples.panel_pixel[sound],
-                capture=np.full(int(sound.sum()), number),
+                capture=np.array(number),
                 sigma_arcmin=(sigma_px * angle)[sound],
-                conditions=_conditions(view, int(sound.sum())),
+                **_of_camera(view),
             )
         )
     return concatenate(parts)
@@ -125,21 +125,19 @@ def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetV
         if discs is not None:
             pixel = discs.centres(lens, view.target_point, pixel)
         direction, angle, sound = _directions(lens, view.device_from_camera, pixel)
-        count = int(sound.sum())
         on_target = view.target_point[sound]
         parts.append(
             SeeThroughCaptures(
-                headset.device,
-                headset.eye,
-                headset.eye_box,
-                viewpoint=np.broadcast_to(view.device_from_camera[:3, 3], (count, 3)),
+                device=headset.device,
+                eye=headset.eye,
+                eye_box=headset.eye_box,
                 view_dir=direction[sound],
                 point=transforms.apply(view.device_from_target, on_target),
-                capture=np.full(count, view.capture),
-                target_pose=np.full(count, view.target_pose),
+                capture=np.array(view.capture),
+                target_pose=np.array(view.target_pose),
                 sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * angle)[sound],
-                conditions=_conditions(view, count),
                 target_point=on_target,
+                **_of_camera(view),
             )
         )
     return concatenate(parts)
@@ -162,17 +160,18 @@ def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> S
 
 
 def recorded_of(taken: BoardPhotograph | CodeSet) -> dict[str, ArrayLike]:
-    """Return what session.toml records of a photograph or a set, by the names of `Conditions`."""
+    """Return what session.toml records of a photograph or a set, by the names of columns of captures."""
     stated = {"stage": taken.stage, "time_s": taken.time_s, "temperature_c": taken.temperature_c}
     if isinstance(taken, CodeSet) and taken.channel is not None:
         stated["channel"] = CHANNELS.index(taken.channel)
     return {name: value for name, value in stated.items() if value is not None}
 
 
-def _conditions(view: PanelView | TargetView, count: int) -> Conditions:
-    """Conditions of the rows of a view; its camera has OpenCV's axes."""
-    rotation = view.device_from_camera[:3, :3] @ transforms.OPENXR_FROM_OPENCV
-    return Conditions.recorded(count, device_from_camera=rotation, **view.conditions)
+def _of_camera(view: PanelView | TargetView) -> dict[str, Any]:
+    """Columns that all rows of a view share; its camera has OpenCV's axes."""
+    pose = view.device_from_camera
+    turned = pose[:3, :3] @ transforms.OPENXR_FROM_OPENCV
+    return {**view.conditions, "viewpoint": pose[:3, 3], "device_from_camera": turned}
 
 
 def _directions(

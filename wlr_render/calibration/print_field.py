@@ -40,8 +40,7 @@ def print_field(dot: FloatArray, depth: FloatArray) -> PrintField | None:
         dot: places on the board; NaN where unknown.
         depth: of the dots before the base plane, metres.
     """
-    distinct = np.unique(dot, axis=0)
-    if not np.isfinite(dot).all() or len(distinct) < 2 * _BEYOND:
+    if not np.isfinite(dot).all() or len(np.unique(dot, axis=0)) < 2 * _BEYOND:
         return None
     middle, half = 0.5 * (dot.max(axis=0) + dot.min(axis=0)), 0.5 * _BEYOND * np.ptp(dot, axis=0)
     if half.min() <= 0:

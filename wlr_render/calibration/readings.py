@@ -7,7 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.calibration.print_field import PrintField
-from wlr_render.captures.correspondences import CaptureMotionPrior, DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry.directions import ARCMIN, tangents_by_turn
 from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray

@@ -9,6 +9,7 @@ from wlr_render.mappings import EyeBox, Panel
 EYE_BOX = EyeBox(np.array([0.03, 0.0, 0.02]), np.array([0.010, 0.008, 0.006]))
 PANEL = Panel(1000, 800)
 PIXELS = PANEL.grid(13, 11).reshape(-1, 2)
+EYE = {"device": "toy", "eye": "right", "eye_box": EYE_BOX}
 IN_VOLUME = EYE_BOX.at(np.random.default_rng(1).uniform(-1.0, 1.0, (30, 3)))
 IN_PLANE = EYE_BOX.at(np.random.default_rng(1).uniform(-1.0, 1.0, (30, 3)) * [1.0, 1.0, 0.0])
 
@@ -19,7 +20,9 @@ def display_captures(positions, direction_of, pixels=PIXELS):
     pixel, viewpoint = np.tile(pixels, (len(positions), 1)), positions[capture]
     direction = direction_of(pixel, viewpoint)
     direction = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    return DisplayCaptures("toy", "right", EYE_BOX, PANEL, viewpoint, direction, pixel, capture, np.zeros(len(pixel)))
+    return DisplayCaptures(
+        **EYE, panel=PANEL, viewpoint=viewpoint, view_dir=direction, pixel=pixel, capture=capture, sigma_arcmin=0.0
+    )
 
 
 def see_through_captures(positions, tangents_of, depths=(0.4, 3.0)):
@@ -30,6 +33,5 @@ def see_through_captures(positions, tangents_of, depths=(0.4, 3.0)):
     capture = np.repeat(np.arange(len(positions)), len(depths) * len(grid))
     pose = np.tile(np.repeat(np.arange(len(depths)), len(grid)), len(positions))
     direction = dir_of_tangents(tangents_of(point, positions[capture]))
-    return SeeThroughCaptures(
-        "toy", "right", EYE_BOX, positions[capture], direction, point, capture, pose, np.zeros(len(point))
-    )
+    rows = {"viewpoint": positions[capture], "view_dir": direction, "capture": capture, "target_pose": pose}
+    return SeeThroughCaptures(**EYE, **rows, point=point, sigma_arcmin=0.0)

@@ -46,10 +46,17 @@ def compared(out, names):
 
 def captures(view_dir):
     """Of one pixel, seen in directions (n, 3)."""
-    n = len(view_dir)
-    box = EyeBox(np.zeros(3), np.full(3, 0.01))
-    rows = np.zeros((n, 3)), view_dir, np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros(n)
-    return DisplayCaptures("toy", "right", box, Panel(100, 80), *rows)
+    return DisplayCaptures(
+        device="toy",
+        eye="right",
+        eye_box=EyeBox(np.zeros(3), np.full(3, 0.01)),
+        panel=Panel(100, 80),
+        viewpoint=np.zeros(3),
+        view_dir=view_dir,
+        pixel=np.zeros(2),
+        capture=0,
+        sigma_arcmin=0.0,
+    )
 
 
 @pytest.mark.slow

@@ -48,15 +48,15 @@ def captures() -> DisplayCaptures:
     """Exact sightings of `truth`."""
     viewpoint, tangents = rays(40, 80, 1)
     return DisplayCaptures(
-        "toy",
-        "right",
-        EYE_BOX,
-        PANEL,
-        viewpoint,
-        dir_of_tangents(tangents),
-        truth(viewpoint, tangents),
-        np.repeat(np.arange(40), 80),
-        np.zeros(len(tangents)),
+        device="toy",
+        eye="right",
+        eye_box=EYE_BOX,
+        panel=PANEL,
+        viewpoint=viewpoint,
+        view_dir=dir_of_tangents(tangents),
+        pixel=truth(viewpoint, tangents),
+        capture=np.repeat(np.arange(40), 80),
+        sigma_arcmin=np.zeros(len(tangents)),
     )
 
 

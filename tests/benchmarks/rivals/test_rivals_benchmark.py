@@ -59,8 +59,17 @@ def swimming(positions, curved=0.0):
     tangents = 0.4 * unit * (1 + 0.1 * depth + curved * depth**2) * [1, -1]
     box = EyeBox(np.zeros(3), np.full(3, 0.01))
     capture = np.repeat(np.arange(len(positions)), 120)
-    view_dir = dir_of_tangents(tangents)
-    return DisplayCaptures("toy", "left", box, PANEL, viewpoint, view_dir, pixel, capture, np.array(0.0))
+    return DisplayCaptures(
+        device="toy",
+        eye="left",
+        eye_box=box,
+        panel=PANEL,
+        viewpoint=viewpoint,
+        view_dir=dir_of_tangents(tangents),
+        pixel=pixel,
+        capture=capture,
+        sigma_arcmin=0.0,
+    )
 
 
 def test_a_table_along_a_line_is_linear_also_beyond_its_ends():

@@ -103,9 +103,9 @@ def test_captures_agree_with_the_devices_exact_mappings(found, right, bench):
 def test_a_photographic_session_can_be_diagnosed(found, bench, photo_session, tmp_path):
     device = save_device(bench.device, tmp_path / "device.toml")
     nominal, session = load_measurements(photo_session.out, device=device)
-    conditions = load_captures(photo_session.out / "captures-right.npz").see_through.conditions
+    captures = load_captures(photo_session.out / "captures-right.npz").see_through
     stage = np.array([each.stage for each in found.session.see_through])
-    np.testing.assert_array_equal(conditions.stage, stage[conditions.visit])
+    np.testing.assert_array_equal(captures.stage, stage[captures.visit])
     predictor = Predictor.of_session(nominal, session)
     observations, residual = predictor.observations, predictor.residual(Explanation())
     assert np.mean(observations.part == SEE_THROUGH) > 0.1

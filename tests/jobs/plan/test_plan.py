@@ -8,7 +8,8 @@ from memo import memoised, shared_folder
 from small_headsets import changed_device
 
 from wlr_render.captures.capture_file import save_captures
-from wlr_render.captures.correspondences import Captures, CommonErrors, Conditions
+from wlr_render.captures.correspondences import Captures
+from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.plan import plan as plan_job
@@ -288,9 +289,7 @@ def _with_lens_error(captures):
     by_tangents = Polynomial(np.eye(2, dtype=int), Box(-np.ones(2), np.ones(2)), 1e-3 * np.eye(2))
     visits = np.unique(captures.visits[0])
     common = CommonErrors(("lens",), visits, np.zeros((len(visits), 6, 1)), by_tangents)
-    conditions = captures.conditions or Conditions.recorded(len(captures))
-    turned = np.broadcast_to(np.eye(3), (len(captures), 3, 3))
-    return replace(captures, conditions=replace(conditions, device_from_camera=turned), common=common)
+    return replace(captures, device_from_camera=np.eye(3), common=common)
 
 
 def test_places_are_added_where_a_calibration_has_none(calibration, tmp_path):

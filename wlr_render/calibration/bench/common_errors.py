@@ -17,14 +17,8 @@ from wlr_render.calibration.bench.state import Key
 from wlr_render.calibration.poses import adjoint
 from wlr_render.calibration.posterior_spread import lower_root
 from wlr_render.calibration.readings import angular_metric
-from wlr_render.captures.correspondences import (
-    AnyCaptures,
-    CaptureMotionPrior,
-    CommonErrors,
-    DisplayCaptures,
-    SeeThroughCaptures,
-    point_terms,
-)
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.feature_captures import CaptureMotionPrior, CommonErrors, point_terms
 from wlr_render.captures.photo_session import BoardPhotograph, CodeSet
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
@@ -64,8 +58,8 @@ def with_bench_errors(
 
     Args:
         bench: the calibrated bench.
-        display, see_through: captures of one eye, with the session's entries that the captures (or visits, where their
-            conditions number these) are of, in the order of their numbers.
+        display, see_through: captures of one eye, with the session's entries that the captures (or visits, where they
+            number these) are of, in the order of their numbers.
     """
     factor, sources = _shared_root(bench)
     sides = [side for side in (display, see_through) if side is not None]

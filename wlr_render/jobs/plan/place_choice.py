@@ -6,13 +6,14 @@ for I-optimality: Fedorov 1972, Atkinson & Donev 1992).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.readings import design_of
-from wlr_render.captures.correspondences import CaptureMotionPrior, DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry import rays
 from wlr_render.jobs.plan.planned_errors import FAR_M, NEAR_M, PlannedFit
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
@@ -185,16 +186,17 @@ def _shown(fit: ModelFit[FittedDisplay], places: FloatArray, pixel: FloatArray) 
     place, column = np.nonzero(np.isfinite(found.value).all(axis=-1) & (found.value[..., 2] < 0))
     captures = fit.captures
     assert isinstance(captures, DisplayCaptures)
-    return replace(
-        captures,
+    return DisplayCaptures(
+        device=captures.device,
+        eye=captures.eye,
+        eye_box=captures.eye_box,
+        panel=captures.panel,
         viewpoint=places[place],
         view_dir=found.value[place, column],
         pixel=np.broadcast_to(pixel, (len(places), *pixel.shape[1:]))[place, column],
         capture=place,
         sigma_arcmin=_sigma(captures, pixel.shape[1], len(place)),
-        conditions=None,
         motion=_motion(captures.motion, len(places)),
-        common=None,
     )
 
 
@@ -209,8 +211,10 @@ def _seen(
     points = [
         rays.split(rays.at_z(ray[place, column], captures.eye_box.centre[2] - depth[place]))[0] for depth in depths_m
     ]
-    return replace(
-        captures,
+    return SeeThroughCaptures(
+        device=captures.device,
+        eye=captures.eye,
+        eye_box=captures.eye_box,
         viewpoint=np.tile(places[place], (len(points), 1)),
         view_dir=np.tile(
             np.broadcast_to(view_dir, (len(places), *view_dir.shape[1:]))[place, column], (len(points), 1)
@@ -219,10 +223,7 @@ def _seen(
         capture=np.tile(place, len(points)),
         target_pose=np.repeat(np.arange(len(points)), len(place)),
         sigma_arcmin=_sigma(captures, view_dir.shape[1], len(points) * len(place)),
-        conditions=None,
-        target_point=None,
         motion=_motion(captures.motion, len(places)),
-        common=None,
     )
 
 
