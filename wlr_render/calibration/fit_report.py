@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from wlr_render.calibration.label_errors import LabelError, label_errors
 from wlr_render.calibration.moved_captures import CaptureMotion
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.calibration.smooth_fit import MotionAgreement, SmoothFit
@@ -91,10 +92,11 @@ class FitReport:
             a shift and a turn of the camera.
         moved: captures that stood elsewhere than stated, by far more than the others.
         log_evidence: natural logarithm; of models of the same captures, the one with the largest is most probable.
-        predicted_arcmin: rms error that the fit expects of itself over the eye box.
+        predicted_arcmin: rms error that the fit expects of itself over the eye box, labels that stand out included.
         held_out: rows and columns of camera positions predicted from the others.
         one_more: None where the kind has no places.
         motion_agreement: what the captures state of these motions; None where they state nothing.
+        labels: errors that the readings of a dot, visit, time and so on share; empty for exact data.
     """
 
     kind: str
@@ -118,6 +120,7 @@ class FitReport:
     held_out: tuple[HeldOut, ...]
     one_more: OneMore | None
     motion_agreement: MotionAgreement | None = None
+    labels: tuple[LabelError, ...] = ()
 
     @property
     def held_out_arcmin(self) -> tuple[float, float] | None:
@@ -185,11 +188,21 @@ class ModelFit(Generic[AnyModel]):
             wobble_urad=1e6 * smooth.turn_rad,
             moved=smooth.moved,
             log_evidence=smooth.posterior.log_evidence,
-            predicted_arcmin=self.predicted_arcmin(self.mapping),
+            predicted_arcmin=self._with_labels(self.predicted_arcmin(self.mapping)),
             held_out=tuple(self._held_out()),
             one_more=self._one_more(),
             motion_agreement=smooth.motion_agreement,
+            labels=self._labels,
         )
+
+    @cached_property
+    def _labels(self) -> tuple[LabelError, ...]:
+        return label_errors(self.smooth, self.captures)
+
+    def _with_labels(self, predicted_arcmin: float) -> float:
+        """Root sum of squares of a predicted error and what the errors of labels that stand out do to the model."""
+        squares = [each.in_model_arcmin**2 for each in self._labels if each.stands_out]
+        return float(np.sqrt(predicted_arcmin**2 + sum(squares)))
 
     def predicted_arcmin(self, model: AnyModel) -> float:
         """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""
@@ -252,7 +265,7 @@ class ModelFit(Generic[AnyModel]):
             subject = self._subject(self.captures)[rows][:, None]
             sure = [np.nanmean(self.mapping.sigma(subject, place[None]) ** 2) for place in places]
             worst = places[int(np.argmax(sure))]
-            predicted = self.predicted_arcmin(self.with_positions(worst))
+            predicted = self._with_labels(self.predicted_arcmin(self.with_positions(worst)))
             name = f"a {noun} of {count} camera positions at {'xy'[axis]} = {1e3 * worst[0, axis]:+.1f} mm"
             tried.append(OneMore(name, predicted))
         return min(tried, key=lambda each: each.predicted_arcmin)

@@ -85,7 +85,7 @@ def sums_of(
         observed = observed - (readings.values(trend.mean) if trend else 0.0)
     for rows, weight in readings.blocks_of_noise(kept):
         design = readings.design(rows)
-        mixed = design if readings.mixed else _by_parameter(readings, rows)
+        mixed = design if readings.mixed else trend_columns(readings, rows)
         add(
             observed[rows],
             weight,
@@ -97,7 +97,7 @@ def sums_of(
     return sums
 
 
-def _by_parameter(readings: FitReadings, rows: slice | IntArray) -> FloatArray | None:
+def trend_columns(readings: FitReadings, rows: slice | IntArray) -> FloatArray | None:
     """Columns (r, 2, parameters) of the trend; None without one."""
     if readings.trend is None:
         return None
@@ -129,7 +129,7 @@ def response_of(
         weighted = weight_values(weight, weight_values(weight, errors[rows]), transposed=True)
         for axis in (0, 1):
             moment[axis] += design.T @ weighted[:, axis]
-        if (of_trend := _by_parameter(readings, rows)) is not None:
+        if (of_trend := trend_columns(readings, rows)) is not None:
             by_trend += of_trend.reshape(-1, parameters).T @ weighted.reshape(-1, k)
     normal = width[:, None] * sums.gram * width + np.eye(columns)
     # Coefficients first, for each axis; then the trend's parameters by the Schur complement.

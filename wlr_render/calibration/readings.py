@@ -199,7 +199,7 @@ class FitReadings:
         at_place = self.orders[:, self.is_place].any(axis=1)
         return np.asarray(~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None))
 
-    def select(self, rows: BoolArray) -> "FitReadings":
+    def select(self, rows: BoolArray | IntArray) -> "FitReadings":
         """Some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)

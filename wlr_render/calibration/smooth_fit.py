@@ -14,7 +14,7 @@ import numpy as np
 
 from wlr_render.calibration.moved_captures import CaptureMotion
 from wlr_render.calibration.posterior_spread import spread_of
-from wlr_render.calibration.reading_sums import polynomial_of, response_of, sums_of
+from wlr_render.calibration.reading_sums import polynomial_of, response_of, sums_of, trend_columns
 from wlr_render.calibration.readings import FitReadings, Trend, design_of, motion_columns
 from wlr_render.calibration.smooth_prior import (
     MotionFactors,
@@ -233,6 +233,29 @@ class SmoothFit:
     def _captures(self) -> int:
         return int(self.readings.capture.max()) + 1
 
+    @property
+    def residual(self) -> FloatArray:
+        """Residuals (n, 2) of `observed`, without printing errors and motions of the camera."""
+        readings, found = self.readings, self.posterior
+        left = readings.observed - readings.values(self.polynomial)
+        if readings.print_errors is not None:
+            left = left - readings.print_errors.columns @ found.mean[:, readings.coefficients :].T
+        if self.columns is not None:
+            left = left - np.einsum("nok,nk->no", self.columns, found.group_mean[readings.capture])
+        return left
+
+    def side_columns(self, rows: IntArray) -> FloatArray:
+        """Return columns (r, 2, side) of the unknowns that both tangents share: mixed ones, then captures' motions."""
+        readings, mixed = self.readings, self.posterior.mixed_mean.size
+        columns = np.zeros((len(rows), 2, len(self.posterior.side_covariance)))
+        of_mixed = readings.design(rows) if readings.mixed else trend_columns(readings, rows)
+        if of_mixed is not None:
+            columns[:, :, :mixed] = of_mixed
+        if self.columns is not None:
+            own = (mixed + 6 * readings.capture[rows, None] + np.arange(6))[:, None]
+            np.put_along_axis(columns, np.broadcast_to(own, (len(rows), 2, 6)), self.columns[rows], axis=2)
+        return columns
+
     def left_out(self, rows: BoolArray) -> tuple[float, float]:
         """Predict readings (n,) bool by a fit to the others at the same hyperparameters.
 
@@ -248,18 +271,26 @@ class SmoothFit:
         rest = posterior(sums, self.prior, self.hyper, evidence=False)
         polynomial = polynomial_of(readings, self.start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
-        spread = spread_of(readings, rest, beyond=self.beyond)  # without common errors: what was left out shares them
-        covariance = spread.covariance(chosen.inputs)
+        variance = self._own_variance(chosen, rest) + 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
+        if columns is not None:
+            own = self._motion_sizes[chosen.capture]
+            variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
+        return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
+
+    def own_arcmin(self, rows: IntArray) -> float:
+        """Return the rms error that the fit expects of its values of some readings, without common errors."""
+        variance = self._own_variance(self.readings.select(rows), self.posterior)
+        return float(np.sqrt(np.mean(variance)))
+
+    def _own_variance(self, chosen: FitReadings, found: Posterior) -> FloatArray:
+        """Variance (n,) in square arcminutes of the values of readings; common errors, which all share, left out."""
+        covariance = spread_of(self.readings, found, beyond=self.beyond).covariance(chosen.inputs)
         if chosen.mixed:
             variance = np.einsum("nrb,nbc,nrc->n", chosen.multiplier, covariance, chosen.multiplier)
         else:
             by_block = sum(covariance[:, axis::2, axis::2] for axis in (0, 1))
             variance = np.einsum("nb,nbc,nc->n", chosen.multiplier, by_block, chosen.multiplier)
-        variance = variance * chosen.metric**2 + 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
-        if columns is not None:
-            own = self._motion_sizes[chosen.capture]
-            variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
-        return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
+        return np.asarray(variance * chosen.metric**2)
 
     def _sums_of(self, rows: BoolArray) -> Sums:
         """Sums over some of the readings, whole captures or what is left of them."""

@@ -169,6 +169,8 @@ def test_the_report_tells_everything_in_the_order_of_the_procedure(report, photo
     assert "every check of the bench passed" in report.verdict
     assert report.faults == ()
     assert not any("state a smaller sigma" in warning for warning in report.warnings)  # nobody stated one
+    assert "Errors by label" in titles
+    assert not any("show errors by" in warning for warning in report.warnings)
 
 
 def test_residuals_of_each_photograph_are_plotted(found, right, report):

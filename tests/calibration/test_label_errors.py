@@ -1,0 +1,151 @@
+"""Errors by label: none on sound sessions, and each foreign error by its own label."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered, see_through_captures
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.calibration.label_errors import label_errors
+from wlr_render.captures.correspondences import CommonErrors, Conditions
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+
+SIGMA = 0.25
+DEPTHS = (0.6, 1.0, 1.7)
+
+
+def places(seed, count):
+    """Positions in random order and off the raster, as `plan` proposes them."""
+    rng = np.random.default_rng(seed)
+    grid = grid_in_plane(count, count)
+    return rng.permutation(grid + rng.uniform(-0.1, 0.1, grid.shape) * EYE_BOX.size[:2])
+
+
+def timed(captures):
+    """With the conditions that a session records, visit after visit."""
+    visit = captures.visits[1]
+    recorded = Conditions.recorded(len(captures), time_s=30.0 * visit, travel=np.sign(np.sin(2.3 * visit)))
+    return replace(captures, conditions=recorded)
+
+
+def display(seed, count=7):
+    return timed(display_captures(places(seed, count), sigma_arcmin=SIGMA, seed=seed))
+
+
+def drifted(seed):
+    """A camera that turns by half an arcminute while it warms up."""
+    captures = display(seed)
+    warm = 1.0 - np.exp(-3.0 * captures.conditions.time_s / captures.conditions.time_s.max())
+    return replace(captures, view_dir=dir_of_tangents(captures.tangents + np.outer(warm, [0.6, -0.4]) * ARCMIN))
+
+
+def screwed(seed):
+    """A stage whose axis x has a lead screw with an error of 12 um."""
+    captures = display(seed)
+    x, y, z = captures.viewpoint.T
+    return replace(captures, viewpoint=np.column_stack([x + 12e-6 * np.sin(2.0 * np.pi * x / 5e-3), y, z]))
+
+
+def board(seed, size_m=0.0):
+    """Captures of one board at all poses; its printing errors are sums of waves shorter than the fit's."""
+    rng, base = np.random.default_rng(seed), places(seed, 4)
+    dot = np.stack(np.meshgrid(np.linspace(-0.25, 0.25, 13), np.linspace(-0.18, 0.18, 10)), axis=-1).reshape(-1, 2)
+    waves, phase = rng.normal(0.0, 80.0, (2, 40, 2)), rng.uniform(0.0, 2.0 * np.pi, (2, 40))
+    off = np.stack([np.cos(dot @ waves[axis].T + phase[axis]).sum(axis=1) for axis in (0, 1)], axis=-1)
+    off *= size_m / np.sqrt(20.0)
+    place, true = np.repeat(base, len(dot), axis=0), np.tile(dot, (len(base), 1)) + EYE_BOX.centre[:2]
+    tangents, stated = [], []
+    for depth in DEPTHS:
+        seen = (true - place) / depth
+        for _ in range(20):
+            a, b = bend_of(place, seen)
+            seen = (true - place - b) / depth - a
+        tangents.append(seen)
+        stated.append(np.column_stack([true - np.tile(off, (len(base), 1)), np.full(len(true), PLANE.z - depth)]))
+    captures = see_through_captures(base, DEPTHS, sigma_arcmin=SIGMA)  # of another target, for its poses
+    poses = len(DEPTHS)
+    return timed(
+        replace(
+            captures,
+            viewpoint=np.tile(PLANE.lift(place), (poses, 1)),
+            view_dir=scattered(np.concatenate(tangents), SIGMA, seed),
+            point=np.concatenate(stated),
+            capture=np.tile(np.repeat(np.arange(len(base)), len(dot)), poses),
+            target_pose=np.repeat(np.arange(poses), len(place)),
+            sigma_arcmin=SIGMA,
+            target_point=np.tile(np.column_stack([dot, np.zeros(len(dot))]), (len(base) * poses, 1)),
+        )
+    )
+
+
+def labels_of(fit, captures):
+    return label_errors(fit(captures, "planar", 3).smooth, captures)
+
+
+def said(found):
+    return [each.label for each in found if each.stands_out]
+
+
+def test_sound_sessions_show_nothing():
+    found = [labels_of(fit_display, display(seed, 4)) for seed in range(10)]
+    found += [labels_of(fit_see_through, board(seed)) for seed in range(2)]
+    assert [said(each) for each in found if said(each)] == []
+    ratios = [each.ratio for each in sum(found, ()) if each.label.startswith(("cell", "dot"))]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(
+    ("fit", "captures", "label", "size"),
+    [
+        (fit_see_through, lambda seed: board(seed, 2e-5), "dot", 0.1),
+        (fit_display, screwed, "reading of stage axis x", 0.2),
+        (fit_display, drifted, "time", 0.18),
+    ],
+)
+def test_a_foreign_error_is_named_by_its_label(fit, captures, label, size, seed):
+    found = labels_of(fit, captures(seed))
+    assert said(found) == [label]
+    assert found[0].size_arcmin == pytest.approx(size, rel=0.4)
+
+
+def test_a_named_error_is_in_the_predicted_one():
+    fit = fit_display(screwed(0), "planar", 3)
+    (named,) = [each for each in fit.report.labels if each.matters]
+    assert fit.report.predicted_arcmin == pytest.approx(
+        np.hypot(fit.predicted_arcmin(fit.mapping), named.in_model_arcmin)
+    )
+
+
+def test_an_error_of_the_readings_is_propagated_to_the_model():
+    printed, exact = (fit_see_through(board(0, size), "planar", 3) for size in (2e-5, 0.0))
+    changed = arcmin_between(printed.seen(printed.captures).value, exact.seen(printed.captures).value)
+    (named,) = [each for each in label_errors(printed.smooth, printed.captures) if each.stands_out]
+    assert named.in_model_arcmin == pytest.approx(np.sqrt(np.mean(changed**2)), rel=0.3)
+    assert not replace(named, own_arcmin=4.0 * named.in_model_arcmin).matters
+
+
+def test_labels_are_those_that_the_captures_have():
+    bare = labels_of(fit_display, replace(display(0, 3), conditions=None))
+    assert {each.label for each in bare} == {
+        "cell of the panel",
+        "visit",
+        "reading of stage axis x",
+        "reading of stage axis y",
+    }
+    names = {each.label for each in labels_of(fit_see_through, board(0))}
+    assert {"cell of the field", "dot", "dot and pose", "time", "direction of travel"} <= names
+    assert labels_of(fit_display, display_captures(places(0, 3))) == ()  # exact data
+
+
+def test_an_error_that_the_bench_states_is_no_finding():
+    captures = drifted(0)
+    names, first = np.unique(captures.capture, return_index=True)
+    motion = np.zeros((len(names), 6, 2))
+    warm = 1.0 - np.exp(-3.0 * captures.conditions.time_s[first] / captures.conditions.time_s.max())
+    motion[:, 0, 0] = motion[:, 1, 1] = 2.0 * ARCMIN * warm
+    stated = replace(captures, common=CommonErrors(("camera", "camera"), names, motion))
+    assert said(labels_of(fit_display, captures)) == ["time"]
+    assert said(labels_of(fit_display, stated)) == []
