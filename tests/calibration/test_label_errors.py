@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered, see_through_captures
+from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.label_errors import label_errors
-from wlr_render.captures.correspondences import CommonErrors, Conditions
+from wlr_render.captures.correspondences import SeeThroughCaptures
+from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 
 SIGMA = 0.25
@@ -24,10 +25,9 @@ def places(seed, count):
 
 
 def timed(captures):
-    """With the conditions that a session records, visit after visit."""
+    """With the times and directions of travel that a session records, visit after visit."""
     visit = captures.visits[1]
-    recorded = Conditions.recorded(len(captures), time_s=30.0 * visit, travel=np.sign(np.sin(2.3 * visit)))
-    return replace(captures, conditions=recorded)
+    return replace(captures, time_s=30.0 * visit, travel=np.sign(np.sin(2.3 * visit)))
 
 
 def display(seed, count=7):
@@ -37,7 +37,7 @@ def display(seed, count=7):
 def drifted(seed):
     """A camera that turns by half an arcminute while it warms up."""
     captures = display(seed)
-    warm = 1.0 - np.exp(-3.0 * captures.conditions.time_s / captures.conditions.time_s.max())
+    warm = 1.0 - np.exp(-3.0 * captures.time_s / captures.time_s.max())
     return replace(captures, view_dir=dir_of_tangents(captures.tangents + np.outer(warm, [0.6, -0.4]) * ARCMIN))
 
 
@@ -64,11 +64,12 @@ def board(seed, size_m=0.0):
             seen = (true - place - b) / depth - a
         tangents.append(seen)
         stated.append(np.column_stack([true - np.tile(off, (len(base), 1)), np.full(len(true), PLANE.z - depth)]))
-    captures = see_through_captures(base, DEPTHS, sigma_arcmin=SIGMA)  # of another target, for its poses
     poses = len(DEPTHS)
     return timed(
-        replace(
-            captures,
+        SeeThroughCaptures(
+            device="toy",
+            eye="right",
+            eye_box=EYE_BOX,
             viewpoint=np.tile(PLANE.lift(place), (poses, 1)),
             view_dir=scattered(np.concatenate(tangents), SIGMA, seed),
             point=np.concatenate(stated),
@@ -128,7 +129,7 @@ def test_an_error_of_the_readings_is_propagated_to_the_model():
 
 
 def test_labels_are_those_that_the_captures_have():
-    bare = labels_of(fit_display, replace(display(0, 3), conditions=None))
+    bare = labels_of(fit_display, display_captures(places(0, 3), sigma_arcmin=SIGMA))
     assert {each.label for each in bare} == {
         "cell of the panel",
         "visit",
@@ -144,7 +145,7 @@ def test_an_error_that_the_bench_states_is_no_finding():
     captures = drifted(0)
     names, first = np.unique(captures.capture, return_index=True)
     motion = np.zeros((len(names), 6, 2))
-    warm = 1.0 - np.exp(-3.0 * captures.conditions.time_s[first] / captures.conditions.time_s.max())
+    warm = 1.0 - np.exp(-3.0 * captures.time_s[first] / captures.time_s.max())
     motion[:, 0, 0] = motion[:, 1, 1] = 2.0 * ARCMIN * warm
     stated = replace(captures, common=CommonErrors(("camera", "camera"), names, motion))
     assert said(labels_of(fit_display, captures)) == ["time"]

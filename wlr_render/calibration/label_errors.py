@@ -143,7 +143,7 @@ def label_errors(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptur
 
 def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -> Iterator[_Label]:
     """All labels with two groups or more."""
-    readings, conditions = smooth.readings, captures.conditions
+    readings = smooth.readings
     angle = np.eye(2) / readings.metric[:, None, None]
     tried = []
     if isinstance(captures, DisplayCaptures):
@@ -153,8 +153,7 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
         tried.append(_Label("cell of the field", _cells(away[:, :2] / away[:, 2:], _CELLS), angle))
         tried += _of_dots(captures, angle / away[:, 2, None, None], angle)
     tried.append(_Label("visit", readings.capture, angle))
-    if conditions is not None:
-        tried.append(_Label("time", _bins(conditions.time_s, _TIMES), angle))
+    tried.append(_Label("time", _bins(captures.time_s, _TIMES), angle))
     if readings.motion is not None:
         shift = motion_columns(readings, smooth.polynomial)[:, :, :3]
         size = np.sqrt(0.5 * np.mean(np.sum(shift**2, axis=1) * readings.metric[:, None] ** 2, axis=0))
@@ -162,16 +161,13 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
         for axis in range(3):
             reading = captures.viewpoint[:, axis]
             tried.append(_Label(f"reading of stage axis {'xyz'[axis]}", _stage_bins(reading), shift[..., axis, None]))
-        if conditions is not None:
-            travel = np.where(np.isfinite(conditions.travel), conditions.travel > 0, -1).astype(np.int64)
-            tried.append(_Label("direction of travel", _numbered(travel), shift[..., :1]))
+        travel = np.where(np.isfinite(captures.travel), captures.travel > 0, -1).astype(np.int64)
+        tried.append(_Label("direction of travel", _numbered(travel), shift[..., :1]))
     yield from (each for each in tried if each.groups > 1)
 
 
 def _of_dots(captures: SeeThroughCaptures, shifted: FloatArray, turned: FloatArray) -> Iterator[_Label]:
     """Labels of the target, from the columns of a shift of a dot, of any size, and of a turn of its line of sight."""
-    if captures.target_point is None:
-        return
     dot, pose = captures.target_point[:, :2], np.unique(captures.target_pose, return_inverse=True)[1]
     size = np.sqrt(np.mean(shifted**2) / np.mean(turned**2))
     yield _Label("dot", _cells(dot, _DOTS), shifted / size)
