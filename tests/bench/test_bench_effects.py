@@ -8,7 +8,7 @@ import pytest
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.bench_effects import BENCH_KINDS, KINDS, BenchEffect
 from wlr_render.bench.bench_file import load_bench, save_bench
-from wlr_render.bench.session_captures import observations_of, session_of
+from wlr_render.bench.session_captures import captures_of, session_of
 from wlr_render.bench.simulate_session import display_dirs, simulate
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan
 from wlr_render.diagnosis.observations import observe
@@ -81,7 +81,7 @@ def test_captures_of_a_bench_with_an_effect_are_those_of_a_bench_without(bench, 
     assert max(changed) > 0.01
     if station == "combiner":
         return
-    table = observations_of(disturbed, Session("s", plan, read))
+    table = captures_of(disturbed, Session("s", plan, read))
     back = session_of(disturbed, table, "s")
     again = simulate(disturbed, back.plan)
     for measured, simulated in zip(back.readings.parts[:2], again.parts[:2], strict=True):

@@ -10,7 +10,7 @@ from oracle.effects import Effect
 from oracle.session_writer import write_session
 
 from wlr_render.bench.measurements import load_measurements
-from wlr_render.bench.session_captures import observations_of
+from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.capture_file import load_observations, save_captures
@@ -42,7 +42,7 @@ def printed(tmp_path_factory):
 def captures(printed, tmp_path_factory):
     """Capture file of the same session."""
     path = tmp_path_factory.mktemp("captures") / "captures-right.npz"
-    return save_captures(path, observations_of(*load_session(printed)))
+    return save_captures(path, captures_of(*load_session(printed)))
 
 
 def assert_same_diagnosis(found, expected):

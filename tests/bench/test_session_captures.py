@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
-from wlr_render.bench.session_captures import captures_of, observations_of, see_through_captures, session_of
+from wlr_render.bench.session_captures import captures_of, see_through_captures, session_of
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan
@@ -95,7 +95,7 @@ def test_captures_of_a_bench_that_is_right_are_where_its_optics_send_light(bench
     changes = DISTURBANCES.values() if disturbance == "all" else [DISTURBANCES[disturbance]]
     for change in changes:
         bench = change(bench)
-    captures = captures_of(bench, Session("noise-free", plan, simulate(bench, plan)))
+    captures = captures_of(bench, Session("noise-free", plan, simulate(bench, plan))).in_colour()
     display, world = captures.display, captures.see_through
     shown, _ = TracedDisplay(bench.optics, bench.wavelengths_um[1]).plane_pixel(display.view_dir, display.viewpoint)
     np.testing.assert_allclose(shown, display.pixel, atol=1e-8)
@@ -118,7 +118,7 @@ def test_observations_become_the_session_that_they_were_made_of(bench, plan, dis
         see_through=replace(plan.see_through, orientation=turned, height=height),
     )
     session = Session("night", plan, simulate(bench, plan))
-    found = session_of(bench, observations_of(bench, session), "night")
+    found = session_of(bench, captures_of(bench, session), "night")
     for part in ("display", "see_through"):
         for field in fields(getattr(plan, part)):
             a, b = (getattr(getattr(each, part), field.name) for each in (found.plan, plan))
@@ -133,7 +133,7 @@ def test_sigmas_of_readings_become_those_of_captures_and_back(bench, plan):
     sigma_px = np.random.default_rng(8).uniform(0.05, 0.3, (2, len(plan.display)))
     stated = SessionPlan(replace(plan.display, sigma_px=sigma_px[0]), replace(plan.see_through, sigma_px=sigma_px[1]))
     session = Session("night", stated, simulate(bench, plan))
-    table, uniform = observations_of(bench, session), observations_of(bench, replace(session, plan=plan))
+    table, uniform = captures_of(bench, session), captures_of(bench, replace(session, plan=plan))
     for part, same, sigma in zip(table.both, uniform.both, sigma_px, strict=True):
         np.testing.assert_allclose(part.sigma_arcmin / same.sigma_arcmin, sigma / bench.camera.point_sigma_px)
     found = session_of(bench, table, "night").plan
@@ -142,7 +142,7 @@ def test_sigmas_of_readings_become_those_of_captures_and_back(bench, plan):
 
 
 def test_observations_of_another_eye_or_beside_the_targets_are_refused(bench, plan):
-    table = observations_of(bench, Session("night", plan, simulate(bench, plan)))
+    table = captures_of(bench, Session("night", plan, simulate(bench, plan)))
     with pytest.raises(BadInputError, match=r"night: the captures are of northstar \(right eye\), the bench is of"):
         session_of(replace(bench, eye="left"), table, "night")
     for poses, words in (
@@ -194,7 +194,7 @@ def test_photographs_are_numbered_on_from_pose_to_pose(bench, plan):
 
 
 def test_sigma_is_the_angle_of_a_camera_pixel(bench, plan):
-    captures = captures_of(bench, Session("night", plan, simulate(bench, plan)))
+    captures = captures_of(bench, Session("night", plan, simulate(bench, plan))).in_colour()
     green = plan.display.channel == 1
     pixel = plan.display.camera_pixel[green]
     tangents = (pixel - bench.camera.centre_px) / (bench.camera.focal_px * [1, -1])
@@ -211,7 +211,7 @@ def test_readings_that_are_missing_are_left_out(bench, plan):
     readings = simulate(bench, plan)
     panel, dot = readings.panel_pixel.copy(), readings.dot_pixel.copy()
     panel[1], dot[:2, 0] = np.nan, np.nan
-    captures = captures_of(bench, Session("night", plan, Readings(panel, dot)))
+    captures = captures_of(bench, Session("night", plan, Readings(panel, dot))).in_colour()
     assert len(captures.display) == CAPTURES * ROWS // 3 - 1
     assert len(captures.see_through) == CAPTURES * ROWS - 2
 
@@ -219,7 +219,7 @@ def test_readings_that_are_missing_are_left_out(bench, plan):
 def test_one_channel_alone_is_taken_whichever_it_is(bench, plan):
     red = replace(plan.display, channel=np.zeros_like(plan.display.channel))
     alone = SessionPlan(red)
-    captures = captures_of(bench, Session("red", alone, simulate(bench, alone)))
+    captures = captures_of(bench, Session("red", alone, simulate(bench, alone))).in_colour()
     assert len(captures.display) == len(red)
     assert captures.see_through is None
 

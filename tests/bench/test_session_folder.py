@@ -62,7 +62,7 @@ def session(bench):
     display = DisplayPlan(capture, time_s, travel, stage, capture % 3, pixel, sigma_px=sigma_px)
     turned = Rotation.from_rotvec(rng.normal(0, 0.02, (CAPTURES, 3))).as_matrix()[capture]
     dot = rng.uniform(-0.1, 0.1, (len(capture), 2))
-    see_through = SeeThroughPlan(capture, time_s, travel, stage, capture % 2, dot, turned, pixel)
+    see_through = SeeThroughPlan(capture, time_s, travel, stage, capture % 2, dot, pixel, orientation=turned)
     count = len(capture)
     head = rigid(Rotation.random(count, rng=rng).as_matrix(), rng.normal(0, 1, (count, 3)))
     gaze = dir_of_tangents(rng.uniform(-0.2, 0.2, (count, 2)))

@@ -15,7 +15,7 @@ from oracle.effects import Effect
 from oracle.session_writer import write_session
 
 from wlr_render.bench.bench_file import load_bench
-from wlr_render.bench.session_captures import observations_of
+from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session, save_session
 from wlr_render.bench.simulate_session import dot_geometry, simulate
 from wlr_render.captures.capture_file import save_captures
@@ -118,7 +118,7 @@ def test_by_the_corrected_bench_the_session_shows_no_effect_and_the_old_bench_go
 def test_captures_are_diagnosed_by_the_device_that_they_name(session, few_causes, tmp_path, capsys):
     calibrated, out = tmp_path / "calibrated", tmp_path / "out"
     calibrated.mkdir()
-    untimed = Captures(*(replace(each, time_s=np.nan) for each in observations_of(*load_session(session)).both))
+    untimed = Captures(*(replace(each, time_s=np.nan) for each in captures_of(*load_session(session)).both))
     save_captures(calibrated / "captures-right.npz", untimed)
     status, printed = run(capsys, calibrated, "--device", "northstar", "--out", out)
     assert status == 0

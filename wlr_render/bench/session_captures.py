@@ -26,7 +26,16 @@ from wlr_render.bench.simulate_session import (
     unshifted,
 )
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
-from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, Session, SessionPlan, select_rows
+from wlr_render.captures.feature_captures import FeatureCaptures
+from wlr_render.captures.session import (
+    DisplayPlan,
+    Readings,
+    SeeThroughPlan,
+    Session,
+    SessionPlan,
+    StagePlan,
+    select_rows,
+)
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import FloatArray, IntArray
@@ -41,16 +50,7 @@ _OFF_TARGET_M = 0.05  # distance from the target's plane; no target is curved by
 
 
 def captures_of(bench: Bench, session: Session) -> Captures:
-    """Return the captures of the bench's eye, from its panel and eye box; the device's optics are not used.
-
-    Raises:
-        BadInputError: the session has no readings, or a dot lies behind the camera of this bench.
-    """
-    return observations_of(bench, session).in_colour()
-
-
-def observations_of(bench: Bench, session: Session) -> Captures:
-    """Return the captures of a session's panel in all colours, and of its targets; `captures_of` selects one colour.
+    """Return the captures of a session's panel in all colours, and of its targets; the device's optics are not used.
 
     Raises:
         BadInputError: it has neither, or a dot lies behind the camera of this bench.
@@ -80,17 +80,13 @@ def display_captures(bench: Bench, plan: DisplayPlan, panel_pixel: FloatArray) -
 
 def _display(bench: Bench, rows: DisplayPlan, panel_pixel: FloatArray) -> DisplayCaptures:
     return DisplayCaptures(
-        device=bench.device.name,
-        eye=bench.eye,
-        eye_box=bench.optics.eye_box,
         panel=bench.optics.panel.pixels,
         viewpoint=camera_positions(bench, rows),
         view_dir=display_dirs(bench, rows),
         pixel=undecoded(bench, rows, panel_pixel),
         capture=rows.capture,
-        sigma_arcmin=_sigma_px(bench.camera, rows) * _arcmin_per_px(bench.camera, rows.camera_pixel),
         channel=rows.channel,
-        **_recorded(bench, rows),
+        **_common(bench, rows, rows.camera_pixel),
     )
 
 
@@ -108,22 +104,18 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
     in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, pixel, part_of(rows))))
     height = np.zeros(len(rows)) if rows.height is None else rows.height
     return SeeThroughCaptures(
-        device=bench.device.name,
-        eye=bench.eye,
-        eye_box=bench.optics.eye_box,
         viewpoint=viewpoint,
         view_dir=np.einsum("nij,nj->ni", device_from_camera, in_camera),
         point=point,
         capture=_numbered_on(rows),
         target_pose=rows.target_pose,
-        sigma_arcmin=_sigma_px(bench.camera, rows) * _arcmin_per_px(bench.camera, pixel),
         target_point=np.column_stack([rows.dot, height]),
-        **_recorded(bench, rows),
+        **_common(bench, rows, pixel),
     )
 
 
 def session_of(bench: Bench, captures: Captures, name: str) -> Session:
-    """Return the session that these captures were taken in: the inverse of `observations_of`, for any bench.
+    """Return the session that these captures were taken in: the inverse of `captures_of`, for any bench.
 
     The defaults for what was not recorded are time 0, a move towards +x, green light, and the camera rotation of the
     bench.
@@ -184,7 +176,7 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
 
 
 def _camera_readings(
-    bench: Bench, plan: DisplayPlan | SeeThroughPlan, captures: DisplayCaptures | SeeThroughCaptures, name: str
+    bench: Bench, plan: StagePlan, captures: FeatureCaptures, name: str
 ) -> tuple[FloatArray, FloatArray | None, FloatArray]:
     """Return stage readings (n, 3), rotations (n, 3, 3) if there are any, and camera pixels (n, 2) of captures.
 
@@ -207,18 +199,28 @@ def _camera_readings(
     return stage, None if np.array_equal(orientation, np.tile(np.eye(3), (len(plan), 1, 1))) else orientation, pixel
 
 
-def _recorded(bench: Bench, rows: DisplayPlan | SeeThroughPlan) -> dict[str, Any]:
-    """Return the columns of captures for what is recorded of each photograph."""
-    recorded = {"visit": rows.capture, "time_s": rows.time_s, "travel": rows.travel, "stage": rows.stage}
-    return recorded | {"device_from_camera": camera_orientations(bench, rows)}
+def _common(bench: Bench, rows: StagePlan, pixel: FloatArray) -> dict[str, Any]:
+    """Return what captures of the panel and of targets have in common, given the camera pixels (n, 2)."""
+    sigma_px = bench.camera.point_sigma_px if rows.sigma_px is None else rows.sigma_px
+    return {
+        "device": bench.device.name,
+        "eye": bench.eye,
+        "eye_box": bench.optics.eye_box,
+        "sigma_arcmin": sigma_px * _arcmin_per_px(bench.camera, pixel),
+        "visit": rows.capture,
+        "time_s": rows.time_s,
+        "travel": rows.travel,
+        "stage": rows.stage,
+        "device_from_camera": camera_orientations(bench, rows),
+    }
 
 
-def _moments(captures: DisplayCaptures | SeeThroughCaptures) -> tuple[FloatArray, FloatArray]:
+def _moments(captures: FeatureCaptures) -> tuple[FloatArray, FloatArray]:
     """Return the times (n,) and directions of the last move (n,)."""
     return np.nan_to_num(captures.time_s), np.where(np.isfinite(captures.travel), captures.travel, 1.0)
 
 
-def _numbers(captures: DisplayCaptures | SeeThroughCaptures) -> IntArray:
+def _numbers(captures: FeatureCaptures) -> IntArray:
     """Return the numbers (n,) of the photographs: by camera position, unless the visits were recorded."""
     return captures.visit if captures.has_visits else captures.capture
 
@@ -229,14 +231,7 @@ def _numbered_on(rows: SeeThroughPlan) -> IntArray:
     return np.asarray(np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1), dtype=np.int64)
 
 
-def _sigma_px(camera: EyeballCamera, rows: DisplayPlan | SeeThroughPlan) -> FloatArray:
-    """Return the standard deviation of each reading per axis, camera pixels (n,)."""
-    return np.full(len(rows), camera.point_sigma_px) if rows.sigma_px is None else rows.sigma_px
-
-
-def _sigmas(
-    camera: EyeballCamera, captures: DisplayCaptures | SeeThroughCaptures, pixel: FloatArray
-) -> FloatArray | None:
+def _sigmas(camera: EyeballCamera, captures: FeatureCaptures, pixel: FloatArray) -> FloatArray | None:
     """Return the sigmas (n,) of captures in camera pixels; None if they are exact or have the camera's sigma."""
     sigma_px = captures.sigma_arcmin / _arcmin_per_px(camera, pixel)
     if not sigma_px.any() or np.allclose(sigma_px, camera.point_sigma_px, rtol=_SAME_SIGMA, atol=0.0):

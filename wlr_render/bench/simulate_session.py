@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import DISPLAY, SEE_THROUGH, before_shift, displacement, optics_with_effects
 from wlr_render.bench.simulate_run_time import run_time_readings
-from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan
+from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan, StagePlan
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
 from wlr_render.mappings import Status
@@ -272,7 +272,7 @@ def unshifted(bench: Bench, pixel: FloatArray, part: str) -> FloatArray:
     return before_shift(pixel, lambda place: displacement(bench.effects, "camera", "shift", place, part=part))
 
 
-def part_of(plan: DisplayPlan | SeeThroughPlan) -> str:
+def part_of(plan: StagePlan) -> str:
     """Return the name of the part of a session that a plan is of."""
     return DISPLAY if isinstance(plan, DisplayPlan) else SEE_THROUGH
 
@@ -288,13 +288,13 @@ def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatA
     return viewpoint, point, device_from_camera
 
 
-def camera_positions(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+def camera_positions(bench: Bench, plan: StagePlan) -> FloatArray:
     """Return the true positions of the camera's centre of projection, (n, 3), device frame."""
     origin = bench.stage.origin
     return np.asarray(origin + (plan.stage - origin) @ bench.stage.axes.T + _displacements(bench, plan))
 
 
-def stage_readings(bench: Bench, plan: DisplayPlan | SeeThroughPlan, position: FloatArray) -> FloatArray:
+def stage_readings(bench: Bench, plan: StagePlan, position: FloatArray) -> FloatArray:
     """Return the inverse of `camera_positions`: readings (n, 3) at camera positions (n, 3)."""
     origin, axes = bench.stage.origin, np.linalg.inv(bench.stage.axes).T
     reading = position
@@ -304,7 +304,7 @@ def stage_readings(bench: Bench, plan: DisplayPlan | SeeThroughPlan, position: F
     return np.asarray(reading)
 
 
-def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+def _displacements(bench: Bench, plan: StagePlan) -> FloatArray:
     """Return camera positions minus stage positions, (n, 3): pupil offset, backlash and slip."""
     moved = np.where((plan.time_s >= bench.mount.slip_time_s)[:, None], bench.mount.slip, 0.0)
     moved[:, 0] += np.where(plan.travel > 0, *bench.stage.backlash)
@@ -314,7 +314,7 @@ def _displacements(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArr
     return np.asarray(moved + bench.camera.pupil_offset)
 
 
-def _pose_error(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray | None:
+def _pose_error(bench: Bench, plan: StagePlan) -> FloatArray | None:
     """Return shifts (metres) and turns (radians) of the camera, (n, 6), by effects of the stage and of time."""
     displaced, with_travel = partial(displacement, bench.effects, part=part_of(plan)), plan.travel[:, None]
     return _total(
@@ -324,7 +324,7 @@ def _pose_error(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray 
     )
 
 
-def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+def camera_orientations(bench: Bench, plan: StagePlan) -> FloatArray:
     """Return the true rotations device_from_camera (n, 3, 3) of the camera, slip included."""
     turned = mounted(bench, plan)
     if plan.orientation is not None:
@@ -332,7 +332,7 @@ def camera_orientations(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> Flo
     return slips(bench, plan.time_s) @ turned if bench.mount.slip_rotation.any() else turned
 
 
-def mounted(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> FloatArray:
+def mounted(bench: Bench, plan: StagePlan) -> FloatArray:
     """Return the rotations (n, 3, 3) of the camera on its mount: without slips and orientations of the plan."""
     error = _pose_error(bench, plan)
     if error is None:

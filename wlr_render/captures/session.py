@@ -4,7 +4,7 @@ A row of a *plan* has the nominal state of the bench for one reading; the *sessi
 predicts the readings of a plan, so that measured minus simulated is one subtraction.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -15,73 +15,77 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class DisplayPlan:
-    """Setup of the panel's readings: the panel position that a camera pixel shows.
+class _Plan:
+    """Setup of a part of a session.
 
     Attributes:
-        capture: (n,) index of the photograph.
-        time_s: (n,) time since the session's start.
+        capture: (n,) index of the photograph, or of the recording.
+        time_s: (n,) time since the session's start; at run time, the intended display time of the frame.
+    """
+
+    capture: IntArray
+    time_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.capture)
+
+
+@dataclass(frozen=True, eq=False)
+class StagePlan(_Plan):
+    """Setup of the readings of a camera on a stage; other attributes as in `_Plan`.
+
+    Attributes:
         travel: (n,) direction of the stage's last move in x, +1 or -1.
         stage: (n, 3) position of the camera's centre of projection read from the micrometers.
-        channel: (n,) colour: 0 red, 1 green, 2 blue.
-        camera_pixel: (n, 2) camera pixels.
         orientation: (n, 3, 3) device_from_camera if the camera was turned between captures; None if it always looks
             along -z.
         sigma_px: (n,) standard deviation of each reading per axis, camera pixels; None if the bench's `point_sigma_px`
             holds for all.
     """
 
-    capture: IntArray
-    time_s: FloatArray
     travel: FloatArray
     stage: FloatArray
-    channel: IntArray
-    camera_pixel: FloatArray
-    orientation: FloatArray | None = None
-    sigma_px: FloatArray | None = None
-
-    def __len__(self) -> int:
-        return len(self.capture)
+    orientation: FloatArray | None = field(default=None, kw_only=True)
+    sigma_px: FloatArray | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
-class SeeThroughPlan:
+class DisplayPlan(StagePlan):
+    """Setup of the panel's readings: the panel position that a camera pixel shows.
+
+    Attributes:
+        channel: (n,) colour: 0 red, 1 green, 2 blue.
+        camera_pixel: (n, 2) camera pixels.
+    """
+
+    channel: IntArray
+    camera_pixel: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SeeThroughPlan(StagePlan):
     """Setup of a printed target's readings through the optics: the camera pixel of a dot.
 
     Attributes:
-        capture, time_s, travel, stage: as in `DisplayPlan`; captures count from 0 for every pose of the target.
-        target_pose: (n,) index of the target's pose.
+        target_pose: (n,) index of the target's pose; captures count from 0 for every pose of the target.
         dot: (n, 2) position of the dot on the printed target, metres.
-        orientation: as in `DisplayPlan`.
         bare_pixel: (n, 2) pixels of the dots for the same camera at the same position without the headset; None if not
             photographed. A dot is assumed to lie on that pixel's ray, at its distance from the tracked pose.
         height: (n,) height of the dot above the plane of the target, metres; None for a flat target.
-        sigma_px: as in `DisplayPlan`.
     """
 
-    capture: IntArray
-    time_s: FloatArray
-    travel: FloatArray
-    stage: FloatArray
     target_pose: IntArray
     dot: FloatArray
-    orientation: FloatArray | None = None
     bare_pixel: FloatArray | None = None
     height: FloatArray | None = None
-    sigma_px: FloatArray | None = None
-
-    def __len__(self) -> int:
-        return len(self.capture)
 
 
 @dataclass(frozen=True, eq=False)
-class RunTimePlan:
+class RunTimePlan(_Plan):
     """Setup of run-time readings: the camera pixels of the real dot and of the virtual dot meant to cover it.
 
     Attributes:
-        capture: (n,) index of the recording.
-        time_s: (n,) intended display time of the frame.
-        world_from_device: (n, 4, 4) head pose at that time.
+        world_from_device: (n, 4, 4) head pose at the time.
         head_velocity: (n, 3) metres per second, world frame.
         head_rate: (n, 3) angular velocity, radians per second, world frame.
         viewpoint: (n, 3) tracked position of the pupil.
@@ -89,17 +93,12 @@ class RunTimePlan:
         dot: (n, 3) the real dot, world frame.
     """
 
-    capture: IntArray
-    time_s: FloatArray
     world_from_device: FloatArray
     head_velocity: FloatArray
     head_rate: FloatArray
     viewpoint: FloatArray
     gaze: FloatArray
     dot: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.capture)
 
 
 AnyPlan = TypeVar("AnyPlan", DisplayPlan, SeeThroughPlan, RunTimePlan)
@@ -168,7 +167,7 @@ class Session:
 def select_rows(plan: AnyPlan, rows: NDArray[Any]) -> AnyPlan:
     """Return the rows of a plan, by index or mask."""
     kept: dict[str, Any] = {}
-    for field in fields(plan):
-        value = getattr(plan, field.name)
-        kept[field.name] = None if value is None else value[rows]
+    for each in fields(plan):
+        value = getattr(plan, each.name)
+        kept[each.name] = None if value is None else value[rows]
     return replace(plan, **kept)

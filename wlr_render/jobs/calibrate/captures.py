@@ -33,7 +33,7 @@ def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument 
     path = Path(options.path)
     require_readable_models(options.out)
     progress.say("fitting the models")
-    captures = captures_of(*load_session(path, options.bench)) if path.is_dir() else load_captures(path)
+    captures = captures_of(*load_session(path, options.bench)).in_colour() if path.is_dir() else load_captures(path)
     with prefix_errors(path):
         comparison = options.fit.fit(captures)
     fit, folder = comparison.chosen, output_folder(options.out)
