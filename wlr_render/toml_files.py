@@ -112,9 +112,9 @@ class Table:
             return default
         return self._number(self._get(key), key, least, most, above)
 
-    def whole(self, key: str, least: int = 0, most: int = 10**9) -> int:
+    def whole(self, key: str, least: int = 0, most: int = 10**9, default: int | None = None) -> int:
         """Return a whole number from `least` to `most`."""
-        value = self.number(key)
+        value = self.number(key, default)
         if not least <= value <= most or value != int(value):
             raise self.fail(f"'{key}' must be a whole number from {least} to {most}, not {value:g}.")
         return int(value)

@@ -163,9 +163,9 @@ def test_the_keys_are_read_as_they_are_written(tmp_path):
 @pytest.mark.parametrize(
     ("keys", "sentence"),
     [
-        ({"bits": 7}, "'bits' is 7"),
+        ({"bits": 7}, "'bits' must be a whole number from 8 to 16, not 7"),
         ({"bits": 8, "saturation": 300}, "at most 255"),
-        ({"bits": 8, "gamma": 22}, "'gamma' is 22"),
+        ({"bits": 8, "gamma": 22}, "'gamma' has the value 22; it must be 0.2 or more, and at most 5"),
         ({"bits": 8, "gamma": 2.2, "linearisation": "a.txt"}, "either 'gamma' or"),
         ({"bits": 8, "linearisation": "a.txt"}, "a.txt: there is no such file"),
         ({"bits": 8, "linearisation": "../a.txt"}, "'linearisation': '../a.txt' leads out of the folder"),

@@ -14,6 +14,7 @@ from wlr_render.input_files import require_pixels
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table
 
+_MOST_SIGMA = 1e6
 _SOURCES = ("intrinsics", "focal_px", "lens_file")
 
 
@@ -59,9 +60,7 @@ def _by(size: tuple[int, int]) -> str:
 
 
 def _stated_camera(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
-    focal, centre = table.vector("focal_px", 2), table.vector("opencv_centre_px", 2)
-    if np.any(focal <= 0):
-        raise table.fail(f"'focal_px' is {focal.tolist()}; both must be above 0.")
+    focal, centre = table.vector("focal_px", 2, above=0), table.vector("opencv_centre_px", 2)
     distortion = table.numbers("distortion") if table.has("distortion") else np.zeros(0)
     camera = LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, *_distortion(table, distortion, lens))
     require_plausible_lens(table.where, camera)
@@ -89,16 +88,14 @@ def _sigma(table: Table, count: int) -> FloatArray | None:
     if table.has("sigma") and several:
         raise table.fail(f"give either 'sigma' or '{several[0]}', not both.")
     if table.has("sigma"):
-        sigma = table.vector("sigma", count)
+        sigma = table.vector("sigma", count, least=0, most=_MOST_SIGMA)
     elif several:
-        focal, centre = table.number("focal_sigma_px"), table.number("centre_sigma_px")
+        focal, centre = (table.number(f"{name}_sigma_px", least=0, most=_MOST_SIGMA) for name in ("focal", "centre"))
         sigma = np.array([focal, focal, centre, centre, *[0.0] * (count - 4)])
     else:
         return None
-    if np.any(sigma < 0) or np.any(sigma > 1e6) or not np.any(sigma):
-        raise table.fail(
-            "standard deviations must be 0 to a million, and one above 0; leave them out for an exact lens."
-        )
+    if not np.any(sigma):
+        raise table.fail("one standard deviation must be above 0; leave them out for an exact lens.")
     return sigma
 
 

@@ -32,7 +32,7 @@ EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
 _MOST_AXES = 12
 _MOST_READING = 1e4  # largest reading, mm or degrees
 _SHARED_NUMBERS = {"time_s": (-LIMITS.time_s, LIMITS.time_s), "temperature_c": LIMITS.temperature_c}
-_MOST_TOLERANCE_M = 1e-3
+_MOST_TOLERANCE_UM = 1e3
 _LEVER_M = 0.025
 """Radius that converts angles of rotary axes to arcs for comparisons of readings: about the radius of a camera that
 rotates about its pupil."""
@@ -58,9 +58,7 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
     if table.text("kind", "linear", ("linear", "none")) == "none":
         table.finish()
         return None, tolerance
-    tolerance = 1e-6 * table.number("place_tolerance_um", 1e6 * tolerance)
-    if not 0 <= tolerance <= _MOST_TOLERANCE_M:
-        raise table.fail(f"'place_tolerance_um' must be 0 to {1e6 * _MOST_TOLERANCE_M:g}.")
+    tolerance = 1e-6 * table.number("place_tolerance_um", 1e6 * tolerance, 0, _MOST_TOLERANCE_UM)
     in_camera = table.text("directions_in", "device", ("device", "camera")) == "camera"
     stage = StageDescription()
     if table.has("axes"):
@@ -86,16 +84,13 @@ def _axis(table: Table, axes: FloatArray, in_camera: bool) -> StageAxis:
             raise table.fail("'direction' is zero; give a vector along the axis, or leave it out if it is unknown.")
         direction = axes @ direction / np.linalg.norm(direction)
     if table.has("direction_sigma_deg"):
-        sigma = np.radians(positive(table, "direction_sigma_deg", 180))
+        sigma = np.radians(table.number("direction_sigma_deg", above=0, most=180))
         if direction is None:
             raise table.fail("'direction_sigma_deg' is given without 'direction'; give both, or neither.")
     if table.has("pivot_mm"):
         if kind == "linear":
             raise table.fail("'pivot_mm' is for rotary axes; remove it, or write kind = \"rotary\".")
-        pivot = table.vector("pivot_mm", 3)
-        if np.any(np.abs(pivot) > _MOST_READING):
-            raise table.fail(f"'pivot_mm' is {pivot.tolist()}; at most {_MOST_READING:g} mm are plausible: check it.")
-        pivot = 1e-3 * axes @ pivot
+        pivot = 1e-3 * axes @ table.vector("pivot_mm", 3, least=-_MOST_READING, most=_MOST_READING)
     table.finish()
     return StageAxis(kind, direction, sigma, pivot, in_camera)
 
@@ -199,7 +194,7 @@ class EntryFormat:
             if table.has(key)
         }
         if on_stage:
-            orientation = table.whole("orientation", most=LIMITS.index) if table.has("orientation") else 0
+            orientation = table.whole("orientation", most=LIMITS.index, default=0)
             eye = table.text("eye", self.eyes[0], self.eyes)
             stage, place = self._reading(table), table.text("place", "")
             if stage is None and not place:
@@ -224,11 +219,7 @@ class EntryFormat:
             key = "stage"
         if key == "stage_mm" and "rotary" in kinds:
             raise table.fail("'stage_mm' cannot hold the angle of a rotary axis; write 'stage', mm and degrees.")
-        reading = table.vector(key, len(kinds))
-        if np.any(np.abs(reading) > _MOST_READING):
-            raise table.fail(
-                f"'{key}' is {reading.tolist()}; at most {_MOST_READING:g} mm or degrees are plausible: check the unit."
-            )
+        reading = table.vector(key, len(kinds), least=-_MOST_READING, most=_MOST_READING)
         return np.asarray(self.stage.units * (self.turn @ reading))
 
     def written(self, entry: Entry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
@@ -304,18 +295,6 @@ def place_names(entries: Sequence[Entry], form: EntryFormat, tolerance_m: float)
         if len(places) == 1:
             name_of[group] = places[0]
     return [entry.place or name_of[group] for group, entry in zip(groups, entries, strict=True)]
-
-
-def positive(table: Table, key: str, most: float) -> float:
-    """Return a number above 0 and not above `most`.
-
-    Raises:
-        BadInputError: the number is out of range.
-    """
-    value = table.number(key)
-    if not 0 < value <= most:
-        raise table.fail(f"'{key}' is {value:g}; it must be above 0, and at most {most:g}.")
-    return value
 
 
 def rounded(value: Any) -> Any:

@@ -25,7 +25,6 @@ from wlr_render.captures.photo_session_checks import check_count, check_range, c
 from wlr_render.captures.photo_session_entries import (
     EntryFormat,
     place_names,
-    positive,
     read_stage,
     rounded,
     stage_lists,
@@ -163,23 +162,18 @@ def _panel(table: Table) -> tuple[Panel, dict[str, FloatArray]]:
     offsets: dict[str, FloatArray] = {}
     if table.has("primary_offsets_px"):
         given = table.table("primary_offsets_px")
-        offsets = {channel: given.vector(channel, 2) for channel in CHANNELS if given.has(channel)}
+        # A primary lies within its pixel.
+        offsets = {channel: given.vector(channel, 2, least=-1, most=1) for channel in CHANNELS if given.has(channel)}
         given.finish()
-        if any(np.any(np.abs(offset) > 1) for offset in offsets.values()):
-            raise given.fail("an offset is more than one pixel; it must be a fraction of the panel's pixel.")
     table.finish()
     return panel, offsets
 
 
 def _eye_box(table: Table, axes: FloatArray) -> EyeBox:
-    centre, size = table.vector("centre_mm", 3), table.vector("size_mm", 3)
+    centre = table.vector("centre_mm", 3, least=-_DEVICE_MM, most=_DEVICE_MM)
+    size = table.vector("size_mm", 3, least=_EYE_BOX_LEAST_MM)
     table.finish()
     require_eye_box(f"{table.where}: 'size_mm'", size, "mm")
-    if size.min() < _EYE_BOX_LEAST_MM:
-        raise table.fail(
-            f"'size_mm' is {size.tolist()}, below {_EYE_BOX_LEAST_MM:g} mm on an axis; is it in metres? Convert it."
-        )
-    check_range(table, "centre_mm", centre, (-_DEVICE_MM, _DEVICE_MM))
     return EyeBox(_MM * axes @ centre, _MM * size)
 
 
@@ -207,7 +201,8 @@ def _pose(table: Table, axes: FloatArray, limits_mm: tuple[float, float]) -> Flo
 
 def _pose_sigma(table: Table) -> tuple[float, float]:
     """Return the standard deviations of rotation and translation, radians and metres."""
-    return float(np.radians(positive(table, "sigma_deg", 180))), _MM * positive(table, "sigma_mm", _DEVICE_MM)
+    turn, shift = table.number("sigma_deg", above=0, most=180), table.number("sigma_mm", above=0, most=_DEVICE_MM)
+    return float(np.radians(turn)), _MM * shift
 
 
 def _targets(file: Table, root: Path, axes: FloatArray) -> dict[int, GivenPose]:

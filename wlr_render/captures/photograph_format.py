@@ -93,19 +93,11 @@ class PhotographFormat:
         Raises:
             BadInputError: a value is out of range, keys exclude each other, or the linearisation cannot be read.
         """
-        bits = table.whole("bits", 1)
-        if not 8 <= bits <= 16:
-            raise table.fail(f"'bits' is {bits}; it must be 8 to 16.")
+        bits = table.whole("bits", 8, 16)
         largest = 2**bits - 1
-        saturation = table.number("saturation") if table.has("saturation") else None
-        black = table.number("black_level", 0.0)
-        if saturation is not None and not black < saturation <= largest:
-            raise table.fail(f"'saturation' is {saturation:g}; it must be above 'black_level' and at most {largest}.")
-        if not 0 <= black < largest:
-            raise table.fail(f"'black_level' is {black:g}; it must be 0 or more, and below {largest}.")
-        gamma = table.number("gamma", 1.0)
-        if not 0.2 <= gamma <= 5:
-            raise table.fail(f"'gamma' is {gamma:g}; it must be 0.2 to 5: the stored value is light ** (1 / gamma).")
+        black = table.number("black_level", 0.0, 0, largest - 1)
+        saturation = table.number("saturation", above=black, most=largest) if table.has("saturation") else None
+        gamma = table.number("gamma", 1.0, 0.2, 5)  # the stored value is light ** (1 / gamma)
         name = table.text("linearisation", "")
         if name and gamma != 1.0:
             raise table.fail("give either 'gamma' or 'linearisation'.")

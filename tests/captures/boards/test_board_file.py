@@ -34,8 +34,8 @@ def test_a_saved_board_comes_back(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("pitch_mm = ", "pitch_mm = 9999", "0.05 to 2000 mm are plausible: check its unit"),
-        ("scale_sigma = 0", "scale_sigma = 90", "it must be a standard deviation, 0 to 0.5"),
+        ("pitch_mm = ", "pitch_mm = 9999", "it must be 0.05 or more, and at most 2000"),
+        ("scale_sigma = 0", "scale_sigma = 90", "it must be 0 or more, and at most 0.5"),
         ("pitch_mm", "pitch_m", r"'pitch_mm' is missing \(found 'pitch_m' instead\)"),
         ("large_mm = 6.0", "large_mm = 60.0", "nearly touch"),
         ("columns = 18", "columns = 17", "'columns' is 17, but 'sizes' has 18 columns"),
@@ -175,8 +175,8 @@ def test_a_board_on_a_monitor_is_given_in_its_pixels(tmp_path):
         ("april-grid", "first_id = 4", "first_id = 570", "needs tags up to 599, but 36h11 ends at 586"),
         ("chessboard", "corner_columns = 9", "corner_columns = 6", "looks the same turned by 90 degrees"),
         ("chessboard", "square_mm", "square_px", r"'square_mm' is missing \(found 'square_px' instead\)"),
-        ("chessboard", "square_mm = 24.23", "square_mm = 0", "'square_mm' is 0; it must be above zero"),
-        ("chessboard", "flatness_mm = 0", "flatness_mm = -1", "'flatness_mm' is -1; it must be a standard deviation"),
+        ("chessboard", "square_mm = 24.23", "square_mm = 0", "'square_mm' has the value 0; it must be 0.05 or more"),
+        ("chessboard", "flatness_mm = 0", "flatness_mm = -1", "'flatness_mm' has the value -1; it must be 0 or more"),
         ("circles", "columns = 9", "columns = 7", "looks the same turned by 90 degrees"),
         ("circles", "diameter_mm = 12", "diameter_mm = 20", "circles nearly touch"),
     ],

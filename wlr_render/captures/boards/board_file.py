@@ -29,7 +29,6 @@ KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-c
 
 _LENGTH_M = (5e-5, 2.0)  # plausible size of a square, dot or gap: beyond, lengths are in another unit
 _LARGEST_PITCH_MM = 50.0
-_MOST_SIGMA = {"scale_sigma": 0.5, "flatness_mm": 100.0, "print_error_um": 10_000.0}
 _MOST = 2000  # most rows or columns
 
 _COMMENT = """A calibration board. Lengths are millimetres as measured on the print:
@@ -166,27 +165,17 @@ class _Lengths:
     def of(cls, table: Table) -> "_Lengths":
         if not table.flag("screen", False):
             return cls(table, "mm", 1e-3)
-        pitch = table.number("pixel_pitch_mm")
-        if not 0 < pitch <= _LARGEST_PITCH_MM:
-            raise table.fail(f"'pixel_pitch_mm' is {pitch:g}; it must be above zero, at most {_LARGEST_PITCH_MM:g}.")
-        return cls(table, "px", 1e-3 * pitch)
+        return cls(table, "px", 1e-3 * table.number("pixel_pitch_mm", above=0, most=_LARGEST_PITCH_MM))
 
     def key(self, name: str) -> str:
         return f"{name}_{self.unit}"
 
     def number(self, name: str, default_m: float | None = None) -> float:
-        """Return a length; above zero unless there is a default, as for margins."""
-        default = None if default_m is None else default_m / self.unit_m
-        value = self.table.number(self.key(name), default)
-        if value < 0 or (value == 0 and default is None):
-            raise self.table.fail(f"'{self.key(name)}' is {value:g}; it must be above zero.")
-        least = 0.0 if default is not None else _LENGTH_M[0]
-        if not least <= value * self.unit_m <= _LENGTH_M[1]:
-            raise self.table.fail(
-                f"'{self.key(name)}' is {value:g}; {1e3 * _LENGTH_M[0]:g} to {1e3 * _LENGTH_M[1]:g} mm are plausible: "
-                "check its unit."
-            )
-        return value * self.unit_m
+        """Return a length; it may be 0 only where there is a default, as for margins."""
+        least, most = (length / self.unit_m for length in _LENGTH_M)
+        if default_m is None:
+            return self.table.number(self.key(name), least=least, most=most) * self.unit_m
+        return self.table.number(self.key(name), default_m / self.unit_m, 0, most) * self.unit_m
 
 
 def _charuco(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> CharucoBoard:
@@ -212,8 +201,7 @@ def _april_grid(table: Table, lengths: _Lengths, tolerances: BoardTolerances) ->
     spacing = table.number("spacing", 0.3)
     if not 0 < spacing < 1:
         raise table.fail(f"'spacing' is {spacing:g}; it is the gap between tags over their side, between 0 and 1.")
-    border = table.whole("border_bits", 1, 10) if table.has("border_bits") else 2
-    first = table.whole("first_id") if table.has("first_id") else 0
+    border, first = table.whole("border_bits", 1, 10, default=2), table.whole("first_id", default=0)
     available = len(dictionary_of(DICTIONARY).bytesList)
     if first + columns * rows > available:
         raise table.fail(
@@ -271,15 +259,11 @@ def _check_count(table: Table, columns: int, rows: int) -> None:
 
 def _tolerances(table: Table) -> BoardTolerances:
     usual = BoardTolerances()
-    given = BoardTolerances(
-        table.number("scale_sigma", usual.scale_sigma),
-        1e-3 * table.number("flatness_mm", 1e3 * usual.flatness_m),
-        1e-6 * table.number("print_error_um", round(1e6 * usual.print_error_m, 6)),
+    return BoardTolerances(
+        table.number("scale_sigma", usual.scale_sigma, 0, 0.5),
+        1e-3 * table.number("flatness_mm", 1e3 * usual.flatness_m, 0, 100),
+        1e-6 * table.number("print_error_um", round(1e6 * usual.print_error_m, 6), 0, 10_000),
     )
-    for key, value in _tolerance_keys(given).items():
-        if not 0 <= value <= _MOST_SIGMA[key]:
-            raise table.fail(f"'{key}' is {value:g}; it must be a standard deviation, 0 to {_MOST_SIGMA[key]:g}.")
-    return given
 
 
 def _tolerance_keys(tolerances: BoardTolerances) -> dict[str, float]:
