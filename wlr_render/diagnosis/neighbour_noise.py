@@ -4,15 +4,17 @@ Surfaces through photographs follow it. What very smooth surfaces leave shows it
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
 from wlr_render.diagnosis.residual_surfaces import Surface
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
+from wlr_render.numerics.shared_noise import Contrasts, SharedNoise, neighbour_distance
 
 CLEARLY = 4.5  # log likelihood that a further number must gain: three standard errors
 _SHARES = np.linspace(0.0, 0.95, 39)
@@ -31,22 +33,20 @@ _NEGLIGIBLE = 6.0  # log likelihood below the best one's from which a share is n
 _FEW_PHOTOGRAPHS = 8  # whose surfaces tell what they leave
 _NOT_EXCLUDED = 2.0  # log likelihood that two standard errors cost
 
+_NOTHING_SHARED = SharedNoise(0.0, float("nan"), is_smooth=True)
+
 
 @dataclass(frozen=True)
 class NeighbourNoise:
     """Noise that neighbours share.
 
     Attributes:
-        share: of the variance that neighbouring readings have in common; 0 where it is not clear.
-        reach_px: distance in the image over which they do; NaN where nothing is shared.
-        is_smooth: whether what they share varies smoothly over the image.
+        shared: its field over the image, in pixels; of share 0 and length NaN where it is not clear.
         kept: share of the whole variance that surfaces leave per degree of freedom, whatever is clear.
         kept_error: its relative standard error.
     """
 
-    share: float = 0.0
-    reach_px: float = float("nan")
-    is_smooth: bool = True
+    shared: SharedNoise = _NOTHING_SHARED
     kept: float = 1.0
     kept_error: float = 0.0
 
@@ -71,29 +71,25 @@ def neighbour_noise(
     step = int(np.ceil(len(own) / np.clip(_WORK / readings**3, *_PHOTOGRAPHS)))
     chosen = own[step // 2 :: step]
     incoherent = _incoherent(observations, residual, own)
-    blocks = [_contrasts(observations, incoherent, each, shape) for each in chosen]
-    spacing = float(np.median([_spacing(place) for _, _, place in blocks]))
-    white = sum(len(values) * np.log(np.sum(values**2).clip(1e-300)) for values, _, _ in blocks)
-    gain, share, reach, smooth = 0.0, 0.0, np.nan, True
-    every = list[tuple[float, bool, FloatArray]]()
-    for tried, is_smooth in product(spacing * np.array(_REACHES), (True, False)):
-        likelihood = np.zeros(len(_SHARES))
-        for values, projection, place in blocks:
-            shared = projection.T @ shared_correlation(place, tried, is_smooth) @ projection
-            own_variance, axes = np.linalg.eigh(shared)
-            power = np.sum((axes.T @ values) ** 2, axis=1)
-            variance = 1.0 - _SHARES[:, None] + _SHARES[:, None] * own_variance.clip(0.0)
-            likelihood -= np.sum(np.log(variance), axis=1) + len(values) * np.log(
-                np.sum(power / variance, axis=1).clip(1e-300)
-            )
-        likelihood -= 0.5 * (np.log(tried / spacing / _USUAL_REACH) / _REACH_RANGE) ** 2
+    places = [_nearest(observations, each) for each in chosen]
+    blocks = [_contrasts(observations, incoherent, rows, shape) for rows in places]
+    spacing = neighbour_distance([observations.image_place[rows] for rows in places])
+    white = sum(len(each.square) * np.log(np.trace(each.square).clip(1e-300)) for each in blocks)
+    gain, best = CLEARLY, _NOTHING_SHARED
+    every = list[tuple[SharedNoise, FloatArray]]()
+    for tried, is_smooth in product(_REACHES, (True, False)):
+        field, likelihood = SharedNoise(1.0, tried * spacing, is_smooth), np.zeros(len(_SHARES))
+        for each in blocks:
+            log, square = each.likelihood_terms(field, _SHARES)
+            likelihood -= log + len(each.square) * np.log(square.clip(1e-300))
+        likelihood -= 0.5 * (np.log(tried / _USUAL_REACH) / _REACH_RANGE) ** 2
         likelihood += 2.0 * np.log1p(-_SHARES)  # a small share is likelier than a large one
-        every.append((float(tried), is_smooth, likelihood + white))
+        every.append((field, likelihood + white))
         at = int(np.argmax(likelihood))
-        if likelihood[at] + white > max(gain, CLEARLY):
-            gain, share, reach, smooth = float(likelihood[at] + white), float(_SHARES[at]), float(tried), is_smooth
+        if likelihood[at] + white > gain:
+            gain, best = float(likelihood[at] + white), replace(field, share=float(_SHARES[at]))
     some = chosen[:: len(chosen) // _FEW_PHOTOGRAPHS + 1]
-    return NeighbourNoise(share, reach, smooth, *_kept(observations, some, every))
+    return NeighbourNoise(best, *_kept(observations, some, every))
 
 
 def _incoherent(observations: Observations, residual: FloatArray, own: list[Surface]) -> FloatArray:
@@ -131,28 +127,8 @@ def _incoherent(observations: Observations, residual: FloatArray, own: list[Surf
     return left
 
 
-def _spacing(place: FloatArray) -> float:
-    """Return the distance between neighbouring places (m, 2)."""
-    apart = np.linalg.norm(place[:, None] - place, axis=-1)
-    apart[np.diag_indices_from(apart)] = np.inf
-    return float(np.median(apart.min(axis=1)))
-
-
-def shared_correlation(place: FloatArray, reach_px: float, smooth: bool) -> FloatArray:
-    """Return the correlation (m, m) of the shared noise between places (m, 2) of the image.
-
-    Gaussian where it is smooth, else Matern's of order 3/2 (C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes
-    for Machine Learning", 2006, 4.2).
-    """
-    square = np.sum(place**2, axis=1)
-    distance = np.sqrt((square[:, None] + square - 2.0 * place @ place.T).clip(0.0)) / reach_px
-    if smooth:
-        return np.asarray(np.exp(-0.5 * distance**2))
-    return np.asarray((1.0 + np.sqrt(3.0) * distance) * np.exp(-np.sqrt(3.0) * distance))
-
-
 def _kept(
-    observations: Observations, own: Sequence[Surface], tried: Sequence[tuple[float, bool, FloatArray]]
+    observations: Observations, own: Sequence[Surface], tried: Sequence[tuple[SharedNoise, FloatArray]]
 ) -> tuple[float, float]:
     """Return the share of the variance that surfaces leave per degree of freedom, and its relative error.
 
@@ -162,14 +138,14 @@ def _kept(
     Args:
         observations: what was read.
         own: surfaces of some photographs.
-        tried: reach and smoothness of shared noise, and the log likelihood of each of `_SHARES`.
+        tried: fields of shared noise, and the log likelihood of each of `_SHARES`.
     """
-    best = max(float(likelihood.max()) for _, _, likelihood in tried)
+    best = max(float(likelihood.max()) for _, likelihood in tried)
     weights, kept, possible = list[FloatArray](), list[FloatArray](), list[FloatArray]()
-    for reach, smooth, likelihood in tried:
+    for field, likelihood in tried:
         if likelihood.max() < best - _NEGLIGIBLE:
             continue
-        left = np.mean([_left_of_shared(observations, each, reach, smooth) for each in own])
+        left = np.mean([_left_of_shared(observations, each, field) for each in own])
         kept.append(1.0 - _SHARES * (1.0 - left))
         weights.append(np.exp(likelihood - best))
         possible.append(kept[-1][likelihood > best - _NOT_EXCLUDED])
@@ -182,27 +158,28 @@ def _kept(
     return 1.0 / whole, max(spread, 0.5 * (most - whole)) / whole
 
 
-def _left_of_shared(observations: Observations, surface: Surface, reach: float, smooth: bool) -> float:
+def _left_of_shared(observations: Observations, surface: Surface, field: SharedNoise) -> float:
     """Return the mean square per degree of freedom that a surface leaves of shared noise of unit variance."""
     place = observations.image_place[surface.rows[surface.good]]
     axes = np.linalg.qr(surface.design[surface.good])[0]
-    taken = float(np.sum(axes * (shared_correlation(place, reach, smooth) @ axes)))
+    taken = float(np.sum(axes * (field.correlation(place) @ axes)))
     return (len(place) - taken) / (len(place) - surface.terms)
 
 
-def _contrasts(
-    observations: Observations, residual: FloatArray, surface: Surface, shape: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return contrasts (c, 2) of a photograph's readings that no very smooth surface changes.
-
-    And how they follow from the readings (m, c), and the readings' places (m, 2): those nearest to each other.
-    """
+def _nearest(observations: Observations, surface: Surface) -> IntArray:
+    """Return good readings (m,) of a photograph: those nearest to the middle of all."""
     rows = surface.rows[surface.good]
+    if len(rows) <= _MOST_READINGS:
+        return rows
     place = observations.image_place[rows]
-    if len(rows) > _MOST_READINGS:
-        near = np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]
-        rows, place = rows[near], place[near]
+    return rows[np.argsort(np.sum((place - np.median(place, axis=0)) ** 2, axis=1))[:_MOST_READINGS]]
+
+
+def _contrasts(observations: Observations, residual: FloatArray, rows: IntArray, shape: FloatArray) -> Contrasts:
+    """Return contrasts of some readings of a photograph that no very smooth surface changes."""
+    place = observations.image_place[rows]
     degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
     design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]
-    projection = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
-    return projection.T @ (residual[rows] / shape[rows][:, None]), projection, place
+    across = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    values = across.T @ (residual[rows] / shape[rows][:, None])
+    return Contrasts(cdist(place, place), across, values @ values.T)

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.diagnosis.neighbour_noise import CLEARLY, NeighbourNoise, neighbour_noise, shared_correlation
+from wlr_render.diagnosis.neighbour_noise import CLEARLY, NeighbourNoise, neighbour_noise
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
 from wlr_render.diagnosis.residual_surfaces import Surface, surfaces
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.shared_noise import SharedNoise
 
 _STATED_ERROR = 0.1  # relative error of a sigma that a bench states
 _ENOUGH_FOR_A_SPREAD = 8  # photographs
@@ -83,7 +84,7 @@ class NoiseFloor:
 
     def shared_correlation(self, place: FloatArray) -> FloatArray:
         """Return the correlation (m, m) of the shared noise between places (m, 2) of the image."""
-        return shared_correlation(place, self.shared_reach_px, self.shared_is_smooth)
+        return SharedNoise(self.shared, self.shared_reach_px, self.shared_is_smooth).correlation(place)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +140,11 @@ def _floor(
     settings: Settings,
 ) -> NoiseFloor:
     stated = float(np.sqrt(np.mean(observations.sigma_px[observations.part == part] ** 2)))
-    shared = neighbour_noise(observations, residual, own, shape)
-    within = _within(own, shape, shared)
-    repeats = _repeats(observations, residual, shape, shared, settings) if part == DISPLAY else Variance(np.nan, np.nan)
+    neighbours = neighbour_noise(observations, residual, own, shape)
+    within = _within(own, shape, neighbours)
+    repeats = (
+        _repeats(observations, residual, shape, neighbours, settings) if part == DISPLAY else Variance(np.nan, np.nan)
+    )
     measured = _combined(within, repeats, settings)
     within_px, repeats_px, measured_px = (stated * float(np.sqrt(e.value)) for e in (within, repeats, measured))
     error_px, used_px, is_believable = np.nan, stated, True
@@ -152,10 +155,8 @@ def _floor(
         is_believable = not is_significant(logarithm, measured.error, settings)
         weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
         used_px = stated * float(np.exp(0.5 * weight * logarithm)) if is_believable else measured_px
-    pixels = (stated, within_px, repeats_px, measured_px, error_px, used_px)
-    return NoiseFloor(
-        PART_NAMES[part], *pixels, is_believable, rim, differ, shared.share, shared.reach_px, shared.is_smooth
-    )
+    pixels, field = (stated, within_px, repeats_px, measured_px, error_px, used_px), neighbours.shared
+    return NoiseFloor(PART_NAMES[part], *pixels, is_believable, rim, differ, field.share, field.length, field.is_smooth)
 
 
 def _over_field(observations: Observations, rows: IntArray, rim: float) -> FloatArray:

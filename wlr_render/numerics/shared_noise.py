@@ -5,9 +5,9 @@
 Interpolation of the picture, its compression and air make such noise. Left out of the likelihood, it looks like motions
 of the camera and like optics, because the mean of many readings that share noise is not as good as their number says.
 
-The field is the Matern class of order 3/2 (Rasmussen and Williams, "Gaussian Processes for Machine Learning", 2006,
-chapter 4); share and length maximise the restricted likelihood (Patterson and Thompson, Biometrika 58, 1971, 545-554)
-of what a polynomial leaves of each photograph.
+The field is of the Matern class of order 3/2, or Gaussian where it is smooth (Rasmussen and Williams, "Gaussian
+Processes for Machine Learning", 2006, chapter 4); share and length maximise the restricted likelihood (Patterson and
+Thompson, Biometrika 58, 1971, 545-554) of what a polynomial leaves of each photograph.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,10 +38,12 @@ class SharedNoise:
     Attributes:
         share: of the variance that the field has; the rest is white.
         length: of the field, in the unit of the places.
+        is_smooth: whether the field varies smoothly.
     """
 
     share: float
     length: float
+    is_smooth: bool = False
 
     def correlation(self, place: FloatArray) -> FloatArray:
         """Return the correlation (n, n) of the field between places (n, 2)."""
@@ -49,6 +51,8 @@ class SharedNoise:
 
     def correlation_at(self, distance: FloatArray) -> FloatArray:
         """Return the correlation of the field between places at these distances."""
+        if self.is_smooth:
+            return np.asarray(np.exp(-0.5 * (distance / self.length) ** 2))
         apart = distance * (np.sqrt(3.0) / self.length)
         return np.asarray((1.0 + apart) * np.exp(-apart))
 
@@ -82,6 +86,32 @@ _roots: dict[tuple[SharedNoise, bytes, bytes], FloatArray] = {}
 """Roots in the order of their last use: captures often see the same places, and a fit asks for them again and again."""
 
 
+@dataclass(frozen=True)
+class Contrasts:
+    """Contrasts of readings of a photograph in which no smooth function of the place has a part.
+
+    Attributes:
+        distance: (n, n) between the places of the readings.
+        across: (n, c) orthonormal contrasts.
+        square: (c, c) second moments of their values, summed over both axes.
+    """
+
+    distance: FloatArray
+    across: FloatArray
+    square: FloatArray
+
+    def likelihood_terms(self, field: SharedNoise, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return terms of the restricted likelihood of noise of unit variance, of which a field has shares (k,).
+
+        Returns:
+            Logarithm (k,) of the determinant of the contrasts' covariance, and the sum of their squares (k,) by it.
+        """
+        sizes, axes = np.linalg.eigh(self.across.T @ field.correlation_at(self.distance) @ self.across)
+        power = np.sum(axes * (self.square @ axes), axis=0)
+        variance = 1.0 + shares * (np.maximum(sizes, 0.0)[:, None] - 1.0)
+        return np.log(variance).sum(axis=0), np.sum(power[:, None] / variance, axis=0)
+
+
 def find_shared_noise(
     places: Sequence[FloatArray],
     residuals: Sequence[FloatArray],
@@ -109,20 +139,18 @@ def find_shared_noise(
         rows = _patch(places[each], rng)
         place, across = places[each][rows], _across(places[each][rows])
         seen = across.T @ np.hstack([residuals[each][rows], np.sqrt(2.0) * unsure(each, rows)])
-        patches.append((cdist(place, place), across, seen @ seen.T))
+        patches.append(Contrasts(cdist(place, place), across, seen @ seen.T))
 
     @cache
     def minus_two(row: int) -> FloatArray:
         """Of the restricted likelihood of a length, (shares,), at the size of the noise that fits each share best."""
         field = SharedNoise(1.0, _LENGTHS[row] * spacing)
         logs, squares, count = np.zeros(len(_SHARES)), np.zeros(len(_SHARES)), 0
-        for distance, across, square in patches:
-            sizes, axes = np.linalg.eigh(across.T @ field.correlation_at(distance) @ across)
-            power = np.sum(axes * (square @ axes), axis=0)
-            variance = 1.0 + _SHARES * (np.maximum(sizes, 0.0)[:, None] - 1.0)
-            logs += 2.0 * np.log(variance).sum(axis=0)
-            squares += np.sum(power[:, None] / variance, axis=0)
-            count += 2 * across.shape[1]
+        for patch in patches:
+            log, square = patch.likelihood_terms(field, _SHARES)
+            logs += 2.0 * log
+            squares += square
+            count += 2 * patch.across.shape[1]
         return np.asarray(logs + count * np.log(np.maximum(squares, 1e-300)))
 
     row, last = _USUAL_LENGTH, -1
