@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
@@ -16,7 +16,7 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens import Lens, radians_per_pixel
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 _BEYOND_FIELD = 0.05  # of the panel's field on each side: solves start and interpolate there
 _SYSTEMATIC_PX = 0.01
@@ -89,22 +89,11 @@ def display_captures(headset: Headset, panel: Panel, camera: Lens, views: Sequen
         raise BadInputError("no photographs of the panel are left to fit the display to; see which were rejected.")
     parts = []
     for number, view in enumerate(views):
-        direction, angle, sound = _directions(camera, view.device_from_camera, view.samples.camera_pixel)
+        samples = view.samples
         # The decoded panel position is uncertain; as a direction it is so by the camera pixels that it stands for.
-        sigma_px = np.hypot(view.samples.sigma_px / view.samples.scale, _SYSTEMATIC_PX)
-        parts.append(
-            DisplayCaptures(
-                device=headset.device,
-                eye=headset.eye,
-                eye_box=headset.eye_box,
-                panel=panel,
-                view_dir=direction[sound],
-                pixel=view.samples.panel_pixel[sound],
-                capture=np.array(number),
-                sigma_arcmin=(sigma_px * angle)[sound],
-                **_of_camera(view),
-            )
-        )
+        rows, sound = _rows(headset, camera, view, samples.camera_pixel, samples.sigma_px / samples.scale)
+        capture = np.array(number)
+        parts.append(DisplayCaptures(panel=panel, pixel=samples.panel_pixel[sound], capture=capture, **rows))
     return concatenate(parts)
 
 
@@ -120,24 +109,19 @@ def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetV
         )
     parts = []
     for view in views:
-        lens = view.camera or camera
-        discs, pixel = view.observation.discs, view.observation.pixel
-        if discs is not None:
-            pixel = discs.centres(lens, view.target_point, pixel)
-        direction, angle, sound = _directions(lens, view.device_from_camera, pixel)
+        lens, discs = view.camera or camera, view.observation.discs
+        pixel = (
+            view.observation.pixel if discs is None else discs.centres(lens, view.target_point, view.observation.pixel)
+        )
+        rows, sound = _rows(headset, lens, view, pixel, view.observation.sigma_px)
         on_target = view.target_point[sound]
         parts.append(
             SeeThroughCaptures(
-                device=headset.device,
-                eye=headset.eye,
-                eye_box=headset.eye_box,
-                view_dir=direction[sound],
                 point=transforms.apply(view.device_from_target, on_target),
+                target_point=on_target,
                 capture=np.array(view.capture),
                 target_pose=np.array(view.target_pose),
-                sigma_arcmin=(np.hypot(view.observation.sigma_px, _SYSTEMATIC_PX) * angle)[sound],
-                target_point=on_target,
-                **_of_camera(view),
+                **rows,
             )
         )
     return concatenate(parts)
@@ -167,27 +151,37 @@ def recorded_of(taken: BoardPhotograph | CodeSet) -> dict[str, ArrayLike]:
     return {name: value for name, value in stated.items() if value is not None}
 
 
-def _of_camera(view: PanelView | TargetView) -> dict[str, Any]:
-    """Columns that all rows of a view share; its camera has OpenCV's axes."""
-    pose = view.device_from_camera
-    turned = pose[:3, :3] @ transforms.OPENXR_FROM_OPENCV
-    return {**view.conditions, "viewpoint": pose[:3, 3], "device_from_camera": turned}
+def _rows(
+    headset: Headset, camera: Lens, view: PanelView | TargetView, pixel: FloatArray, sigma_px: FloatArray
+) -> tuple[dict[str, Any], BoolArray]:
+    """Columns that captures of both kinds have, of the pixels that the camera model has, and which (n,) these are.
 
-
-def _directions(
-    camera: Lens, device_from_camera: FloatArray, pixel: FloatArray
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Directions (n, 3) in the device frame, arcminutes per pixel (n,) there, and which the camera model has, (n,).
+    Args:
+        headset: the headset.
+        camera: the lens; it has OpenCV's axes.
+        view: one camera pose.
+        pixel: (n, 2) camera pixels.
+        sigma_px: (n,) their standard deviations.
 
     Raises:
         BadInputError: some of them do not lead forward in the device frame.
     """
-    in_camera = camera.dir_of_pixel(pixel)
-    direction = transforms.rotate(device_from_camera, in_camera)
+    pose, in_camera = view.device_from_camera, camera.dir_of_pixel(pixel)
+    direction = transforms.rotate(pose, in_camera)
     if np.any(direction[:, 2] >= 0):
         raise BadInputError(
             "the eyeball camera looks back, not through the optics; check 'frame' and the tracking camera's 'rotation' "
             "in session.toml."
         )
-    angle = radians_per_pixel(camera, in_camera) / ARCMIN
-    return direction, angle, np.asarray(np.isfinite(in_camera).all(axis=-1))
+    sound = np.asarray(np.isfinite(in_camera).all(axis=-1))
+    arcmin_per_px = radians_per_pixel(camera, in_camera) / ARCMIN
+    rows = {
+        "device": headset.device,
+        "eye": headset.eye,
+        "eye_box": headset.eye_box,
+        "viewpoint": pose[:3, 3],
+        "view_dir": direction[sound],
+        "sigma_arcmin": (np.hypot(sigma_px, _SYSTEMATIC_PX) * arcmin_per_px)[sound],
+        "device_from_camera": pose[:3, :3] @ transforms.OPENXR_FROM_OPENCV,
+    }
+    return {**view.conditions, **rows}, sound
