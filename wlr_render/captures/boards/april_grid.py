@@ -13,8 +13,8 @@ from wlr_render.captures.boards.board import (
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
+    Layout,
     flat_points,
-    grid_indices,
 )
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
@@ -75,31 +75,20 @@ class AprilGrid(CellBoard):
         return self.spacing * self.tag_m
 
     @property
-    def size_m(self) -> FloatArray:
-        """(2,) width and height with small squares and margin."""
+    def _layout(self) -> Layout:
         tags = np.array([self.tag_columns, self.tag_rows])
-        return tags * self.tag_m + (tags + 1) * self.gap_m + 2 * self.margin_m
-
-    @property
-    def title(self) -> str:
-        """Kind, numbers and sizes in words."""
-        return (
-            f"AprilGrid {self.tag_columns} x {self.tag_rows} tags 36h11 of {1e3 * self.tag_m:g} mm, spacing "
+        return Layout(
+            2 * tags,
+            self.tag_m,
+            size_m=tags * self.tag_m + (tags + 1) * self.gap_m + 2 * self.margin_m,
+            finest_m=min(self.tag_m / self._bits, self.gap_m),
+            title=f"AprilGrid {self.tag_columns} x {self.tag_rows} tags 36h11 of {1e3 * self.tag_m:g} mm, spacing "
             f"{self.spacing:g}, border {self.border_bits}, first tag {self.first_id} at the "
-            f"{'bottom' if self.first_at_bottom else 'top'} left"
+            f"{'bottom' if self.first_at_bottom else 'top'} left",
         )
 
-    @property
-    def finest_m(self) -> float:
-        """Side of a tag's bit, or of a small square."""
-        return min(self.tag_m / self._bits, self.gap_m)
-
-    def indices(self) -> IntArray:
-        """Return (column, row) of all tag corners, row by row: two of each for every tag."""
-        return grid_indices(2 * self.tag_columns, 2 * self.tag_rows)
-
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Return the corners (..., 3), board frame, by (column, row), (..., 2)."""
+        """Return the corners (..., 3), board frame, by (column, row), (..., 2): two columns and rows of each tag."""
         tag, side = np.divmod(np.asarray(index), 2)
         tags = np.array([self.tag_columns, self.tag_rows])
         extent = tags * self.tag_m + (tags - 1) * self.gap_m

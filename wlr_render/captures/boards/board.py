@@ -1,12 +1,13 @@
-"""Protocol of calibration boards: flat targets with identifiable features at known positions.
+"""Calibration boards: flat targets with identifiable features at known positions.
 
 Board frame: x right along the columns, y down along the rows, z into the board, origin in the middle of the features'
 grid (OpenCV's axes, as a camera sees a board that hangs upright before it). Metres. A feature's index is its
 (column, row), whole numbers from the top left, for every kind of board.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,35 +85,68 @@ class BoardObservation:
         return len(self.index)
 
 
-class Board(Protocol):
-    """A calibration board: its features, its appearance, and its detection in a photograph."""
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Layout of a board.
+
+    Attributes:
+        features: (2,) numbers of columns and rows of its features.
+        pitch_m: distance of neighbouring features.
+        size_m: (2,) width and height of the board with its margin.
+        finest_m: size of the smallest printed shape.
+        title: kind, numbers and sizes in words, for the printed board.
+    """
+
+    features: IntArray
+    pitch_m: float
+    size_m: FloatArray
+    finest_m: float
+    title: str
+
+
+class Board(ABC):
+    """A calibration board: its features, its appearance, and its detection in a photograph.
+
+    Attributes:
+        tolerances: tolerances of the print against its file.
+    """
+
+    tolerances: BoardTolerances
 
     @property
-    def tolerances(self) -> BoardTolerances:
-        """Tolerances of the print against its file."""
+    @abstractmethod
+    def _layout(self) -> Layout: ...
 
     @property
     def size_m(self) -> FloatArray:
         """(2,) width and height of the board with its margin."""
+        return self._layout.size_m
 
     @property
     def title(self) -> str:
         """Kind, numbers and sizes in words, for the printed board."""
+        return self._layout.title
 
     @property
     def finest_m(self) -> float:
         """Size of the smallest printed shape."""
+        return self._layout.finest_m
 
     @property
     def half_turn_symmetric(self) -> bool:
         """True if the board looks the same turned by 180 degrees."""
+        return False
 
     def indices(self) -> IntArray:
         """Return (column, row) of all features, (n, 2), row by row."""
+        return grid_indices(*self._layout.features)
 
     def point_of(self, index: NDArray[np.integer]) -> FloatArray:
         """Return the positions (..., 3), metres in the board frame, of features by (column, row), (..., 2)."""
+        layout = self._layout
+        return flat_points((np.asarray(index) - 0.5 * (layout.features - 1)) * layout.pitch_m)
 
+    @abstractmethod
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
         """Return the reflectance at positions (..., 2), x and y: 1 white, 0 black, NaN beyond the board's edge.
 
@@ -121,9 +155,11 @@ class Board(Protocol):
             softness_m: (...) width by which edges are blurred, e.g. a camera pixel's footprint.
         """
 
+    @abstractmethod
     def svg_shapes(self) -> list[str]:
         """Return the SVG elements of the black shapes, in millimetres from the board's top left corner."""
 
+    @abstractmethod
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """Find and identify the board's features in a photograph.
 
@@ -140,11 +176,6 @@ def grid_indices(columns: int, rows: int) -> IntArray:
     """Return (column, row) of a whole grid, (columns * rows, 2), row by row."""
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     return np.stack([column, row], axis=-1).reshape(-1, 2)
-
-
-def grid_points(index: NDArray[np.integer], columns: int, rows: int, pitch_m: float) -> FloatArray:
-    """Return the positions (..., 3), board frame, in an even grid by (column, row), (..., 2)."""
-    return flat_points((np.asarray(index) - 0.5 * (np.array([columns, rows]) - 1)) * pitch_m)
 
 
 def flat_points(in_plane: FloatArray) -> FloatArray:

@@ -1,11 +1,11 @@
 """Patterns of black and white rectangles between grid lines, for chessboards and boards of markers."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.captures.boards.board import RealArray
+from wlr_render.captures.boards.board import Board, RealArray
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -84,17 +84,12 @@ class CellPattern:
         return np.asarray(top * (1 - down) + bottom * down)
 
 
-class CellBoard(ABC):
-    """Base of boards that consist of cells; by default no two views of such a board look the same."""
+class CellBoard(Board):
+    """Base of boards that consist of cells."""
 
     @property
     @abstractmethod
     def _pattern(self) -> CellPattern: ...
-
-    @property
-    def half_turn_symmetric(self) -> bool:
-        """True if the board looks the same turned by 180 degrees."""
-        return False
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
         """Return the reflectance; see `Board.reflectance`."""

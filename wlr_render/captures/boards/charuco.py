@@ -13,8 +13,8 @@ from wlr_render.captures.boards.board import (
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
+    Layout,
     grid_indices,
-    grid_points,
 )
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
@@ -54,30 +54,16 @@ class CharucoBoard(CellBoard):
     tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
-    def size_m(self) -> FloatArray:
-        """(2,) width and height with the margin."""
-        return np.array([self.square_columns, self.square_rows]) * self.square_m + 2 * self.margin_m
-
-    @property
-    def title(self) -> str:
-        """Kind, numbers and sizes in words."""
-        return (
-            f"ChArUco board {self.square_columns} x {self.square_rows} squares of {1e3 * self.square_m:g} mm, markers "
-            f"{self.dictionary} {1e3 * self.marker_m:g} mm{', legacy pattern' if self.legacy else ''}"
+    def _layout(self) -> Layout:
+        squares = np.array([self.square_columns, self.square_rows])
+        return Layout(
+            squares - 1,
+            self.square_m,
+            size_m=squares * self.square_m + 2 * self.margin_m,
+            finest_m=self.marker_m / (dictionary_of(self.dictionary).markerSize + 2),
+            title=f"ChArUco board {self.square_columns} x {self.square_rows} squares of {1e3 * self.square_m:g} mm, "
+            f"markers {self.dictionary} {1e3 * self.marker_m:g} mm{', legacy pattern' if self.legacy else ''}",
         )
-
-    @property
-    def finest_m(self) -> float:
-        """Side of a marker's bit."""
-        return self.marker_m / (dictionary_of(self.dictionary).markerSize + 2)
-
-    def indices(self) -> IntArray:
-        """Return (column, row) of all inner corners, row by row."""
-        return grid_indices(self.square_columns - 1, self.square_rows - 1)
-
-    def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Return the corners (..., 3), board frame, by (column, row), (..., 2)."""
-        return grid_points(index, self.square_columns - 1, self.square_rows - 1, self.square_m)
 
     @property
     def _opencv(self) -> cv2.aruco.CharucoBoard:

@@ -14,14 +14,14 @@ from wlr_render.captures.boards.board import (
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
+    Layout,
     grid_indices,
-    grid_points,
 )
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _QUADS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
@@ -50,32 +50,20 @@ class Chessboard(CellBoard):
     tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
-    def size_m(self) -> FloatArray:
-        """(2,) width and height with the margin."""
-        return (np.array([self.columns, self.rows]) + 1) * self.square_m + 2 * self.margin_m
-
-    @property
-    def title(self) -> str:
-        """Kind, numbers and sizes in words."""
-        return f"chessboard {self.columns} x {self.rows} inner corners, squares {1e3 * self.square_m:g} mm"
-
-    @property
-    def finest_m(self) -> float:
-        """Side of a square."""
-        return self.square_m
+    def _layout(self) -> Layout:
+        corners = np.array([self.columns, self.rows])
+        return Layout(
+            corners,
+            self.square_m,
+            size_m=(corners + 1) * self.square_m + 2 * self.margin_m,
+            finest_m=self.square_m,
+            title=f"chessboard {self.columns} x {self.rows} inner corners, squares {1e3 * self.square_m:g} mm",
+        )
 
     @property
     def half_turn_symmetric(self) -> bool:
         """True if opposite squares have one colour: columns + rows is even."""
         return (self.columns + self.rows) % 2 == 0
-
-    def indices(self) -> IntArray:
-        """Return (column, row) of all inner corners, row by row."""
-        return grid_indices(self.columns, self.rows)
-
-    def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Return the corners (..., 3), board frame, by (column, row), (..., 2)."""
-        return grid_points(index, self.columns, self.rows, self.square_m)
 
     @cached_property
     def _pattern(self) -> CellPattern:

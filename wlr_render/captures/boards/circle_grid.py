@@ -8,12 +8,13 @@ from scipy.signal import correlate
 
 from wlr_render.captures.boards.board import (
     USUAL_TOLERANCES,
+    Board,
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
+    Layout,
     RealArray,
     flat_points,
-    grid_indices,
 )
 from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import measure_dots
@@ -29,7 +30,7 @@ _QUARTER = np.array([[0, 1], [-1, 0]])
 
 
 @dataclass(frozen=True, eq=False)
-class CircleGrid:
+class CircleGrid(Board):
     """A grid of dark circles on white.
 
     Attributes:
@@ -59,31 +60,20 @@ class CircleGrid:
         return np.array([width, self.rows - 1])
 
     @property
-    def size_m(self) -> FloatArray:
-        """(2,) width and height with the margin."""
-        return np.asarray(self._extent * self.pitch_m + 2 * self.margin_m, dtype=np.float64)
-
-    @property
-    def title(self) -> str:
-        """Kind, numbers and sizes in words."""
-        return (
-            f"{'staggered ' if self.staggered else ''}circle grid {self.columns} x {self.rows}, pitch "
-            f"{1e3 * self.pitch_m:g} mm, circles {1e3 * self.diameter_m:g} mm"
+    def _layout(self) -> Layout:
+        return Layout(
+            np.array([self.columns, self.rows]),
+            self.pitch_m,
+            size_m=np.asarray(self._extent * self.pitch_m + 2 * self.margin_m),
+            finest_m=self.diameter_m,
+            title=f"{'staggered ' if self.staggered else ''}circle grid {self.columns} x {self.rows}, pitch "
+            f"{1e3 * self.pitch_m:g} mm, circles {1e3 * self.diameter_m:g} mm",
         )
-
-    @property
-    def finest_m(self) -> float:
-        """Diameter of a circle."""
-        return self.diameter_m
 
     @property
     def half_turn_symmetric(self) -> bool:
         """True except for staggered grids with an odd number of rows."""
         return not self.staggered or self.rows % 2 == 0
-
-    def indices(self) -> IntArray:
-        """Return (column, row) of all circles, row by row."""
-        return grid_indices(self.columns, self.rows)
 
     def _pitches(self, index: NDArray[np.integer]) -> IntArray:
         """Return the positions (..., 2) in pitches from the top left."""

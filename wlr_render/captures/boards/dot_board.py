@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.boards.board import (
     USUAL_TOLERANCES,
+    Board,
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
+    Layout,
     RealArray,
-    grid_indices,
-    grid_points,
 )
 from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
@@ -32,7 +32,7 @@ _LARGE_ARE_DARKEST = 75  # percentile of nearby contrasts: about the median of t
 
 
 @dataclass(frozen=True, eq=False)
-class DotBoard:
+class DotBoard(Board):
     """A printed board: dark dots of two sizes on white.
 
     Attributes:
@@ -62,40 +62,21 @@ class DotBoard:
         return int(self.large.shape[1])
 
     @property
-    def size_m(self) -> FloatArray:
-        """(2,) width and height of the board with its margin."""
-        return (np.array([self.columns, self.rows]) - 1) * self.pitch_m + 2 * self.margin_m
-
-    def point_of(self, index: NDArray[np.integer]) -> FloatArray:
-        """Return the centres (..., 3), board frame, of dots by (column, row), (..., 2)."""
-        return grid_points(index, self.columns, self.rows, self.pitch_m)
-
-    @property
-    def title(self) -> str:
-        """Kind, numbers and sizes in words."""
-        return (
-            f"two-size dot board {self.columns} x {self.rows}, pitch {1e3 * self.pitch_m:g} mm, "
-            f"dots {1e3 * self.large_m:g} and {1e3 * self.small_m:g} mm, margin {1e3 * self.margin_m:g} mm"
+    def _layout(self) -> Layout:
+        dots = np.array([self.columns, self.rows])
+        return Layout(
+            dots,
+            self.pitch_m,
+            size_m=(dots - 1) * self.pitch_m + 2 * self.margin_m,
+            finest_m=self.small_m,
+            title=f"two-size dot board {self.columns} x {self.rows}, pitch {1e3 * self.pitch_m:g} mm, dots "
+            f"{1e3 * self.large_m:g} and {1e3 * self.small_m:g} mm, margin {1e3 * self.margin_m:g} mm",
         )
-
-    @property
-    def finest_m(self) -> float:
-        """Diameter of the small dots."""
-        return self.small_m
-
-    @property
-    def half_turn_symmetric(self) -> bool:
-        """False: every patch of the board is unique."""
-        return False
 
     def diameter_of(self, index: NDArray[np.integer]) -> FloatArray:
         """Return the diameters (...) of dots by (column, row), (..., 2)."""
         index = np.asarray(index)
         return np.where(self.large[index[..., 1], index[..., 0]], self.large_m, self.small_m)
-
-    def indices(self) -> IntArray:
-        """Return (column, row) of all dots, (rows * columns, 2), row by row."""
-        return grid_indices(self.columns, self.rows)
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
         """Return the reflectance at positions (..., 2), x and y: 1 white, 0 dot, NaN beyond the board's edge.
