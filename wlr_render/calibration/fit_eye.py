@@ -287,7 +287,7 @@ def fit_with_trends(
     """
     fit = partial(_both, captures, kind, trends, degrees, weights)
     is_known = any(each.motion is not None for each in captures.both)
-    shown, seen = fit(None) if is_known else _one_stage(fit)
+    shown, seen = fit(None, None) if is_known else _one_stage(fit)
     mean, covariance = shown.smooth.trend_parameters
     root = np.asarray(np.linalg.cholesky(covariance), np.float64)
     log_evidence = _log_evidence(shown) + _log_evidence(seen)
@@ -308,17 +308,23 @@ def _both(
     degrees: tuple[int | None, int | None],
     weights: tuple[FloatArray | None, FloatArray | None],
     stage: Stage | None,
+    before: _Both | None = None,
 ) -> _Both:
     """Display, and see-through with what the display says of the assembly errors as prior."""
     display, see_through = captures.both
-    shown = display_fit.fit_display(display, kind, degrees[0], trends.planes[0], trends.display, weights[0], stage)
+    start = (None, None) if before is None else tuple(each.smooth for each in before)
+    shown = display_fit.fit_display(
+        display, kind, degrees[0], trends.planes[0], trends.display, weights[0], stage, start[0]
+    )
     mean, covariance = shown.smooth.trend_parameters
     trend = trends.see_through.about(mean, np.asarray(np.linalg.cholesky(covariance), np.float64))
-    seen = see_through_fit.fit_see_through(see_through, kind, degrees[1], trends.planes[1], trend, weights[1], stage)
+    seen = see_through_fit.fit_see_through(
+        see_through, kind, degrees[1], trends.planes[1], trend, weights[1], stage, start[1]
+    )
     return shown, seen
 
 
-def _one_stage(fit: Callable[[Stage | None], _Both]) -> _Both:
+def _one_stage(fit: Callable[[Stage | None, _Both | None], _Both]) -> _Both:
     """Fit with the same repeatability and wobble for both, unless they are of different stages by all evidence.
 
     From few positions, motions of the captures can imitate what the optics change from place to place; the other
@@ -328,12 +334,12 @@ def _one_stage(fit: Callable[[Stage | None], _Both]) -> _Both:
     def evidence(both: _Both) -> float:
         return _log_evidence(both[0]) + _log_evidence(both[1])
 
-    free = fit(None)
+    free = fit(None, None)
     stages = [each.smooth.stage for each in free]
     larger, smaller = (np.maximum([f(pair) for pair in zip(*stages, strict=True)], _STILL) for f in (max, min))
     if np.all(larger < _ALIKE * smaller):
         return free
-    shared = max((fit(stage) for stage in stages), key=evidence)
+    shared = max((fit(stage, free) for stage in stages), key=evidence)
     return free if evidence(free) - evidence(shared) > _OTHER_STAGE * np.log(10.0) else shared
 
 

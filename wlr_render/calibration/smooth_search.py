@@ -54,6 +54,7 @@ def fit_within(
     limits: Sequence[Limits],
     weights: FloatArray | None = None,
     stage: Stage | MotionFactors | None = None,
+    before: SmoothFit | None = None,
 ) -> SmoothFit:
     """Fit with the terms that matter, as the readings themselves tell.
 
@@ -65,31 +66,49 @@ def fit_within(
         readings_of: (limits) -> readings.
         limits: the narrowest first; a single one holds whatever the readings tell.
         weights, stage: as of `fit`.
+        before: fit to the same readings with another stage or trend, whose terms are the first; None for no such fit.
 
     Raises:
         BadInputError: as `fit`.
     """
     widest = readings_of(limits[-1])
-    for each in limits[:-1]:
-        try:
-            smooth = fit(readings_of(each), None, weights, stage)
-            break
-        except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
-            continue
+    if before is not None:
+        smooth = _fit_from(before, replace(widest, orders=before.readings.orders), weights, stage)
     else:
-        smooth = fit(widest, None, weights, stage)
+        smooth = _first_fit(readings_of, limits, weights, stage)
     if len(limits) == 1:
         return smooth
     for _ in range(_WIDENINGS):
         orders = smooth.orders_that_matter(widest)
         if orders is None:
             break
-        readings = replace(widest, orders=orders)
-        try:
-            smooth = fit(readings, smooth, weights, stage)
-        except np.linalg.LinAlgError:
-            smooth = fit(readings, None, weights, stage)
+        smooth = _fit_from(smooth, replace(widest, orders=orders), weights, stage)
     return replace(smooth, beyond=smooth.beyond_of(widest))
+
+
+def _first_fit(
+    readings_of: Callable[[Limits], FitReadings],
+    limits: Sequence[Limits],
+    weights: FloatArray | None,
+    stage: Stage | MotionFactors | None,
+) -> SmoothFit:
+    """Fit within the first limits that can be computed."""
+    for each in limits[:-1]:
+        try:
+            return fit(readings_of(each), None, weights, stage)
+        except np.linalg.LinAlgError:  # motions of the captures, of any size, stood in for what the limits cut off
+            continue
+    return fit(readings_of(limits[-1]), None, weights, stage)
+
+
+def _fit_from(
+    before: SmoothFit, readings: FitReadings, weights: FloatArray | None, stage: Stage | MotionFactors | None
+) -> SmoothFit:
+    """Fit from the fit before it, or from nothing where that leads to sums without an inverse."""
+    try:
+        return fit(readings, before, weights, stage)
+    except np.linalg.LinAlgError:
+        return fit(readings, None, weights, stage)
 
 
 def fit(
