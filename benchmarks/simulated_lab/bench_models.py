@@ -10,13 +10,11 @@ from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.photograph_captures import (
     Headset,
-    PanelView,
-    TargetView,
-    display_captures,
-    see_through_captures,
+    panel_captures,
+    target_captures,
     within_field,
 )
-from wlr_render.captures.correspondences import Captures
+from wlr_render.captures.correspondences import Captures, SeeThroughCaptures, concatenate
 from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry import transforms
 from wlr_render.jobs.options import seed_of
@@ -61,23 +59,27 @@ def _exact(simulated: SimulatedReadings, display: FloatArray, see_through: Float
     """Return captures with the true lenses, board and targets, and the given camera poses (n, 4, 4)."""
     session, truth, reading = simulated.session, simulated.truth, simulated.reading
     headset = Headset(session.device, session.eye, session.eye_box)
-    panels = [
-        PanelView(pose, reading.panels[each.folder].samples)
+    camera, panel = truth.bench.eyeball.camera, session.pattern.panel
+    decoded = [
+        (pose, reading.panels[each.folder].samples)
         for each, pose in zip(session.display, display, strict=True)
         if each.folder in reading.panels
     ]
+    panels = [
+        panel_captures(headset, panel, camera, pose, samples, capture=number)
+        for number, (pose, samples) in enumerate(decoded)
+    ]
     index = {tuple(each): k for k, each in enumerate(session.board.indices())}
     places: dict[str, int] = {}
-    targets: list[TargetView] = []
+    targets: list[SeeThroughCaptures] = []
     for number, (each, pose) in enumerate(zip(session.see_through, see_through, strict=True)):
         if (seen := reading.boards.get(each.path)) is not None:
             point = truth.bench.printed.points[[index[tuple(one)] for one in seen.index]]
-            place = places.setdefault(each.place, len(places))
+            known = {"capture": places.setdefault(each.place, len(places)), "target_pose": each.target_pose}
             lens, target = truth.eyeball_at_target[each.target_pose], truth.see_through_targets[number]
-            view = TargetView(pose, target, each.target_pose, place, seen, point, {"visit": len(targets)}, lens)
-            targets.append(view)
-    shown = display_captures(headset, session.pattern.panel, truth.bench.eyeball.camera, panels)
-    return Captures(shown, within_field(see_through_captures(headset, truth.bench.eyeball.camera, targets), shown))
+            targets.append(target_captures(headset, lens, pose, target, seen, point, visit=len(targets), **known))
+    shown = concatenate(panels)
+    return Captures(shown, within_field(concatenate(targets), shown))
 
 
 def _moved(tests: TruthTests, motion: FloatArray) -> TruthTests:

@@ -17,14 +17,12 @@ from wlr_render.calibration.calibrate_session import SessionCalibration
 from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.calibration.photograph_captures import (
     Headset,
-    PanelView,
-    TargetView,
-    display_captures,
-    see_through_captures,
+    panel_captures,
+    target_captures,
     within_field,
 )
 from wlr_render.calibration.poses import motion_between
-from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
+from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, concatenate
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.evaluation.truth_tests import TruthTests
 from wlr_render.geometry import transforms
@@ -96,13 +94,14 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
     poses = dict(zip((each.folder for each in session.display), truth.display, strict=True))
     poses |= dict(zip((each.path for each in session.see_through), truth.see_through, strict=True))
     headset = Headset(session.device, session.eye, session.eye_box)
-    panels = []
+    panels: list[DisplayCaptures] = []
     for each, panel in found.reading.panels_of(session.display):
         pose, samples = poses[each.folder], panel.samples
         seen = exact_views.panel_position(bench.optics, camera, pose, samples.camera_pixel)
         noise = rng.normal(size=seen.value.shape) * samples.sigma_px[:, None]
         whole = DecodedSamples(samples.camera_pixel, seen.value + noise, samples.sigma_px, samples.scale)
-        panels.append(PanelView(pose, _rows(whole, seen.usable)))
+        shown = _rows(whole, seen.usable)
+        panels.append(panel_captures(headset, session.pattern.panel, camera, pose, shown, capture=len(panels)))
     targets = []
     places: dict[str, int] = {}
     for photograph, observation in found.reading.views_of(session.see_through):
@@ -113,10 +112,13 @@ def _exact_captures(truth: BenchTruth, found: SessionCalibration, rng: np.random
         pixel = pixel + rng.normal(size=pixel.shape) * observation.sigma_px[:, None]
         sound = np.asarray(np.isfinite(pixel).all(axis=-1))
         whole_observation = replace(observation, pixel=pixel).only(sound)
-        place = places.setdefault(photograph.place, len(places))
-        targets.append(TargetView(pose, target, photograph.target_pose, place, whole_observation, on_target[sound]))
-    display = display_captures(headset, session.pattern.panel, camera, panels)
-    return Captures(display, within_field(see_through_captures(headset, camera, targets), display))
+        known = {
+            "capture": places.setdefault(photograph.place, len(places)),
+            "target_pose": photograph.target_pose,
+        }
+        targets.append(target_captures(headset, camera, pose, target, whole_observation, on_target[sound], **known))
+    display = concatenate(panels)
+    return Captures(display, within_field(concatenate(targets), display))
 
 
 def _rows(samples: DecodedSamples, kept: NDArray[np.bool_]) -> DecodedSamples:

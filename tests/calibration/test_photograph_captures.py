@@ -8,11 +8,10 @@ import pytest
 
 from wlr_render.calibration.photograph_captures import (
     Headset,
-    PanelView,
-    TargetView,
-    display_captures,
+    joined_views,
+    panel_captures,
     recorded_of,
-    see_through_captures,
+    target_captures,
     within_field,
 )
 from wlr_render.captures.boards.board import BoardObservation
@@ -27,6 +26,7 @@ from wlr_render.mappings import EyeBox, Panel
 
 CAMERA = LensCamera((640, 480), np.array([700.0, 700.0]), np.array([320.0, 240.0]), np.array([-0.1, 0, 0, 0, 0]))
 HEADSET = Headset("headset", "right", EyeBox(np.zeros(3), np.full(3, 0.01)))
+PANEL = Panel(20, 10)
 POSE = transforms.rigid(
     transforms.rotation_about("y", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.002, 0.001, 0.03])
 )
@@ -39,9 +39,8 @@ def test_a_target_seen_without_optics_lies_where_it_is_seen():
     point = transforms.apply(target, board.point_of(index))
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
     observation = BoardObservation(index, pixel, np.full(len(index), 0.07))
-    captures = see_through_captures(
-        HEADSET, CAMERA, [TargetView(POSE, target, 3, 5, observation, board.point_of(observation.index))]
-    )
+    on_target = board.point_of(observation.index)
+    captures = target_captures(HEADSET, CAMERA, POSE, target, observation, on_target, target_pose=3, capture=5)
     straight = normalised(captures.point - captures.viewpoint)
     assert np.max(arcmin_between(captures.view_dir, straight)) < 1e-6
     assert set(captures.target_pose) == {3}
@@ -68,7 +67,7 @@ def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_
     noise = np.random.default_rng(1).normal(0.0, 0.1, (20_000, 2))
     count = len(noise)
     samples = DecodedSamples(at + noise, np.full((count, 2), 5.0), np.full(count, 0.1), np.ones(count))
-    captures = display_captures(HEADSET, Panel(20, 10), camera, [PanelView(ahead, samples)])
+    captures = panel_captures(HEADSET, PANEL, camera, ahead, samples, capture=0)
     mean = normalised(captures.view_dir.mean(axis=0))
     across = normalised(np.cross(mean, [0.0, 1.0, 0.0]))
     spread = np.cov(captures.view_dir @ np.stack([across, np.cross(mean, across)], axis=1), rowvar=False)
@@ -80,8 +79,8 @@ def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_
 def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_minus_z():
     samples = DecodedSamples(np.full((3, 2), 200.5), np.full((3, 2), 5.0), np.full(3, 0.1), np.full(3, 2.0))
     taken = CodeSet(Path("set"), np.array([0.01, 0.02]), channel="blue", time_s=40.0)
-    views = [PanelView(POSE, samples, recorded_of(taken)), PanelView(POSE, samples)]
-    captures = display_captures(HEADSET, Panel(20, 10), CAMERA, views)
+    first = panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=0, **recorded_of(taken))
+    captures = joined_views([first, panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=1)], "the panel")
     assert captures.channel.tolist() == [2, 2, 2, -1, -1, -1]
     np.testing.assert_array_equal(captures.time_s[:3], 40.0)
     np.testing.assert_array_equal(captures.stage[:3], [[0.01, 0.02]] * 3)
@@ -94,20 +93,17 @@ def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_
 def test_decoded_noise_becomes_an_angle_by_the_scale_of_the_picture():
     pixel = np.array([[330.5, 240.0], [320.0, 240.0]])
     samples = DecodedSamples(pixel, np.array([[5.0, 6.0], [7.0, 8.0]]), np.array([0.1, 0.2]), np.array([2.0, 2.0]))
-    views = [PanelView(POSE, samples), PanelView(POSE, samples)]
-    captures = display_captures(HEADSET, Panel(20, 10), CAMERA, views)
+    captures = panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=0)
     # 0.1 panel pixels at 2 panel pixels a camera pixel are 0.05 camera pixels.
-    assert captures.sigma_arcmin[:2] == pytest.approx(np.hypot([0.05, 0.1], 0.01) / 700 / ARCMIN, rel=1e-3)
-    assert captures.capture.tolist() == [0, 0, 1, 1]
+    assert captures.sigma_arcmin == pytest.approx(np.hypot([0.05, 0.1], 0.01) / 700 / ARCMIN, rel=1e-3)
+    assert captures.capture.tolist() == [0, 0]
     assert np.allclose(captures.view_dir[1], POSE[:3, 2])  # the middle of the picture is the optical axis
-    assert captures.pixel.tolist() == [[5, 6], [7, 8], [5, 6], [7, 8]]
+    assert captures.pixel.tolist() == [[5, 6], [7, 8]]
 
 
 def test_no_views_are_refused():
     with pytest.raises(BadInputError, match="no photographs of the panel are left"):
-        display_captures(HEADSET, Panel(20, 10), CAMERA, [])
-    with pytest.raises(BadInputError, match="no photographs of the target through the optics are left"):
-        see_through_captures(HEADSET, CAMERA, [])
+        joined_views([], "the panel")
 
 
 def test_dots_beyond_the_panel_s_field_are_left_out():
@@ -117,11 +113,11 @@ def test_dots_beyond_the_panel_s_field_are_left_out():
     point = transforms.apply(target, board.point_of(index))
     pixel = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), point))
     observation = BoardObservation(index, pixel, np.full(len(index), 0.05))
-    view = TargetView(POSE, target, 0, 0, observation, board.point_of(index))
-    see_through = see_through_captures(HEADSET, CAMERA, [view])
+    on_target = board.point_of(index)
+    see_through = target_captures(HEADSET, CAMERA, POSE, target, observation, on_target, capture=0, target_pose=0)
     corners = np.array([[200.0, 160.0], [440.0, 320.0]])
     samples = DecodedSamples(corners, np.zeros((2, 2)), np.ones(2), np.ones(2))
-    display = display_captures(HEADSET, Panel(20, 10), CAMERA, [PanelView(POSE, samples)])
+    display = panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=0)
     kept = within_field(see_through, display)
     seen = CAMERA.pixel_of_point(transforms.apply(transforms.inverse(POSE), kept.point))
     # The field is a box of tangents in the device frame, a twentieth larger on each side.

@@ -17,11 +17,10 @@ from wlr_render.calibration.capture_outliers import CaptureOutlier, display_outl
 from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.photograph_captures import (
     Headset,
-    PanelView,
-    TargetView,
-    display_captures,
+    joined_views,
+    panel_captures,
     recorded_of,
-    see_through_captures,
+    target_captures,
     within_field,
 )
 from wlr_render.captures.boards.board import BoardObservation
@@ -205,13 +204,14 @@ def sound_captures(
     """
     headset = Headset(session.device, session.eye, session.eye_box)
     sets, through, excluded = reading.panels_of(session.display), reading.views_of(session.see_through), []
-    panels = [
-        PanelView(bench.device_from_camera(each), _of_primary(session, each, found.samples), recorded_of(each))
-        for each, found in sets
-    ]
     display: DisplayCaptures | None = None
     if session.display:
-        display = display_captures(headset, session.pattern.panel, bench.eyeball, panels)
+        panel, views = session.pattern.panel, []
+        for number, (each, found) in enumerate(sets):
+            pose, samples = bench.device_from_camera(each), _of_primary(session, each, found.samples)
+            known = recorded_of(each) | {"capture": number}
+            views.append(panel_captures(headset, panel, bench.eyeball, pose, samples, **known))
+        display = joined_views(views, "the panel")
         _refuse_far_places(session, display.viewpoint)
     see_through = _of_targets(headset, bench, through) if session.see_through else None
     display, see_through = with_bench_errors(
@@ -244,11 +244,11 @@ def _of_targets(
     places = _place_numbers([each for each, _ in through])
     targets = []
     for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
-        pose, conditions = bench.device_from_camera(each), recorded_of(each) | {"visit": number}
-        point, target = bench.target_points(each.target_pose, seen), bench.targets[each.target_pose].b_from_a
-        lens = bench.adjustment.state.lens_at(each.target_pose)
-        targets.append(TargetView(pose, target, each.target_pose, place, seen, point, conditions, lens))
-    return see_through_captures(headset, bench.eyeball, targets)
+        pose, target = bench.device_from_camera(each), bench.targets[each.target_pose].b_from_a
+        point, lens = bench.target_points(each.target_pose, seen), bench.adjustment.state.lens_at(each.target_pose)
+        known = recorded_of(each) | {"visit": number, "capture": place, "target_pose": each.target_pose}
+        targets.append(target_captures(headset, lens or bench.eyeball, pose, target, seen, point, **known))
+    return joined_views(targets, "the target through the optics")
 
 
 def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:

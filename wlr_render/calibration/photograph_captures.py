@@ -1,14 +1,13 @@
 """Convert observations in photographs to captures in the device frame."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, concatenate, select
+from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded import DecodedSamples
 from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet
 from wlr_render.errors import BadInputError
@@ -40,91 +39,66 @@ class Headset:
     eye_box: EyeBox
 
 
-@dataclass(frozen=True, eq=False)
-class PanelView:
-    """The panel decoded at one camera pose.
+def panel_captures(
+    headset: Headset, panel: Panel, camera: Lens, pose: FloatArray, samples: DecodedSamples, **columns: Any
+) -> DisplayCaptures:
+    """Return captures of the panel decoded at one camera pose.
 
-    Attributes:
-        device_from_camera: (4, 4).
+    Args:
+        headset: the headset.
+        panel: its panel.
+        camera: the lens; it has OpenCV's axes.
+        pose: (4, 4) device_from_camera.
         samples: what was decoded.
-        conditions: what was recorded, by the names of columns of captures.
+        **columns: other columns of captures: `capture`, and what was recorded.
+
+    Raises:
+        BadInputError: the camera does not look at the optics.
     """
+    # The decoded panel position is uncertain; as a direction it is so by the camera pixels that it stands for.
+    rows, sound = _rows(headset, camera, pose, samples.camera_pixel, samples.sigma_px / samples.scale)
+    return DisplayCaptures(panel=panel, pixel=samples.panel_pixel[sound], **rows, **columns)
 
-    device_from_camera: FloatArray
-    samples: DecodedSamples
-    conditions: Mapping[str, ArrayLike] = field(default_factory=dict)
 
+def target_captures(
+    headset: Headset,
+    camera: Lens,
+    pose: FloatArray,
+    device_from_target: FloatArray,
+    observation: BoardObservation,
+    target_point: FloatArray,
+    **columns: Any,
+) -> SeeThroughCaptures:
+    """Return captures of the target observed through the optics at one camera pose.
 
-@dataclass(frozen=True, eq=False)
-class TargetView:
-    """The target observed through the optics at one camera pose.
-
-    Attributes:
-        device_from_camera, device_from_target: (4, 4).
-        target_pose: index of the target's place.
-        capture: index of the camera's place.
+    Args:
+        headset, pose, **columns: as in `panel_captures`.
+        camera: the lens as it is at this target's distance.
+        device_from_target: (4, 4).
         observation: the features found.
         target_point: (n, 3) their true places, target's frame.
-        conditions: as of a `PanelView`.
-        camera: the lens as it is at this target's distance; None where it is that of all views.
-    """
-
-    device_from_camera: FloatArray
-    device_from_target: FloatArray
-    target_pose: int
-    capture: int
-    observation: BoardObservation
-    target_point: FloatArray
-    conditions: Mapping[str, ArrayLike] = field(default_factory=dict)
-    camera: Lens | None = None
-
-
-def display_captures(headset: Headset, panel: Panel, camera: Lens, views: Sequence[PanelView]) -> DisplayCaptures:
-    """Return captures of the panel; every view is one camera position.
 
     Raises:
-        BadInputError: there are no views, or a camera does not look at the optics.
+        BadInputError: the camera does not look at the optics.
     """
-    if not views:
-        raise BadInputError("no photographs of the panel are left to fit the display to; see which were rejected.")
-    parts = []
-    for number, view in enumerate(views):
-        samples = view.samples
-        # The decoded panel position is uncertain; as a direction it is so by the camera pixels that it stands for.
-        rows, sound = _rows(headset, camera, view, samples.camera_pixel, samples.sigma_px / samples.scale)
-        capture = np.array(number)
-        parts.append(DisplayCaptures(panel=panel, pixel=samples.panel_pixel[sound], capture=capture, **rows))
-    return concatenate(parts)
+    pixel, discs = observation.pixel, observation.discs
+    if discs is not None:
+        pixel = discs.centres(camera, target_point, pixel)
+    rows, sound = _rows(headset, camera, pose, pixel, observation.sigma_px)
+    on_target = target_point[sound]
+    point = transforms.apply(device_from_target, on_target)
+    return SeeThroughCaptures(point=point, target_point=on_target, **rows, **columns)
 
 
-def see_through_captures(headset: Headset, camera: Lens, views: Sequence[TargetView]) -> SeeThroughCaptures:
-    """Return captures of the target through the optics.
+def joined_views(views: Sequence[AnyCaptures], what: str) -> AnyCaptures:
+    """Return the captures of all views; `what` they are of, for the error.
 
     Raises:
-        BadInputError: there are no views, or a target lies behind a camera.
+        BadInputError: there are none.
     """
     if not views:
-        raise BadInputError(
-            "no photographs of the target through the optics are left to fit see-through to; see which were rejected."
-        )
-    parts = []
-    for view in views:
-        lens, discs = view.camera or camera, view.observation.discs
-        pixel = (
-            view.observation.pixel if discs is None else discs.centres(lens, view.target_point, view.observation.pixel)
-        )
-        rows, sound = _rows(headset, lens, view, pixel, view.observation.sigma_px)
-        on_target = view.target_point[sound]
-        parts.append(
-            SeeThroughCaptures(
-                point=transforms.apply(view.device_from_target, on_target),
-                target_point=on_target,
-                capture=np.array(view.capture),
-                target_pose=np.array(view.target_pose),
-                **rows,
-            )
-        )
-    return concatenate(parts)
+        raise BadInputError(f"no photographs of {what} are left to fit a model to; see which were rejected.")
+    return concatenate(views)
 
 
 def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> SeeThroughCaptures:
@@ -143,7 +117,7 @@ def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> S
     return select(see_through, inside)
 
 
-def recorded_of(taken: BoardPhotograph | CodeSet) -> dict[str, ArrayLike]:
+def recorded_of(taken: BoardPhotograph | CodeSet) -> dict[str, Any]:
     """Return what session.toml records of a photograph or a set, by the names of columns of captures."""
     stated = {"stage": taken.stage, "time_s": taken.time_s, "temperature_c": taken.temperature_c}
     if isinstance(taken, CodeSet) and taken.channel is not None:
@@ -152,21 +126,21 @@ def recorded_of(taken: BoardPhotograph | CodeSet) -> dict[str, ArrayLike]:
 
 
 def _rows(
-    headset: Headset, camera: Lens, view: PanelView | TargetView, pixel: FloatArray, sigma_px: FloatArray
+    headset: Headset, camera: Lens, pose: FloatArray, pixel: FloatArray, sigma_px: FloatArray
 ) -> tuple[dict[str, Any], BoolArray]:
     """Columns that captures of both kinds have, of the pixels that the camera model has, and which (n,) these are.
 
     Args:
         headset: the headset.
         camera: the lens; it has OpenCV's axes.
-        view: one camera pose.
+        pose: (4, 4) device_from_camera.
         pixel: (n, 2) camera pixels.
         sigma_px: (n,) their standard deviations.
 
     Raises:
         BadInputError: some of them do not lead forward in the device frame.
     """
-    pose, in_camera = view.device_from_camera, camera.dir_of_pixel(pixel)
+    in_camera = camera.dir_of_pixel(pixel)
     direction = transforms.rotate(pose, in_camera)
     if np.any(direction[:, 2] >= 0):
         raise BadInputError(
@@ -184,4 +158,4 @@ def _rows(
         "sigma_arcmin": (np.hypot(sigma_px, _SYSTEMATIC_PX) * arcmin_per_px)[sound],
         "device_from_camera": pose[:3, :3] @ transforms.OPENXR_FROM_OPENCV,
     }
-    return {**view.conditions, **rows}, sound
+    return rows, sound

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.board import (
     MIRRORED,
     USUAL_TOLERANCES,
+    BoardLayout,
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    Layout,
     flat_points,
 )
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
@@ -75,9 +75,9 @@ class AprilGrid(CellBoard):
         return self.spacing * self.tag_m
 
     @property
-    def _layout(self) -> Layout:
+    def _layout(self) -> BoardLayout:
         tags = np.array([self.tag_columns, self.tag_rows])
-        return Layout(
+        return BoardLayout(
             2 * tags,
             self.tag_m,
             size_m=tags * self.tag_m + (tags + 1) * self.gap_m + 2 * self.margin_m,

@@ -86,7 +86,7 @@ class BoardObservation:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class BoardLayout:
     """Layout of a board.
 
     Attributes:
@@ -115,7 +115,7 @@ class Board(ABC):
 
     @property
     @abstractmethod
-    def _layout(self) -> Layout: ...
+    def _layout(self) -> BoardLayout: ...
 
     @property
     def size_m(self) -> FloatArray:

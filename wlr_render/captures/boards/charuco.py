@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.board import (
     MIRRORED,
     USUAL_TOLERANCES,
+    BoardLayout,
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    Layout,
     grid_indices,
 )
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
@@ -54,9 +54,9 @@ class CharucoBoard(CellBoard):
     tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
-    def _layout(self) -> Layout:
+    def _layout(self) -> BoardLayout:
         squares = np.array([self.square_columns, self.square_rows])
-        return Layout(
+        return BoardLayout(
             squares - 1,
             self.square_m,
             size_m=squares * self.square_m + 2 * self.margin_m,

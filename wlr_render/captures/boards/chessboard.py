@@ -11,10 +11,10 @@ from scipy.ndimage import map_coordinates, uniform_filter
 
 from wlr_render.captures.boards.board import (
     USUAL_TOLERANCES,
+    BoardLayout,
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    Layout,
     grid_indices,
 )
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
@@ -50,9 +50,9 @@ class Chessboard(CellBoard):
     tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
-    def _layout(self) -> Layout:
+    def _layout(self) -> BoardLayout:
         corners = np.array([self.columns, self.rows])
-        return Layout(
+        return BoardLayout(
             corners,
             self.square_m,
             size_m=(corners + 1) * self.square_m + 2 * self.margin_m,

@@ -9,10 +9,10 @@ from scipy.signal import correlate
 from wlr_render.captures.boards.board import (
     USUAL_TOLERANCES,
     Board,
+    BoardLayout,
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    Layout,
     RealArray,
     flat_points,
 )
@@ -60,8 +60,8 @@ class CircleGrid(Board):
         return np.array([width, self.rows - 1])
 
     @property
-    def _layout(self) -> Layout:
-        return Layout(
+    def _layout(self) -> BoardLayout:
+        return BoardLayout(
             np.array([self.columns, self.rows]),
             self.pitch_m,
             size_m=np.asarray(self._extent * self.pitch_m + 2 * self.margin_m),

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.board import (
     USUAL_TOLERANCES,
     Board,
+    BoardLayout,
     BoardNotFoundError,
     BoardObservation,
     BoardTolerances,
-    Layout,
     RealArray,
 )
 from wlr_render.captures.boards.discs import Discs
@@ -62,9 +62,9 @@ class DotBoard(Board):
         return int(self.large.shape[1])
 
     @property
-    def _layout(self) -> Layout:
+    def _layout(self) -> BoardLayout:
         dots = np.array([self.columns, self.rows])
-        return Layout(
+        return BoardLayout(
             dots,
             self.pitch_m,
             size_m=(dots - 1) * self.pitch_m + 2 * self.margin_m,
