@@ -78,7 +78,7 @@ def test_sigma_of_a_direction_is_that_of_its_pixel_at_every_angle(camera, angle_
 
 def test_what_is_recorded_of_photographs_is_kept_and_the_camera_looks_along_its_minus_z():
     samples = DecodedSamples(np.full((3, 2), 200.5), np.full((3, 2), 5.0), np.full(3, 0.1), np.full(3, 2.0))
-    taken = CodeSet(Path("set"), np.array([0.01, 0.02]), channel="blue", time_s=40.0)
+    taken = CodeSet(Path("set"), stage=np.array([0.01, 0.02]), channel="blue", time_s=40.0)
     first = panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=0, **recorded_of(taken))
     captures = joined_views([first, panel_captures(HEADSET, PANEL, CAMERA, POSE, samples, capture=1)], "the panel")
     assert captures.channel.tolist() == [2, 2, 2, -1, -1, -1]

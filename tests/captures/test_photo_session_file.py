@@ -42,10 +42,13 @@ def session(tmp_path):
         device_from_tracking=transforms.rigid(
             transforms.rotation_about("x", 0.1) @ transforms.OPENXR_FROM_OPENCV, np.array([0.01, 0.04, -0.05])
         ),
-        bare=(BoardPhotograph(tmp_path, "bare/0.png", 0, np.array([0.001, 0.002, -0.003])),),
+        bare=(BoardPhotograph(tmp_path, "bare/0.png", 0, stage=np.array([0.001, 0.002, -0.003])),),
         tracking=(BoardPhotograph(tmp_path, "t.png", 0),),
-        see_through=(BoardPhotograph(tmp_path, "s.png", 0, np.array([0.004, 0.0, 0.0])),),
-        display=(CodeSet(tmp_path / "d0", np.zeros(3)), CodeSet(tmp_path / "d1", np.array([0.004, 0.001, 0.0]))),
+        see_through=(BoardPhotograph(tmp_path, "s.png", 0, stage=np.array([0.004, 0.0, 0.0])),),
+        display=(
+            CodeSet(tmp_path / "d0", stage=np.zeros(3)),
+            CodeSet(tmp_path / "d1", stage=np.array([0.004, 0.001, 0.0])),
+        ),
     )
     save_photo_session(made, {"pattern": "gray-fringes"}, "board.toml")
     return made

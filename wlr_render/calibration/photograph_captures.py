@@ -9,7 +9,7 @@ import numpy as np
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, concatenate, select
 from wlr_render.captures.decoded import DecodedSamples
-from wlr_render.captures.photo_session import CHANNELS, BoardPhotograph, CodeSet
+from wlr_render.captures.photo_session import CHANNELS, CodeSet, SessionEntry
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
@@ -117,7 +117,7 @@ def within_field(see_through: SeeThroughCaptures, display: DisplayCaptures) -> S
     return select(see_through, inside)
 
 
-def recorded_of(taken: BoardPhotograph | CodeSet) -> dict[str, Any]:
+def recorded_of(taken: SessionEntry) -> dict[str, Any]:
     """Return what session.toml records of a photograph or a set, by the names of columns of captures."""
     stated = {"stage": taken.stage, "time_s": taken.time_s, "temperature_c": taken.temperature_c}
     if isinstance(taken, CodeSet) and taken.channel is not None:

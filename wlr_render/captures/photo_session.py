@@ -5,7 +5,7 @@ memory: a session may have thousands. The lists are in the order of taking.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -105,36 +105,51 @@ class GivenPose:
 
 
 @dataclass(frozen=True, eq=False)
-class BoardPhotograph:
-    """A photograph of the board, the target.
+class SessionEntry:
+    """A photograph, or a set of photographs, from one camera position.
 
     Attributes:
-        folder: folder of the session.
-        name: path from there, the photograph's name in reports.
-        target_pose: index of the target's position.
+        folder: folder of the session, or of the set.
         stage: (m,) stage reading, metres or radians; None without a stage, and for the tracking camera.
         place: name of the camera position; photographs of one position were taken without moving the camera; "" for the
             tracking camera.
         orientation: index of the camera's mounting orientation on the stage.
         eye: "left" or "right".
-        regions: (n, 4) lowest u, v and highest u, v of the parts of the picture that see the target past the optics,
-            pixels from the outer corner of the top-left pixel; None for the whole picture.
-        other_regions: (n, 4) parts of a photograph through the optics that do not show the target through them.
         time_s: time stamp, seconds from any origin; None if unknown.
         temperature_c: temperature of the bench, degrees Celsius; None if unknown.
     """
 
     folder: Path
-    name: str
-    target_pose: int
+    _: KW_ONLY
     stage: FloatArray | None = None
     place: str = ""
     orientation: int = 0
     eye: str = "right"
-    regions: FloatArray | None = None
-    other_regions: FloatArray | None = None
     time_s: float | None = None
     temperature_c: float | None = None
+
+    @property
+    def path(self) -> Path:
+        """Path of the photograph, or of the set's folder."""
+        return self.folder
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPhotograph(SessionEntry):
+    """A photograph of the board, the target.
+
+    Attributes:
+        name: path from the session's folder, the photograph's name in reports.
+        target_pose: index of the target's position.
+        regions: (n, 4) lowest u, v and highest u, v of the parts of the picture that see the target past the optics,
+            pixels from the outer corner of the top-left pixel; None for the whole picture.
+        other_regions: (n, 4) parts of a photograph through the optics that do not show the target through them.
+    """
+
+    name: str
+    target_pose: int
+    regions: FloatArray | None = None
+    other_regions: FloatArray | None = None
 
     @property
     def path(self) -> Path:
@@ -155,23 +170,14 @@ def _in_regions(pixel: FloatArray, regions: FloatArray) -> BoolArray:
 
 
 @dataclass(frozen=True, eq=False)
-class CodeSet:
-    """Photographs of a pattern on the panel from one camera position.
+class CodeSet(SessionEntry):
+    """Photographs of a pattern on the panel from one camera position; their names are in the order of showing.
 
     Attributes:
-        folder: folder of the photographs, whose names are in the order of showing.
-        stage, place, orientation, eye, time_s, temperature_c: as in `BoardPhotograph`.
         channel: the primary that the panel showed, one of `CHANNELS`; None for white.
     """
 
-    folder: Path
-    stage: FloatArray | None = None
-    place: str = ""
-    orientation: int = 0
-    eye: str = "right"
     channel: str | None = None
-    time_s: float | None = None
-    temperature_c: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, StageDescription
-from wlr_render.captures.photo_session_entries import Entry, place_groups, stage_lists
+from wlr_render.captures.photo_session import PhotoSession, SessionEntry, StageDescription
+from wlr_render.captures.photo_session_entries import place_groups, stage_lists
 from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import Table
@@ -55,7 +55,7 @@ def _check_lists(file: Table, session: PhotoSession) -> None:
             "'see_through' and 'display' are both empty; a calibration needs photographs of at least one: list them as "
             "[[see_through]] or [[display]]."
         )
-    of_optics: list[Entry] = [*session.see_through, *session.display]
+    of_optics: list[SessionEntry] = [*session.see_through, *session.display]
     for eye in session.eyes:
         if not any(each.eye == eye for each in of_optics):
             raise file.fail(f"there is no [[see_through]] and no [[display]] of the {eye} eye; add them, or its 'eye'.")
@@ -110,20 +110,17 @@ def _check_places(file: Table, session: PhotoSession) -> None:
     for number, entry in enumerate(entries):
         other = first.setdefault(entry.place, number)
         if groups[other] != groups[number]:
+            one, two = (session.name_of(each.path) for each in (entries[other], entry))
             raise file.fail(
-                f"place '{entry.place}' has entries of several stage readings or orientations ({_name(entries[other])} "
-                f"and {_name(entry)}); give them different places, or correct the readings."
+                f"place '{entry.place}' has entries of several stage readings or orientations ({one} and {two}); give "
+                "them different places, or correct the readings."
             )
 
 
-def _groups(entries: Sequence[Entry], stage: StageDescription | None, tolerance_m: float) -> Sequence[int]:
+def _groups(entries: Sequence[SessionEntry], stage: StageDescription | None, tolerance_m: float) -> Sequence[int]:
     if stage is None:
         return [each.orientation for each in entries]
     return [int(group) for group in place_groups(entries, stage, tolerance_m)]
-
-
-def _name(entry: Entry) -> str:
-    return entry.name if isinstance(entry, BoardPhotograph) else entry.folder.name
 
 
 def _check_regions(file: Table, session: PhotoSession) -> None:
@@ -162,11 +159,8 @@ def _check_links(file: Table, session: PhotoSession) -> None:
                     "[[tracking]] photograph, no [[target]] pose and no chain of [[bare]] or [[beside]] photographs: "
                     "the position of that target is unknown."
                 )
-    through: tuple[tuple[str, Sequence[Entry]], ...] = (
-        ("see_through", session.see_through),
-        ("display", session.display),
-    )
-    for name, entries in through:
+    entries: Sequence[SessionEntry]
+    for name, entries in (("see_through", session.see_through), ("display", session.display)):
         for number, entry in enumerate(entries, start=1):
             if _camera(session, entry) not in reachable:
                 raise file.fail(f"[[{name}]] number {number}: {_no_camera(session, entry)}")
@@ -192,12 +186,12 @@ def _reachable(session: PhotoSession) -> set[Node]:
     return reachable
 
 
-def _camera(session: PhotoSession, entry: Entry) -> Node:
+def _camera(session: PhotoSession, entry: SessionEntry) -> Node:
     """Return the node that fixes the camera: its orientation on the stage, or without a stage its position."""
     return ("camera", entry.place if session.stage is None else entry.orientation)
 
 
-def _no_camera(session: PhotoSession, entry: BoardPhotograph | CodeSet) -> str:
+def _no_camera(session: PhotoSession, entry: SessionEntry) -> str:
     if session.stage is None:
         return (
             f"the position of place '{entry.place}' is unknown; add a [[beside]] photograph of that place "
@@ -214,7 +208,7 @@ def _check_axes(file: Table, session: PhotoSession) -> None:
     """Refuse axes that are neither stated nor measurable from photographs of a target past or without the optics."""
     if session.stage is None or session.bare or session.beside:
         return
-    of_optics: list[Entry] = [*session.see_through, *session.display]
+    of_optics: list[SessionEntry] = [*session.see_through, *session.display]
     travel = np.ptp([np.asarray(each.stage) for each in of_optics], axis=0)
     for number, axis in enumerate(session.stage.axes, start=1):
         if travel[number - 1] > session.place_tolerance and (

@@ -18,6 +18,7 @@ from wlr_render.captures.photo_session import (
     BoardPhotograph,
     CodeSet,
     PhotoSession,
+    SessionEntry,
     StageAxis,
     StageDescription,
 )
@@ -26,7 +27,6 @@ from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.toml_files import Table
 
-Entry = BoardPhotograph | CodeSet
 EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
 
 _MOST_AXES = 12
@@ -222,7 +222,7 @@ class EntryFormat:
         reading = table.vector(key, len(kinds), least=-_MOST_READING, most=_MOST_READING)
         return np.asarray(self.stage.units * (self.turn @ reading))
 
-    def written(self, entry: Entry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
+    def written(self, entry: SessionEntry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
         """Serialise an entry that `photograph` or `code_set` reads back, with `place` if given; `on_stage` as there."""
         if isinstance(entry, BoardPhotograph):
             keys: dict[str, Any] = {"photograph": entry.name, "target_pose": entry.target_pose}
@@ -231,8 +231,8 @@ class EntryFormat:
         else:
             near = entry.folder.is_relative_to(self.folder)
             keys = {"photographs": str(entry.folder.relative_to(self.folder) if near else entry.folder)}
-            if entry.channel is not None:
-                keys["channel"] = entry.channel
+        if isinstance(entry, CodeSet) and entry.channel is not None:
+            keys["channel"] = entry.channel
         if entry.stage is not None and self.stage is not None:
             key = "stage_mm" if _is_plain(self.stage) else "stage"
             keys[key] = rounded(self.turn.T @ (entry.stage / self.stage.units))
@@ -246,7 +246,7 @@ class EntryFormat:
         return keys | {key: value for key, value in times.items() if value is not None}
 
 
-def stage_lists(session: PhotoSession) -> dict[str, Sequence[Entry]]:
+def stage_lists(session: PhotoSession) -> dict[str, Sequence[SessionEntry]]:
     """Return the lists of the eyeball camera's entries by their names in the file."""
     return {name: getattr(session, name) for name in ("bare", "beside", "see_through", "display")}
 
@@ -267,7 +267,7 @@ def with_places(session: PhotoSession, form: EntryFormat | None = None) -> Photo
     return replace(session, **placed)
 
 
-def place_groups(entries: Sequence[Entry], stage: StageDescription, tolerance_m: float) -> IntArray:
+def place_groups(entries: Sequence[SessionEntry], stage: StageDescription, tolerance_m: float) -> IntArray:
     """Return the number (n,) of each entry's group: one orientation, stage readings within the tolerance."""
     orientation = np.array([each.orientation for each in entries])
     lever = [1.0 if axis.kind == "linear" else _LEVER_M for axis in stage.axes]
@@ -278,7 +278,7 @@ def place_groups(entries: Sequence[Entry], stage: StageDescription, tolerance_m:
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def place_names(entries: Sequence[Entry], form: EntryFormat, tolerance_m: float) -> list[str]:
+def place_names(entries: Sequence[SessionEntry], form: EntryFormat, tolerance_m: float) -> list[str]:
     """Return each entry's position name: its own, its group's, or one made from the group's first stage reading."""
     if form.stage is None or not entries:
         return [entry.place for entry in entries]

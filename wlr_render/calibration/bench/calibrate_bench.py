@@ -24,7 +24,7 @@ from wlr_render.calibration.bench.start import start_state
 from wlr_render.calibration.bench.sweep_checks import RepeatedView, TargetChange, sweep_check
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera, SessionEntry
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -75,15 +75,15 @@ class CalibratedBench:
         """device_from_target by number."""
         return {k: self.adjustment.target_pose(k) for k in self.adjustment.state.targets if k < APART}
 
-    def device_from_camera(self, entry: BoardPhotograph | CodeSet) -> FloatArray:
+    def device_from_camera(self, entry: SessionEntry) -> FloatArray:
         """(4, 4) of the eyeball camera at an entry of the session."""
         return self.adjustment.state.device_from_camera(place_key(self.session, entry))
 
-    def camera_pose(self, entry: BoardPhotograph | CodeSet) -> Pose:
+    def camera_pose(self, entry: SessionEntry) -> Pose:
         """device_from_camera at an entry of the session, with its covariance."""
         return self.adjustment.camera_pose(place_key(self.session, entry))
 
-    def relative_sigma(self, one: BoardPhotograph | CodeSet, other: BoardPhotograph | CodeSet) -> FloatArray:
+    def relative_sigma(self, one: SessionEntry, other: SessionEntry) -> FloatArray:
         """(6,) sigmas of the pose of the camera at one entry against that at another, device frame.
 
         Rotation (rad), then position (m) of the pupil. Errors that both poses share are not in them.
@@ -146,14 +146,14 @@ def _calibrated(
     return replace(bench, checks=checks, unchecked=_unchecked(session, adjustment, sweeps))
 
 
-def place_key(session: PhotoSession, entry: BoardPhotograph | CodeSet) -> str:
+def place_key(session: PhotoSession, entry: SessionEntry) -> str:
     """Name of the visit of an entry: photographs of one visit share the camera's random error.
 
     With a stage every photograph is a visit of its own, but where the target was also seen past the optics.
     """
     if session.stage is None or any(each.place == entry.place for each in session.beside):
         return entry.place
-    return session.name_of(entry.folder) if isinstance(entry, CodeSet) else entry.name
+    return session.name_of(entry.path)
 
 
 def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservations:
@@ -187,7 +187,7 @@ def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservat
             )
         centre = np.mean([box.centre for box in session.eye_boxes.values()], axis=0)
         device_from_camera = KnownPose(transforms.rigid(transforms.OPENXR_FROM_OPENCV, centre))
-    entries: list[BoardPhotograph | CodeSet] = [*session.bare, *session.beside, *session.see_through, *session.display]
+    entries: list[SessionEntry] = [*session.bare, *session.beside, *session.see_through, *session.display]
     places = {place_key(session, each): CameraPlace(each.stage, each.orientation) for each in entries}
     boards = {board_name(session, view.target or 0) for view in views} | {"board"}
     tolerances = {name: session.board.tolerances for name in boards} | {

@@ -19,7 +19,7 @@ from wlr_render.calibration.posterior_spread import lower_root
 from wlr_render.calibration.readings import angular_metric
 from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.feature_captures import CaptureMotionPrior, CommonErrors, point_terms
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet
+from wlr_render.captures.photo_session import BoardPhotograph, SessionEntry
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
@@ -46,7 +46,7 @@ _IMAGES_M = (0.3, 5.0)  # distances of virtual images for which shifts of a came
 _ROWS = 400  # of display and see-through, at which effects are judged
 _MOTION_LOG_SIGMA = 0.3  # of the factor on the poses' sigmas, from some twenty photographs
 
-Entries = Sequence[BoardPhotograph | CodeSet]
+Entries = Sequence[SessionEntry]
 
 
 def with_bench_errors(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet
+from wlr_render.captures.photo_session import SessionEntry
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.models.fitted_model import FittedDisplay
 from wlr_render.numerics.arrays import FloatArray
@@ -47,9 +47,9 @@ def binocular_table(found: SessionCalibration) -> ReportTable:
     return ReportTable("Binocular alignment", ["left against right eye", "found", "sigma"], rows, notes)
 
 
-def _middle_entry(each: EyeCalibration, found: SessionCalibration) -> BoardPhotograph | CodeSet:
+def _middle_entry(each: EyeCalibration, found: SessionCalibration) -> SessionEntry:
     """Return the entry whose camera is nearest to the middle of the eye box."""
-    entries: list[BoardPhotograph | CodeSet] = [*each.session.display, *each.session.see_through]
+    entries: list[SessionEntry] = [*each.session.display, *each.session.see_through]
     centre = each.session.eye_box.centre
     return min(entries, key=lambda entry: float(np.linalg.norm(found.bench.device_from_camera(entry)[:3, 3] - centre)))
 

@@ -257,7 +257,7 @@ def planned_session(
 
     def target_photographs(folder: str) -> tuple[BoardPhotograph, ...]:
         return tuple(
-            BoardPhotograph(root, f"{folder}/{name}", pose, visit.reading, visit.place, eye=bench.eye)
+            BoardPhotograph(root, f"{folder}/{name}", pose, stage=visit.reading, place=visit.place, eye=bench.eye)
             for pose, name, visit in through
         )
 
@@ -275,7 +275,7 @@ def planned_session(
         tracking_sigma=sigma if all(sigma) else None,
         stage=_described_stage(bench) if axes else None,
         bare=tuple(
-            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], visit.reading, eye=bench.eye)
+            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], stage=visit.reading, eye=bench.eye)
             for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
         ),
         tracking=tuple(
@@ -286,7 +286,7 @@ def planned_session(
         see_through=target_photographs("see_through"),
         beside=() if axes else target_photographs("beside"),
         display=tuple(
-            CodeSet(root / "display" / f"{number:02d}", visit.reading, visit.place, eye=bench.eye)
+            CodeSet(root / "display" / f"{number:02d}", stage=visit.reading, place=visit.place, eye=bench.eye)
             for number, visit in enumerate(visits.display)
         ),
     )
