@@ -270,6 +270,22 @@ def test_files_that_are_cut_short_foreign_or_absent(tmp_path):
         load_captures(array)
 
 
+def test_rows_of_both_kinds_may_be_mixed_and_are_named_by_their_place_in_the_file(tmp_path):
+    path = save_captures(tmp_path / "eye.npz", Captures(RECORDED, SEE_THROUGH))
+    with np.load(path) as archive:
+        content = dict(archive)
+    order = np.arange(40).reshape(2, 20).T.ravel()
+    mixed = {name: values[order] if values.ndim else values for name, values in content.items()}
+    np.savez(path, **mixed)
+    shown, seen = load_observations(path).both
+    assert_same(shown, RECORDED)
+    np.testing.assert_array_equal(seen.point, SEE_THROUGH.point)
+    twice = {name: np.append(values, values[3:4], axis=0) if values.ndim else values for name, values in mixed.items()}
+    np.savez(path, **twice)
+    with pytest.raises(BadInputError, match="row 40 repeats row 3"):
+        load_captures(path)
+
+
 def test_a_row_that_is_repeated_is_named(tmp_path):
     rows = np.append(np.arange(20), 3)
     path = save_captures(tmp_path / "eye.npz", Captures(select(DISPLAY, rows)))

@@ -80,7 +80,7 @@ def direction_bench(device: Device, captures: Captures, source: str | Path) -> B
 
     Args:
         device: the nominal device.
-        captures: what was measured.
+        captures: the measured captures.
         source: name of the captures, for messages.
 
     Raises:

@@ -117,8 +117,8 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
 def session_of(bench: Bench, captures: Captures, name: str) -> Session:
     """Return the session that these captures were taken in: the inverse of `captures_of`, for any bench.
 
-    The defaults for what was not recorded are time 0, a move towards +x, green light, and the camera rotation of the
-    bench.
+    The defaults for values that were not recorded are time 0, a move towards +x, green light, and the camera rotation
+    of the bench.
 
     Args:
         bench: bench with the poses of all targets.

@@ -17,7 +17,7 @@ from wlr_render.geometry.lens import Lens, radians_per_pixel
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
-_BEYOND_FIELD = 0.05  # of the panel's field on each side: solves start and interpolate there
+_BEYOND_FIELD = 0.05  # margin on each side of the panel's field: solves start and interpolate there
 _SYSTEMATIC_PX = 0.01
 """Camera pixels that the lens model and the optics' own blur leave, of which the noise of a reading knows nothing:
 without them a fit would follow a few readings of very little noise. In
@@ -49,13 +49,13 @@ def panel_captures(
         panel: its panel.
         camera: the lens; it has OpenCV's axes.
         pose: (4, 4) device_from_camera.
-        samples: what was decoded.
-        **columns: other columns of captures: `capture`, and what was recorded.
+        samples: the decoded panel positions.
+        **columns: other columns of captures: `capture`, and the recorded ones.
 
     Raises:
         BadInputError: the camera does not look at the optics.
     """
-    # The decoded panel position is uncertain; as a direction it is so by the camera pixels that it stands for.
+    # The uncertainty of a decoded panel position becomes one of its direction, in camera pixels.
     rows, sound = _rows(headset, camera, pose, samples.camera_pixel, samples.sigma_px / samples.scale)
     return DisplayCaptures(panel=panel, pixel=samples.panel_pixel[sound], **rows, **columns)
 
@@ -91,10 +91,10 @@ def target_captures(
 
 
 def joined_views(views: Sequence[AnyCaptures], what: str) -> AnyCaptures:
-    """Return the captures of all views; `what` they are of, for the error.
+    """Return the captures of all views; `what` names the photographed thing in the error.
 
     Raises:
-        BadInputError: there are none.
+        BadInputError: `views` is empty.
     """
     if not views:
         raise BadInputError(f"no photographs of {what} are left to fit a model to; see which were rejected.")

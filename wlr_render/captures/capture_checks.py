@@ -1,4 +1,4 @@
-"""Checks of what a capture file holds: implausible values, such as lengths in millimetres, are refused."""
+"""Checks of the values in a capture file: implausible ones, such as lengths in millimetres, are refused."""
 
 from collections.abc import Mapping
 from pathlib import Path

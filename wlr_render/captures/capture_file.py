@@ -1,7 +1,7 @@
 """Capture files: the captures of one eye as one .npz.
 
-The archive holds `header`, a JSON text (docs/files.md has one to copy), and one array for each column of the captures:
-those of the panel and those of real points in one table. Columns that no row has recorded may be left out.
+The archive holds `header`, a JSON text (docs/files.md has one to copy), and one array for each column of the captures,
+with the rows of the panel and of real points in one table. Columns that no row has recorded may be left out.
 Priors of the camera's motion are optional: `display_motion_capture`, `display_motion_size`, `display_motion_log_sigma`,
 and the same of `see_through_motion`, see `CaptureMotionPrior`. So are errors that all captures share: `common_sources`
 in the header, and the arrays `display_common_capture`, `..._motion`, `..._target_pose`, `..._target`, `..._focus`,
@@ -43,7 +43,7 @@ _UNITS = {"length": "m", "sigma": "arcmin", "pixel": "px"}
 _ROWS = columns_of(FeatureCaptures)
 _FIRST = 2  # columns before `feature` in a file
 _OPTIONAL = _ROWS[_ROWS.index("visit") :]
-_COLUMNS = ("kind", *_ROWS[:_FIRST], "feature", *_ROWS[_FIRST:])
+_COLUMNS = (*_ROWS[:_FIRST], "feature", *_ROWS[_FIRST:])
 _SIDES = ("display", "see_through")
 _OF_VERSION_1 = ("viewpoint", "view_dir", "capture", "sigma_arcmin")
 _Sides = dict[str, dict[str, Any]]
@@ -85,9 +85,8 @@ def save_captures(path: str | Path, captures: Captures) -> Path:
 
 def _table(captures: Captures) -> dict[str, NDArray[Any]]:
     """Return the columns of a file by their names, first the rows of the panel."""
-    parts = [{name: getattr(part, name) for name in (*_ROWS, "feature")} for part in captures.parts]
     kinds = [np.full(len(part), part.kind) for part in captures.parts]
-    columns = {name: joined_column(name, [part[name] for part in parts]) for name in _COLUMNS[1:]}
+    columns = {name: joined_column(name, [getattr(part, name) for part in captures.parts]) for name in _COLUMNS}
     return {"kind": np.concatenate(kinds)} | columns
 
 
@@ -162,7 +161,7 @@ def _captures(
     arrays: Mapping[str, NDArray[Any]],
     path: str | Path,
 ) -> Captures:
-    """Return captures from the columns of each side, and what the header and other arrays say of them."""
+    """Return captures from the columns of each side, the header and the arrays of motions and common errors."""
     eye: dict[str, Any] = {"device": header.text("device"), "eye": header.text("eye")}
     size = header.table("panel") if header.has("panel") else None
     panel = None if size is None else Panel(size.whole("width_px", 1), size.whole("height_px", 1))

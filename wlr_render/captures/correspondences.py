@@ -86,7 +86,7 @@ class Captures:
     Attributes:
         display: captures of the panel; None without photographs of it.
         see_through: captures of the world; None without photographs of it, or with opaque optics.
-        panel: the eye's panel, that of `display` if there are any; None if unknown.
+        panel: the eye's panel; None if unknown. The panel of `display`, if there are display captures.
 
     Raises:
         BadInputError: both parts are missing, or they have different eyes or different common errors.
