@@ -222,7 +222,7 @@ _SAG_SHAPES: dict[str, Callable[[Table], SagSurface]] = {
     "xy_polynomial": _xy_polynomial,
     "sum_of_profiles": lambda table: SumOfProfiles(*_biconic(table)),
     "anamorphic": _anamorphic,
-    "bump": lambda table: GaussianBump(MM * table.number("height_mm"), MM * positive(table, "width_mm")),
+    "bump": lambda table: GaussianBump(MM * table.number("height_mm"), MM * table.number("width_mm", above=0)),
 }
 _SHAPES: dict[str, Callable[[Table], Shape]] = {
     "plane": lambda _: Conic(0.0),
@@ -246,14 +246,6 @@ def named(entry: Table, key: str, kind: str, choices: dict[str, PlacedSurface] |
             f"({', '.join(choices) or 'none is'}); correct it."
         )
     return name
-
-
-def positive(table: Table, key: str) -> float:
-    """Return a number above 0."""
-    value = table.number(key)
-    if value <= 0:
-        raise table.fail(f"'{key}' must be positive, not {value}.")
-    return value
 
 
 def _length(table: Table, key: str, at_most_mm: float = _FAR_MM) -> float:
@@ -373,13 +365,13 @@ def _cauchy(table: Table, name: str) -> Medium:
 
 
 def _abbe(table: Table, name: str) -> Medium:
-    index = _index(table, "'nd'", positive(table, "nd"))
+    index = _index(table, "'nd'", table.number("nd", above=0))
     number = table.number("vd", least=_ABBE_NUMBERS[0], most=_ABBE_NUMBERS[1])
     return Medium.abbe(name, index, number)
 
 
 _MEDIA: dict[str, Callable[[Table, str], Medium]] = {
-    "index": lambda table, name: Medium.constant(name, _index(table, "'index'", positive(table, "index"))),
+    "index": lambda table, name: Medium.constant(name, _index(table, "'index'", table.number("index", above=0))),
     "formula": _named_glass,
     "sellmeier": _squared,
     "schott": _squared,
@@ -433,12 +425,7 @@ def _panel(table: Table, frame: FloatArray) -> PlacedPanel:
     if not np.all((counts >= 1) & (counts == np.round(counts))):
         raise table.fail("'pixels' must be two whole numbers of at least 1, width and height.")
     require_pixels(f"{table.where} 'pixels'", counts, "correct them")
-    size = _lengths(table, "size_mm", 2)
-    if not np.all(size >= _PANEL_LEAST_MM * MM):
-        raise table.fail(
-            f"'size_mm' is {np.round(size / MM, 6).tolist()}; the sides of a panel are {_PANEL_LEAST_MM:g} mm or more: "
-            "is it in metres?"
-        )
+    size = MM * table.vector("size_mm", 2, least=_PANEL_LEAST_MM, most=_FAR_MM)
     pose = rigid(frame @ axes(table, "u_axis", "v_axis"), frame @ _lengths(table, "centre_mm", 3))
     curvature = table.vector("curvature_per_m", 2, default=(0.0, 0.0))
     panel = PlacedPanel(pose, size, Panel(int(counts[0]), int(counts[1])), curvature)
@@ -450,9 +437,7 @@ def _field(table: Table) -> FieldOfView | None:
     """Read the angles from the wearer's view, right and up positive, whatever the file's axes."""
     if not table.has("field_deg"):
         return None
-    angles = table.vector("field_deg", 4)
-    if np.abs(angles).max() > _STEEPEST_DEG:
-        raise table.fail(f"'field_deg' must lie between -{_STEEPEST_DEG:g} and {_STEEPEST_DEG:g} degrees.")
+    angles = table.vector("field_deg", 4, least=-_STEEPEST_DEG, most=_STEEPEST_DEG)
     left, right, down, up = np.tan(np.deg2rad(angles))
     if not (left < right and down < up):
         raise table.fail("'field_deg' must be left, right, down, up, each pair ascending; right and up are positive.")

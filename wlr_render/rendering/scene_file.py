@@ -118,10 +118,7 @@ def _require_drawable(where: str, scene: Scene, first: int = 0) -> None:
 
 
 def _colour(table: Table, key: str, default: tuple[float, float, float] | None = None) -> Float32Array:
-    colour = table.vector(key, 3, default)
-    if not ((colour >= 0) & (colour <= _BRIGHTEST)).all():
-        raise table.fail(f"'{key}' must lie between 0 and {_BRIGHTEST:g}, not {shown(colour.tolist())}.")
-    return colour.astype(np.float32)
+    return table.vector(key, 3, default, least=0, most=_BRIGHTEST).astype(np.float32)
 
 
 def _position(table: Table, default: tuple[float, float, float] | None = None) -> NDArray[np.float64]:
@@ -195,11 +192,9 @@ def _placement(table: Table) -> NDArray[np.float64]:
     else:
         degrees = table.vector("rotation_deg", 3, (0.0, 0.0, 0.0), least=-_MOST_DEGREES, most=_MOST_DEGREES)
         rotation = turn(*np.deg2rad(degrees))
-    uniform = table.number("scale", default=1.0)
-    scale = table.vector("scale_xyz", 3, default=(uniform, uniform, uniform))
-    low, high = _SCALES
-    if not ((scale >= low) & (scale <= high)).all():
-        raise table.fail(f"a scale must be positive, from {low:g} to {high:g}, not {scale.tolist()}.")
+    least, most = _SCALES
+    uniform = table.number("scale", 1.0, least, most)
+    scale = table.vector("scale_xyz", 3, (uniform, uniform, uniform), least, most)
     return transforms.rigid(rotation * scale, _position(table, default=(0.0, 0.0, 0.0)))
 
 
@@ -229,25 +224,13 @@ def _shape(table: Table, shape: str) -> Mesh:
 
 
 def _value(table: Table, key: str, default: object) -> object:
-    """A key's value, of the type of the default; sizes and counts must be positive, or 0 where the default is 0."""
+    """Return a value of the type of the default; sizes and counts are above 0, or 0 where the default is 0."""
     if isinstance(default, tuple):
-        vector = table.vector(key, len(default))
-        if (vector < 0).any():
-            raise table.fail(f"'{key}' must not be negative, not {vector.tolist()}.")
-        require_length(f"{table.where}: '{key}'", vector if key.endswith("_m") else 0.0, _SHAPE_M)
-        if not key.endswith("_m") and (vector > _BRIGHTEST).any():
-            raise table.fail(f"'{key}' must lie between 0 and {_BRIGHTEST:g}, not {vector.tolist()}.")
-        return tuple(vector.tolist())
-    number = table.number(key)
-    if number < 0 or (number == 0 and default != 0):
-        raise table.fail(f"'{key}' must be positive, not {number:g}.")
-    if isinstance(default, int) and number != int(number):
-        raise table.fail(f"'{key}' must be a whole number, not {number:g}.")
-    if isinstance(default, int) and number > _MOST_SEGMENTS:
-        raise table.fail(f"'{key}' is {number:g}; {_MOST_SEGMENTS} is the most that is drawn.")
-    if not isinstance(default, int):
-        require_length(f"{table.where}: '{key}'", number, _SHAPE_M)
-    return int(number) if isinstance(default, int) else number
+        most = _SHAPE_M if key.endswith("_m") else _BRIGHTEST
+        return tuple(table.vector(key, len(default), least=0, most=most).tolist())
+    if isinstance(default, int):
+        return table.whole(key, least=min(default, 1), most=_MOST_SEGMENTS)
+    return table.number(key, least=0, most=_SHAPE_M) if default == 0 else table.number(key, above=0, most=_SHAPE_M)
 
 
 def _scene_of_mesh_file(path: Path) -> Scene:
