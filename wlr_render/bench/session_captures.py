@@ -148,9 +148,8 @@ def _display_plan(bench: Bench, captures: DisplayCaptures, name: str) -> Display
     time_s, travel = _moments(captures)
     empty = np.zeros((len(captures), 2))
     plan = DisplayPlan(_numbers(captures), time_s, travel, captures.viewpoint, channel, empty)
-    stage, orientation, pixel = _camera_readings(bench, plan, captures, name)
-    sigma_px = _sigmas(bench.camera, captures, pixel)
-    return replace(plan, stage=stage, orientation=orientation, camera_pixel=pixel, sigma_px=sigma_px)
+    readings, pixel = _camera_readings(bench, plan, captures, name)
+    return replace(plan, camera_pixel=pixel, **readings)
 
 
 def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> tuple[SeeThroughPlan, FloatArray]:
@@ -169,16 +168,15 @@ def _see_through_plan(bench: Bench, captures: SeeThroughCaptures, name: str) -> 
             f"{name}: dots lie up to {1e3 * off:.0f} mm off the targets of the bench; correct its [[target_pose]], or "
             "leave all out to use the poses of the captures."
         )
-    stage, orientation, pixel = _camera_readings(bench, rows, captures, name)
+    readings, pixel = _camera_readings(bench, rows, captures, name)
     raised = None if np.abs(height).max() < _FLAT_M else height
-    sigma_px = _sigmas(bench.camera, captures, pixel)
-    return replace(rows, stage=stage, orientation=orientation, dot=dot, height=raised, sigma_px=sigma_px), pixel
+    return replace(rows, dot=dot, height=raised, **readings), pixel
 
 
 def _camera_readings(
     bench: Bench, plan: StagePlan, captures: FeatureCaptures, name: str
-) -> tuple[FloatArray, FloatArray | None, FloatArray]:
-    """Return stage readings (n, 3), rotations (n, 3, 3) if there are any, and camera pixels (n, 2) of captures.
+) -> tuple[dict[str, Any], FloatArray]:
+    """Return `stage`, `orientation` and `sigma_px` of a plan, and the camera pixels (n, 2), of captures.
 
     Args:
         bench: the assumed bench.
@@ -196,11 +194,12 @@ def _camera_readings(
     pixel = imaged(bench, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)), part_of(plan))
     unslipped = np.swapaxes(slips(bench, plan.time_s), 1, 2)
     orientation = np.round(unslipped @ turned @ np.swapaxes(mounted(bench, plan), 1, 2), _DECIMALS)
-    return stage, None if np.array_equal(orientation, np.tile(np.eye(3), (len(plan), 1, 1))) else orientation, pixel
+    turns = None if np.array_equal(orientation, np.tile(np.eye(3), (len(plan), 1, 1))) else orientation
+    return {"stage": stage, "orientation": turns, "sigma_px": _sigmas(bench.camera, captures, pixel)}, pixel
 
 
 def _common(bench: Bench, rows: StagePlan, pixel: FloatArray) -> dict[str, Any]:
-    """Return what captures of the panel and of targets have in common, given the camera pixels (n, 2)."""
+    """Return columns that captures of the panel and of targets have in common, given the camera pixels (n, 2)."""
     sigma_px = bench.camera.point_sigma_px if rows.sigma_px is None else rows.sigma_px
     return {
         "device": bench.device.name,

@@ -5,9 +5,8 @@ A photograph that cannot be read does not stop the others: it is excluded and li
 
 import functools
 import hashlib
-import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSes
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import BadPhotographError, check_photograph, file_note, read_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.finished_files import digest_of
 from wlr_render.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress
@@ -247,7 +247,7 @@ class _PanelTask:
             return
 
     def result(self, kept: dict[str, NDArray[Any]]) -> PanelReading:
-        samples = DecodedSamples(kept["camera_pixel"], kept["panel_pixel"], kept["sigma_px"], kept["scale"])
+        samples = DecodedSamples(**{each.name: kept[each.name] for each in fields(DecodedSamples)})
         missing = tuple(self.pattern.names()[number] for number in kept["missing"])
         return PanelReading(samples, kept["counts"], kept["fates"], kept["extent"], missing, str(kept["file_note"]))
 
@@ -290,7 +290,7 @@ def _kept_path(task: _Task, folder: Path) -> Path:
 def _fingerprint(paths: Sequence[Path], how: object) -> str:
     """Return the SHA-256 of the names and contents of files, and of the settings of reading."""
     about = [(path.name, _sha256(path, path.stat().st_mtime_ns)) for path in paths]
-    return hashlib.sha256(json.dumps([_VERSION, about, repr(how)]).encode()).hexdigest()
+    return digest_of(_VERSION, about, repr(how))
 
 
 @functools.cache
@@ -314,11 +314,7 @@ def _why_nothing(decoded: Decoded) -> str:
 def _arrays(decoded: Decoded, samples: DecodedSamples) -> dict[str, NDArray[Any]]:
     step = max(1, decoded.rejection.shape[1] // _THUMBNAIL_PX)
     accepted = decoded.pixel[decoded.accepted].astype(np.float64)
-    return {
-        "camera_pixel": samples.camera_pixel,
-        "panel_pixel": samples.panel_pixel,
-        "sigma_px": samples.sigma_px,
-        "scale": samples.scale,
+    return vars(samples) | {
         "counts": np.bincount(decoded.rejection.ravel(), minlength=len(Rejection)),
         "fates": decoded.rejection[::step, ::step],
         "extent": np.stack([accepted.min(axis=0), accepted.max(axis=0)]),
