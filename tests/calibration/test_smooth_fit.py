@@ -12,6 +12,7 @@ from wlr_render.calibration.smooth_search import fit
 from wlr_render.captures.correspondences import select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents, tangents_of_dir
+from wlr_render.numerics.shared_noise import SharedNoise
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation import viewpoints
@@ -129,6 +130,20 @@ def test_captures_from_elsewhere_are_left_out_and_named_with_their_shift(count, 
 def test_a_sharp_camera_is_believed(sigma):
     smooth = fit_display(clean(1, sigma), "planar", 4).smooth
     assert smooth.noise == pytest.approx(1.0, rel=0.05)
+
+
+def test_noise_that_neighbours_share_does_not_depend_on_where_its_search_starts():
+    captures, rng = display_captures(grid_in_plane(5, 5), PANEL.grid(12, 10).reshape(-1, 2)), np.random.default_rng(0)
+    place = captures.pixel[captures.capture == 0]
+    root = np.linalg.cholesky(0.4 * SharedNoise(1.0, 250.0).correlation(place) + 0.6 * np.eye(len(place)))
+    noise = (root @ rng.normal(size=(CAPTURES, len(place), 2))).reshape(-1, 2)
+    smooth = fit_display(kicked(replace(captures, sigma_arcmin=1.0), noise), "planar", 4).smooth
+    readings = smooth.readings
+    assert 0.2 < readings.shared.share < 0.6
+    for off in (-0.2, -0.04, 0.04, 0.2):
+        start = replace(readings.shared, share=readings.shared.share + off)
+        before = replace(smooth, readings=readings.with_shared(start))
+        assert fit(readings, before).readings.shared == readings.shared
 
 
 def test_gross_readings_lose_their_weight():

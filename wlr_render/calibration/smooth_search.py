@@ -36,13 +36,12 @@ from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, nei
 _GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
 _WIDENINGS = 3
 _MOTION_ROUNDS = 3
-_ROUNDS = 4  # of outlier weights
+_ROUNDS = 4  # of outlier weights and noise that neighbours share
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _SMOOTH_ORDER = 3  # of the place: motions that vary with it no faster are no motions
 _REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # share of the motions that is left to tell their sizes
 _NEAR_CLEAREST = 0.7  # of the odds of the clearest one: what is less clear may be its doing
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
-_ALIKE = 0.05  # shares of the noise's variance that count as the same
 _MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out, and that may seem to have moved
 _ROUNDS_OF_MOTIONS = 8  # fits without some of the captures
 _ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # that a capture is judged by beside those of a fit, up to so many in all
@@ -214,7 +213,7 @@ class _Search:
             columns = motion_columns(readings, polynomial) if moves else None
             weights = kept if self.weights is not None else _weights(readings, polynomial, columns, kept) * stays
             shared = _shared_noise(readings, polynomial, found, weights) if is_noisy else None
-            if np.allclose(weights, kept, atol=0.05) and _alike(shared, readings.shared):
+            if np.allclose(weights, kept, atol=0.05) and shared == readings.shared:
                 break
             kept, starts, readings = weights, [dict(found.hyper)], readings.with_shared(shared)
             sums = sums_of(readings, start, None, kept)
@@ -259,13 +258,6 @@ def _shared_noise(
         return found.root_of(readings.design(chosen) * readings.weight[chosen, None])
 
     return find_shared_noise([readings.image[rows] for rows in captures], [off[rows] for rows in captures], unsure)
-
-
-def _alike(shared: SharedNoise | None, before: SharedNoise | None) -> bool:
-    """Whether two findings of noise that neighbours share are alike."""
-    if shared is None or before is None:
-        return shared is before
-    return shared.length == before.length and abs(shared.share - before.share) < _ALIKE
 
 
 def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
