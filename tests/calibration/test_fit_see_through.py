@@ -59,9 +59,7 @@ def test_no_optics_is_no_deviation(kind):
     captures = see_through_captures(positions_in_plane(12), bend=straight)
     viewpoint = np.column_stack([captures.viewpoint[:, :2], levels[captures.capture]])
     view_dir = normalised(captures.point - viewpoint)
-    captures = type(captures)(
-        "none", "left", EYE_BOX, viewpoint, view_dir, captures.point, captures.capture, captures.target_pose, 0.0
-    )
+    captures = replace(captures, viewpoint=viewpoint, view_dir=view_dir)
     mapping = fit_see_through(captures, kind, 1).mapping
     polynomials = [mapping.deviation] if kind == "planar" else [mapping.forward]
     for polynomial in polynomials:
@@ -85,17 +83,7 @@ def raised(captures, height):
     """The same rays, each seen from `height` metres behind the plane."""
     along = height / -captures.view_dir[:, 2:]
     moved = captures.viewpoint - along * captures.view_dir
-    return type(captures)(
-        "toy",
-        "right",
-        EYE_BOX,
-        moved,
-        captures.view_dir,
-        captures.point,
-        captures.capture,
-        captures.target_pose,
-        0.0,
-    )
+    return replace(captures, viewpoint=moved, sigma_arcmin=0.0)
 
 
 def test_static_fit_knows_the_nominal_viewpoint_and_bends_about_the_actual_one():
