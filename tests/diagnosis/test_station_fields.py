@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_session import SIGMA_PX, explanation, fitted, measured, weighed, with_noise, with_readings
 
-from wlr_render.bench.bench_effects import BENCH_KINDS, RUN_TIME_KINDS
+from wlr_render.bench.bench_effects import BENCH_KINDS, RUN_TIME_KINDS, BenchEffect
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session, SessionPlan
 from wlr_render.diagnosis.cause_selection import Search
@@ -202,6 +202,19 @@ def test_a_cause_keeps_its_name_where_its_effect_is_there_and_loses_it_where_ano
 
 
 @pytest.mark.slow
+def test_two_causes_that_one_field_does_as_well_have_no_name(bench, run_time):
+    """Rows of the camera are late one after the other: a scan-out and a latency together are much alike."""
+    rolled = BenchEffect.of_function("camera", "delay", lambda pixel: 6e-3 * pixel[:, 1:], (0.0, 0.0), (1280.0, 1024.0))
+    alike, both = explanation(rolling_scanout=[5.0], latency=[1.0]), []
+    for true in (alike.bench(bench), replace(bench, effects=(rolled,))):
+        observations = observe(bench, Session("small", run_time, simulate(true, run_time)))
+        readings = weighed(with_noise(observations, SIGMA_PX, np.random.default_rng(3)))
+        both.append(of_fields(readings, fitted(readings.observations, alike)).odds_of_all_causes([])[0])
+    assert both[0] > both[1]
+    assert both[1] < 2.0
+
+
+@pytest.mark.slow
 def test_a_cause_elsewhere_that_a_located_field_explains_as_well_gets_no_name(bench, plan):
     """A camera that swings about a place beside the stated one, in the course of the session, is no wrong pupil."""
 
@@ -289,3 +302,45 @@ def test_a_bench_with_an_effect_reads_what_the_field_says(bench, plan, run_time,
         assert np.sqrt(np.nanmean((read - expected) ** 2)) < 0.05 * np.sqrt(np.mean(expected**2)), field.kind
     missing = set(BENCH_KINDS if session == "bench" else RUN_TIME_KINDS) - stated
     assert missing == ({("combiner", "view")} if session == "bench" else set())
+
+
+@pytest.mark.slow
+def test_a_far_smaller_effect_may_be_the_rest_of_a_large_one(bench, plan):
+    """Large waves over the panel, and a camera that swings a little."""
+
+    def off(table):
+        return 6e-5 * wave(table.time_s[:, None], 1300.0) * [0.0, 0.0, 1.0]
+
+    read = at_stage(bench, plan, off)
+    pixel = read.panel_pixel
+    won = contest(bench, plan, replace(read, panel_pixel=pixel + beside(6.0 * wave(pixel[:, 0] + 100.0, 2400.0))))
+    effects = won.located(2.0)
+    assert [each.field.station for each in effects] == ["panel"]
+    rests = won.rests(effects, 2.0)
+    assert all(each.is_rest for each in rests)
+    assert "time" in {each.field.station for each in rests}
+    left = [np.mean(won.left(each, won.scatter_beside(each)) ** 2) for each in (effects, [*effects, *rests])]
+    assert left[1] < left[0]
+
+
+@pytest.mark.slow
+def test_effects_are_fitted_as_the_bench_does_them_where_it_is_not_linear(bench, run_time):
+    """The pupil is far from where it is tracked."""
+
+    def off(gaze):
+        return np.stack([3.0 * wave(gaze[:, 0], 1.1), -2.0 * gaze[:, 1], np.zeros(len(gaze))], axis=1)
+
+    true = BenchEffect.of_function("eye tracking", "pupil by gaze", off, (-1.0, -1.0), (1.0, 1.0))
+    read = simulate(replace(bench, effects=(true,)), run_time)
+    observations = observe(bench, Session("small", run_time, read))
+    readings = weighed(with_noise(observations, SIGMA_PX, np.random.default_rng(3)))
+    linear = of_fields(readings, fitted(readings.observations, Explanation()))
+    effects, exact = linear.located(2.0, 1), []
+    assert effects[0].field.form == "place of the pupil"
+    for each in (linear, linear.with_effects(effects)):
+        scatter = each.scatter_beside(effects)
+        stated = effects[0].in_bench(*each.values_and_covariances(effects, scatter)[0])
+        exact.append(readings.predictor.residual_of_bench(replace(bench, effects=stated)))
+        off_by = np.sqrt(np.mean((each.left(effects, scatter) - exact[-1]) ** 2))
+        assert (off_by > 0.2) == (each is linear)
+    assert np.mean(exact[1] ** 2) < 0.98 * np.mean(exact[0] ** 2)

@@ -86,22 +86,28 @@ BENCH_KINDS = {
 }
 """Kinds of a bench session by station and by what is displaced."""
 
-_DOT = "image of the virtual dot u, v, camera px"
-_TURN = "turn of the picture about x, y, z, mrad"
-_LATE = "delay of the picture, ms"
+DOT, TURN, LATE, PUPIL = (
+    "image of the virtual dot u, v, camera px",
+    "turn of the picture about x, y, z, mrad",
+    "delay of the picture, ms",
+    "true pupil from the tracked one x, y, z, mm",
+)
+"""What effects of a run-time session displace."""
+
 _IMAGE, _PANEL, _RATE = "camera pixel u, v", "panel pixel u, v", "rate of the head x, y, z, rad/s"
 
 RUN_TIME_KINDS = {
-    ("camera", "picture"): EffectKind(_IMAGE, _PX, _DOT, _PX),
-    ("camera", "delay"): EffectKind(_IMAGE, _PX, _LATE, (1e-3,)),
-    ("panel", "picture"): EffectKind(_PANEL, _PX, _DOT, _PX),
-    ("panel", "delay"): EffectKind(_PANEL, _PX, _LATE, (1e-3,)),
-    ("head motion", "picture by gravity"): EffectKind("direction of gravity x, y, z", _AS_IS, _TURN, _MRAD),
-    ("head motion", "picture by rate"): EffectKind(_RATE, _AS_IS, _TURN, _MRAD),
-    ("head motion", "delay by rate"): EffectKind(_RATE, _AS_IS, _LATE, (1e-3,)),
-    ("eye tracking", "picture by pupil"): EffectKind("tracked pupil x, y, z, m", _AS_IS, _DOT, _PX),
-    ("eye tracking", "picture by gaze"): EffectKind("tangents of the gaze right and up", _PX, _DOT, _PX),
-    ("time", "picture"): EffectKind("time, s", (1.0,), _TURN, _MRAD),
+    ("camera", "picture"): EffectKind(_IMAGE, _PX, DOT, _PX),
+    ("camera", "delay"): EffectKind(_IMAGE, _PX, LATE, (1e-3,)),
+    ("panel", "picture"): EffectKind(_PANEL, _PX, DOT, _PX),
+    ("panel", "delay"): EffectKind(_PANEL, _PX, LATE, (1e-3,)),
+    ("head motion", "picture by gravity"): EffectKind("direction of gravity x, y, z", _AS_IS, TURN, _MRAD),
+    ("head motion", "picture by rate"): EffectKind(_RATE, _AS_IS, TURN, _MRAD),
+    ("head motion", "delay by rate"): EffectKind(_RATE, _AS_IS, LATE, (1e-3,)),
+    ("eye tracking", "picture by pupil"): EffectKind("tracked pupil x, y, z, m", _AS_IS, DOT, _PX),
+    ("eye tracking", "pupil by pupil"): EffectKind("tracked pupil x, y, z, m", _AS_IS, PUPIL, (_MM, _MM, _MM)),
+    ("eye tracking", "pupil by gaze"): EffectKind("tangents of the gaze right and up", _PX, PUPIL, (_MM, _MM, _MM)),
+    ("time", "picture"): EffectKind("time, s", (1.0,), TURN, _MRAD),
 }
 """Kinds of a run-time session; all axes are the device's."""
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from wlr_render.bench.bench import Bench
-from wlr_render.bench.bench_effects import RUN_TIME_KINDS, displacement
+from wlr_render.bench.bench_effects import DOT, LATE, PUPIL, RUN_TIME_KINDS, TURN, displacement
 from wlr_render.captures.session import RunTimePlan
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
@@ -32,6 +32,7 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     late_s = late_s + _displaced(bench, _by_plan(plan, pixel), _DELAYS)[:, 0]
     tracking = bench.eye_tracking
     pupil = plan.viewpoint + tracking.bias + tracking.gaze_radius * (plan.gaze - _STRAIGHT_AHEAD)
+    pupil = pupil + _displaced(bench, _by_plan(plan, pixel), _PUPILS)
     virtual = display.view_dir_of_pixel(pixel, pupil)
 
     def real_pixel(late_s: FloatArray) -> FloatArray:
@@ -49,9 +50,9 @@ def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
     return np.concatenate([shown + _displaced(bench, places, _SHIFTS), real], axis=1)
 
 
-_DELAYS, _SHIFTS, _TURNS = (
-    [kind for kind, each in RUN_TIME_KINDS.items() if len(each.per_displacement) == components]
-    for components in (1, 2, 3)
+_DELAYS, _SHIFTS, _TURNS, _PUPILS = (
+    [kind for kind, each in RUN_TIME_KINDS.items() if each.displacement == displaced]
+    for displaced in (LATE, DOT, TURN, PUPIL)
 )
 
 
@@ -65,7 +66,8 @@ def _by_plan(plan: RunTimePlan, pixel: FloatArray) -> dict[tuple[str, str], Floa
         ("head motion", "picture by rate"): rate,
         ("head motion", "delay by rate"): rate,
         ("eye tracking", "picture by pupil"): plan.viewpoint,
-        ("eye tracking", "picture by gaze"): tangents_of_dir(plan.gaze),
+        ("eye tracking", "pupil by pupil"): plan.viewpoint,
+        ("eye tracking", "pupil by gaze"): tangents_of_dir(plan.gaze),
         ("time", "picture"): plan.time_s[:, None],
     }
 

@@ -44,7 +44,8 @@ _LIKELY = {
     ("time", "turn"): ("temperature", "a drifting tracker"),
     ("head motion", "turn"): ("a hinge or frame that flexes", "a filter of the head tracker"),
     ("head motion", "delay"): ("time stamps", "prediction of the head's motion"),
-    ("eye tracking", "shift"): ("errors of the eye tracker that depend on gaze", "the pupil's motion with gaze"),
+    ("eye tracking", "shift of the picture"): ("a display that is calibrated for few pupils",),
+    ("eye tracking", "place"): ("errors of the eye tracker that depend on gaze", "the pupil's motion with gaze"),
 }
 """Usual sources of an effect, by its station and the start of its form."""
 
@@ -70,7 +71,7 @@ def station_effects(
     fine: FineEffect | None,
     as_stated: Predictor,
 ) -> list[StationEffect]:
-    """Return the records of effects, largest odds first.
+    """Return the records of effects, largest odds first; of none that may be the rest of others.
 
     Args:
         contest: in which the smooth effects were located.
@@ -83,6 +84,7 @@ def station_effects(
     records = [
         _smooth(contest, effect, *estimate, scatter, [each for each in located if each is not effect])
         for effect, estimate in zip(located, estimates, strict=True)
+        if not effect.is_rest
     ]
     records += [_fine(fine, as_stated)] if fine is not None else []
     return sorted(records, key=lambda each: -each.log10_odds)

@@ -13,6 +13,7 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
 from wlr_render.diagnosis.fit import Fit, off_prior
 from wlr_render.diagnosis.held_out import (
@@ -44,7 +45,7 @@ from wlr_render.numerics.scatter_search import best_scatter
 _SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
 _LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the field
 MOST_EFFECTS = 3
-"""Effects that are located in one session."""
+"""Effects that are located in one session, and effects that these may leave."""
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
@@ -114,14 +115,14 @@ class FieldContest:
             charge[first : first + field.order.size] = 2.0 * np.log(field.alternatives)
         return charge
 
-    def _columns(self, number: int, degree: int) -> IntArray:
-        return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].order <= degree))
+    def _columns(self, number: int, degree: int, above: int = -1) -> IntArray:
+        return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].counting(degree, above)))
 
     def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> Known:
         """Columns, means and prior sigmas of some of the causes' values and of effects."""
         columns, mean, sigma = [self._causes[causes]], [self._mean[causes]], [np.ones(int(causes.sum()))]
         for effect in effects:
-            columns.append(self._columns(self.fields.index(effect.field), effect.degree))
+            columns.append(self._columns(self.fields.index(effect.field), effect.degree, effect.above))
             mean.append(np.zeros(columns[-1].size))
             sigma.append(np.full(columns[-1].size, effect.size))
         return np.concatenate(columns), np.concatenate(mean), np.concatenate(sigma)
@@ -131,13 +132,13 @@ class FieldContest:
 
         Each has good odds and predicts captures that are left out of its fit better than nothing does: what only
         resembles a field of that station does not. A further one has a fair share of the first one's odds: what a field
-        describes imperfectly leaves a little everywhere.
+        describes imperfectly leaves a little everywhere, see `rests`.
         """
         effects: list[LocatedEffect] = []
         while len(effects) < most:
             best = self._best(effects)
             least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects else 0.0)
-            if best is None or best.log10_odds < least:
+            if best is None or best.above >= 0 or best.log10_odds < least:
                 break
             scatter = self.scatter_beside([*effects, best])
             # A spot is seen in few captures, too few for a comparison; cells of different captures agree there.
@@ -146,6 +147,34 @@ class FieldContest:
                 break
             effects.append(best)
         return effects
+
+    def rests(self, effects: Sequence[LocatedEffect], least_log10_odds: float) -> list[LocatedEffect]:
+        """Return the effects that the readings show beside located ones, which may describe theirs imperfectly."""
+        rests: list[LocatedEffect] = []
+        while len(rests) < MOST_EFFECTS:
+            beside = [*effects, *rests]
+            best = self._best(beside)
+            if best is None or best.log10_odds < least_log10_odds:
+                break
+            if self.held_out(best, self.scatter_beside([*beside, best]), beside)[0].significance < _PREDICTS:
+                break
+            rests.append(replace(best, is_rest=True))
+        return rests
+
+    def with_effects(self, effects: Sequence[LocatedEffect]) -> "FieldContest":
+        """Return the contest with a residual less what is not linear in the effects' coefficients at their values."""
+        predictor, linear = self.readings.predictor, self.found.at.residual
+        added, scatter = list[BenchEffect](), self.scatter_beside(effects)
+        for effect, (values, covariance) in zip(effects, self.values_and_covariances(effects, scatter), strict=True):
+            stated = effect.in_bench(values, covariance)
+            if stated:
+                added += stated
+                linear = linear - effect.columns @ values
+        nominal = self.found.explanation.bench(predictor.observations.nominal)
+        exact = predictor.residual_of_bench(replace(nominal, effects=(*nominal.effects, *added)))
+        curved = np.where(np.isfinite(exact), exact - linear, 0.0)
+        at = replace(self.found.at, residual=self.found.at.residual + curved)
+        return replace(self, found=replace(self.found, at=at))
 
     def gain_of_best(self, shapes: Sequence[IntArray], most: int) -> float:
         """Return by how much -2 log evidence falls by the best shapes together, taken one after the other.
@@ -186,12 +215,13 @@ class FieldContest:
     def _ranked_beside(self, beside: Sequence[LocatedEffect]) -> list[LocatedEffect]:
         """Every field beside the causes and some effects, best first; all that are tried are charged alike."""
         known = self._known(beside, self._all_causes)
-        taken = {id(each.field) for each in beside}
+        # Functions of a higher order than those that are located may have another size.
+        taken = {id(each.field): each.degree for each in sorted(beside, key=lambda each: each.degree)}
         tried = [
             (number, degree)
             for number, field in enumerate(self.fields)
             for degree in field.degrees
-            if id(field) not in taken
+            if field.counting(degree, taken.get(id(field), -1)).any()
         ]
         if not tried:
             return []
@@ -199,10 +229,11 @@ class FieldContest:
         charge = float(np.log10(len(tried)))
         best: dict[int, LocatedEffect] = {}
         for number, degree in tried:
-            least, size = self._least_of(self._columns(number, degree), known)
+            above = taken.get(id(self.fields[number]), -1)
+            least, size = self._least_of(self._columns(number, degree, above), known)
             odds = LOG10_ODDS * (none - least) - charge
             if number not in best or odds > best[number].log10_odds:
-                best[number] = LocatedEffect(self.fields[number], degree, size, odds)
+                best[number] = LocatedEffect(self.fields[number], degree, size, odds, above=above)
         return sorted(best.values(), key=lambda each: -each.log10_odds)
 
     def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
@@ -221,6 +252,18 @@ class FieldContest:
         for other in sorted({field.station for field in self.fields} - {station}):
             against = self._odds_beside if other in located else self._odds_against
             odds.append((against(number, other, beside), other))
+        return min(odds)
+
+    def odds_of_all_causes(self, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
+        """Return log10 odds for all causes against one field in their place, and the station of that field."""
+        known, every = self._known(beside, self._all_causes), self._causes
+        without, at_none = self._known(beside, ~self._all_causes), -self.found.effects
+        alone, odds = self._least(known), [(float("inf"), "")]
+        for station in sorted({field.station for field in self.fields} - {each.field.station for each in beside}):
+            tried = self._tried_at(station, constants=station not in ELSEWHERE)
+            if tried:
+                field = min(self._least_of(columns, without, every, at_none)[0] for columns in tried)
+                odds.append((float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - alone)), station))
         return min(odds)
 
     def _odds_at_its_station(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
@@ -362,6 +405,13 @@ class FieldContest:
         slices = [slice(start, end) for start, end in pairwise(ends)]
         return [(values[each], covariance[each, each]) for each in slices]
 
+    def left(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> FloatArray:
+        """Return what causes and effects leave of the readings, (n, 2)."""
+        left = self.found.at.residual
+        for effect, values in zip(effects, self.values(effects, scatter) if effects else [], strict=True):
+            left = left - effect.columns @ values
+        return left
+
     def held_out(
         self, effect: LocatedEffect, scatter: Scatter, beside: Sequence[LocatedEffect] = ()
     ) -> tuple[HeldOutImprovement, float]:
@@ -372,9 +422,7 @@ class FieldContest:
             scatter: sizes of what is random with all effects at work.
             beside: effects that are at work already, as all captures show them.
         """
-        group, residual = self.readings.observations.group, self.found.at.residual
-        for other, values in zip(beside, self.values(beside, scatter) if beside else [], strict=True):
-            residual = residual - other.columns @ values
+        group, residual = self.readings.observations.group, self.left(beside, scatter)
         whiten = self.readings.whitening(scatter)
         white, left = whiten(effect.columns), whiten(residual)
         after = left_out_residual(white, left, group, effect.size)

@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
@@ -13,6 +14,8 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 ELSEWHERE = ("stage", "time")  # stations whose constants are those of another: of the camera, or of the panel
+_NEIGHBOURS = 4  # of a reading at its station
+_WILD = 4.0  # sigma; a reading counts no more than this
 _IDLE = 1e-9  # rms of a column in sigma below which it does nothing
 
 
@@ -55,6 +58,10 @@ class StationField:
     def kind(self) -> tuple[str, str, str]:
         """Station, coordinates and form, which are those of one field of a session."""
         return self.station, self.coordinates, self.form
+
+    def counting(self, degree: int, above: int = -1) -> BoolArray:
+        """Return a mask (c,) of the functions of order up to `degree` and beyond `above`."""
+        return np.asarray((self.order <= degree) & (self.order > above))
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,6 +186,26 @@ def scaled(field: StationField) -> StationField:
     degrees = tuple(each for each in field.degrees if each < highest) + (highest,)
     columns, order = field.columns[:, :, moves] / size[moves], field.order[moves]
     return replace(field, columns=columns, order=order, degrees=degrees, displacement=displacement, in_bench=in_bench)
+
+
+def neighbours_agree(field: StationField, left: FloatArray, standard_errors: float) -> bool:
+    """Return whether what is left of readings that are near each other at a station is alike.
+
+    Args:
+        field: its constants say how a displacement there changes each reading.
+        left: (n, 2) of the readings, in units of sigma.
+        standard_errors: beyond which a mean product of neighbours is no chance.
+    """
+    rows = np.flatnonzero(field.acts)
+    place = field.place[rows] / np.maximum(field.place[rows].std(axis=0), np.finfo(float).tiny)
+    near = KDTree(place).query(place, min(_NEIGHBOURS + 1, len(rows)))[1][:, 1:]
+    for column in np.moveaxis(field.columns[rows][:, :, field.order == 0], 2, 0):
+        along = np.sum(left[rows] * column, axis=1) / np.maximum(np.linalg.norm(column, axis=1), _IDLE)
+        along = np.clip(along / np.sqrt(np.mean(along**2)), -_WILD, _WILD)
+        products = along[:, None] * along[near]
+        if products.sum() > standard_errors * np.sqrt(np.sum(products**2)):
+            return True
+    return False
 
 
 def over_rows(mask: BoolArray, values: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter
 
 _ROUNDS = 2  # times that causes are searched for beside located effects
@@ -49,6 +50,23 @@ class Located:
         pairs = zip(self.effects, self.contest.values_and_covariances(self.effects, self.scatter), strict=True)
         added = [each for effect, estimate in pairs for each in effect.in_bench(*estimate)]
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
+
+    @property
+    def left(self) -> FloatArray:
+        """What causes and effects leave of the contest's readings, (n, 2)."""
+        assert self.contest is not None
+        return self.contest.left(self.effects, self.scatter or self.found.scatter)
+
+    def about_rests(self) -> tuple[str, ...]:
+        """Return a sentence on what the located effects leave, if the bench has effects for it."""
+        rests = [
+            f"{each.field.form} by {each.field.coordinates} ({each.field.station}, log10 odds {each.log10_odds:.1f})"
+            for each in self.effects
+            if each.is_rest
+        ]
+        if not rests:
+            return ()
+        return (f"what the located effects describe imperfectly is in the corrected bench: {'; '.join(rests)}",)
 
     def fine_beside(self, fine: FineEffect | None) -> FineEffect | None:
         """Return a fine effect, unless a smooth one has better odds, whose rest agrees between captures, too."""
@@ -88,7 +106,12 @@ def locate(search: Search, found: Fit) -> Located:
         located = replace(again, dropped=(*located.dropped, *again.dropped))
         if is_last:
             break
-    return located
+    if located.contest is None or not located.effects:
+        return located
+    contest = located.contest.with_effects(located.effects)
+    effects = (*located.effects, *contest.rests(located.effects, search.settings.least_log10_odds))
+    contest = contest.with_effects(effects)
+    return replace(located, contest=contest, effects=effects, scatter=contest.scatter_beside(effects))
 
 
 def _standing(search: Search, found: Fit, most: int) -> Located:
@@ -101,9 +124,11 @@ def _standing(search: Search, found: Fit, most: int) -> Located:
             contest.odds_of_cause(number, hypothesis.cause.station, effects)
             for number, hypothesis in enumerate(found.explanation.hypotheses)
         ]
-        if not odds or min(odds)[0] > least:
+        together = contest.odds_of_all_causes(effects) if len(odds) > 1 else (float("inf"), "")
+        if not odds or min(*odds, together)[0] > least:
             break
-        (weakest_odds, rival), weakest = min(odds), odds.index(min(odds))
+        weakest = odds.index(min(odds))
+        weakest_odds, rival = min(min(odds), together)
         cause = found.explanation.hypotheses[weakest].cause
         dropped.append(
             f"{cause.name} would explain part of it, but an effect of another shape ({rival}) explains as much: log10 "

@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.bench.bench_effects import AnyFunction, BenchEffect
 from wlr_render.diagnosis.field_terms import StationField
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,10 +17,12 @@ class LocatedEffect:
     Attributes:
         field: where and how it acts.
         degree: up to which its functions count.
+        above: order beyond which they do, where those up to it are an effect of a size of their own.
         size: most probable size of its coefficients, in units of sigma.
         log10_odds: for it against none, beside what was known.
         next_station: the station of next best evidence; empty where there is no other.
         odds_against_next: log10 odds against that station.
+        is_rest: whether it may be what the effects located before it describe imperfectly.
     """
 
     field: StationField
@@ -29,20 +31,27 @@ class LocatedEffect:
     log10_odds: float
     next_station: str = ""
     odds_against_next: float = float("inf")
+    above: int = -1
+    is_rest: bool = False
 
     def over(self, fields: Sequence[StationField]) -> "LocatedEffect":
         """Return the same effect on other readings, of which these are the fields."""
         return replace(self, field=next(each for each in fields if each.kind == self.field.kind))
 
     @property
+    def counts(self) -> BoolArray:
+        """Mask of the field's functions that count."""
+        return self.field.counting(self.degree, self.above)
+
+    @property
     def order(self) -> IntArray:
         """(c,) of the functions that count."""
-        return self.field.order[self.field.order <= self.degree]
+        return self.field.order[self.counts]
 
     @property
     def columns(self) -> FloatArray:
         """(n, 2, c) of the functions that count."""
-        return self.field.columns[:, :, self.field.order <= self.degree]
+        return self.field.columns[:, :, self.counts]
 
     def displacement(self, values: FloatArray) -> FloatArray:
         """Return the displacement (n, d) at the station, in the field's unit, by coefficients (c,)."""
@@ -91,7 +100,7 @@ class LocatedEffect:
 
     def _every(self, values: FloatArray) -> FloatArray:
         every = np.zeros(self.field.order.size)
-        every[self.field.order <= self.degree] = values
+        every[self.counts] = values
         return every
 
 

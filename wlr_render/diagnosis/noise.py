@@ -6,7 +6,7 @@ image to its corner. A share of it may be a smooth random field that neighbourin
 common (an autofocus that breathes, air that moves, a code that interpolates).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -127,6 +127,17 @@ def noise_of(observations: Observations, residual: FloatArray, settings: Setting
     for floor in floors:
         sigma[observations.part == PART_NAMES.index(floor.part)] *= floor.used_px / floor.stated_px
     return Noise(tuple(floors), sigma, outlier)
+
+
+def measured_at_run_time(floor: NoiseFloor, factor: float, readings: int, settings: Settings = DEFAULT) -> NoiseFloor:
+    """Return the noise at run time by what is left of it: `factor` times what is used, over so many readings."""
+    measured = factor * floor.used_px
+    variance_error = float(np.sqrt(1.0 / readings))
+    is_believable = not is_significant(2.0 * float(np.log(measured / floor.stated_px)), variance_error, settings)
+    used = floor.used_px if is_believable else measured
+    return replace(
+        floor, measured_px=measured, error_px=0.5 * variance_error * measured, used_px=used, is_believable=is_believable
+    )
 
 
 def _floor(

@@ -28,6 +28,7 @@ from wlr_render.diagnosis.diagnosis import (
     StationEffect,
     Unexplained,
 )
+from wlr_render.diagnosis.field_terms import neighbours_agree
 from wlr_render.diagnosis.findings import (
     capture_residuals,
     correlations,
@@ -44,7 +45,7 @@ from wlr_render.diagnosis.fit import (
     Fit,
 )
 from wlr_render.diagnosis.located_beside import Located, locate
-from wlr_render.diagnosis.noise import Noise, NoiseFloor, noise_of
+from wlr_render.diagnosis.noise import Noise, NoiseFloor, measured_at_run_time, noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Predictor
@@ -56,6 +57,7 @@ from wlr_render.numerics.arrays import BoolArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
+_ALIKE = 4.0  # standard errors beyond which neighbours at a station are alike
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 
 
@@ -93,7 +95,8 @@ def diagnose(
     located, rankings = _beside_effects(prepared, progress)
     search, readings, found = located.search, located.search.full, located.found
     fine = located.fine_beside(prepared.fine)
-    left = _unexplained(located, prepared, fine, settings)
+    noise = _with_run_time(prepared.noise, located, stated.observations, settings)
+    left = _unexplained(located, prepared, noise, fine, settings)
     corrected, effects = _corrected(located, fine, stated, settings)
     structure = located.structure(effects)
     named = tuple(
@@ -101,10 +104,10 @@ def diagnose(
         for number, (ranking, odds) in enumerate(zip(rankings, located.odds, strict=True))
     )
     excluded, too_many = _excluded(readings, found, settings)
-    all_readings = stated.with_sigma(prepared.noise.sigma_px)
+    all_readings = stated.with_sigma(noise.sigma_px)
     observations = all_readings.observations
     before, after = all_readings.residual(Explanation()), all_readings.residual_of_bench(corrected)
-    used = ~prepared.noise.outlier & not_excluded(observations, excluded)
+    used = ~noise.outlier & not_excluded(observations, excluded)
     motion = usual_motion(all_readings, found)
     limits: tuple[DetectionLimit, ...] = ()
     if not named and not effects and not left and not too_many:
@@ -118,7 +121,7 @@ def diagnose(
         effects=tuple(effects),
         excluded=excluded,
         too_many_moved=too_many,
-        noise_floors=prepared.noise.floors,
+        noise_floors=noise.floors,
         motions=motion_sizes(readings, found),
         noise=noise_summary(observations, used),
         expected=expected_summary(observations, motion, used),
@@ -127,8 +130,14 @@ def diagnose(
         unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
         fields=located.tried,
         detection_limits=limits,
-        reasons=(*_about_readings(prepared.noise.outlier), *located.dropped, *structure, prepared.selection.reason),
-        captures=capture_residuals(observations, before, after, ~prepared.noise.outlier, excluded),
+        reasons=(
+            *_about_readings(noise.outlier),
+            *located.dropped,
+            *located.about_rests(),
+            *structure,
+            prepared.selection.reason,
+        ),
+        captures=capture_residuals(observations, before, after, ~noise.outlier, excluded),
         correlations=correlations(found),
         observations=observations,
         residual_before=before,
@@ -174,9 +183,12 @@ def _corrected(
 ) -> tuple[Bench, list[StationEffect]]:
     """Return the bench with causes and effects at work, and the records of these effects."""
     bench = located.bench(located.found.explanation.bench(as_stated.observations.nominal))
-    if fine is not None:
-        fine = fine_effect(as_stated, as_stated.residual_of_bench(bench), settings.least_log10_odds, ROUNDS)
-    return with_fine(bench, fine, as_stated, settings.least_log10_odds), located.records(fine, as_stated)
+    # What the functions of a smooth effect leave of it is fine, too.
+    if fine is not None or located.effects:
+        left = fine_effect(as_stated, as_stated.residual_of_bench(bench), settings.least_log10_odds, ROUNDS)
+        bench = with_fine(bench, left, as_stated, settings.least_log10_odds)
+        fine = None if fine is None else left
+    return bench, located.records(fine, as_stated)
 
 
 def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress) -> _Prepared:
@@ -277,8 +289,27 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None)
     return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
 
 
+def _with_run_time(noise: Noise, located: Located, observations: Observations, settings: Settings) -> Noise:
+    """Return the noise with that of a recording of head motion: what is left where no station explains any of it.
+
+    A photograph shows its noise by itself; a recording only shows that neighbours at no station are alike.
+    """
+    at_run_time = observations.part == RUN_TIME
+    if located.contest is None or not at_run_time.any():
+        return noise
+    in_contest, left = located.contest.readings.observations.part == RUN_TIME, located.left
+    fields = [each for each in located.contest.fields if np.any(each.acts & in_contest)]
+    if any(neighbours_agree(field, left, _ALIKE) for field in fields):
+        return noise
+    floor, scatter = noise.floor(RUN_TIME), located.scatter or located.found.scatter
+    measured = measured_at_run_time(floor, float(scatter.noise[RUN_TIME]), int(at_run_time.sum()), settings)
+    floors = tuple(measured if each is floor else each for each in noise.floors)
+    sigma = np.where(at_run_time, measured.used_px / floor.used_px, 1.0) * noise.sigma_px
+    return replace(noise, floors=floors, sigma_px=sigma)
+
+
 def _unexplained(
-    located: Located, prepared: _Prepared, fine: FineEffect | None, settings: Settings
+    located: Located, prepared: _Prepared, noise: Noise, fine: FineEffect | None, settings: Settings
 ) -> list[Unexplained]:
     """Return the parts whose residual exceeds noise and repeatability with causes, effects and a fine one at work."""
     left: list[Unexplained] = []
@@ -288,7 +319,7 @@ def _unexplained(
         floor = prepared.noise.floor(part)
         error = _variance_error(observations, int(part), floor, settings)
         # What photographs show within is noise, if a stated noise that is smaller is believed, too.
-        within = max(1.0, float(np.nan_to_num(floor.measured_px)) / floor.used_px)
+        within = max(1.0, float(np.nan_to_num(noise.floor(part).measured_px)) / floor.used_px)
         excess = float((scatter.noise[part] / within) ** 2 - 1.0)
         if fine is not None:
             excess -= prepared.fine_variance.get(int(part), 0.0)

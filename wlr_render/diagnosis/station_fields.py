@@ -29,6 +29,7 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, total_degree
 
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
+_LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # of functions of the row or of the column
 _STEP_M = 1e-5  # of a dot on the target, for the differences
 
 
@@ -219,8 +220,10 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     assert seen is not None
     rows = observations.part == RUN_TIME
     shift = over_rows(rows, np.broadcast_to(np.eye(2), (len(plan), 2, 2)) / observations.sigma_of(RUN_TIME)[:, :, None])
-    delay = lever_of(predictor, Hypothesis(CAUSES["latency"], next(iter(CAUSES["latency"].variants))))
-    delay[~rows] = 0.0
+    delay, pupil = (
+        over_rows(rows, lever_of(predictor, Hypothesis(cause, next(iter(cause.variants))))[rows])
+        for cause in (CAUSES["latency"], CAUSES["eye_position_bias"])
+    )
     gravity, rate = gravity_and_rate(plan)
     panel = drawn_pixels(observations.nominal, plan)
     gaze = tangents_of_dir(plan.gaze)
@@ -228,12 +231,13 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     def over(coordinates: str, variables: FloatArray, *degrees: int) -> Terms:
         return smooth_terms(coordinates, variables, *degrees).over(rows)
 
-    in_image = over("camera pixels", seen[:, 2:], 1, 2, 4, 6)
-    on_panel = over("panel pixels", panel, 1, 2, 4, 6)
-    yield field_of("camera", "shift of the image", "px", in_image, shift, "picture")
-    yield field_of("camera", "delay of its rows or columns", "ms", in_image, delay, "delay")
-    yield field_of("panel", "delay of its rows or columns", "ms", on_panel, delay, "delay")
-    yield field_of("panel", "shift", "px", over("panel pixels", panel, 1, 2, 4, 6), shift, "picture")
+    for station, form, pixel in (("camera", "shift of the image", seen[:, 2:]), ("panel", "shift", panel)):
+        coordinates = f"{station} pixels"
+        yield field_of(station, form, "px", over(coordinates, pixel, 1, 2, 4, 6), shift, "picture")
+        for axis, lines in enumerate(("columns", "rows")):
+            orders = np.arange(_LINE_DEGREES[-1] + 1)[:, None] * np.eye(2, dtype=np.int64)[axis]
+            one_by_one = smooth_terms(coordinates, pixel, *_LINE_DEGREES, orders=orders).over(rows)
+            yield field_of(station, f"delay of its {lines}", "ms", one_by_one, delay, "delay")
     by_gravity, by_rate = over("direction of gravity", gravity, 1, 2, 3), over("rate of the head", rate, 1, 2)
     by_pupil, by_gaze = (
         over("tracked pupil", plan.viewpoint, 1, 2, 3),
@@ -244,7 +248,8 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     yield field_of("head motion", "turn of the picture", "mrad", by_rate, turn, "picture by rate")
     yield field_of("head motion", "delay", "ms", by_rate, delay, "delay by rate")
     yield field_of("eye tracking", "shift of the picture", "px", by_pupil, shift, "picture by pupil")
-    yield field_of("eye tracking", "shift of the picture", "px", by_gaze, shift, "picture by gaze")
+    yield field_of("eye tracking", "place of the pupil", "mm", by_pupil, pupil, "pupil by pupil")
+    yield field_of("eye tracking", "place of the pupil", "mm", by_gaze, pupil, "pupil by gaze")
     in_time = over("time", plan.time_s[:, None], 2, 5, 10, 16, 24)
     yield field_of("time", "turn of the picture", "mrad", in_time, turn, "picture")
 

@@ -17,6 +17,7 @@ from wlr_render.diagnosis.diagnosis import (
 )
 from wlr_render.diagnosis.effect_findings import SEPARATED_BY
 from wlr_render.diagnosis.noise_sentences import undetermined_parts
+from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
 from wlr_render.report.blocks import capitalised, cell_text, decimals, quantity
@@ -67,12 +68,7 @@ FRAME_NOTE = f'Vectors and rotations are in frame = "{WRITTEN_FRAME}".'
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict with its causes and effects, the residuals, and any unexplained rest."""
     if diagnosis.verdict == NO_EFFECT:
-        floors = [floor for floor in diagnosis.noise_floors if floor.measured_px > 0.0]  # NaN where not measured
-        noise = max((floor.measured_px / floor.stated_px for floor in floors), default=1.0)
-        head = "No effect found: the bench as described predicts the session to its noise and repeatability"
-        if noise > _MUCH_NOISE:
-            head = f"No effect found, but the readings are {cell_text(noise)} times as noisy as the bench states"
-        return f"{head}. {capitalised(_changes(diagnosis))}."
+        return f"{_nothing_found(diagnosis)}. {capitalised(_changes(diagnosis))}."
     named = [f"{cause.title} ({cause.name}: {_clearest(cause)})" for cause in diagnosis.causes]
     named += [effect_sentence(effect) for effect in diagnosis.effects]
     if not named and diagnosis.too_many_moved and diagnosis.unexplained is None:
@@ -80,6 +76,18 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     named = named or ["no cause, and no effect at any station, explains the residual"]
     sentences = [f"{diagnosis.verdict}: {'; '.join(named)}", _changes(diagnosis), *_left_over(diagnosis)]
     return " ".join(f"{capitalised(sentence)}." for sentence in sentences)
+
+
+def _nothing_found(diagnosis: Diagnosis) -> str:
+    """Return the head of a verdict without an effect; the noise is in it where it is much larger than stated."""
+    floors = [floor for floor in diagnosis.noise_floors if floor.measured_px > 0.0]  # NaN where not measured
+    noise = max((floor.measured_px / floor.stated_px for floor in floors), default=1.0)
+    if noise <= _MUCH_NOISE:
+        return "No effect found: the bench as described predicts the session to its noise and repeatability"
+    head = f"No effect found, but the readings are {cell_text(noise)} times as noisy as the bench states"
+    if any(floor.part == PART_NAMES[RUN_TIME] for floor in floors):
+        head += " (at run time, by anything that changes from one reading to the next, as the eye tracker's jitter)"
+    return head
 
 
 def _left_over(diagnosis: Diagnosis) -> list[str]:

@@ -1,0 +1,37 @@
+"""A recording of head motion shows its noise where readings that are near each other at no station are alike."""
+
+import numpy as np
+import pytest
+from small_session import SIGMA_PX, diagnosed, measured, with_noise, with_readings
+
+from wlr_render.diagnosis.diagnosis import NO_EFFECT, UNEXPLAINED
+
+CAUSES = ("latency", "eye_position_bias")
+LARGER = 2.0
+
+
+@pytest.mark.slow
+def test_noise_of_another_size_is_measured_and_said_first(bench, run_time):
+    observations = measured(bench, run_time, SIGMA_PX, seed=3)
+    noisier = with_noise(observations, SIGMA_PX * np.sqrt(LARGER**2 - 1.0), np.random.default_rng(4))
+    said = diagnosed(noisier, CAUSES)
+    (floor,) = said.noise_floors
+    assert said.verdict == NO_EFFECT
+    assert floor.measured_px / floor.stated_px == pytest.approx(LARGER, abs=4.0 * floor.error_px / floor.stated_px)
+    assert not floor.is_believable
+    assert str(said).startswith("No effect found, but the readings are")
+    assert said.after.run_time_rms_arcmin == pytest.approx(said.expected.run_time_rms_arcmin, rel=0.05)
+
+
+@pytest.mark.slow
+def test_what_is_alike_at_a_station_is_no_noise(bench, run_time):
+    """The picture jumps by steps of the gaze that are too fine for a field."""
+    plan = run_time.run_time
+    cells = np.floor(plan.gaze[:, 0] / 0.01).astype(int)
+    steps = np.random.default_rng(5).normal(0.0, 3.0 * SIGMA_PX, (200, 2))[cells - cells.min()]
+    observations = measured(bench, run_time, SIGMA_PX, seed=3)
+    pixel = observations.session.readings.run_time_pixel.copy()
+    pixel[:, :2] += steps
+    said = diagnosed(with_readings(observations, run_time_pixel=pixel), CAUSES)
+    assert said.verdict == UNEXPLAINED
+    assert np.isnan(said.noise_floors[0].measured_px)
