@@ -51,14 +51,16 @@ class EffectKind:
     limit: str = ""
 
 
-_DECODED, _POSE_OF_CAMERA = "decoded position u, v, panel px", "camera's shift x, y, z, um, and turn x, y, z, urad"
+_DECODED, _IMAGED = "decoded position u, v, panel px", "image u, v, camera px"
+_POSE_OF_CAMERA = "camera's shift x, y, z, um, and turn x, y, z, urad"
 
 BENCH_KINDS = {
     ("panel", "shift"): EffectKind("panel pixel u, v", _PX, _DECODED, _PX, "channel"),
     ("panel", "shift by viewpoint"): EffectKind(
         "panel pixel u, v, and viewpoint x, y, z, mm", (*_PX, _MM, _MM, _MM), _DECODED, _PX, "channel"
     ),
-    ("camera", "shift"): EffectKind("camera pixel u, v", _PX, "image u, v, camera px", _PX, "part"),
+    ("camera", "shift"): EffectKind("camera pixel u, v", _PX, _IMAGED, _PX, "part"),
+    ("camera", "shift by time"): EffectKind("camera pixel u, v, and time, s", (*_PX, 1.0), _IMAGED, _PX, "part"),
     ("target", "shift"): EffectKind(
         "place on the target x, y, in pitches",
         _PX,

@@ -18,7 +18,6 @@ from wlr_render.bench.simulate_session import (
     dot_geometry,
     imaged,
     mounted,
-    part_of,
     printed_places,
     slips,
     stage_readings,
@@ -101,7 +100,7 @@ def see_through_captures(bench: Bench, plan: SeeThroughPlan, dot_pixel: FloatArr
     kept = np.asarray(np.isfinite(dot_pixel).all(axis=1))
     rows, pixel = select_rows(plan, kept), dot_pixel[kept]
     viewpoint, point, device_from_camera = dot_geometry(bench, rows)
-    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, pixel, part_of(rows))))
+    in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, rows, pixel)))
     height = np.zeros(len(rows)) if rows.height is None else rows.height
     return SeeThroughCaptures(
         viewpoint=viewpoint,
@@ -191,7 +190,7 @@ def _camera_readings(
     in_camera = np.einsum("nji,nj->ni", turned, captures.view_dir)
     if np.any(in_camera[:, 2] >= 0):
         raise BadInputError(f"{name}: by [camera] 'rotation' of the bench, the camera looks back; correct it.")
-    pixel = imaged(bench, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)), part_of(plan))
+    pixel = imaged(bench, plan, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)))
     unslipped = np.swapaxes(slips(bench, plan.time_s), 1, 2)
     orientation = np.round(unslipped @ turned @ np.swapaxes(mounted(bench, plan), 1, 2), _DECIMALS)
     turns = None if np.array_equal(orientation, np.tile(np.eye(3), (len(plan), 1, 1))) else orientation

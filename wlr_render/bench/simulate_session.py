@@ -245,7 +245,7 @@ def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> Floa
     turned = _view_shift(bench, viewpoint, dir_of_tangents(tangents), SEE_THROUGH)
     tangents = tangents if turned is None else tangents + turned
     in_camera = np.einsum("nji,nj->ni", device_from_camera, dir_of_tangents(tangents))
-    return imaged(bench, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)), SEE_THROUGH)
+    return imaged(bench, plan, bench.camera.pixel_of_tangents(tangents_of_dir(in_camera)))
 
 
 def _view_shift(bench: Bench, viewpoint: FloatArray, view_dir: FloatArray, part: str) -> FloatArray | None:
@@ -261,15 +261,26 @@ def _view_shift(bench: Bench, viewpoint: FloatArray, view_dir: FloatArray, part:
     return total
 
 
-def imaged(bench: Bench, pixel: FloatArray, part: str) -> FloatArray:
-    """Return the pixels (n, 2) at which the camera has points of a part whose perfect pixels are (n, 2)."""
-    shift = displacement(bench.effects, "camera", "shift", pixel, part=part)
+def imaged(bench: Bench, plan: DisplayPlan | SeeThroughPlan, pixel: FloatArray) -> FloatArray:
+    """Return the pixels (n, 2) at which the camera has points whose perfect pixels are (n, 2), one for each row."""
+    shift = _image_shift(bench, plan)(pixel)
     return pixel if shift is None else np.asarray(pixel + shift)
 
 
-def unshifted(bench: Bench, pixel: FloatArray, part: str) -> FloatArray:
+def unshifted(bench: Bench, plan: DisplayPlan | SeeThroughPlan, pixel: FloatArray) -> FloatArray:
     """Return the inverse of `imaged`."""
-    return before_shift(pixel, lambda place: displacement(bench.effects, "camera", "shift", place, part=part))
+    return before_shift(pixel, _image_shift(bench, plan))
+
+
+def _image_shift(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> Callable[[FloatArray], FloatArray | None]:
+    """Return the function that maps places (n, 2) in the image to their shifts (n, 2); None without effects."""
+    displaced = partial(displacement, bench.effects, "camera", part=part_of(plan))
+
+    def shift(pixel: FloatArray) -> FloatArray | None:
+        at_times = np.concatenate([pixel, plan.time_s[:, None]], axis=1)
+        return _total(displaced("shift", pixel), displaced("shift by time", at_times))
+
+    return shift
 
 
 def part_of(plan: StagePlan) -> str:
@@ -282,7 +293,7 @@ def dot_geometry(bench: Bench, plan: SeeThroughPlan) -> tuple[FloatArray, FloatA
     viewpoint, device_from_camera = camera_positions(bench, plan), camera_orientations(bench, plan)
     point = _dots(bench, plan)
     if plan.bare_pixel is not None:
-        in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, plan.bare_pixel, SEE_THROUGH)))
+        in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(unshifted(bench, plan, plan.bare_pixel)))
         ray = np.einsum("nij,nj->ni", device_from_camera, in_camera)
         point = viewpoint + np.linalg.norm(point - viewpoint, axis=1, keepdims=True) * ray
     return viewpoint, point, device_from_camera
@@ -348,7 +359,7 @@ def slips(bench: Bench, time_s: FloatArray) -> FloatArray:
 
 def display_dirs(bench: Bench, plan: DisplayPlan) -> FloatArray:
     """Return the true unit view directions (n, 3) of the camera in each display row, device frame."""
-    pixel = unshifted(bench, plan.camera_pixel, DISPLAY)
+    pixel = unshifted(bench, plan, plan.camera_pixel)
     if plan.orientation is None and not bench.mount.slip_rotation.any() and not bench.effects:
         return bench.camera.view_dir_of_pixel(pixel)
     in_camera = dir_of_tangents(bench.camera.tangents_of_pixel(pixel))

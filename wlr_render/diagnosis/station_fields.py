@@ -30,6 +30,7 @@ from wlr_render.numerics.polynomial import Box, total_degree
 
 _CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # of functions of the row or of the column
+_FEWEST_TIMES = 4  # of which a drift is told
 _STEP_M = 1e-5  # of a dot on the target, for the differences
 
 
@@ -131,6 +132,15 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     sign = np.where(observations.part == DISPLAY, -1.0, 1.0) * still / observations.sigma_px
     lever = sign[:, None, None] * np.eye(2)
     yield field_of("camera", "shift of the image", "px", terms, lever, "shift")
+    time = _of_captures(observations, "time_s", 1)
+    if len(np.unique(time[still])) < _FEWEST_TIMES:
+        return
+    # An image that shifts as a whole in the course of time turns, as far as a session shows.
+    orders = np.array([[*pixel, 1] for pixel in total_degree(2, 4) if pixel.sum() > 0])
+    slides = smooth_terms(
+        "camera pixels and time", np.concatenate([place, time], axis=1)[still], 2, 3, 5, orders=orders
+    )
+    yield field_of("camera", "shift of the image", "px", slides.over(still), lever, "shift by time")
 
 
 def _stage_fields(readings: WeighedReadings, like: Sequence[StationField]) -> Iterator[StationField]:
@@ -162,10 +172,10 @@ _POSE_UNIT = "um, urad"  # three shifts, then three turns
 def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     observations, motions = readings.observations, readings.camera_motions
     time, still = _of_captures(observations, "time_s", 1), observations.part != RUN_TIME
-    if len(np.unique(time[still])) < 4:
+    if len(np.unique(time[still])) < _FEWEST_TIMES:
         return
     panel = observations.part == DISPLAY
-    if panel.any() and len(np.unique(time[panel])) > 3:
+    if panel.any() and len(np.unique(time[panel])) >= _FEWEST_TIMES:
         terms = smooth_terms("time", time[panel], 2, 5, 10, 16).varying().over(panel)
         yield field_of("time", "shift of the panel", "panel px", terms, _panel_lever(observations), "shift")
     terms = smooth_terms("time", time[still], 1, 2, 5, 8, 12).varying().over(still)
