@@ -136,7 +136,7 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     if len(np.unique(time[still])) < _FEWEST_TIMES:
         return
     # An image that shifts as a whole in the course of time turns, as far as a session shows.
-    orders = np.array([[*pixel, 1] for pixel in total_degree(2, 4) if pixel.sum() > 0])
+    orders = np.array([[*pixel, by] for pixel in total_degree(2, 4) if pixel.sum() > 0 for by in (0, 1)])
     slides = smooth_terms(
         "camera pixels and time", np.concatenate([place, time], axis=1)[still], 2, 3, 5, orders=orders
     )
