@@ -46,7 +46,7 @@ def test_each_capture_has_its_residual(explained):
 
 
 def test_an_effect_that_no_cause_has_is_located_and_gets_no_name(located):
-    assert (located.verdict, located.causes, located.unexplained) == (LOCATED, (), None)
+    assert (located.verdict, located.causes, located.unexplained_parts) == (LOCATED, (), ())
     first = located.effects[0]
     assert (first.station, first.coordinates, first.form) == ("panel", "panel pixels", "smooth")
     assert first.parts == ("display",)
@@ -89,7 +89,7 @@ def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(
 
 
 def test_a_clean_session_has_detection_limits(nothing):
-    assert (nothing.verdict, nothing.causes, nothing.effects, nothing.unexplained) == (NO_EFFECT, (), (), None)
+    assert (nothing.verdict, nothing.causes, nothing.effects, nothing.unexplained_parts) == (NO_EFFECT, (), (), ())
     assert {limit.cause for limit in nothing.detection_limits} == {"target_scale", "combiner_tilt"}
 
 

@@ -54,11 +54,14 @@ def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
     assert re.search(r"panel pixels, 2\.\d+ \+- 0\.0\d+ panel px rms \(log10 odds > 20\)", sentence)
     assert any("often come from a panel warped by its bonding" in step for step in advice(located))
     assert any("render with models fitted to the session" in step for step in advice(located))
-    left = Unexplained("display", 0.5, 1.3)
-    partly = replace(explained, verdict="partly explained", unexplained=left)
+    left = (Unexplained("display", 0.5, 1.3), Unexplained("see-through", 0.4, 1.2))
+    partly = replace(explained, verdict="partly explained", unexplained_parts=left)
     assert verdict_sentence(partly).startswith("Partly explained: combiner tilted")
-    unexplained = replace(located, verdict="unexplained", effects=(), unexplained=left)
-    assert "no cause, and no effect at any station, explains the residual" in verdict_sentence(unexplained)
+    unexplained = replace(located, verdict="unexplained", effects=(), unexplained_parts=left)
+    sentence = verdict_sentence(unexplained)
+    assert "no cause, and no effect at any station, explains the residual" in sentence
+    assert re.search(r"display residual is \S+ times the noise and the see-through residual is \S+ times", sentence)
+    assert "of the display part and of the see-through part" in advice(unexplained)[0]
 
 
 def test_an_effect_is_stated_with_its_place_its_rival_station_and_what_it_leaves(located):
@@ -219,7 +222,7 @@ def test_the_motions_of_a_part_with_an_effect_are_no_repeatability(located):
     assert expected["see-through (arcmin)"] == found.expected.see_through_rms_arcmin
     display = next(row for row in residuals.rows if row[0] == "display (panel px)")
     times = display[residuals.columns.index("corrected bench / noise")]
-    left = replace(found, verdict="unexplained", effects=(), unexplained=Unexplained("display", 0.5, 1.3))
+    left = replace(found, verdict="unexplained", effects=(), unexplained_parts=(Unexplained("display", 0.5, 1.3),))
     assert f"The display residual is {cell_text(times)} times the noise" in verdict_sentence(left)
     (ordinary,) = {"explained"} - {found.verdict}
     assert "not determined" not in bench_sentence(replace(found, verdict=ordinary))

@@ -300,7 +300,7 @@ class Diagnosis:
         noise: residual expected of noise alone.
         expected: residual expected of noise and the usual motions of the captures.
         before, after: residuals with the nominal and with the corrected bench.
-        unexplained: None where only noise is left.
+        unexplained_parts: parts of which more than noise is left, worst first.
         fields: all fields that were judged, best odds first.
         detection_limits: of every cause; for a verdict of no effect.
         reasons: sentences on why the selection ended, and on causes that were considered and dropped.
@@ -331,7 +331,7 @@ class Diagnosis:
     expected: ResidualSummary
     before: ResidualSummary
     after: ResidualSummary
-    unexplained: Unexplained | None
+    unexplained_parts: tuple[Unexplained, ...]
     fields: tuple[TriedField, ...]
     detection_limits: tuple[DetectionLimit, ...]
     reasons: tuple[str, ...]

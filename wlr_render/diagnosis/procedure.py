@@ -127,7 +127,7 @@ def diagnose(
         expected=expected_summary(observations, motion, used),
         before=residual_summary(observations, before, used),
         after=residual_summary(observations, after, used),
-        unexplained=max(left, key=lambda each: each.rms_over_noise, default=None),
+        unexplained_parts=tuple(sorted(left, key=lambda each: -each.rms_over_noise)),
         fields=located.tried,
         detection_limits=limits,
         reasons=(

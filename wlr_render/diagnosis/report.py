@@ -33,14 +33,14 @@ def diagnosis_record(diagnosis: Diagnosis, in_use: ImprovementInUse | None = Non
     `seethrough_rms_arcmin`, `runtime_rms_arcmin` and their noise floors), `unexplained` (`part`, `excess`,
     `rms_over_noise`), `effects` (`station`, `coordinates`, `form`, `log10_odds`, `size`, `likely`).
     """
-    left = diagnosis.unexplained
+    left = diagnosis.unexplained_parts
     return {
         **fields_of(diagnosis),
         "causes": [_cause_record(cause) for cause in diagnosis.causes],
         "outliers": [moved.capture.capture for moved in diagnosis.excluded],
         "before": _residual_record(diagnosis.before, diagnosis.noise),
         "after": _residual_record(diagnosis.after, diagnosis.noise),
-        "unexplained": left,
+        "unexplained": left[0] if left else None,
         "in_use": in_use,
     }
 

@@ -268,7 +268,7 @@ def fields_table(diagnosis: Diagnosis) -> ReportTable:
     """Return all fields that were judged, where something was found."""
     return table(
         "Fields",
-        diagnosis.fields if diagnosis.effects or diagnosis.unexplained else (),
+        diagnosis.fields if diagnosis.effects or diagnosis.unexplained_parts else (),
         {
             "station": "station",
             "function of": "coordinates",

@@ -71,7 +71,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
         return f"{_nothing_found(diagnosis)}. {capitalised(_changes(diagnosis))}."
     named = [f"{cause.title} ({cause.name}: {_clearest(cause)})" for cause in diagnosis.causes]
     named += [effect_sentence(effect) for effect in diagnosis.effects]
-    if not named and diagnosis.too_many_moved and diagnosis.unexplained is None:
+    if not named and diagnosis.too_many_moved and not diagnosis.unexplained_parts:
         named = ["the captures contradict each other"]
     named = named or ["no cause, and no effect at any station, explains the residual"]
     sentences = [f"{diagnosis.verdict}: {'; '.join(named)}", _changes(diagnosis), *_left_over(diagnosis)]
@@ -92,13 +92,14 @@ def _nothing_found(diagnosis: Diagnosis) -> str:
 
 def _left_over(diagnosis: Diagnosis) -> list[str]:
     """Return sentences on the residual that neither causes nor effects explain, and on captures that stand out."""
-    left, moved, sentences = diagnosis.unexplained, diagnosis.too_many_moved, list[str]()
-    if left is not None:
+    left, moved, sentences = diagnosis.unexplained_parts, diagnosis.too_many_moved, list[str]()
+    if left:
         still = "still " if diagnosis.causes or diagnosis.effects else ""
-        sentences.append(
-            f"the {left.part} residual is {still}{cell_text(_times_the_noise(diagnosis, left.part))} times the noise, "
-            "and no field at any station explains the rest"
+        parts = " and ".join(
+            f"the {each.part} residual is {still}{cell_text(_times_the_noise(diagnosis, each.part))} times the noise"
+            for each in left
         )
+        sentences.append(f"{parts}, and no field at any station explains the rest")
     elif diagnosis.verdict == PARTLY and not moved:
         sentences.append(
             "the effects remove less than half of the excess of captures left out: motions of the captures may hide "
@@ -169,12 +170,13 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     """Return the next steps, most urgent first; each a sentence."""
     if diagnosis.verdict == NO_EFFECT:
         return ["Keep using the bench file; effects below the detection limits would not have been seen."]
-    left, settings = diagnosis.unexplained, diagnosis.settings
+    settings = diagnosis.settings
     steps = [_before_acting(cause, other) for cause in diagnosis.causes for other in undecided(cause, settings)]
     steps += [*_remedies(diagnosis), *_corrected_values(diagnosis)]
     steps += [step for effect in diagnosis.effects for step in _about_effect(effect)]
-    if left is not None:
-        steps.append(f"Look for what differs from one capture of the {left.part} part to the next.")
+    if diagnosis.unexplained_parts:
+        parts = " and of the ".join(f"{each.part} part" for each in diagnosis.unexplained_parts)
+        steps.append(f"Look for what differs from one capture of the {parts} to the next.")
     if diagnosis.too_many_moved:
         names = ", ".join(str(moved.capture) for moved in diagnosis.too_many_moved)
         steps.append(
