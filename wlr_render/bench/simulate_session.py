@@ -261,18 +261,18 @@ def _view_shift(bench: Bench, viewpoint: FloatArray, view_dir: FloatArray, part:
     return total
 
 
-def imaged(bench: Bench, plan: DisplayPlan | SeeThroughPlan, pixel: FloatArray) -> FloatArray:
+def imaged(bench: Bench, plan: StagePlan, pixel: FloatArray) -> FloatArray:
     """Return the pixels (n, 2) at which the camera has points whose perfect pixels are (n, 2), one for each row."""
     shift = _image_shift(bench, plan)(pixel)
     return pixel if shift is None else np.asarray(pixel + shift)
 
 
-def unshifted(bench: Bench, plan: DisplayPlan | SeeThroughPlan, pixel: FloatArray) -> FloatArray:
+def unshifted(bench: Bench, plan: StagePlan, pixel: FloatArray) -> FloatArray:
     """Return the inverse of `imaged`."""
     return before_shift(pixel, _image_shift(bench, plan))
 
 
-def _image_shift(bench: Bench, plan: DisplayPlan | SeeThroughPlan) -> Callable[[FloatArray], FloatArray | None]:
+def _image_shift(bench: Bench, plan: StagePlan) -> Callable[[FloatArray], FloatArray | None]:
     """Return the function that maps places (n, 2) in the image to their shifts (n, 2); None without effects."""
     displaced = partial(displacement, bench.effects, "camera", part=part_of(plan))
 

@@ -95,11 +95,11 @@ def _left_over(diagnosis: Diagnosis) -> list[str]:
     left, moved, sentences = diagnosis.unexplained_parts, diagnosis.too_many_moved, list[str]()
     if left:
         still = "still " if diagnosis.causes or diagnosis.effects else ""
-        parts = " and ".join(
+        worst_first = " and ".join(
             f"the {each.part} residual is {still}{cell_text(_times_the_noise(diagnosis, each.part))} times the noise"
             for each in left
         )
-        sentences.append(f"{parts}, and no field at any station explains the rest")
+        sentences.append(f"{worst_first}, and no field at any station explains the rest")
     elif diagnosis.verdict == PARTLY and not moved:
         sentences.append(
             "the effects remove less than half of the excess of captures left out: motions of the captures may hide "
