@@ -53,11 +53,12 @@ from wlr_render.diagnosis.screening import hypotheses
 from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.station_fields import station_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import BoolArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
 _ALIKE = 4.0  # standard errors beyond which neighbours at a station are alike
+_WILD = 10.0  # sigma, from which a reading says nothing of a correction
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 
 
@@ -185,10 +186,19 @@ def _corrected(
     bench = located.bench(located.found.explanation.bench(as_stated.observations.nominal))
     # What the functions of a smooth effect leave of it is fine, too.
     if fine is not None or located.effects:
-        left = fine_effect(as_stated, as_stated.residual_of_bench(bench), settings.least_log10_odds, ROUNDS)
-        bench = with_fine(bench, left, as_stated, settings.least_log10_odds)
+        residual = as_stated.residual_of_bench(bench)
+        left = fine_effect(as_stated, residual, settings.least_log10_odds, ROUNDS)
+        with_cells = with_fine(bench, left, as_stated, settings.least_log10_odds)
+        # Cells hold what no surface through a photograph follows; what they do else may be worse than nothing.
+        if _size(as_stated.residual_of_bench(with_cells)) < _size(residual):
+            bench = with_cells
         fine = None if fine is None else left
     return bench, located.records(fine, as_stated)
+
+
+def _size(residual: FloatArray) -> float:
+    """Return the rms length of a residual (n, 2), of which wild readings count no more than others."""
+    return float(np.sqrt(np.nanmean(np.minimum(np.sum(residual**2, axis=1), _WILD**2))))
 
 
 def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress) -> _Prepared:

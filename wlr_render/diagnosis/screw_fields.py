@@ -1,6 +1,6 @@
 """Errors of a stage that repeat with its screws: a shift along an axis that is periodic in the axis' reading."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -19,6 +19,7 @@ _PERIODS_M = 0.00025, 0.004  # of the leads of screws and their fractions
 _ALONG = "shift along {}"  # the start of a field's form
 _ANYWHERE_MM = np.full(3, 1000.0)  # bounds of what does not depend on the reading
 _PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
+_CLOSER = 41  # periods tried around the best of these, from the one before it to the one after it
 
 
 def screw_fields(
@@ -44,9 +45,8 @@ def screw_fields(
         periods = _periods(float(np.ptp(reading)))
         if not periods.size:
             continue
-        gains = _gains(reading, periods, smooth, shift[:, axis], variance[:, axis])
-        likeliest = 1e3 * float(periods[int(np.argmax(gains))])
-        period_mm = periods_mm.get(along := _ALONG.format(name), likeliest)
+        likeliest = _likeliest(reading, periods, partial(_gains, reading, smooth, shift[:, axis], variance[:, axis]))
+        period_mm = periods_mm.get(along := _ALONG.format(name), 1e3 * likeliest)
         phase = 2e3 * np.pi * stage[:, [axis]] / period_mm
         waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
         # A shift that is the same everywhere is the camera's.
@@ -118,8 +118,16 @@ def _shifts(readings: WeighedReadings, captures: IntArray) -> tuple[FloatArray, 
     return shift, variance
 
 
+def _likeliest(reading: FloatArray, periods: FloatArray, gains: Callable[[FloatArray], FloatArray]) -> float:
+    """Return the period of largest gain among some, and then among closer ones around it."""
+    best = float(periods[int(np.argmax(gains(periods)))])
+    step = 1.0 / (_PER_RANGE * float(np.ptp(reading)))
+    closer = 1.0 / (1.0 / best + step * np.linspace(-1.0, 1.0, _CLOSER))
+    return float(closer[int(np.argmax(gains(closer)))])
+
+
 def _gains(
-    reading: FloatArray, periods: FloatArray, smooth: FloatArray, shift: FloatArray, variance: FloatArray
+    reading: FloatArray, smooth: FloatArray, shift: FloatArray, variance: FloatArray, periods: FloatArray
 ) -> FloatArray:
     """Return the part of a weighted sum of squares that each period's wave takes off beside smooth functions."""
     weight = 1.0 / np.sqrt(variance)

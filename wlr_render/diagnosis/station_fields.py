@@ -199,7 +199,7 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
     rows, poses = observations.part == SEE_THROUGH, np.unique(plan.target_pose)
     lever = over_rows(rows, dot_lever(readings.predictor, plan))
     pitches = plan.dot / observations.nominal.target.pitch[plan.target_pose][:, None]
-    shared = smooth_terms("place on the target", pitches, 1, 2, 4, 6, 8)
+    shared = smooth_terms("place on the target", pitches, 1, 2, 4, 6, 8, 10)
     yield field_of("target", "displacement, the same at each pose", "mm", shared.over(rows), lever, "shift")
     # A pose to each capture leaves nothing to hold out.
     if 1 < len(poses) <= len(np.unique(plan.capture)) / 2:
