@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.field_terms import ELSEWHERE, StationField
 from wlr_render.diagnosis.fit import (
     Fit,
@@ -23,6 +22,7 @@ from wlr_render.diagnosis.fit import (
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.located_effects import LocatedEffect
+from wlr_render.diagnosis.name_contest import NameContest
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Linearisation
 from wlr_render.diagnosis.screening import HOPELESS, ScreenedHypothesis, Signatures, best_fit, screen
 from wlr_render.diagnosis.settings import DEFAULT, Settings
@@ -131,9 +131,9 @@ class Search:
         columns = [field.columns for field in self.fields]
         return Signatures.of(self.subsample, self.hypotheses, columns, self.progress)
 
-    def contest(self, at: Fit) -> FieldContest:
+    def contest(self, at: Fit) -> NameContest:
         """Return the fields beside a fit to the subsample."""
-        return FieldContest(self.subsample, at, self.fields, self.signatures.fixed)
+        return NameContest(self.subsample, at, self.fields, self.signatures.fixed)
 
     def with_effects(self, effects: Sequence[LocatedEffect], beside: Explanation, constants: bool) -> "Search":
         """Return the same search with located effects at work, whatever their coefficients.
@@ -222,7 +222,7 @@ class Search:
         candidates = self._candidates(at, found, field_gain)
         return self._equally_searched(CandidateRanking(current, at, tuple(found), tuple(candidates), field_gain))
 
-    def _field_gain(self, contest: FieldContest, screened: Sequence[ScreenedHypothesis]) -> float:
+    def _field_gain(self, contest: NameContest, screened: Sequence[ScreenedHypothesis]) -> float:
         """By how much a field lowers -2 log evidence where it does far more than all causes together; else 0."""
         worth = self.settings.least_log10_odds / LOG10_ODDS
         if not self.fields or not screened or max(each.gain for each in screened) < worth:

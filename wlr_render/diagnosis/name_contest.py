@@ -1,0 +1,127 @@
+"""Names of causes against fields: a cause that a displacement of any shape does as well has not earned its name."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from wlr_render.diagnosis.field_contest import FieldContest
+from wlr_render.diagnosis.field_terms import ELSEWHERE
+from wlr_render.diagnosis.located_effects import LocatedEffect
+from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.scatter import LOG10_ODDS, Known
+
+_OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+_NEARLY_ALL = 0.95  # of the evidence for cause and field, from which a cause stands by itself
+
+
+@dataclass(frozen=True, eq=False)
+class NameContest(FieldContest):
+    """The causes of a fit against the fields; attributes as in `FieldContest`."""
+
+    def odds_of_cause(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
+        """Return log10 odds for a cause against the fields that come closest, and the station of these.
+
+        A prism in the view turns it as a wrong pose of the target does: a name that a field of another station
+        could take is not earned.
+
+        Args:
+            number: index of the cause in the fit.
+            station: its station.
+            beside: effects located beside it.
+        """
+        located = {each.field.station for each in beside}
+        odds = [(self._odds_at_its_station(number, station, beside), station)]
+        for other in sorted({field.station for field in self.fields} - {station}):
+            against = self._odds_beside if other in located else self._odds_against
+            odds.append((against(number, other, beside), other))
+        return min(odds)
+
+    def odds_of_all_causes(self, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
+        """Return log10 odds for all causes against one field in their place, and the station of that field."""
+        known, every = self._known(beside, self._all_causes), self._causes
+        without, at_none = self._known(beside, ~self._all_causes), -self.found.effects
+        alone, odds = self._least(known), [(float("inf"), "")]
+        for station in sorted({field.station for field in self.fields} - {each.field.station for each in beside}):
+            tried = self._tried_at(station, constants=station not in ELSEWHERE)
+            if tried:
+                field = min(self._least_of(columns, without, every, at_none)[0] for columns in tried)
+                odds.append((float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - alone)), station))
+        return min(odds)
+
+    def _odds_at_its_station(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause, alone or beside a field, against the fields of its own station.
+
+        Where the cause leaves something to a field beside it, the fields have the cause's span as well: otherwise they
+        could not imitate it, and its name would always win. A cause that does nearly all by itself is no such match.
+        """
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station)
+        if not tried:
+            return float("inf")
+        charge = 2.0 * float(np.log(len(tried)))
+        alone, nothing = self._least(named), self._least(rest, span, at_none)
+        both = min(self._least_of(columns, named)[0] for columns in tried) + charge
+        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried) + charge
+        if nothing - alone > _NEARLY_ALL * (nothing - min(alone, both)):
+            return float(LOG10_ODDS * (min(nothing, field) - min(alone, both)))
+        spanned = min(
+            self._least_of(columns, rest, span, at_none, span[self._beyond(columns, span) > _OWN_SHAPE])[0]
+            for columns in tried
+        )
+        # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
+        # part of that field which happens to look like it.
+        with_name = min(alone, both) if alone < field else alone
+        return float(LOG10_ODDS * (min(nothing, spanned + charge) - with_name))
+
+    def _odds_beside(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause against none where a field of another station may explain the same."""
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station)
+        with_name = min(self._least_of(columns, named)[0] for columns in tried)
+        without = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
+        return float(LOG10_ODDS * (without - with_name))
+
+    def _odds_against(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for a cause against the fields of another station in its place.
+
+        What is constant there is that of a station which moves as a whole: it rivals no name.
+        """
+        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        tried = self._tried_at(station, constants=station not in ELSEWHERE)
+        if not tried:
+            return float("inf")
+        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
+        return float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - self._least(named)))
+
+    def _tried_at(self, station: str, constants: bool = True) -> list[IntArray]:
+        """Columns of all fields of a station, by degree; without its constants, if it has others."""
+        tried = [
+            (number, self._columns(number, degree))
+            for number, field in enumerate(self.fields)
+            for degree in field.degrees
+            if field.station == station
+        ]
+        if constants:
+            return [columns for _, columns in tried]
+        varying = [columns[self.fields[n].order[columns - self._first[n]] > 0] for n, columns in tried]
+        return [columns for columns in varying if columns.size]
+
+    def _with_and_without(
+        self, number: int, station: str, beside: Sequence[LocatedEffect]
+    ) -> tuple[Known, Known, IntArray, FloatArray]:
+        """Return the model with and without a cause, and the columns and null values of the cause."""
+        mine = self.found.owner == number
+        elsewhere = [each for each in beside if each.field.station != station]
+        named = self._known(elsewhere, self._all_causes)
+        # The cause's own values count from none.
+        return named, self._known(elsewhere, ~mine), self._causes[mine], -self.found.effects[mine]
+
+    def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
+        """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
+        _, sums, _ = self._scatters[0]
+        own = sums.information[np.ix_(columns, columns)]
+        across = sums.information[np.ix_(columns, span)]
+        ridge = 1e-9 * float(np.trace(own)) * np.eye(len(columns))
+        inside = np.sum(across * np.linalg.solve(own + ridge, across), axis=0)
+        return np.asarray(np.sqrt((1.0 - inside / np.diag(sums.information)[span]).clip(0.0)))
