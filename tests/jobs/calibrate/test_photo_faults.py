@@ -274,7 +274,7 @@ def in_metres(content):
         (in_metres, r"'stage_mm (travel of [[bare]])' should be between 0.5 and 500 mm"),
         (
             lambda content: content["eye_box"].update(size_mm=[0.01, 0.008, 0.006]),
-            "below 0.5 mm on an axis; is it in metres",
+            "'size_mm' has the value 0.01; it must be 0.5 or more",
         ),
         (
             lambda content: content["tracking_camera"].update(translation_mm=[0.0, 0.05, 0.06]),
