@@ -315,9 +315,9 @@ def noise_table(diagnosis: Diagnosis) -> ReportTable:
     """Return the noise of each part: stated, measured, and used."""
     note = (
         "Within photographs: residual of a smooth surface fitted to each photograph. Repeats: photographs taken twice "
-        "from one place. Measured: both combined by inverse variance. Used: measured and stated weighted by their "
-        "errors, or the measured one where the stated one does not agree. Shared: of the variance, by neighbouring "
-        "points of a photograph."
+        "from one place. Measured: both combined by inverse variance; at run time by what is left, if neighbours at no "
+        "station are alike. Used: measured and stated weighted by their errors, or the measured one where the stated "
+        "one does not agree. Shared: of the variance, by neighbouring points of a photograph."
     )
     return table(
         "Noise",
