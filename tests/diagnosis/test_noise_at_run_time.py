@@ -35,3 +35,15 @@ def test_what_is_alike_at_a_station_is_no_noise(bench, run_time):
     said = diagnosed(with_readings(observations, run_time_pixel=pixel), CAUSES)
     assert said.verdict == UNEXPLAINED
     assert np.isnan(said.noise_floors[0].measured_px)
+
+
+@pytest.mark.slow
+def test_noise_is_not_measured_where_a_fit_cannot_find_it_or_where_readings_are_few(bench, run_time):
+    """A fit takes no noise for smaller than stated; and a few readings do not tell noise from an effect."""
+    quiet = measured(bench, run_time, 0.5 * SIGMA_PX, seed=3)
+    noisy = measured(bench, run_time, LARGER * SIGMA_PX, seed=3)
+    few = noisy.of_rows(np.arange(len(noisy)) < 20)
+    for observations in (quiet, few):
+        said = diagnosed(observations, CAUSES)
+        assert np.isnan(said.noise_floors[0].measured_px)
+    assert said.verdict == UNEXPLAINED

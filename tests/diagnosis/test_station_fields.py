@@ -158,6 +158,24 @@ def test_other_readings_get_the_periods_that_were_found(bench, plan):
 
 
 @pytest.mark.slow
+def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench, plan):
+    """At places off the raster, where the nearest of these is 1.625 mm."""
+
+    def off_raster(table):
+        rng, number = np.random.default_rng(8), np.unique(table.time_s, return_inverse=True)[1]
+        x = 4e-3 * rng.uniform(-1.0, 1.0, number.max() + 1)
+        return replace(
+            table, stage=table.stage + np.outer(x[number] + bench.stage.origin[0] - table.stage[:, 0], [1, 0, 0])
+        )
+
+    places = SessionPlan(off_raster(plan.display), off_raster(plan.see_through))
+    read = at_stage(bench, places, lambda table: 6e-5 * wave(table.stage[:, :1] + 2e-4, 1.6e-3) * [1.0, 0.0, 0.0])
+    readings = weighed(noisy(bench, places, read))
+    (along_x,) = (each for each in station_fields(readings) if each.form.startswith("shift along x"))
+    assert along_x.period == pytest.approx(1.6, rel=3e-3)
+
+
+@pytest.mark.slow
 def test_a_bump_of_any_degree_has_an_error(bench, plan):
     observations = with_noise(
         observe(bench, Session("small", plan, dent(bench, plan))), SIGMA_PX, np.random.default_rng(3)

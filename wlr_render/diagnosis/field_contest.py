@@ -137,7 +137,7 @@ class FieldContest:
         while len(effects) < most:
             best = self._best(effects)
             least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects else 0.0)
-            if best is None or best.above >= 0 or best.log10_odds < least:
+            if best is None or best.log10_odds < least:
                 break
             scatter = self.scatter_beside([*effects, best])
             # A spot is seen in few captures, too few for a comparison; cells of different captures agree there.
@@ -152,7 +152,7 @@ class FieldContest:
         rests: list[LocatedEffect] = []
         while len(rests) < MOST_EFFECTS:
             beside = [*effects, *rests]
-            best = self._best(beside)
+            best = self._best(beside, further=True)
             if best is None or best.log10_odds < least_log10_odds:
                 break
             if self.held_out(best, self.scatter_beside([*beside, best]), beside)[0].significance < _PREDICTS:
@@ -192,9 +192,12 @@ class FieldContest:
             known = _with_columns(known, left.pop(best))
         return start - least
 
-    def _best(self, beside: Sequence[LocatedEffect]) -> LocatedEffect | None:
-        """Return the field of best evidence with the causes and others at work; None where no field has evidence."""
-        ranked = self._ranked_beside(beside) if beside else self.ranked
+    def _best(self, beside: Sequence[LocatedEffect], further: bool = False) -> LocatedEffect | None:
+        """Return the field of best evidence with the causes and others at work; None where no field has evidence.
+
+        With `further`, functions of a higher order than those of a located effect are a field as well.
+        """
+        ranked = self._ranked_beside(beside, further) if beside else self.ranked
         if not ranked:
             return None
         others = [each for each in ranked if each.field.station != ranked[0].field.station]
@@ -209,9 +212,9 @@ class FieldContest:
     @cached_property
     def ranked(self) -> list[LocatedEffect]:
         """Every field beside the causes, with its best degree and size, best first."""
-        return self._ranked_beside(())
+        return self._ranked_beside((), further=False)
 
-    def _ranked_beside(self, beside: Sequence[LocatedEffect]) -> list[LocatedEffect]:
+    def _ranked_beside(self, beside: Sequence[LocatedEffect], further: bool) -> list[LocatedEffect]:
         """Every field beside the causes and some effects, best first; all that are tried are charged alike."""
         known = self._known(beside, self._all_causes)
         # Functions of a higher order than those that are located may have another size.
@@ -220,7 +223,7 @@ class FieldContest:
             (number, degree)
             for number, field in enumerate(self.fields)
             for degree in field.degrees
-            if field.counting(degree, taken.get(id(field), -1)).any()
+            if id(field) not in taken or (further and field.counting(degree, taken[id(field)]).any())
         ]
         if not tried:
             return []

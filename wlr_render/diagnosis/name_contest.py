@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.field_terms import ELSEWHERE
 from wlr_render.diagnosis.located_effects import LocatedEffect
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.scatter import LOG10_ODDS, Known
 
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
@@ -30,32 +30,26 @@ class NameContest(FieldContest):
             station: its station.
             beside: effects located beside it.
         """
-        located = {each.field.station for each in beside}
-        odds = [(self._odds_at_its_station(number, station, beside), station)]
+        located, mine = {each.field.station for each in beside}, self.found.owner == number
+        odds = [(self._odds_at_its_station(mine, station, beside), station)]
         for other in sorted({field.station for field in self.fields} - {station}):
             against = self._odds_beside if other in located else self._odds_against
-            odds.append((against(number, other, beside), other))
+            odds.append((against(mine, other, beside), other))
         return min(odds)
 
     def odds_of_all_causes(self, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
         """Return log10 odds for all causes against one field in their place, and the station of that field."""
-        known, every = self._known(beside, self._all_causes), self._causes
-        without, at_none = self._known(beside, ~self._all_causes), -self.found.effects
-        alone, odds = self._least(known), [(float("inf"), "")]
-        for station in sorted({field.station for field in self.fields} - {each.field.station for each in beside}):
-            tried = self._tried_at(station, constants=station not in ELSEWHERE)
-            if tried:
-                field = min(self._least_of(columns, without, every, at_none)[0] for columns in tried)
-                odds.append((float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - alone)), station))
-        return min(odds)
+        stations = sorted({field.station for field in self.fields} - {each.field.station for each in beside})
+        odds = [(self._odds_against(self._all_causes, station, beside), station) for station in stations]
+        return min(odds, default=(float("inf"), ""))
 
-    def _odds_at_its_station(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+    def _odds_at_its_station(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Log10 odds for a cause, alone or beside a field, against the fields of its own station.
 
         Where the cause leaves something to a field beside it, the fields have the cause's span as well: otherwise they
         could not imitate it, and its name would always win. A cause that does nearly all by itself is no such match.
         """
-        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        named, rest, span, at_none = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station)
         if not tried:
             return float("inf")
@@ -74,20 +68,20 @@ class NameContest(FieldContest):
         with_name = min(alone, both) if alone < field else alone
         return float(LOG10_ODDS * (min(nothing, spanned + charge) - with_name))
 
-    def _odds_beside(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
+    def _odds_beside(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Log10 odds for a cause against none where a field of another station may explain the same."""
-        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        named, rest, span, at_none = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station)
         with_name = min(self._least_of(columns, named)[0] for columns in tried)
         without = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
         return float(LOG10_ODDS * (without - with_name))
 
-    def _odds_against(self, number: int, station: str, beside: Sequence[LocatedEffect]) -> float:
-        """Log10 odds for a cause against the fields of another station in its place.
+    def _odds_against(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
+        """Log10 odds for causes against the fields of a station in their place.
 
         What is constant there is that of a station which moves as a whole: it rivals no name.
         """
-        named, rest, span, at_none = self._with_and_without(number, station, beside)
+        named, rest, span, at_none = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station, constants=station not in ELSEWHERE)
         if not tried:
             return float("inf")
@@ -108,13 +102,15 @@ class NameContest(FieldContest):
         return [columns for columns in varying if columns.size]
 
     def _with_and_without(
-        self, number: int, station: str, beside: Sequence[LocatedEffect]
+        self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]
     ) -> tuple[Known, Known, IntArray, FloatArray]:
-        """Return the model with and without a cause, and the columns and null values of the cause."""
-        mine = self.found.owner == number
+        """Return the model with and without causes, and the columns and null values of the causes.
+
+        `mine` is a mask of these columns among those of the fit.
+        """
         elsewhere = [each for each in beside if each.field.station != station]
         named = self._known(elsewhere, self._all_causes)
-        # The cause's own values count from none.
+        # The causes' own values count from none.
         return named, self._known(elsewhere, ~mine), self._causes[mine], -self.found.effects[mine]
 
     def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:

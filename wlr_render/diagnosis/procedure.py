@@ -304,14 +304,16 @@ def _with_run_time(noise: Noise, located: Located, observations: Observations, s
 
     A photograph shows its noise by itself; a recording only shows that neighbours at no station are alike.
     """
-    at_run_time = observations.part == RUN_TIME
-    if located.contest is None or not at_run_time.any():
+    at_run_time, scatter = observations.part == RUN_TIME, located.scatter or located.found.scatter
+    # The fit takes no noise for smaller than stated: there it says nothing of its size.
+    is_measured = at_run_time.sum() >= settings.fewest_readings and scatter.noise[RUN_TIME] > 1.0
+    if located.contest is None or not is_measured:
         return noise
     in_contest, left = located.contest.readings.observations.part == RUN_TIME, located.left
     fields = [each for each in located.contest.fields if np.any(each.acts & in_contest)]
     if any(neighbours_agree(field, left, _ALIKE) for field in fields):
         return noise
-    floor, scatter = noise.floor(RUN_TIME), located.scatter or located.found.scatter
+    floor = noise.floor(RUN_TIME)
     measured = measured_at_run_time(floor, float(scatter.noise[RUN_TIME]), int(at_run_time.sum()), settings)
     floors = tuple(measured if each is floor else each for each in noise.floors)
     sigma = np.where(at_run_time, measured.used_px / floor.used_px, 1.0) * noise.sigma_px

@@ -123,6 +123,7 @@ def _likeliest(reading: FloatArray, periods: FloatArray, gains: Callable[[FloatA
     best = float(periods[int(np.argmax(gains(periods)))])
     step = 1.0 / (_PER_RANGE * float(np.ptp(reading)))
     closer = 1.0 / (1.0 / best + step * np.linspace(-1.0, 1.0, _CLOSER))
+    closer = closer[(closer >= periods.min()) & (closer <= periods.max())]
     return float(closer[int(np.argmax(gains(closer)))])
 
 

@@ -80,12 +80,12 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 def _nothing_found(diagnosis: Diagnosis) -> str:
     """Return the head of a verdict without an effect; the noise is in it where it is much larger than stated."""
-    floors = [floor for floor in diagnosis.noise_floors if floor.measured_px > 0.0]  # NaN where not measured
-    noise = max((floor.measured_px / floor.stated_px for floor in floors), default=1.0)
-    if noise <= _MUCH_NOISE:
+    floors = {floor.part: floor.measured_px / floor.stated_px for floor in diagnosis.noise_floors}
+    noise = {part: ratio for part, ratio in floors.items() if ratio > _MUCH_NOISE}  # NaN where not measured
+    if not noise:
         return "No effect found: the bench as described predicts the session to its noise and repeatability"
-    head = f"No effect found, but the readings are {cell_text(noise)} times as noisy as the bench states"
-    if any(floor.part == PART_NAMES[RUN_TIME] for floor in floors):
+    head = f"No effect found, but the readings are {cell_text(max(noise.values()))} times as noisy as the bench states"
+    if PART_NAMES[RUN_TIME] in noise:
         head += " (at run time, by anything that changes from one reading to the next, as the eye tracker's jitter)"
     return head
 
