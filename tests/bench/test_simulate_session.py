@@ -16,6 +16,7 @@ from wlr_render.bench.bench import (
 )
 from wlr_render.bench.simulate_session import (
     DotViews,
+    Views,
     decoded,
     simulate,
     simulate_to_first_order,
@@ -324,16 +325,16 @@ class TestNeighbours:
         assert np.isfinite(cold.tangents).mean() > 0.9
         np.testing.assert_allclose(fast.tangents, cold.tangents, atol=1e-11)
         session = SessionPlan(see_through=plan)
-        np.testing.assert_allclose(simulate(bench, session, fast).dot_pixel, dots(bench, plan), atol=1e-8)
+        np.testing.assert_allclose(simulate(bench, session, Views(fast)).dot_pixel, dots(bench, plan), atol=1e-8)
 
     def test_one_step_from_a_neighbour_errs_by_the_square_of_the_change(self):
         bench = bench_with("northstar")
         plan = plan_of(bench)
-        dot_views = DotViews(bench, plan.see_through)
+        views = Views.of(bench, plan)
         errors = []
         for size in (8e-3, 4e-3, 2e-3):
             changed = with_camera(bench, pupil_offset=size * np.array([1.0, 0.5, -0.5]))
-            near, full = simulate_to_first_order(changed, plan, dot_views), simulate(changed, plan)
+            near, full = simulate_to_first_order(changed, plan, views), simulate(changed, plan)
             np.testing.assert_array_equal(near.panel_pixel, full.panel_pixel)
             errors.append(np.abs(near.dot_pixel - full.dot_pixel).max())
         assert errors[-1] > 1e-6  # far above rounding

@@ -1,7 +1,8 @@
 """Simulate run-time readings: camera pixels of a real dot and of the virtual dot drawn over it."""
 
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,44 +11,93 @@ from wlr_render.bench.bench_effects import DOT, LATE, PUPIL, RUN_TIME_KINDS, TUR
 from wlr_render.captures.session import RunTimePlan
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
-from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.device import EyeOptics
+from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
 _STRAIGHT_AHEAD = np.array([0.0, 0.0, -1.0])
 
 
-def run_time_readings(bench: Bench, plan: RunTimePlan) -> FloatArray:
-    """Return the camera pixels (n, 4) of the virtual dot (2) and the real dot (2), seen from the true pupil.
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Dots of a recording as they are drawn and seen: arrays with one row for each of its rows.
+
+    Attributes:
+        pixel: (n, 4) camera pixels of the virtual and the real dot.
+        drawn_at: (n, 2) panel pixels of the virtual dots.
+        starts: solutions for the directions of the dot as drawn, of the virtual dot and of the real dot, see
+            `mappings.QueryResult.warm_start`.
+    """
+
+    pixel: FloatArray
+    drawn_at: FloatArray
+    starts: tuple[FloatArray | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RunTimeViews:
+    """Dots of a recording as they are drawn and seen on a bench; the warm start for neighbouring benches.
 
     The frame is drawn for the head pose and the tracked viewpoint of its row's time, with exact models of the headset.
     It appears later, by the clock's latency and the scan-out of its panel row, when the head has moved on, and is seen
-    from the true pupil. NaN where a dot cannot be seen or drawn.
+    from the true pupil.
+
+    Attributes:
+        bench: the bench.
+        plan: its readings at run time.
+        near: views on a neighbouring bench with the same plan; they speed up the solve and do not change its result.
     """
-    display = _display(bench.optics, bench.target_wavelength_um)
-    see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
-    pixel = drawn_pixels(bench, plan)
-    height = bench.optics.panel.pixels.size_px[1]
-    late_s = bench.clock.latency_s + bench.clock.scanout_s * pixel[:, 1] / height
-    late_s = late_s + _displaced(bench, _by_plan(plan, pixel), _DELAYS)[:, 0]
-    tracking = bench.eye_tracking
-    pupil = plan.viewpoint + tracking.bias + tracking.gaze_radius * (plan.gaze - _STRAIGHT_AHEAD)
-    pupil = pupil + _displaced(bench, _by_plan(plan, pixel), _PUPILS)
-    virtual = display.view_dir_of_pixel(pixel, pupil)
 
-    def real_pixel(late_s: FloatArray) -> FloatArray:
-        return bench.camera.pixel_of_view_dir(
-            see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil).value
-        )
+    bench: Bench
+    plan: RunTimePlan
+    near: "RunTimeViews | None" = None
 
-    real = real_pixel(late_s)
-    if not bench.effects:
-        return np.concatenate([bench.camera.pixel_of_view_dir(virtual.value), real], axis=1)
-    real = real_pixel(late_s + _displaced(bench, {("camera", "delay"): real}, _DELAYS)[:, 0])
-    places = _by_plan(plan, pixel) | {("camera", "picture"): real}
-    turned = rotations_of_vectors(_displaced(bench, places, _TURNS))
-    shown = bench.camera.pixel_of_view_dir(np.einsum("nij,nj->ni", turned, virtual.value))
-    return np.concatenate([shown + _displaced(bench, places, _SHIFTS), real], axis=1)
+    @property
+    def pixel(self) -> FloatArray:
+        """Camera pixels (n, 4) of the virtual dot (2) and the real dot (2); NaN where one cannot be seen or drawn."""
+        return self._seen.pixel
+
+    @property
+    def drawn_at(self) -> FloatArray:
+        """Panel pixels (n, 2) of the virtual dots, drawn for the tracked viewpoint and head pose."""
+        return self._seen.drawn_at
+
+    def of_rows(self, plan: RunTimePlan, rows: BoolArray) -> "RunTimeViews":
+        """Return the views of some rows (n,), which are all rows of `plan`."""
+        some, seen = RunTimeViews(self.bench, plan), self._seen
+        starts = tuple(None if start is None else start[rows] for start in seen.starts)
+        some.__dict__["_seen"] = _Seen(seen.pixel[rows], seen.drawn_at[rows], starts)
+        return some
+
+    @cached_property
+    def _seen(self) -> _Seen:
+        bench, plan = self.bench, self.plan
+        starts = (None, None, None) if self.near is None else self.near._seen.starts
+        # Otherwise a chain of neighbours would stay in memory.
+        object.__setattr__(self, "near", None)
+        display = TracedDisplay(bench.optics, bench.target_wavelength_um)
+        see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
+        wanted = _dot_in_device(plan, np.zeros(len(plan)))
+        drawn = see_through.view_dir_of_real_point(wanted, plan.viewpoint, starts[0])
+        drawn_at = display.pixel_of_view_dir(drawn.value, plan.viewpoint).value
+        places = _by_plan(plan, drawn_at)
+        tracking = bench.eye_tracking
+        pupil = plan.viewpoint + tracking.bias + tracking.gaze_radius * (plan.gaze - _STRAIGHT_AHEAD)
+        pupil = pupil + _displaced(bench, places, _PUPILS)
+        virtual = display.view_dir_of_pixel(drawn_at, pupil, starts[1])
+        late_s = bench.clock.latency_s + bench.clock.scanout_s * drawn_at[:, 1] / bench.optics.panel.pixels.size_px[1]
+        late_s = late_s + _displaced(bench, places, _DELAYS)[:, 0]
+        real = see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil, starts[2])
+        shown, imaged = virtual.value, bench.camera.pixel_of_view_dir(real.value)
+        if bench.effects:
+            late_s = late_s + _displaced(bench, {("camera", "delay"): imaged}, _DELAYS)[:, 0]
+            real = see_through.view_dir_of_real_point(_dot_in_device(plan, late_s), pupil, real.warm_start)
+            imaged = bench.camera.pixel_of_view_dir(real.value)
+            places |= {("camera", "picture"): imaged}
+            turned = rotations_of_vectors(_displaced(bench, places, _TURNS))
+            shown = np.einsum("nij,nj->ni", turned, shown)
+        pixel = bench.camera.pixel_of_view_dir(shown) + _displaced(bench, places, _SHIFTS)
+        starts = (drawn.warm_start, virtual.warm_start, real.warm_start)
+        return _Seen(np.concatenate([pixel, imaged], axis=1), drawn_at, starts)
 
 
 _DELAYS, _SHIFTS, _TURNS, _PUPILS = (
@@ -88,21 +138,6 @@ def _displaced(
         moved = displacement(bench.effects, *kind, places[kind]) if kind in places else None
         total = total if moved is None else total + moved
     return total
-
-
-def drawn_pixels(bench: Bench, plan: RunTimePlan) -> FloatArray:
-    """Return the panel pixels (n, 2) of the virtual dots, drawn for the tracked viewpoint and head pose."""
-    see_through = TracedSeeThrough(bench.optics, bench.target_wavelength_um)
-    drawn_for = _dot_in_device(plan, np.zeros(len(plan)))
-    wanted = see_through.view_dir_of_real_point(drawn_for, plan.viewpoint)
-    display = _display(bench.optics, bench.target_wavelength_um)
-    return display.pixel_of_view_dir(wanted.value, plan.viewpoint).value
-
-
-@lru_cache(maxsize=4)
-def _display(optics: EyeOptics, wavelength_um: float) -> TracedDisplay:
-    """Return the display's mapping, cached: its fitted first guess is reused while only tracking and clock change."""
-    return TracedDisplay(optics, wavelength_um)
 
 
 def _dot_in_device(plan: RunTimePlan, later_s: FloatArray) -> FloatArray:

@@ -5,90 +5,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import DISPLAY, SEE_THROUGH, before_shift, displacement, optics_with_effects
-from wlr_render.bench.simulate_run_time import run_time_readings
+from wlr_render.bench.observed_points import ObservedPoints
+from wlr_render.bench.simulate_run_time import RunTimeViews
 from wlr_render.captures.session import DisplayPlan, Readings, SeeThroughPlan, SessionPlan, StagePlan
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.transforms import inverse, rotations_of_vectors
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.combiner_form import places_on_combiner
-from wlr_render.optics.device import EyeOptics
-from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
-from wlr_render.optics.tracer import trace
+from wlr_render.optics.traced_mappings import TracedDisplay
 
-_TANGENT_STEP = 1e-5  # step of the finite differences, tangents
-_TOLERANCE = 1e-10  # radians as seen from the camera: a millionth of a camera pixel
-_ITERATIONS = 8
 _ROUNDS = 6  # of the search for the reading whose error depends on itself
 
 _QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # invisible points are NaN on purpose
-
-
-@dataclass(frozen=True, eq=False)
-class ObservedPoints:
-    """Real points and the viewpoints they are observed from.
-
-    Attributes:
-        optics: the optics in front of the eye.
-        wavelength_um: micrometres.
-        viewpoint, point: (n, 3) device frame.
-    """
-
-    optics: EyeOptics
-    wavelength_um: float
-    viewpoint: FloatArray
-    point: FloatArray
-
-    def solved(self, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
-        """Solve for the tangents (n, 2) of points from a cold start; NaN for points that are not seen."""
-        mapping = TracedSeeThrough(self.optics, self.wavelength_um)
-        return tangents_of_dir(mapping.view_dir_of_real_point(self.point[rows], self.viewpoint[rows]).value)
-
-    def miss(self, tangents: FloatArray, rows: NDArray[np.int64] | slice = slice(None)) -> FloatArray:
-        """Return the lateral miss of the world rays at the points' depth, over the distance, (n, 2)."""
-        viewpoint, point = self.viewpoint[rows], self.point[rows]
-        traced = trace(self.optics.see_through, viewpoint, dir_of_tangents(tangents), self.wavelength_um)
-        lost = (traced.status != Status.OK) & (traced.status != Status.CLIPPED)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            along = (point[:, 2] - traced.origin[:, 2]) / traced.direction[:, 2]
-            across = (traced.origin - point + along[:, None] * traced.direction)[:, :2]
-            return np.asarray(np.where(lost[:, None], np.nan, across / (viewpoint[:, 2] - point[:, 2])[:, None]))
-
-    def tangents_from_miss(self, tangents: FloatArray) -> FloatArray:
-        """Return the inverse Jacobian (n, 2, 2) of the miss by the tangents; NaN where it is singular."""
-        here = self.miss(tangents)
-        columns = [(self.miss(tangents + shift) - here) / _TANGENT_STEP for shift in _TANGENT_STEP * np.eye(2)]
-        (a, c), (b, d) = columns[0].T, columns[1].T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
-        return np.asarray(np.moveaxis(inverse, -1, 0))
-
-    def newton_step(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Take one Newton step (n, 2) from the tangents of a neighbouring bench: exact to first order."""
-        return np.asarray(tangents - np.einsum("nij,nj->ni", tangents_from_miss, self.miss(tangents)))
-
-    def solved_from(self, tangents: FloatArray, tangents_from_miss: FloatArray) -> FloatArray:
-        """Take Newton steps until the tangents (n, 2) converge; rows that do not are solved from a cold start.
-
-        A point that the neighbour sees and that has moved past the edge of an aperture keeps its tangents.
-        """
-        tangents = tangents.copy()
-        led = np.isfinite(tangents).all(axis=1) & np.isfinite(tangents_from_miss).all(axis=(1, 2))
-        going = np.flatnonzero(led)
-        for _ in range(_ITERATIONS):
-            step = np.einsum("nij,nj->ni", tangents_from_miss[going], self.miss(tangents[going], going))
-            tangents[going] -= step
-            going = going[~(np.abs(step).max(axis=1) < _TOLERANCE)]
-            if going.size == 0:
-                break
-        stuck = np.union1d(going, np.flatnonzero(~led))
-        if stuck.size:
-            tangents[stuck] = self.solved(stuck)
-        return tangents
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,41 +59,57 @@ class DotViews:
         return some
 
 
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Views of the dots of a session on a bench, part by part; None for parts that it lacks."""
+
+    dots: DotViews | None = None
+    run_time: RunTimeViews | None = None
+
+    @classmethod
+    def of(cls, bench: Bench, plan: SessionPlan, near: "Views | None" = None) -> "Views":
+        """Return the views on a bench, for neighbouring benches to start from; they may start from others."""
+        near = near or Views()
+        return cls(
+            near.dots if plan.see_through is None else DotViews(bench, plan.see_through, near.dots),
+            near.run_time if plan.run_time is None else RunTimeViews(bench, plan.run_time, near.run_time),
+        )
+
+
 @_QUIET
-def simulate(bench: Bench, plan: SessionPlan, dot_views: DotViews | None = None) -> Readings:
+def simulate(bench: Bench, plan: SessionPlan, views: Views | None = None) -> Readings:
     """Predict every reading of a session.
 
     Args:
         bench: the bench.
         plan: setup of each row.
-        dot_views: views of the dots on this bench, if already computed.
+        views: views of its dots on this bench, if they were begun.
 
     Returns:
         The readings; NaN where the panel or a dot cannot be seen.
     """
-    dots = None
-    if plan.see_through is not None:
-        dots = dot_pixels(bench, plan.see_through, (dot_views or DotViews(bench, plan.see_through)).tangents)
-    return _with_dots(bench, plan, dots)
+    views, dots = views or Views.of(bench, plan), None
+    if plan.see_through is not None and views.dots is not None:
+        dots = dot_pixels(bench, plan.see_through, views.dots.tangents)
+    return _with_dots(bench, plan, dots, views)
 
 
 @_QUIET
-def simulate_to_first_order(bench: Bench, plan: SessionPlan, dot_views: DotViews | None) -> Readings:
-    """Predict every reading to first order in the change from a neighbouring bench, given the `dot_views` of it."""
+def simulate_to_first_order(bench: Bench, plan: SessionPlan, near: Views) -> Readings:
+    """Predict every reading to first order in the change from a neighbouring bench, given the views on that one."""
     dots = None
-    if plan.see_through is not None and dot_views is not None:
-        tangents = _observed_points(bench, plan.see_through).newton_step(
-            dot_views.tangents, dot_views.tangents_from_miss
-        )
+    if plan.see_through is not None and near.dots is not None:
+        points = _observed_points(bench, plan.see_through)
+        tangents = points.newton_step(near.dots.tangents, near.dots.tangents_from_miss)
         dots = dot_pixels(bench, plan.see_through, tangents)
-    return _with_dots(bench, plan, dots)
+    return _with_dots(bench, plan, dots, Views.of(bench, SessionPlan(run_time=plan.run_time), near))
 
 
-def _with_dots(bench: Bench, plan: SessionPlan, dots: FloatArray | None) -> Readings:
+def _with_dots(bench: Bench, plan: SessionPlan, dots: FloatArray | None, views: Views) -> Readings:
     return Readings(
         None if plan.display is None else panel_pixels(bench, plan.display),
         dots,
-        None if plan.run_time is None else run_time_readings(bench, plan.run_time),
+        None if plan.run_time is None or views.run_time is None else views.run_time.pixel,
     )
 
 

@@ -216,9 +216,9 @@ def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
     """Deflections of the view by optics that are not known: a turn and a shift of each line of sight, up and right."""
     observations, state = readings.observations, readings.predictor.state(Explanation())
     plan = observations.session.plan.see_through
-    if plan is None or state.dot_views is None:
+    if plan is None or state.views.dots is None:
         return
-    rows, tangents = observations.part == SEE_THROUGH, state.dot_views.tangents
+    rows, tangents = observations.part == SEE_THROUGH, state.views.dots.tangents
     viewpoint, dot, _ = dot_geometry(state.bench, plan)
     here = dot_pixels(state.bench, plan, tangents)
     step = 1e-4  # of tangents
@@ -253,8 +253,8 @@ def footprints(predictor: Predictor, path: str = "", step: int = 0) -> FloatArra
             bench.wavelengths_um[1],
         )
         place[observations.part == DISPLAY] = 1e3 * (met.origin - middle)[:, :2]
-    if plan.see_through is not None and state.dot_views is not None and path != "display":
-        tangents = state.dot_views.tangents
+    if plan.see_through is not None and state.views.dots is not None and path != "display":
+        tangents = state.views.dots.tangents
         directions = np.concatenate([tangents, -np.ones((len(tangents), 1))], axis=1)
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         steps = (optics.see_through if path else optics.display).steps[: step + 1]

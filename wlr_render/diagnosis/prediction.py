@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from wlr_render.bench.bench import Bench
-from wlr_render.bench.simulate_session import DotViews, simulate, simulate_to_first_order
+from wlr_render.bench.simulate_session import Views, simulate, simulate_to_first_order
 from wlr_render.captures.session import Readings, Session, SessionPlan
 from wlr_render.diagnosis.cause import Cause, Parameter, Role
 from wlr_render.diagnosis.observations import (
@@ -103,12 +103,12 @@ class State:
     Attributes:
         bench: the bench.
         readings: predicted.
-        dot_views: of the targets' dots, for neighbouring benches to start from; None where there is no target.
+        views: of its dots, for neighbouring benches to start from.
     """
 
     bench: Bench
     readings: Readings
-    dot_views: DotViews | None
+    views: Views
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +169,8 @@ class Predictor:
     def residual_of_bench(self, bench: Bench) -> FloatArray:
         """Likewise, of any bench of the same headset."""
         near, todo = self._nominal, self._touched(bench, self._nominal)
-        dot_views = None if todo.see_through is None else DotViews(bench, todo.see_through, near.dot_views)
-        return self.observations.residual(_merged(simulate(bench, todo, dot_views), near.readings))
+        views = Views.of(bench, todo, near.views)
+        return self.observations.residual(_merged(simulate(bench, todo, views), near.readings))
 
     def residual_of(self, state: State) -> FloatArray:
         """Likewise, of a state."""
@@ -185,10 +185,8 @@ class Predictor:
         try:
             bench = explanation.bench(self.observations.nominal)
             todo = self._touched(bench, near)
-            dot_views = near.dot_views
-            if todo.see_through is not None:
-                dot_views = DotViews(bench, todo.see_through, near.dot_views)
-            return State(bench, _merged(simulate(bench, todo, dot_views), near.readings), dot_views)
+            views = Views.of(bench, todo, near.views)
+            return State(bench, _merged(simulate(bench, todo, views), near.readings), views)
         except BadInputError:
             return replace(near, readings=_lost(near.readings))
 
@@ -237,7 +235,7 @@ class Predictor:
         """Return the readings to first order in the change from a state; NaN where there is no such bench."""
         try:
             bench = explanation.bench(self.observations.nominal)
-            found = simulate_to_first_order(bench, self._touched(bench, base), base.dot_views)
+            found = simulate_to_first_order(bench, self._touched(bench, base), base.views)
         except BadInputError:
             return _lost(base.readings)
         return _merged(found, base.readings)
@@ -267,15 +265,18 @@ def _lost(readings: Readings) -> Readings:
 
 
 def _nominal_state(nominal: Bench, plan: SessionPlan) -> State:
-    dot_views = None if plan.see_through is None else DotViews(nominal, plan.see_through)
-    return State(nominal, simulate(nominal, plan, dot_views), dot_views)
+    views = Views.of(nominal, plan)
+    return State(nominal, simulate(nominal, plan, views), views)
 
 
 def _state_of_rows(state: State, kept: Observations, keep: BoolArray, part: IntArray) -> State:
     """Return the state of the readings that a mask (n,) keeps; the readings belong to parts (n,)."""
     masks = [keep[part == each] for each in range(len(PART_NAMES))]
-    plan, dot_views = kept.session.plan.see_through, state.dot_views
-    some = None if plan is None or dot_views is None else dot_views.of_rows(plan, masks[SEE_THROUGH])
+    plan, dots, run_time = kept.session.plan, state.views.dots, state.views.run_time
+    some = Views(
+        None if plan.see_through is None or dots is None else dots.of_rows(plan.see_through, masks[SEE_THROUGH]),
+        None if plan.run_time is None or run_time is None else run_time.of_rows(plan.run_time, masks[RUN_TIME]),
+    )
     return State(state.bench, readings_of_rows(state.readings, masks), some)
 
 

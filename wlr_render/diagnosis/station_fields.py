@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from wlr_render.bench.simulate_run_time import drawn_pixels, gravity_and_rate
+from wlr_render.bench.simulate_run_time import RunTimeViews, gravity_and_rate
 from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simulate_to_first_order
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
@@ -210,13 +210,13 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
 def dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
     """Change (m, 2, 3) of the dots' readings, in sigma, by a millimetre along the target's x, y and z."""
     state = predictor.state(Explanation())
-    assert state.dot_views is not None
+    assert state.views.dots is not None
     height = np.zeros(len(plan)) if plan.height is None else plan.height
-    here = dot_pixels(state.bench, plan, state.dot_views.tangents)
+    here = dot_pixels(state.bench, plan, state.views.dots.tangents)
     columns = []
     for step in _STEP_M * np.eye(3):
         moved = replace(plan, dot=plan.dot + step[:2], height=height + step[2])
-        seen = simulate_to_first_order(state.bench, SessionPlan(see_through=moved), state.dot_views).dot_pixel
+        seen = simulate_to_first_order(state.bench, SessionPlan(see_through=moved), state.views).dot_pixel
         assert seen is not None
         columns.append((seen - here) * (1e-3 / _STEP_M))
     return np.nan_to_num(np.stack(columns, axis=-1)) / predictor.observations.sigma_of(SEE_THROUGH)[:, :, None]
@@ -235,7 +235,7 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
         for cause in (CAUSES["latency"], CAUSES["eye_position_bias"])
     )
     gravity, rate = gravity_and_rate(plan)
-    panel = drawn_pixels(observations.nominal, plan)
+    panel = RunTimeViews(observations.nominal, plan).drawn_at
     gaze = tangents_of_dir(plan.gaze)
 
     def over(coordinates: str, variables: FloatArray, *degrees: int) -> Terms:

@@ -168,10 +168,14 @@ class TracedDisplay(_Traced):
         lead = np.broadcast_shapes(pixel.shape[:-1], viewpoint.shape[:-1])
         wanted, eyes = _flat(pixel, lead), _flat(viewpoint, lead)
         outside = ~self._on_panel(wanted)
-        cold = np.where(outside[:, None], np.nan, _guessed(self._guess, wanted, eyes))
-        tangents, converged = self._solve(wanted, eyes, _start(warm_start, cold))
+        start = np.full_like(wanted, np.nan) if warm_start is None else warm_start.reshape(wanted.shape).copy()
+        cold = ~outside & ~_found(start)
+        # A guess costs more than some hundred queries; a display that has none is refused.
+        if warm_start is None or cold.any():
+            start[cold] = _guessed(self._guess, wanted[cold], eyes[cold])
+        tangents = self._solve(wanted, eyes, start)
         view_dir = dir_of_tangents(tangents)
-        status = np.where(converged, self.plane_pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
+        status = np.where(_found(tangents), self.plane_pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
         status = np.where(outside, Status.CLIPPED, status)
         return _mapped(view_dir.reshape(*lead, 3), status.reshape(lead), tangents.reshape(*lead, 2))
 
@@ -185,10 +189,8 @@ class TracedDisplay(_Traced):
         status = np.where(np.isnan(pixel[..., 0]) & (traced.status == Status.OK), Status.MISS, traced.status)
         return pixel, status
 
-    def _solve(
-        self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3), and a mask of convergence."""
+    def _solve(self, pixel: FloatArray, viewpoint: FloatArray, start: FloatArray) -> FloatArray:
+        """Return the tangents (n, 2) to pixels (n, 2) from viewpoints (n, 3); NaN where they are not found."""
 
         def miss(tangents: FloatArray, index: NDArray[np.int64]) -> FloatArray:
             return self.plane_pixel(dir_of_tangents(tangents), viewpoint[index])[0] - pixel[index]
@@ -201,10 +203,10 @@ class TracedDisplay(_Traced):
         guess = _fit_first_guess(self)
         pixel = self.panel.grid(_GRID, _GRID).reshape(-1, 2)
         viewpoint = np.broadcast_to(self.optics.eye_box.centre, (len(pixel), 3))
-        _, converged = self._solve(pixel, viewpoint, _guessed(guess, pixel, viewpoint))
-        if np.mean(~converged) > _MOST_UNSOLVED:
+        unsolved = np.mean(~_found(self._solve(pixel, viewpoint, _guessed(guess, pixel, viewpoint))))
+        if unsolved > _MOST_UNSOLVED:
             raise BadInputError(
-                f"{self.name}: no ray was found from the middle of the eye box to {np.mean(~converged):.0%} of the "
+                f"{self.name}: no ray was found from the middle of the eye box to {unsolved:.0%} of the "
                 "panel's pixels; check the surfaces, 'display_path' and the panel, and that all lengths are in mm."
             )
         return guess
@@ -240,11 +242,15 @@ class TracedSeeThrough(_Traced):
             return np.asarray(np.einsum("mij,...mj->...mi", across[index], past) / distance[index, None])
 
         cold = np.where(ahead[:, None], tangents_of_dir(to_point / distance[:, None]), np.nan)
-        tangents, converged = _shoot(miss, _start(warm_start, cold), _ANGLE_TOLERANCE)
+        start = cold
+        if warm_start is not None:
+            warm = warm_start.reshape(cold.shape)
+            start = np.where(_found(warm + cold)[:, None], warm, cold)
+        tangents = _shoot(miss, start, _ANGLE_TOLERANCE)
         view_dir = dir_of_tangents(tangents)
         _, along, status = self._passing(view_dir, eyes, wanted)
         status = np.where((status == Status.OK) & ~(along > 0.0), Status.MISS, status)
-        status = np.where(ahead, np.where(converged, status, Status.NOT_CONVERGED), Status.MISS)
+        status = np.where(ahead, np.where(_found(tangents), status, Status.NOT_CONVERGED), Status.MISS)
         return _mapped(view_dir.reshape(*lead, 3), status.reshape(lead), tangents.reshape(*lead, 2))
 
     def _passing(
@@ -268,18 +274,13 @@ def _flat(array: FloatArray, lead: tuple[int, ...]) -> FloatArray:
     return np.broadcast_to(array, (*lead, array.shape[-1])).reshape(-1, array.shape[-1])
 
 
-def _start(warm_start: FloatArray | None, cold: FloatArray) -> FloatArray:
-    """Return the warm start where it is finite, else the cold start, (n, 2)."""
-    if warm_start is None:
-        return cold
-    warm = warm_start.reshape(cold.shape)
-    usable = np.isfinite(warm + cold).all(axis=-1, keepdims=True)
-    return np.where(usable, warm, cold)
+def _found(tangents: FloatArray) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(tangents).all(axis=-1))
 
 
-def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the tangents (n, 2) at which `miss` vanishes, and a mask of convergence, block by block."""
-    tangents, converged = np.empty_like(start), np.empty(len(start), dtype=bool)
+def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> FloatArray:
+    """Return the tangents (n, 2) at which `miss` vanishes, NaN where they are not found, block by block."""
+    tangents = np.empty_like(start)
     shifts = _TANGENT_STEP * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
     for first in range(0, len(start), _BLOCK):
         rows = slice(first, first + _BLOCK)
@@ -291,8 +292,8 @@ def _shoot(miss: Miss, start: FloatArray, tolerance: float) -> tuple[FloatArray,
             return value[0], np.stack([value[1] - value[0], value[2] - value[0]], axis=-1) / _TANGENT_STEP
 
         root = newton.solve_2x2(residual, start[rows], tolerance)
-        tangents[rows], converged[rows] = root.unknown, root.converged
-    return tangents, converged
+        tangents[rows] = np.where(root.converged[:, None], root.unknown, np.nan)
+    return tangents
 
 
 def _mapped(value: FloatArray, status: NDArray[np.integer], warm_start: FloatArray | None = None) -> QueryResult:

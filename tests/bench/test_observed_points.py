@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.bench.simulate_session import ObservedPoints
+from wlr_render.bench.observed_points import ObservedPoints
 from wlr_render.optics.device_file import load_device
 
 COUNT = 50
