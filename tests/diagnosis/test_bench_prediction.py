@@ -9,8 +9,7 @@ from small_session import SIGMA_PX, measured, with_jitter, with_noise
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.bench_prediction import predict_session
-from wlr_render.diagnosis.effect_errors import effect_errors
+from wlr_render.diagnosis.bench_prediction import effect_errors, predict_session
 from wlr_render.diagnosis.observations import DISPLAY, observe
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.numerics.polynomial import Box, Polynomial, total_degree

@@ -218,14 +218,10 @@ def test_an_effect_is_drawn_by_its_components_and_coordinates(located):
         ("stage", np.append(place, 0.0 * one, axis=1), pose, ["scattergl"]),
         ("time", one, pose, ["scatter"] * 6),
     ):
-        shape = replace(effect.map, coordinates=coordinates, place=at, displacement=moved)
-        plot = plots.effect_map(replace(effect, map=shape))
+        plot = plots.effect_map(replace(effect, coordinates=coordinates, map_place=at, map_displacement=moved))
         assert [trace["type"] for trace in plot.data] == traces
-    colours = plots.effect_map(
-        replace(
-            effect, map=replace(effect.map, coordinates="place on the target", place=place, displacement=pose[:, :3])
-        )
-    ).data[0]["marker"]["color"]
+    on_target = {"coordinates": "place on the target", "map_place": place, "map_displacement": pose[:, :3]}
+    colours = plots.effect_map(replace(effect, **on_target)).data[0]["marker"]["color"]
     np.testing.assert_allclose(colours, np.linalg.norm(pose[:, :3], axis=1))
 
 

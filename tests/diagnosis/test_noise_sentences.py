@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from wlr_render.diagnosis.diagnosis import MotionSize
 from wlr_render.diagnosis.noise import NoiseFloor
-from wlr_render.diagnosis.noise_sentences import bench_sentence
+from wlr_render.diagnosis.verdict_sentences import bench_sentence
 
 NAN = float("nan")
 

@@ -15,10 +15,9 @@ from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.diagnosis import DegenerateCause, ParameterValue, RankedCandidate, Unexplained
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse, Refitted, Rendered
-from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
-from wlr_render.diagnosis.verdict_sentences import advice, value_text, values_to_type, verdict_sentence
+from wlr_render.diagnosis.verdict_sentences import advice, bench_sentence, value_text, values_to_type, verdict_sentence
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.report.blocks import cell_text

@@ -5,13 +5,14 @@ of the bench's effects, as their covariances state them, are errors of all readi
 """
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from wlr_render.bench.bench import Bench
+from wlr_render.bench.bench_effects import AnyFunction, BenchEffect
 from wlr_render.bench.simulate_session import simulate
 from wlr_render.captures.session import Session
-from wlr_render.diagnosis.effect_errors import effect_errors
 from wlr_render.diagnosis.fit import Fit, fit
 from wlr_render.diagnosis.noise import noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
@@ -22,6 +23,11 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.scatter import LOG10_ODDS, UNUSUAL_SHIFT, UNUSUAL_TURN, Scatter
 from wlr_render.numerics.scatter_search import best_scatter
+
+_FEW = 400  # readings by which the principal errors are chosen
+_TELLING = 0.02  # rms change of the readings, in sigma, below which an error is left out
+_DECIMALS = 6  # of changes in sigma: directions of view are solved no better
+_NEGLIGIBLE = 1e-6  # variance of coefficients, relative to the largest of their effect, below which they have no error
 
 
 @dataclass(frozen=True)
@@ -136,29 +142,36 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
     if found is None:
         raise BadInputError(f"{session.name}: the bench does not predict every reading; check its stage and targets.")
     scatter, systematic = _about_common_motions(readings, found)
-    slipped = np.isfinite(bench.mount.slip_time_s)
-    still = replace(bench.mount, slip_time_s=np.inf)
-    effects = np.sqrt(np.sum(errors**2, axis=2))
-    groups = _Groups(observations, residual, by_own, used, _whitened(readings, scatter, used), effects)
+    white = np.full(residual.shape, np.nan)
+    # A fit scales noise until its residual is of unit size.
+    white[used] = readings.whitening(scatter)(found.at.residual) * scatter.noise[readings.observations.part, None]
+    group = partial(_group, observations, residual, by_own, white, np.sqrt(np.sum(errors**2, axis=2)))
+
+    def part(number: int) -> PredictedPart:
+        figures = group(PART_NAMES[number], used & (observations.part == number))
+        shows = number != RUN_TIME and figures.captures > 1
+        return PredictedPart(
+            **vars(figures),
+            is_noise=number not in systematic and scatter.is_ordinary(number, DEFAULT.material_excess),
+            shift_um=float(scatter.shift_um[number]) if shows else None,
+            turn_urad=float(scatter.turn_urad[number]) if shows else None,
+        )
+
+    still = replace(bench, mount=replace(bench.mount, slip_time_s=np.inf))
+    distances = {name: used & rows for name, rows in observations.target_distances().items()}
     return BenchPrediction(
         session.name,
         _mean_square(residual, used),
         None if by_own is None else _mean_square(by_own, used),
-        _mean_square(residual_by(replace(bench, mount=still)), used) if slipped else None,
+        _mean_square(residual_by(still), used) if np.isfinite(bench.mount.slip_time_s) else None,
+        tuple(part(int(number)) for number in np.unique(observations.part[used])),
+        tuple(group(name, rows) for name, rows in distances.items() if rows.any()),
         tuple(
-            groups.part(int(part), scatter, int(part) not in systematic) for part in np.unique(observations.part[used])
-        ),
-        tuple(
-            groups.group(name, used & rows)
-            for name, rows in observations.target_distances().items()
-            if np.any(used & rows)
-        ),
-        tuple(
-            groups.group(str(observations.captures[number]), used & (observations.group == number))
+            group(str(observations.captures[number]), used & (observations.group == number))
             for number in np.unique(observations.group[used])
         ),
-        int(np.sum(~used)),
-        sum(0 if part is None else len(part) for part in session.plan.parts) - len(observations),
+        int(np.sum(noise.outlier)),
+        sum(0 if each is None else len(each) for each in session.plan.parts) - len(observations),
         observations,
         residual,
         used,
@@ -186,63 +199,44 @@ def _about_common_motions(readings: WeighedReadings, found: Fit) -> tuple[Scatte
     return scatter, systematic
 
 
-def _whitened(readings: WeighedReadings, scatter: Scatter, used: BoolArray) -> FloatArray:
-    """Return the residual (n, 2) over the noise within photographs, less the camera's motions; NaN for outliers."""
-    white = np.full((len(used), 2), np.nan)
-    residual = readings.whitening(scatter)(readings.predictor.residual(Explanation()))
-    # A fit scales noise until its residual is of unit size.
-    white[used] = residual * scatter.noise[readings.observations.part, None]
-    return white
+def _group(
+    observations: Observations,
+    residual: FloatArray,
+    by_own: FloatArray | None,
+    white: FloatArray,
+    effects: FloatArray,
+    name: str,
+    rows: BoolArray,
+) -> PredictedGroup:
+    """Return the figures of some readings of one part.
 
-
-@dataclass(frozen=True, eq=False)
-class _Groups:
-    """Figures of groups of readings.
-
-    Residuals (n, 2) are by the bench and by the session's own in units of the stated sigma, and whitened; `used` (n,);
-    `effects` (n, 2) are standard errors by the bench's effects, in units of the stated sigma.
+    Args:
+        observations: all readings.
+        residual, by_own: (n, 2) by the bench and by the session's own, in units of the stated sigma.
+        white: (n, 2) by the bench, whitened.
+        effects: (n, 2) standard errors by the bench's effects, in units of the stated sigma.
+        name: of the readings.
+        rows: mask (n,) of them.
     """
-
-    observations: Observations
-    residual: FloatArray
-    by_own: FloatArray | None
-    used: BoolArray
-    white: FloatArray
-    effects: FloatArray
-
-    def part(self, part: int, scatter: Scatter, random: bool) -> PredictedPart:
-        """Return the figures of a part; `random` where its captures have no motion in common."""
-        group = self.group(PART_NAMES[part], self.used & (self.observations.part == part))
-        shows = part != RUN_TIME and group.captures > 1
-        return PredictedPart(
-            **vars(group),
-            is_noise=random and scatter.is_ordinary(part, DEFAULT.material_excess),
-            shift_um=float(scatter.shift_um[part]) if shows else None,
-            turn_urad=float(scatter.turn_urad[part]) if shows else None,
-        )
-
-    def group(self, name: str, rows: BoolArray) -> PredictedGroup:
-        """Return the figures of some readings (n,) of one part."""
-        observations, part = self.observations, int(self.observations.part[rows][0])
-        seen, errors = np.zeros_like(self.residual), np.zeros_like(self.residual)
-        seen[observations.part == part] = observations.arcminutes(self.residual, part)
-        errors[observations.part == part] = observations.arcminutes(self.effects, part)
-        right, down = seen[rows].mean(axis=0)
-        reduced = _mean_square(self.residual, rows)
-        rms, by_effects = (float(np.sqrt(np.mean(each[rows] ** 2))) for each in (seen, errors))
-        return PredictedGroup(
-            name,
-            PART_NAMES[part],
-            len(np.unique(observations.group[rows])),
-            int(rows.sum()),
-            rms,
-            (float(right), float(down)),
-            rms / float(np.sqrt(reduced)) if reduced > 0.0 else 0.0,
-            by_effects,
-            reduced,
-            _mean_square(self.white, rows),
-            None if self.by_own is None else _mean_square(self.by_own, rows),
-        )
+    part = int(observations.part[rows][0])
+    mine = rows[observations.part == part]
+    seen, errors = (observations.arcminutes(each, part)[mine] for each in (residual, effects))
+    right, down = seen.mean(axis=0)
+    reduced = _mean_square(residual, rows)
+    rms, by_effects = (float(np.sqrt(np.mean(each**2))) for each in (seen, errors))
+    return PredictedGroup(
+        name,
+        PART_NAMES[part],
+        len(np.unique(observations.group[rows])),
+        int(rows.sum()),
+        rms,
+        (float(right), float(down)),
+        rms / float(np.sqrt(reduced)) if reduced > 0.0 else 0.0,
+        by_effects,
+        reduced,
+        _mean_square(white, rows),
+        None if by_own is None else _mean_square(by_own, rows),
+    )
 
 
 def _mean_square(residual: FloatArray, rows: BoolArray) -> float:
@@ -250,3 +244,50 @@ def _mean_square(residual: FloatArray, rows: BoolArray) -> float:
     values = residual[rows]
     values = values[np.isfinite(values).all(axis=1)]
     return float(np.mean(values**2)) if len(values) else float("nan")
+
+
+def effect_errors(predictor: Predictor) -> FloatArray:
+    """Return the change (n, 2, k) of the predicted readings, in sigma, by the principal errors of the bench's effects.
+
+    Each is one standard error; they are independent, as the effects of a bench are of each other. Effects without a
+    covariance are exact.
+    """
+    effects = predictor.observations.nominal.effects
+    roots = [_root(effect) for effect in effects]
+    ends = np.cumsum([root.shape[1] for root in roots])
+    count = int(ends[-1]) if roots else 0
+    nothing = np.zeros((len(predictor.observations), 2, 0))
+    if not count:
+        return nothing
+
+    def change(by: Predictor, errors: FloatArray) -> FloatArray:
+        """Return the change (n, 2) of the readings by errors (count,) of all effects."""
+        parts = np.split(errors, ends[:-1])
+        moved = (_moved(*each) for each in zip(effects, roots, parts, strict=True))
+        bench = replace(by.observations.nominal, effects=tuple(moved))
+        away = by.residual(Explanation()) - by.residual_of_bench(bench)
+        return np.asarray(np.round(np.nan_to_num(away), _DECIMALS), np.float64)
+
+    few = predictor.of_rows(predictor.observations.spread(_FEW))
+    columns = np.stack([change(few, error).ravel() for error in np.eye(count)], axis=1)
+    sizes, axes = np.linalg.svd(columns, full_matrices=False)[1:]
+    telling = axes[sizes > _TELLING * np.sqrt(len(columns))]
+    return np.stack([change(predictor, axis) for axis in telling], axis=-1) if len(telling) else nothing
+
+
+def _root(effect: BenchEffect) -> FloatArray:
+    """Return a root (p, k) of the covariance of an effect's coefficients."""
+    if effect.covariance is None:
+        return np.zeros((0, 0))
+    values, axes = np.linalg.eigh(effect.covariance)
+    kept = values > _NEGLIGIBLE * values.max(initial=0.0)
+    return np.asarray(axes[:, kept] * np.sqrt(values[kept]))
+
+
+def _moved(effect: BenchEffect, root: FloatArray, errors: FloatArray) -> BenchEffect:
+    """Return the effect with errors (k,) of its coefficients, in standard errors."""
+    function = effect.function
+    if not errors.any() or isinstance(function, AnyFunction):
+        return effect
+    coefficients = function.coefficients + (root @ errors).reshape(function.coefficients.shape)
+    return replace(effect, function=replace(function, coefficients=coefficients))

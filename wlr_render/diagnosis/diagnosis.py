@@ -105,22 +105,6 @@ class FoundCause:
 
 
 @dataclass(frozen=True, eq=False)
-class EffectMap:
-    """Displacement by a located effect at its station.
-
-    Attributes:
-        place: (m, v) coordinates of the station.
-        displacement: (m, d) there, in `unit`.
-        coordinates, unit: names.
-    """
-
-    place: FloatArray
-    displacement: FloatArray
-    coordinates: str
-    unit: str
-
-
-@dataclass(frozen=True, eq=False)
 class StationEffect:
     """An effect that no listed cause has, located at a station of the bench.
 
@@ -143,7 +127,8 @@ class StationEffect:
         share_of_excess_removed: share of the excess over noise and repeatability that it removes in these captures.
         likely: usual sources of such an effect.
         is_in_bench: whether the corrected bench has it.
-        map: its displacement over the station.
+        map_place: (m, v) coordinates of the station of readings that it acts on.
+        map_displacement: (m, d) there, in `map_unit`.
     """
 
     station: str
@@ -162,7 +147,9 @@ class StationEffect:
     held_out_improvement: HeldOutImprovement
     share_of_excess_removed: float
     likely: tuple[str, ...]
-    map: EffectMap = field(metadata={"json": False})
+    map_place: FloatArray = field(metadata={"json": False})
+    map_displacement: FloatArray = field(metadata={"json": False})
+    map_unit: str = field(metadata={"json": False})
     length_unit: str = ""
     is_in_bench: bool = False
 

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
 from wlr_render.diagnosis.diagnosis import Diagnosis, StationEffect
+from wlr_render.diagnosis.effect_findings import STATIONS
 from wlr_render.diagnosis.residual_views import PartView, Variable
-from wlr_render.diagnosis.verdict_sentences import WHERE
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.report.blocks import Plot
 from wlr_render.report.plots import arrow_map, axis, curves
@@ -82,21 +83,21 @@ _LABELS = {
 
 def effect_map(effect: StationEffect) -> Plot:
     """Plot what a located effect displaces at its station: arrows or colours over two coordinates, curves over one."""
-    shape, title = effect.map, f"Effect {WHERE[effect.station]}: {effect.displaced}"
-    caption = f"{effect.displaced} ({shape.unit}) over {shape.coordinates}: {effect.form}, as the readings show it."
-    place, moved = shape.place[:, np.ptp(shape.place, axis=0) > 0.0][:, :2], shape.displacement
+    title, unit = f"Effect {STATIONS[effect.station][0]}: {effect.displaced}", effect.map_unit
+    caption = f"{effect.displaced} ({unit}) over {effect.coordinates}: {effect.form}, as the readings show it."
+    place, moved = effect.map_place[:, np.ptp(effect.map_place, axis=0) > 0.0][:, :2], effect.map_displacement
     if place.shape[1] < 2:
         along = place[:, 0] if place.shape[1] else np.arange(len(moved), dtype=float)
         order = np.argsort(along)
         lines = {f"component {number + 1}": (along[order], each[order]) for number, each in enumerate(moved.T)}
-        return curves(title, lines, (shape.coordinates, shape.unit), caption=caption)
-    axes = _LABELS.get(shape.coordinates, (f"{shape.coordinates}, first", f"{shape.coordinates}, second"))
-    if moved.shape[1] == 2 and shape.coordinates in ("panel pixels", "camera pixels"):
+        return curves(title, lines, (effect.coordinates, unit), caption=caption)
+    axes = _LABELS.get(effect.coordinates, (f"{effect.coordinates}, first", f"{effect.coordinates}, second"))
+    if moved.shape[1] == 2 and effect.coordinates in ("panel pixels", "camera pixels"):
         groups = {effect.station: _cell_means(place, moved * [1.0, -1.0])}
-        return arrow_map(title, groups, shape.unit, axes, y_down=True, caption=caption)
+        return arrow_map(title, groups, unit, axes, y_down=True, caption=caption)
     size = moved[:, 0] if moved.shape[1] == 1 else np.linalg.norm(moved[:, :3], axis=1)
     colours = {"colorscale": "RdBu", "cmid": 0.0} if moved.shape[1] == 1 else {"colorscale": "Viridis", "cmin": 0.0}
-    marker = {"color": size, "size": 6, "showscale": True, "colorbar": {"title": {"text": shape.unit}}, **colours}
+    marker = {"color": size, "size": 6, "showscale": True, "colorbar": {"title": {"text": unit}}, **colours}
     data = [{"type": "scattergl", "mode": "markers", "marker": marker, "x": place[:, 0], "y": place[:, 1]}]
     down = {"scaleanchor": "x"} | ({"autorange": "reversed"} if axes[1].endswith("v (px)") else {})
     return Plot(title, data, {"xaxis": axis(axes[0]), "yaxis": axis(axes[1]) | down}, caption, 460)
@@ -130,29 +131,24 @@ def residual_curves(part: PartView) -> Plot:
 
 def _curves(part: PartView, variable: Variable, in_legend: bool) -> list[dict[str, Any]]:
     data: list[dict[str, Any]] = []
-    for place, state in enumerate(part.states):
+    for state, colour in zip(part.states, (_BEFORE, _AFTER), strict=False):
         curve = binned(variable, state.seen, part)
-        colour = (_BEFORE, _AFTER)[place]
-        if place == 0:
-            band = {"x": [*curve.middle, *curve.middle[::-1]], "y": [*curve.band, *-curve.band[::-1]]}
-            data.append(
-                {"type": "scatter", "mode": "lines", "fill": "toself", "fillcolor": "rgba(140,140,140,0.3)"}
-                | {"line": {"width": 0}, "hoverinfo": "skip", "showlegend": False}
-                | band
-            )
-        for number, mean in enumerate(curve.means):
-            line = {"color": colour, "dash": ("solid", "dot")[number]}
-            data.append(
-                {"type": "scatter", "mode": "lines+markers", "name": state.name, "legendgroup": state.name}
-                | {"line": line, "marker": {"size": 4}, "showlegend": in_legend and number == 0}
-                | {"x": curve.middle, "y": mean}
-            )
+        if not data:
+            x, y = [*curve.middle, *curve.middle[::-1]], [*curve.band, *-curve.band[::-1]]
+            grey = {"fill": "toself", "fillcolor": "rgba(140,140,140,0.3)", "line": {"width": 0}}
+            data.append(_scatter(x, y, "lines", **grey, hoverinfo="skip", showlegend=False))
+        for mean, dash in zip(curve.means, ("solid", "dot"), strict=True):
+            line = {"line": {"color": colour, "dash": dash}, "marker": {"size": 4}, "legendgroup": state.name}
+            shown = in_legend and dash == "solid"
+            data.append(_scatter(curve.middle, mean, "lines+markers", **line, name=state.name, showlegend=shown))
+        hidden = {"line": {"color": _GREY}, "visible": "legendonly", "showlegend": in_legend}
         name = f"{state.name}: rms beyond the band"
-        data.append(
-            {"type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "visible": "legendonly"}
-            | {"line": {"color": _GREY}, "x": curve.middle, "y": curve.excess, "showlegend": in_legend}
-        )
+        data.append(_scatter(curve.middle, curve.excess, "lines", **hidden, name=name, legendgroup=name))
     return data
+
+
+def _scatter(x: ArrayLike, y: ArrayLike, mode: str, **more: object) -> dict[str, Any]:
+    return {"type": "scatter", "mode": mode, "x": x, "y": y, **more}
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,22 +196,19 @@ def normality_plot(diagnosis: Diagnosis) -> Plot:
     """Plot a histogram of the whitened residual, and its quantiles against those of the normal distribution."""
     values = diagnosis.fit.residual.ravel()
     counts, _ = np.histogram(values, _HISTOGRAM)
-    middle, width = 0.5 * (_HISTOGRAM[1:] + _HISTOGRAM[:-1]), float(_HISTOGRAM[1] - _HISTOGRAM[0])
+    density = counts / len(values) / float(_HISTOGRAM[1] - _HISTOGRAM[0])
+    middle = 0.5 * (_HISTOGRAM[1:] + _HISTOGRAM[:-1])
     normal = np.exp(-0.5 * middle**2) / np.sqrt(2 * np.pi)
     # Evenly spaced quantiles show the tails; beyond the farthest there are fewer than five values.
     farthest = min(_FARTHEST, -float(ndtri(min(0.4, 5.0 / len(values)))))
     expected = np.linspace(-farthest, farthest, _QUANTILES)
-    right: dict[str, Any] = {"xaxis": "x2", "yaxis": "y2"}
-    bars = {"type": "bar", "name": "residual", "marker": {"color": _AFTER}, "x": middle}
-    curve = {"type": "scatter", "name": "normal distribution", "line": {"color": _GREY}, "x": middle, "y": normal}
-    points = {"type": "scatter", "mode": "markers", "name": "quantiles", "marker": {"color": _BEFORE, "size": 5}}
-    line = {"type": "scatter", "mode": "lines", "line": {"color": _GREY}, "showlegend": False}
-    ends = [-farthest, farthest]
+    right, ends = {"xaxis": "x2", "yaxis": "y2"}, [-farthest, farthest]
+    grey, points = {"line": {"color": _GREY}}, {"marker": {"color": _BEFORE, "size": 5}}
     data = [
-        bars | {"y": counts / len(values) / width},
-        curve,
-        points | {"x": expected, "y": np.quantile(values, ndtr(expected))} | right,
-        line | {"x": ends, "y": ends} | right,
+        {"type": "bar", "name": "residual", "marker": {"color": _AFTER}, "x": middle, "y": density},
+        {"type": "scatter", "name": "normal distribution", "x": middle, "y": normal, **grey},
+        _scatter(expected, np.quantile(values, ndtr(expected)), "markers", name="quantiles", **points, **right),
+        _scatter(ends, ends, "lines", showlegend=False, **grey, **right),
     ]
     layout = {
         "xaxis": {"domain": [0, 0.46]} | axis("whitened residual"),
@@ -245,8 +238,7 @@ def captures_plot(
     """
     marks = ["x" if each else "circle" for each in excluded] or "circle"
     data = [
-        {"type": "scatter", "mode": "markers", "name": name, "x": list(captures), "y": list(values)}
-        | {"marker": {"color": colour, "symbol": marks}}
+        _scatter(list(captures), list(values), "markers", name=name, marker={"color": colour, "symbol": marks})
         for (name, values), colour in zip(rms.items(), (_BEFORE, _AFTER), strict=False)
     ]
     layout = {"yaxis": axis("rms residual (sigma)", log=True) | {"tickvals": _TICKS}}

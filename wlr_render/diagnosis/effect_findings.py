@@ -1,13 +1,14 @@
 """Located effects as a report states them: place, size, usual sources, and gain on held-out captures."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.coherence import FineEffect
-from wlr_render.diagnosis.diagnosis import EffectMap, StationEffect
+from wlr_render.diagnosis.diagnosis import StationEffect
 from wlr_render.diagnosis.field_contest import FieldContest
 from wlr_render.diagnosis.fine_in_bench import UNITS, size_of
 from wlr_render.diagnosis.located_effects import LocatedEffect
@@ -51,17 +52,23 @@ _LIKELY = {
 
 _BUMP_PLACES = 4000  # at which a bump's height is looked up
 
-SEPARATED_BY = {
-    "panel": "a photograph of the bare panel that shows a lit grid",
-    "combiner": "display captures from more viewpoints: what is on the combiner moves over the panel with them",
-    "camera": "the same captures with the camera turned by 90 degrees about its axis",
-    "target": "the same captures with the target turned by 180 degrees in its plane",
-    "stage": "the same positions by another stage, or a mirror on the carriage and an autocollimator",
-    "time": "the same captures in another order, the first ones repeated at the end",
-    "head motion": "the same rates of the head in other directions of gravity",
-    "eye tracking": "the same gaze from several places of the headset",
+STATIONS = {
+    "panel": ("on the panel", "a photograph of the bare panel that shows a lit grid"),
+    "combiner": (
+        "on the combiner",
+        "display captures from more viewpoints: what is on the combiner moves over the panel with them",
+    ),
+    "camera": ("in the camera", "the same captures with the camera turned by 90 degrees about its axis"),
+    "target": ("on the target", "the same captures with the target turned by 180 degrees in its plane"),
+    "stage": ("of the stage", "the same positions by another stage, or a mirror on the carriage and an autocollimator"),
+    "time": (
+        "in the course of the session",
+        "the same captures in another order, the first ones repeated at the end",
+    ),
+    "head motion": ("of the head's motion", "the same rates of the head in other directions of gravity"),
+    "eye tracking": ("of the eye tracking", "the same gaze from several places of the headset"),
 }
-"""Measurement that tells an effect at a station from others."""
+"""Each station as it stands in a sentence, and the measurement that tells an effect at it from others."""
 
 
 def station_effects(
@@ -103,56 +110,44 @@ def _smooth(
     # What the functions leave of a hard edge changes the height by about as much as fewer or more of them do.
     fewer = [each for each in field.degrees if each < effect.degree][-1:]
     others = fewer or [each for each in field.degrees if each > effect.degree][:1]
-    if bump is not None and others:
+    if bump and others:
         other = replace(effect, degree=others[0])
         height = _bump(other.in_bench(*contest.values_and_covariances([other, *beside], scatter)[0]))
-        bump = bump if height is None else replace(bump, sigma=float(np.hypot(bump.sigma, bump.height - height.height)))
-    displaced = effect.displacement(values)[acts]
+        if height:
+            bump["size_sigma"] = float(np.hypot(bump["size_sigma"], bump["size"] - height["size"]))
+    size, size_sigma, unit = effect.size_of(values, covariance)
+    smooth = {"form": "smooth", "size": size, "size_sigma": size_sigma, "unit": unit, "length": None, "place": None}
     improvement, share = contest.held_out(effect, scatter, beside)
     part = contest.readings.observations.part[acts]
-    size, size_sigma, unit = effect.size_of(values, covariance) if bump is None else (bump.height, bump.sigma, "um")
     moves = np.any(effect.columns[acts] != 0.0, axis=(1, 2))
     return StationEffect(
         station=field.station,
         coordinates=field.coordinates,
         displaced=field.form,
-        form="smooth" if bump is None else "fine",
         parts=tuple(PART_NAMES[number] for number in np.unique(part[moves])),
         log10_odds=float(effect.log10_odds),
         next_station=effect.next_station,
         odds_against_next_station=float(effect.odds_against_next),
-        size=size,
-        size_sigma=size_sigma,
-        unit=unit,
-        length=None if bump is None else bump.width,
-        place=None if bump is None else bump.place,
         held_out_improvement=improvement,
         share_of_excess_removed=share,
-        likely=_likely(field.station, field.form if bump is None else "fine"),
+        likely=_likely(field.station, "fine" if bump else field.form),
         is_in_bench=field.in_bench is not None,
-        map=EffectMap(field.place[acts], displaced, field.coordinates, field.unit),
-        length_unit="" if bump is None else "mm",
+        map_place=field.place[acts],
+        map_displacement=effect.displacement(values)[acts],
+        map_unit=field.unit,
+        **(bump or smooth),
     )
 
 
-@dataclass(frozen=True)
-class _Bump:
-    """A height in a spot of the combiner: where it is largest, um, with its standard error.
+def _bump(effects: Sequence[BenchEffect]) -> dict[str, Any]:
+    """Return form, size and place of the bump that a field's effect in a bench is; nothing where it is none.
 
-    `place` (right, up) and `width` are of the part of more than half that height, millimetres.
+    A bump is a height in a spot of the combiner. Its size is the height where it is largest, um; its place and length
+    are of the part of more than half that height, millimetres.
     """
-
-    height: float
-    sigma: float
-    place: tuple[float, float]
-    width: float
-
-
-def _bump(effects: Sequence[BenchEffect]) -> _Bump | None:
-    """Return the bump that a field's effect in a bench is; None where it is none."""
     function = effects[0].function if effects else None
     if not isinstance(function, LocalWaves) or effects[0].covariance is None:
-        return None
+        return {}
     places = function.box.places(_BUMP_PLACES)
     heights = function(places)[:, 0]
     top = int(np.argmax(np.abs(heights)))
@@ -161,7 +156,12 @@ def _bump(effects: Sequence[BenchEffect]) -> _Bump | None:
     sigma = float(np.sqrt(by_coefficient @ effects[0].covariance @ by_coefficient))
     right, up = places[high].mean(axis=0)
     area = float(np.mean(high) * np.prod(function.box.high - function.box.low))
-    return _Bump(float(heights[top]), sigma, (float(right), float(up)), float(np.sqrt(4.0 * area / np.pi)))
+    size = {"form": "fine", "size": float(heights[top]), "size_sigma": sigma, "unit": "um"}
+    return size | {
+        "place": (float(right), float(up)),
+        "length": float(np.sqrt(4.0 * area / np.pi)),
+        "length_unit": "mm",
+    }
 
 
 def _fine(fine: FineEffect, as_stated: Predictor) -> StationEffect:
@@ -183,7 +183,9 @@ def _fine(fine: FineEffect, as_stated: Predictor) -> StationEffect:
         held_out_improvement=fine.improvement,
         share_of_excess_removed=fine.share_removed,
         likely=_likely(fine.station, "fine" if fine.station == "combiner" else ""),
-        map=EffectMap(fine.cells, fine.means, fine.coordinates, "sigma"),
+        map_place=fine.cells,
+        map_displacement=fine.means,
+        map_unit="sigma",
         length_unit=fine.unit,
         is_in_bench=fine.predicts,
     )

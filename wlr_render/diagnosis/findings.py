@@ -31,7 +31,7 @@ from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings, camera_motions
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.scatter import LOG10_ODDS
 from wlr_render.numerics.scatter_search import scatter_errors
 
@@ -50,19 +50,15 @@ def found_cause(
         ranking: the candidates for its place, the others being at work.
         odds_against_fields: log10 odds for its name.
     """
-    hypothesis = found.explanation.hypotheses[number]
+    hypothesis, values = found.explanation.hypotheses[number], found.explanation.values[number]
     cause = hypothesis.cause
-    first = sum(len(values) for values in found.explanation.values[:number])
-    widened = few_captures_factor(found, search.full.observations)
-    sigmas = widened * found.sigmas()[first : first + len(cause.parameters)]
+    first = sum(len(each) for each in found.explanation.values[:number])
+    sigmas = few_captures_factor(found, search.full.observations) * found.sigmas()[first : first + len(values)]
     parameters = tuple(
-        ParameterValue(
-            parameter.name, float(value), float(sigma), parameter.unit, parameter.prior_sigma, parameter.prior_mean
-        )
-        for parameter, value, sigma in zip(cause.parameters, found.explanation.values[number], sigmas, strict=True)
+        ParameterValue(each.name, float(value), float(sigma), each.unit, each.prior_sigma, each.prior_mean)
+        for each, value, sigma in zip(cause.parameters, values, sigmas, strict=True)
     )
-    without = search.full.predictor.residual(found.explanation.without(number))
-    change = without - found.at.residual
+    change = search.full.predictor.residual(found.explanation.without(number)) - found.at.residual
     return FoundCause(
         cause.name,
         cause.title,
@@ -152,6 +148,14 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
     return tuple(limits)
 
 
+def rms_of_captures(observations: Observations, residual: FloatArray, rows: BoolArray) -> tuple[IntArray, FloatArray]:
+    """Return how many of some readings (n,) each capture has, and the rms (captures,) of their residuals (n, 2)."""
+    group, count = observations.group[rows], len(observations.captures)
+    readings = np.bincount(group, minlength=count)
+    squares = np.bincount(group, np.mean(residual[rows] ** 2, axis=1), count)
+    return readings, np.sqrt(squares / readings.clip(1))
+
+
 def capture_residuals(
     observations: Observations,
     before: FloatArray,
@@ -161,29 +165,33 @@ def capture_residuals(
 ) -> tuple[CaptureResidual, ...]:
     """Return the residual of each capture over its readings that are not outliers."""
     good = good & np.isfinite(before).all(axis=1) & np.isfinite(after).all(axis=1)
-    group, count = observations.group[good], len(observations.captures)
-    readings = np.bincount(group, minlength=count)
-    rms = [
-        np.sqrt(np.bincount(group, np.mean(each[good] ** 2, axis=1), count) / readings.clip(1))
-        for each in (before, after)
-    ]
+    (readings, old), (_, new) = (rms_of_captures(observations, each, good) for each in (before, after))
     names = {each.capture for each in excluded}
     return tuple(
-        CaptureResidual(str(name), int(readings[n]), float(rms[0][n]), float(rms[1][n]), name in names)
+        CaptureResidual(str(name), int(readings[n]), float(old[n]), float(new[n]), name in names)
         for n, name in enumerate(observations.captures)
         if readings[n]
     )
 
 
+PART_UNITS = ("panel px", "arcmin", "arcmin")
+"""Unit of the residual of each part of a session."""
+
+
+def in_unit_of_part(observations: Observations, residual: FloatArray, part: int) -> FloatArray:
+    """Return the residual (n_part, 2) of the readings of a part in its unit, of all residuals (n, 2) in sigma."""
+    return observations.panel_pixels(residual) if part == DISPLAY else observations.arcminutes(residual, part)
+
+
 def residual_summary(observations: Observations, residual: FloatArray, used: BoolArray) -> ResidualSummary:
     """Return the root mean squares per axis of a residual (n, 2) in units of sigma, over the readings that count."""
     used = used & np.isfinite(residual).all(axis=1)
-    return ResidualSummary(
-        _rms(observations.panel_pixels(residual)[used[observations.part == DISPLAY]]),
-        _rms(observations.arcminutes(residual, SEE_THROUGH)[used[observations.part == SEE_THROUGH]]),
-        _rms(observations.arcminutes(residual, RUN_TIME)[used[observations.part == RUN_TIME]]),
-        float(np.sqrt(np.mean(residual[used] ** 2))),
-    )
+
+    def rms(part: int) -> float | None:
+        values = in_unit_of_part(observations, residual, part)[used[observations.part == part]]
+        return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+    return ResidualSummary(rms(DISPLAY), rms(SEE_THROUGH), rms(RUN_TIME), float(np.sqrt(np.mean(residual[used] ** 2))))
 
 
 def noise_summary(observations: Observations, used: BoolArray) -> ResidualSummary:
@@ -214,10 +222,6 @@ def expected_summary(observations: Observations, motion: FloatArray, used: BoolA
         for values in zip(*map(astuple, summaries), strict=True)
     )
     return ResidualSummary(display, see_through, run_time, over_noise or 1.0)
-
-
-def _rms(values: FloatArray) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None
 
 
 def motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:

@@ -41,30 +41,30 @@ class HeldOutResidual:
 
 def held_out_residuals(diagnosis: Diagnosis) -> list[HeldOutResidual]:
     """Return the residuals of each capture by the fit to all others, then of target distances held out or alone."""
-    observations, counted = diagnosis.readings.observations, _counted(diagnosis)
-    after = held_out_residual(diagnosis.fit, observations)
-    rows = [
-        _residual(diagnosis, ("all other captures", f"each {PART_NAMES[part]} capture"), part, tested, after)
+    readings, predictor = diagnosis.readings, diagnosis.readings.predictor
+    observations, before = readings.observations, predictor.residual(Explanation())
+    counted = not_excluded(observations, diagnosis.excluded)
+
+    def residual(words: tuple[str, str], part: int, tested: BoolArray, after: FloatArray) -> HeldOutResidual:
+        rows = tested[observations.part == part]
+        angles = (observations.arcminutes(each, part)[rows] for each in (before, after, np.ones_like(after)))
+        rms = (float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for each in angles)
+        return HeldOutResidual(*words, int(rows.sum()), *rms)
+
+    left_out = held_out_residual(diagnosis.fit, observations)
+    found = [
+        residual(("all other captures", f"each {PART_NAMES[part]} capture"), part, counted, left_out)
         for part in np.unique(observations.part)
-        for tested in [counted & (observations.part == part)]
     ]
-    for words, tested in _splits(diagnosis):
-        refitted = fit(diagnosis.readings.of_rows(~tested), diagnosis.fit.explanation, diagnosis.fit.scatter)
+    for words, tested in _splits(observations.target_distances(), counted):
+        refitted = fit(readings.of_rows(~tested), diagnosis.fit.explanation, diagnosis.fit.scatter)
         if refitted is not None:
-            after = diagnosis.readings.predictor.residual(refitted.explanation)
-            rows.append(_residual(diagnosis, words, SEE_THROUGH, tested, after))
-    return rows
+            found.append(residual(words, SEE_THROUGH, tested, predictor.residual(refitted.explanation)))
+    return found
 
 
-def _counted(diagnosis: Diagnosis) -> BoolArray:
-    """Return the mask (n,) of readings of captures that did not move."""
-    return not_excluded(diagnosis.readings.observations, diagnosis.excluded)
-
-
-def _splits(diagnosis: Diagnosis) -> Iterator[tuple[tuple[str, str], BoolArray]]:
+def _splits(at_distance: dict[str, BoolArray], counted: BoolArray) -> Iterator[tuple[tuple[str, str], BoolArray]]:
     """Yield words for the target distances fitted to and tested on, and the mask (n,) of readings to test."""
-    counted = _counted(diagnosis)
-    at_distance = diagnosis.readings.observations.target_distances()
     distance = {name: rows & counted for name, rows in at_distance.items() if np.any(rows & counted)}
     if len(distance) < 2:
         return
@@ -73,19 +73,6 @@ def _splits(diagnosis: Diagnosis) -> Iterator[tuple[tuple[str, str], BoolArray]]
     everything = np.any(list(distance.values()), axis=0)
     for name, rows in distance.items() if len(distance) > 2 else ():
         yield (f"{name} only", "all other distances"), everything & ~rows
-
-
-def _residual(
-    diagnosis: Diagnosis, words: tuple[str, str], part: int, tested: BoolArray, after: FloatArray
-) -> HeldOutResidual:
-    """Return the rms angles of the tested readings (n,) of a part; `after` is (n, 2) in units of sigma."""
-    observations = diagnosis.readings.observations
-    before = diagnosis.readings.predictor.residual(Explanation())
-    rows = tested[observations.part == part]
-    angles = (observations.arcminutes(each, part)[rows] for each in (before, after, np.ones_like(after)))
-    return HeldOutResidual(
-        *words, int(rows.sum()), *(float(np.sqrt(np.mean(np.sum(each**2, axis=1)))) for each in angles)
-    )
 
 
 def hold_out_sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
@@ -101,6 +88,9 @@ def hold_out_sentences(residuals: Sequence[HeldOutResidual]) -> Iterator[str]:
 
 def hold_out_table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -> ReportTable:
     """Return the residuals of held-out readings by the bench as described and as corrected."""
+    acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in diagnosis.causes)
+    captures = ", ".join(str(moved.capture) for moved in diagnosis.excluded) or "no capture"
+    single = np.sum(not_excluded(diagnosis.observations, diagnosis.excluded) & ~diagnosis.used)
     return table(
         f"Held out of {diagnosis.session}",
         residuals,
@@ -112,7 +102,10 @@ def hold_out_table(diagnosis: Diagnosis, residuals: Sequence[HeldOutResidual]) -
             "corrected (arcmin)": "after",
             "noise (arcmin)": "noise",
         },
-        _notes(diagnosis),
+        (
+            f"Rms of the angle, both axes together. At work: {acting}.",
+            f"Neither fitted nor tested: {captures}; {single} single readings far from their neighbours.",
+        ),
     )
 
 
@@ -121,9 +114,8 @@ def hold_out_values(diagnosis: Diagnosis) -> ReportTable:
     observations, fitted = diagnosis.readings.observations, diagnosis.fit
     causes = [hypothesis.cause for hypothesis in fitted.explanation.hypotheses]
     names = [(cause.name, parameter.name) for cause in causes for parameter in cause.parameters]
-    errors = np.full(len(names), np.nan)
-    errors[fitted.at.free] = jackknife(fitted, observations.group, len(observations.captures))
-    by_name = dict(zip(names, errors, strict=True))
+    errors = jackknife(fitted, observations.group, len(observations.captures))
+    by_name = {names[free]: float(error) for free, error in zip(fitted.at.free, errors, strict=True)}
     note = (
         "By the captures: jackknife, from the change of each value when one capture is left out. A larger figure than "
         "that of the diagnosis means that captures differ by more than the noise of their readings."
@@ -137,19 +129,7 @@ def hold_out_values(diagnosis: Diagnosis) -> ReportTable:
             "value": "each.value",
             "unit": "each.unit",
             "one sigma by the diagnosis": "each.sigma",
-            "one sigma by the captures": lambda row: float(by_name[row.cause.name, row.each.name]),
+            "one sigma by the captures": lambda row: by_name.get((row.cause.name, row.each.name), np.nan),
         },
         (note,),
-    )
-
-
-def _notes(diagnosis: Diagnosis) -> tuple[str, ...]:
-    observations, excluded = diagnosis.observations, [moved.capture for moved in diagnosis.excluded]
-    kept = not_excluded(observations, diagnosis.excluded)
-    acting = "; ".join(f"{cause.name}, {cause.variant}" for cause in diagnosis.causes)
-    captures = ", ".join(str(capture) for capture in excluded) or "no capture"
-    return (
-        f"Rms of the angle, both axes together. At work: {acting}.",
-        f"Neither fitted nor tested: {captures}; {int(np.sum(kept & ~diagnosis.used))} single readings far from their "
-        "neighbours.",
     )

@@ -8,7 +8,6 @@ prescription says: there the picture that is rendered with the prescription impr
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from typing import Generic
 
 import numpy as np
 
@@ -17,8 +16,8 @@ from wlr_render.bench.session_captures import display_captures, see_through_capt
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, SeeThroughCaptures, select
-from wlr_render.captures.session import Session
+from wlr_render.captures.correspondences import AnyCaptures, select
+from wlr_render.captures.session import AnyPlan, Session
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
@@ -48,33 +47,13 @@ class Refitted:
     improvement: HeldOutImprovement
 
 
-@dataclass(frozen=True)
-class _Refit(Generic[AnyModel]):
-    """Models by the nominal and by the corrected bench, and their errors."""
-
-    before: AnyModel
-    after: AnyModel
-    refitted: Refitted
-
-
-def _display_captures(bench: Bench, session: Session) -> DisplayCaptures:
-    plan, pixel = session.plan.display, session.readings.panel_pixel
-    if plan is None or pixel is None:
-        raise BadInputError(f"{session.name}: has no display table, so no display model can be fitted; add one.")
-    return display_captures(bench, plan, pixel)
-
-
-def _see_through_captures(bench: Bench, session: Session) -> SeeThroughCaptures:
-    plan, pixel = session.plan.see_through, session.readings.dot_pixel
-    if plan is None or pixel is None:
-        raise BadInputError(f"{session.name}: has no seethrough table, so no see-through model can be fitted; add one.")
-    return see_through_captures(bench, plan, pixel)
-
-
 def _refit(
     before: AnyCaptures, after: AnyCaptures, fit: Callable[[AnyCaptures], ModelFit[AnyModel]]
-) -> _Refit[AnyModel]:
+) -> tuple[AnyModel, AnyModel, Refitted]:
     """Fit one side of the headset to its captures as the nominal and as the corrected bench describe them.
+
+    Returns:
+        The model by each bench, and their errors.
 
     Raises:
         BadInputError: the captures do not determine a model.
@@ -90,15 +69,13 @@ def _refit(
     before, after = select(before, rows), select(after, rows)
     names = np.unique(before.capture)
     out = np.isin(before.capture, rng.permutation(names)[: max(2, len(names) // _HELD_OUT)])
-    whole, judge = models(np.ones_like(out)), select(after, out)
-    old, new = (arcmin_between(model.seen(judge).value, judge.view_dir) for model in models(~out))
-    both = np.isfinite(old) & np.isfinite(new)
-    names, owner = np.unique(judge.capture[both], return_inverse=True)
-    squares = [np.bincount(owner, error[both] ** 2, len(names)).astype(np.float64) for error in (old, new)]
-    rms = [float(np.sqrt(square.sum() / both.sum())) for square in squares]
-    return _Refit(
-        whole[0].mapping, whole[1].mapping, Refitted(rms[0], rms[1], held_out_improvement(squares[0], squares[1]))
-    )
+    (old, new), judge = models(np.ones_like(out)), select(after, out)
+    errors = [arcmin_between(model.seen(judge).value, judge.view_dir) for model in models(~out)]
+    both = np.isfinite(errors).all(axis=0)
+    owner = np.unique(judge.capture[both], return_inverse=True)[1]
+    squares = [np.bincount(owner, error[both] ** 2).astype(np.float64) for error in errors]
+    was, now = (float(np.sqrt(square.sum() / both.sum())) for square in squares)
+    return old.mapping, new.mapping, Refitted(was, now, held_out_improvement(*squares))
 
 
 def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
@@ -153,34 +130,36 @@ def improvement_in_use(nominal: Bench, corrected: Bench, session: Session) -> Im
         corrected: the bench with the causes found.
         session: without excluded captures.
     """
-    unavailable: list[str] = []
+    plan, readings, unavailable = session.plan, session.readings, list[str]()
 
     def refitted(
-        captures: Callable[[Bench, Session], AnyCaptures], fit: Callable[[AnyCaptures], ModelFit[AnyModel]]
-    ) -> _Refit[AnyModel] | None:
+        what: tuple[str, str],
+        rows: AnyPlan | None,
+        pixel: FloatArray | None,
+        captures: Callable[[Bench, AnyPlan, FloatArray], AnyCaptures],
+        fit: Callable[[AnyCaptures], ModelFit[AnyModel]],
+    ) -> tuple[AnyModel, AnyModel, Refitted] | None:
         try:
-            return _refit(captures(nominal, session), captures(corrected, session), fit)
+            if rows is None or pixel is None:
+                table, side = what
+                raise BadInputError(f"{session.name}: has no {table} table, so no {side} model can be fitted; add one.")
+            return _refit(captures(nominal, rows, pixel), captures(corrected, rows, pixel), fit)
         except BadInputError as error:
             unavailable.append(str(error))
             return None
 
-    display = refitted(_display_captures, fit_display)
-    see_through = refitted(_see_through_captures, fit_see_through)
+    display = refitted(("display", "display"), plan.display, readings.panel_pixel, display_captures, fit_display)
+    see_through = refitted(
+        ("seethrough", "see-through"), plan.see_through, readings.dot_pixel, see_through_captures, fit_see_through
+    )
     calibrated = prescribed = None
     if display is not None and see_through is not None:
-        old = _eye(corrected, display.before, see_through.before)
-        new = _eye(corrected, display.after, see_through.after)
+        old, new = _eye(corrected, display[0], see_through[0]), _eye(corrected, display[1], see_through[1])
         was, truth = _traced(nominal), _traced(corrected)
-        viewpoint, point = _places(truth, new)
-        calibrated = _rendered(truth, old, new, viewpoint, point)
-        prescribed = _rendered(new, was, truth, viewpoint, point)
-    return ImprovementInUse(
-        display.refitted if display else None,
-        see_through.refitted if see_through else None,
-        calibrated,
-        prescribed,
-        tuple(unavailable),
-    )
+        places = _places(truth, new)
+        calibrated, prescribed = _rendered(truth, old, new, *places), _rendered(new, was, truth, *places)
+    first, second = (each[2] if each else None for each in (display, see_through))
+    return ImprovementInUse(first, second, calibrated, prescribed, tuple(unavailable))
 
 
 def _eye(bench: Bench, display: DisplayMapping, see_through: SeeThroughMapping) -> Eye:
@@ -206,14 +185,10 @@ def _places(truth: Eye, model: Eye) -> tuple[FloatArray, FloatArray]:
 
 
 def _rendered(judge: Eye, before: Eye, after: Eye, viewpoint: FloatArray, point: FloatArray) -> Rendered:
-    old, new = (
-        misalignment_arcmin(judge, viewpoint, _lit_pixel(eye, viewpoint, point), point) for eye in (before, after)
-    )
-    both = np.isfinite(old) & np.isfinite(new)
-    return Rendered(summary(old[both]), summary(new[both]))
-
-
-def _lit_pixel(eye: Eye, viewpoint: FloatArray, point: FloatArray) -> FloatArray:
-    """Return the panel position (n, 2) that rendering with an eye's mappings lights for a real point."""
-    seen = eye.see_through.view_dir_of_real_point(point, viewpoint)
-    return eye.display.pixel_of_view_dir(seen.value, viewpoint).value
+    errors = []
+    for eye in (before, after):
+        seen = eye.see_through.view_dir_of_real_point(point, viewpoint).value
+        lit = eye.display.pixel_of_view_dir(seen, viewpoint).value
+        errors.append(misalignment_arcmin(judge, viewpoint, lit, point))
+    both = np.isfinite(errors).all(axis=0)
+    return Rendered(*(summary(each[both]) for each in errors))

@@ -12,9 +12,9 @@ from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables, verdict_sentences
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ResidualSummary
 from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_use
-from wlr_render.diagnosis.noise_sentences import bench_sentence
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
+from wlr_render.diagnosis.verdict_sentences import bench_sentence
 from wlr_render.report.blocks import Block, Plot, Report, ReportTable, Section, Text, capitalised
 from wlr_render.report.records import fields_of
 from wlr_render.report.save import save_report
@@ -131,21 +131,17 @@ def _next_steps(diagnosis: Diagnosis, folder: Path, add_causes: Sequence[str]) -
         return []
     plan = diagnosis.observations.session.plan
     corrected = folder / CORRECTED
-
-    def quote(path: Path) -> str:
-        return shlex.quote(str(path))
-
-    added = f" --add-causes {shlex.join(add_causes)}" if add_causes else ""
-    commands = [f"diagnose {quote(corrected)} --out {quote(folder / 'again')}{added}"]
+    added = ["--add-causes", *add_causes] if add_causes else []
+    commands = [["diagnose", str(corrected), "--out", str(folder / "again"), *added]]
     if plan.display is not None and plan.see_through is not None:
-        commands.append(f"calibrate {quote(corrected)}")
+        commands.append(["calibrate", str(corrected)])
     if diagnosis.corrected.device is not diagnosis.observations.nominal.device:
-        commands.append(f"render {quote(corrected / 'device.toml')} desk")
+        commands.append(["render", str(corrected / "device.toml"), "desk"])
     text = (
         f"The folder {corrected} is a session: the readings that were used, and the corrected bench. Check that it "
         "predicts the readings, and use it:"
     )
-    return [Text(text, [f"wlr-render {command}" for command in commands])]
+    return [Text(text, [f"wlr-render {shlex.join(command)}" for command in commands])]
 
 
 def save_diagnosis(diagnosis: Diagnosis, folder: str | Path) -> list[Path]:

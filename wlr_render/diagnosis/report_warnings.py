@@ -6,10 +6,9 @@ import numpy as np
 
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause, ParameterValue
 from wlr_render.diagnosis.fit import times_between_captures
-from wlr_render.diagnosis.noise_sentences import undetermined_parts
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.settings import Settings
-from wlr_render.diagnosis.verdict_sentences import undecided, value_text
+from wlr_render.diagnosis.verdict_sentences import undecided, undetermined_parts, value_text
 from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
 from wlr_render.numerics.scatter_search import FEWEST_TO_STAND_OUT
 from wlr_render.report.blocks import cell_text
@@ -28,12 +27,17 @@ def warnings(diagnosis: Diagnosis) -> list[str]:
     """Return the limits of the result; each a sentence."""
     found, settings = _noise_to_state(diagnosis), diagnosis.settings
     found += [_confusable(cause, settings) for cause in diagnosis.causes if cause.degenerate]
-    found += [
-        _unusual(cause, parameter, stated_prior(diagnosis, cause, parameter))
-        for cause in diagnosis.causes
-        for parameter in cause.parameters
-        if parameter.sigma > 0 and _prior_sigmas(diagnosis, cause, parameter) > _UNUSUAL
-    ]
+    for cause in diagnosis.causes:
+        for parameter in cause.parameters:
+            stated = stated_prior(diagnosis, cause, parameter)
+            mean, sigma = stated or (parameter.prior_mean, parameter.prior_sigma)
+            off = abs(parameter.value - mean) / sigma
+            if parameter.sigma > 0 and off > _UNUSUAL:
+                unlike = f"{off:.0f} times its usual size; suspect"
+                if stated:
+                    prior = f"the prior in bench.toml ([{mean:g}, {sigma:g}]); check that prior"
+                    unlike = f"{off:.0f} sigma from {prior}, or suspect"
+                found.append(f"{cause.name}: {value_text(parameter)} is {unlike} a cause that is not in the list.")
     if diagnosis.correlations.condition > settings.max_condition:
         found.append(
             f"The values found are correlated (condition {diagnosis.correlations.condition:.0g}): several sets of them "
@@ -74,27 +78,6 @@ def stated_prior(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterVa
     return diagnosis.observations.nominal.priors.get(cause.name, {}).get(parameter.name)
 
 
-def _prior_sigmas(diagnosis: Diagnosis, cause: FoundCause, parameter: ParameterValue) -> float:
-    """Return the distance of a value from the mean of its prior, in prior sigmas."""
-    mean, sigma = stated_prior(diagnosis, cause, parameter) or (parameter.prior_mean, parameter.prior_sigma)
-    return abs(parameter.value - mean) / sigma
-
-
-def _unusual(cause: FoundCause, parameter: ParameterValue, stated: tuple[float, float] | None) -> str:
-    """Return the warning of a value that its prior does not expect."""
-    if stated is None:
-        times = abs(parameter.value - parameter.prior_mean) / parameter.prior_sigma
-        return (
-            f"{cause.name}: {value_text(parameter)} is {times:.0f} times its usual size; suspect a cause that is not "
-            "in the list."
-        )
-    mean, sigma = stated
-    return (
-        f"{cause.name}: {value_text(parameter)} is {abs(parameter.value - mean) / sigma:.0f} sigma from the prior in "
-        f"bench.toml ([{mean:g}, {sigma:g}]); check that prior, or suspect a cause that is not in the list."
-    )
-
-
 def _noise_to_state(diagnosis: Diagnosis) -> list[str]:
     """Return the noise to type into the bench file, where the stated noise is not believable."""
     floors = diagnosis.noise_floors
@@ -106,14 +89,12 @@ def _noise_to_state(diagnosis: Diagnosis) -> list[str]:
     is_one = len(wrong) == len(floors) and max(measured) < _NEARLY_ONE * min(measured)
     if is_one and all(abs(floor.stated_px / stated - 1.0) < _SAME_STATED for floor in wrong):
         typed = float(np.average(measured, weights=[floor.error_px**-2 for floor in wrong]))
-        off = _percent(typed, stated)
-        return [f"The noise differs from point_sigma_px by {off}: type point_sigma_px = {typed:#.3g}."]
-    parts = " and ".join(f"{floor.part} by {_percent(floor.measured_px, floor.stated_px)}" for floor in wrong)
+        off = 100 * abs(typed / stated - 1.0)
+        return [f"The noise differs from point_sigma_px by {off:.0f} %: type point_sigma_px = {typed:#.3g}."]
+    parts = " and ".join(
+        f"{floor.part} by {100 * abs(floor.measured_px / floor.stated_px - 1.0):.0f} %" for floor in wrong
+    )
     return [f"The noise differs from the stated one: {parts}. The diagnosis uses the measured noise."]
-
-
-def _percent(value: float, reference: float) -> str:
-    return f"{100 * abs(value / reference - 1.0):.0f} %"
 
 
 def _too_few(diagnosis: Diagnosis) -> list[str]:

@@ -3,14 +3,15 @@
 Angles are seen by the camera, in arcminutes to the right and down.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.captures.session import DisplayPlan, SeeThroughPlan
+from wlr_render.captures.session import StagePlan
 from wlr_render.diagnosis.diagnosis import Diagnosis
-from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.diagnosis.findings import PART_UNITS, in_unit_of_part
+from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
 from wlr_render.geometry.directions import ARCMIN, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
@@ -91,14 +92,12 @@ class PartView:
 
 def part_views(diagnosis: Diagnosis) -> list[PartView]:
     """Return a view of every part that has readings that count."""
-    return [_view(diagnosis, int(part)) for part in np.unique(diagnosis.observations.part[diagnosis.used])]
-
-
-def _view(diagnosis: Diagnosis, part: int) -> PartView:
     benches = {"bench as described": diagnosis.residual_before}
     if diagnosis.is_corrected:
         benches["corrected bench"] = diagnosis.residual_after
-    return part_view(diagnosis.observations, part, diagnosis.used, benches, diagnosis.usual_motion)
+    observations, used = diagnosis.observations, diagnosis.used
+    parts = np.unique(observations.part[used])
+    return [part_view(observations, int(part), used, benches, diagnosis.usual_motion) for part in parts]
 
 
 def part_view(
@@ -119,14 +118,11 @@ def part_view(
     """
     rows = observations.part == part
     used = used[rows]
-    views = {DISPLAY: _display, SEE_THROUGH: _see_through, RUN_TIME: _run_time}
-    place, maps, variables = views[part](observations, used)
+    place, maps, variables = (_display, _see_through, _run_time)[part](observations, used)
     shown = []
     for name, residual in states.items():
-        seen = observations.arcminutes(residual, part)
-        on_map = observations.panel_pixels(residual) if part == DISPLAY else seen
-        counted = (np.where(used[:, None], each, np.nan) for each in (seen, on_map))
-        shown.append(BenchResiduals(name, *counted))
+        seen_and_mapped = observations.arcminutes(residual, part), in_unit_of_part(observations, residual, part)
+        shown.append(BenchResiduals(name, *(np.where(used[:, None], each, np.nan) for each in seen_and_mapped)))
     sigma_px = float(np.sqrt(np.mean(observations.sigma_of(part) ** 2)))
     motion = [observations.arcminutes(each, part) for each in np.moveaxis(usual_motion, 2, 0)]
     return PartView(
@@ -136,14 +132,14 @@ def part_view(
         np.stack(motion, axis=-1),
         observations.group[rows],
         place,
-        "panel px" if part == DISPLAY else "arcmin",
+        PART_UNITS[part],
         ("panel u (px)", "panel v (px)") if part == DISPLAY else ("right (deg)", "down (deg)"),
-        maps,
+        tuple(maps),
         tuple(variable for variable in variables if np.ptp(variable.values) > 1e-9),
     )
 
 
-_View = tuple[FloatArray, tuple[FieldMap, ...], tuple[Variable, ...]]
+_View = tuple[FloatArray, list[FieldMap], list[Variable]]
 """Place in the field of view (m, 2), right and down, of each reading of a part; its maps and variables."""
 
 
@@ -153,13 +149,22 @@ def _display(observations: Observations, used: BoolArray) -> _View:
     assert pixel is not None
     from_middle = pixel - 0.5 * observations.nominal.optics.panel.pixels.size_px
     outwards = _unit(np.einsum("nij,nj->ni", observations.camera_from_panel, from_middle))
-    variables = (
+    variables = [
         *_times_and_stage(observations, plan),
         Variable("colour (0 red, 1 green, 2 blue)", plan.channel.astype(np.float64), outwards),
         Variable("radius on panel (px)", np.linalg.norm(from_middle, axis=1), outwards),
         _camera_radius(observations, plan.camera_pixel),
-    )
-    return pixel, _display_maps(plan, used, observations.nominal.stage.origin), variables
+    ]
+    # The capture in the middle of all, then each time the one farthest from those chosen.
+    captures = np.flatnonzero(used)[np.unique(plan.capture[used], return_index=True)[1]]
+    stage = plan.stage[captures]
+    middle = captures[np.argmin(np.linalg.norm(stage - stage.mean(axis=0), axis=1))]
+    others = _far_apart(plan.stage, [captures] * (min(_MOST, len(captures)) - 1), plan.stage[middle])
+    maps = [
+        FieldMap(_title(observations, plan, row), used & (plan.capture == plan.capture[row]))
+        for row in (middle, *others)
+    ]
+    return pixel, maps, variables
 
 
 def _see_through(observations: Observations, used: BoolArray) -> _View:
@@ -167,16 +172,28 @@ def _see_through(observations: Observations, used: BoolArray) -> _View:
     assert plan is not None
     assert pixel is not None
     distance, radius = observations.target_distance(), _camera_radius(observations, pixel)
-    variables = (
+    variables = [
         *_times_and_stage(observations, plan),
         Variable("distance of the target (m)", distance),
         Variable("distance of the target (m)", distance, radius.outwards),
         Variable("radius on target (mm)", 1e3 * np.linalg.norm(plan.dot, axis=1)),
         radius,
-    )
+    ]
     camera = observations.nominal.camera
     place = np.degrees(np.arctan((pixel - camera.centre_px) / camera.focal_px))
-    return place, _see_through_maps(plan, used, observations.nominal.stage.origin, distance), variables
+    # One capture for each target pose, near to far, each far from those of the other poses.
+    poses, first = np.unique(plan.target_pose[used], return_index=True)
+    of_pose = [
+        np.flatnonzero(used & (plan.target_pose == pose)) for pose in _some(poses[np.argsort(distance[used][first])])
+    ]
+    maps = [
+        FieldMap(
+            f"target pose {plan.target_pose[row]} at {distance[row]:.2f} m, {_title(observations, plan, row)}",
+            used & (plan.target_pose == plan.target_pose[row]) & (plan.capture == plan.capture[row]),
+        )
+        for row in _far_apart(plan.stage, of_pose, plan.stage[used].mean(axis=0))
+    ]
+    return place, maps, variables
 
 
 def _run_time(observations: Observations, used: BoolArray) -> _View:
@@ -187,7 +204,7 @@ def _run_time(observations: Observations, used: BoolArray) -> _View:
     head = plan.world_from_device[:, :3, 3]
     rate = np.degrees(np.einsum("nji,nj->ni", plan.world_from_device[:, :3, :3], plan.head_rate))
     gaze = np.degrees(np.arctan(tangents_of_dir(plan.gaze)))
-    variables = (
+    variables = [
         Variable("time (s)", plan.time_s),
         Variable("distance of the dot (m)", np.linalg.norm(plan.dot - head, axis=1)),
         Variable("head turns up (deg/s)", rate[:, 0]),
@@ -195,18 +212,19 @@ def _run_time(observations: Observations, used: BoolArray) -> _View:
         Variable("gaze right (deg)", gaze[:, 0]),
         Variable("gaze up (deg)", gaze[:, 1]),
         Variable("dot down in the field (deg)", -real_deg[:, 1]),
-    )
+    ]
     numbers = _some(np.unique(plan.capture[used]))
-    maps = tuple(FieldMap(f"recording {number}", used & (plan.capture == number)) for number in numbers)
+    maps = [FieldMap(f"recording {number}", used & (plan.capture == number)) for number in numbers]
     return real_deg * [1.0, -1.0], maps, variables
 
 
-def _times_and_stage(observations: Observations, plan: DisplayPlan | SeeThroughPlan) -> list[Variable]:
-    from_origin = 1e3 * (plan.stage - observations.nominal.stage.origin)
-    named = zip(("right", "up", "back"), "xyz", from_origin.T, strict=True)
+def _times_and_stage(observations: Observations, plan: StagePlan) -> list[Variable]:
+    x, y, z = 1e3 * (plan.stage - observations.nominal.stage.origin).T
     return [
         Variable("time (s)", plan.time_s),
-        *(Variable(f"stage {axis}, {way} (mm)", values) for way, axis, values in named),
+        Variable("stage x, right (mm)", x),
+        Variable("stage y, up (mm)", y),
+        Variable("stage z, back (mm)", z),
     ]
 
 
@@ -219,57 +237,20 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True).clip(1e-12))
 
 
-def _display_maps(plan: DisplayPlan, used: BoolArray, origin: FloatArray) -> tuple[FieldMap, ...]:
-    """Return maps of the capture in the middle of all, then each time of the one farthest from those chosen.
-
-    Args:
-        plan: of the display.
-        used: (m,) readings that count.
-        origin: (3,) zero of the stage positions in titles, metres, device frame.
-    """
-    numbers, first = np.unique(plan.capture[used], return_index=True)
-    stage = plan.stage[used][first]
-    chosen = [int(np.argmin(np.linalg.norm(stage - stage.mean(axis=0), axis=1)))]
-    while len(chosen) < min(_MOST, len(numbers)):
-        chosen.append(_farthest(stage, stage[chosen]))
-    return tuple(
-        FieldMap(f"capture {numbers[k]} {_place(stage[k] - origin)}", used & (plan.capture == numbers[k]))
-        for k in chosen
-    )
+def _title(observations: Observations, plan: StagePlan, row: int) -> str:
+    """Return the name and the place of the capture of a row, from the zero of the stage."""
+    x, y, z = 1e3 * (plan.stage[row] - observations.nominal.stage.origin)
+    return f"capture {plan.capture[row]} at ({x:+.1f}, {y:+.1f}, {z:+.1f}) mm"
 
 
-def _see_through_maps(
-    plan: SeeThroughPlan, used: BoolArray, origin: FloatArray, distance: FloatArray
-) -> tuple[FieldMap, ...]:
-    """Return a map of one capture for each target pose, near to far, each far from those of the other poses.
-
-    Args:
-        plan: of see-through.
-        used: (m,) readings that count.
-        origin: (3,) zero of the stage positions in titles, metres, device frame.
-        distance: (m,) of the target, metres.
-    """
-    poses, first = np.unique(plan.target_pose[used], return_index=True)
-    maps, places = [], [plan.stage[used].mean(axis=0)]
-    for pose in _some(poses[np.argsort(distance[used][first])]):
-        rows = np.flatnonzero(used & (plan.target_pose == pose))
-        row = rows[_farthest(plan.stage[rows], np.array(places))]
-        places.append(plan.stage[row])
-        title = (
-            f"target pose {pose} at {distance[row]:.2f} m, capture {plan.capture[row]} {_place(places[-1] - origin)}"
-        )
-        maps.append(FieldMap(title, used & (plan.target_pose == pose) & (plan.capture == plan.capture[row])))
-    return tuple(maps)
-
-
-def _farthest(places: FloatArray, chosen: FloatArray) -> int:
-    """Return the index of the place (k, 3) whose nearest one among those chosen (c, 3) is farthest away."""
-    return int(np.argmax(np.linalg.norm(places[:, None] - chosen, axis=-1).min(axis=1)))
-
-
-def _place(from_origin: FloatArray) -> str:
-    x, y, z = 1e3 * from_origin
-    return f"at ({x:+.1f}, {y:+.1f}, {z:+.1f}) mm"
+def _far_apart(places: FloatArray, choices: Iterable[IntArray], start: FloatArray) -> list[int]:
+    """Return one row of each choice of rows: the one whose place (3,) is farthest from `start` and those chosen."""
+    rows, chosen = list[int](), [start]
+    for choice in choices:
+        nearest = np.linalg.norm(places[choice][:, None] - np.array(chosen), axis=-1).min(axis=1)
+        rows.append(int(choice[np.argmax(nearest)]))
+        chosen.append(places[rows[-1]])
+    return rows
 
 
 def _some(numbers: IntArray) -> IntArray:

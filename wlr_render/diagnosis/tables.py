@@ -1,20 +1,20 @@
 """The tables of a diagnosis; tables without content have no rows."""
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from wlr_render.diagnosis.diagnosis import Diagnosis, FoundCause
+from wlr_render.diagnosis.findings import PART_UNITS, rms_of_captures
 from wlr_render.diagnosis.held_out import HeldOutImprovement
 from wlr_render.diagnosis.improvement import ImprovementInUse
-from wlr_render.diagnosis.noise_sentences import undetermined_parts
+from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.report_warnings import stated_prior
-from wlr_render.diagnosis.verdict_sentences import AXES_NOTE, RESIDUALS, odds_text, value_text
+from wlr_render.diagnosis.verdict_sentences import AXES_NOTE, RESIDUALS, odds_text, undetermined_parts, value_text
 from wlr_render.report.blocks import Cell, ReportTable, quantity, table
 
-_UNITS = {" panel px": "panel px", "'": "arcmin"}
 _UNCHANGED = 0.05  # percent: rounds to 0.0
 _RANKED = 6  # candidates of each place that the table shows
 
@@ -34,8 +34,8 @@ def residuals_table(diagnosis: Diagnosis) -> ReportTable:
     (*_, (last, left)) = benches.items()
     unknown = undetermined_parts(diagnosis)
     measures = [
-        (f"{name} ({_UNITS[unit]})", attribute, part in unknown)
-        for part, name, attribute, unit in RESIDUALS
+        (f"{name} ({PART_UNITS[PART_NAMES.index(part)]})", attribute, part in unknown)
+        for part, (name, attribute, _) in RESIDUALS.items()
         if getattr(diagnosis.before, attribute) is not None
     ]
     rows: list[list[Cell]] = []
@@ -180,7 +180,9 @@ def ranking_table(diagnosis: Diagnosis) -> ReportTable:
 
 def captures_table(diagnosis: Diagnosis) -> ReportTable:
     """Return one row for each capture."""
-    white = _whitened_rms(diagnosis)
+    observations, residual = diagnosis.readings.observations, diagnosis.fit.residual
+    readings, white = rms_of_captures(observations, residual, np.ones(len(residual), dtype=bool))
+    whitened = {str(name): float(white[n]) for n, name in enumerate(observations.captures) if readings[n]}
     rms = {"rms before (sigma)": "rms_before", "rms after (sigma)": "rms_after"}
     note = (
         "Before: with the bench as described. After: with the causes found. Both contain the capture's motion. "
@@ -194,19 +196,11 @@ def captures_table(diagnosis: Diagnosis) -> ReportTable:
             "readings": "readings",
             # Without causes both benches are one.
             **(rms if diagnosis.is_corrected else {"rms (sigma)": "rms_before"}),
-            "rms, whitened": lambda each: white.get(each.capture),
+            "rms, whitened": lambda each: whitened.get(each.capture),
             "excluded": lambda each: "yes" if each.excluded else "",
         },
         (note,),
     )
-
-
-def _whitened_rms(diagnosis: Diagnosis) -> dict[str, float]:
-    """Return the rms of each capture's residual with independent errors, by its name."""
-    observations, squares = diagnosis.readings.observations, np.mean(diagnosis.fit.residual**2, axis=1)
-    count = np.bincount(observations.group, minlength=len(observations.captures))
-    rms = np.sqrt(np.bincount(observations.group, squares, len(count)) / count.clip(1))
-    return {str(name): float(rms[n]) for n, name in enumerate(observations.captures) if count[n]}
 
 
 def excluded_table(diagnosis: Diagnosis) -> ReportTable:
@@ -219,8 +213,8 @@ def excluded_table(diagnosis: Diagnosis) -> ReportTable:
         (*diagnosis.excluded, *diagnosis.too_many_moved),
         {
             "capture": lambda moved: str(moved.capture),
-            **{f"shift {axis} (mm)": _component("shift_mm", number) for number, axis in enumerate("xyz")},
-            **{f"turn {axis} (deg)": _component("turn_deg", number) for number, axis in enumerate("xyz")},
+            **{f"shift {axis} (mm)": partial(_component, "shift_mm", number) for number, axis in enumerate("xyz")},
+            **{f"turn {axis} (deg)": partial(_component, "turn_deg", number) for number, axis in enumerate("xyz")},
             "rms (sigma)": "rms_before",
             "rms, moved (sigma)": "rms_after",
             "log10 odds": lambda each: _odds(each.log10_odds),
@@ -229,14 +223,10 @@ def excluded_table(diagnosis: Diagnosis) -> ReportTable:
     )
 
 
-def _component(attribute: str, number: int) -> Callable[[MovedCapture], Cell]:
-    """Return the column of one component of a move; a dash where the move is not known."""
-
-    def cell(moved: MovedCapture) -> Cell:
-        values = getattr(moved, attribute)
-        return None if values is None else f"{values[number]:+.3f}"
-
-    return cell
+def _component(attribute: str, number: int, moved: MovedCapture) -> str | None:
+    """Return one component of a move; None where the move is not known."""
+    values = getattr(moved, attribute)
+    return None if values is None else f"{values[number]:+.3f}"
 
 
 def effects_table(diagnosis: Diagnosis) -> ReportTable:

@@ -1,25 +1,29 @@
-"""Sentences of a diagnosis: the verdict, the advice, and the values to type into the bench file."""
+"""Sentences of a diagnosis: the verdict, the noise and repeatability, the advice, and the values for the bench file."""
 
 from contextlib import suppress
+from math import exp, expm1, isfinite
 from typing import Any
 
 import numpy as np
 
 from wlr_render.bench.bench_file import WRITTEN_FRAME, changed_keys
 from wlr_render.diagnosis.diagnosis import (
+    EXPLAINED,
     NO_EFFECT,
     PARTLY,
     DegenerateCause,
     Diagnosis,
     FoundCause,
+    MotionSize,
     ParameterValue,
     StationEffect,
 )
-from wlr_render.diagnosis.effect_findings import SEPARATED_BY
-from wlr_render.diagnosis.noise_sentences import undetermined_parts
+from wlr_render.diagnosis.effect_findings import STATIONS
+from wlr_render.diagnosis.noise import NoiseFloor
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME
 from wlr_render.diagnosis.settings import Settings
 from wlr_render.errors import BadInputError
+from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 from wlr_render.report.blocks import capitalised, cell_text, decimals, quantity
 
 _REMEDIES = {
@@ -34,28 +38,19 @@ _REMEDIES = {
 }
 """Remedies of a cause, by the part of the bench that it belongs to."""
 
-RESIDUALS = (
-    ("display", "display", "display_rms_px", " panel px"),
-    ("see-through", "see-through", "see_through_rms_arcmin", "'"),
-    ("run-time", "virtual against real dot", "run_time_rms_arcmin", "'"),
-)
-"""Each part, the name of its residual, the attribute of `ResidualSummary`, and the unit to append to a number."""
-
-WHERE = {
-    "panel": "on the panel",
-    "combiner": "on the combiner",
-    "camera": "in the camera",
-    "target": "on the target",
-    "stage": "of the stage",
-    "time": "in the course of the session",
-    "head motion": "of the head's motion",
-    "eye tracking": "of the eye tracking",
+RESIDUALS = {
+    "display": ("display", "display_rms_px", " panel px"),
+    "see-through": ("see-through", "see_through_rms_arcmin", "'"),
+    "run-time": ("virtual against real dot", "run_time_rms_arcmin", "'"),
 }
-"""Stations as they stand in a sentence."""
+"""Name of the residual of each part, the attribute of `ResidualSummary`, and the unit to append to a number."""
 
 _MUCH_NOISE = 1.5  # ratio of measured to stated noise from which "to its noise" would mislead
 _DECIDED = 2.0  # log10 odds against another station from which the session tells them apart
 _CLEAR = 3.0  # standard errors from which the verdict counts a value
+_UNSURE = 0.5  # relative error of a size from which only its upper limit is stated
+_ABOUT_HALF = 0.05  # difference of a share from one half that is not worth a number
+_AS_STATED = 0.02  # relative difference of the noise that is not worth a word
 _CERTAIN = 20.0  # log10 odds beyond which the number says no more
 _MATRIX = "[["  # start of a typed list of lists, which is too long for a sentence
 
@@ -116,14 +111,14 @@ def _left_over(diagnosis: Diagnosis) -> list[str]:
 
 def _times_the_noise(diagnosis: Diagnosis, part: str) -> float:
     """Return the residual of a part with the causes found, over the residual that noise alone gives."""
-    attribute = next(attribute for name, _, attribute, _ in RESIDUALS if name == part)
+    _, attribute, _ = RESIDUALS[part]
     return float(getattr(diagnosis.after, attribute) / getattr(diagnosis.noise, attribute))
 
 
 def _changes(diagnosis: Diagnosis) -> str:
     """Return the residual before and after, with the expected level, for each part the causes affect; all if none."""
     unknown, changed, unchanged = undetermined_parts(diagnosis), list[str](), list[str]()
-    for part, name, attribute, unit in RESIDUALS:
+    for part, (name, attribute, unit) in RESIDUALS.items():
         if getattr(diagnosis.before, attribute) is None:
             continue
         before, after, expected = (
@@ -134,6 +129,78 @@ def _changes(diagnosis: Diagnosis) -> str:
         changed += [f"{name} residual {before} -> {after}{usual}"] if before != after else []
         unchanged.append(f"{name} residual {before}{usual}")
     return "; ".join(changed or unchanged)
+
+
+def bench_sentence(diagnosis: Diagnosis) -> str:
+    """Return the repeatability and the noise of the bench: one sentence for each part of the session."""
+    motions, unknown = {motion.part: motion for motion in diagnosis.motions}, undetermined_parts(diagnosis)
+    sentences = []
+    for floor in diagnosis.noise_floors:
+        motion = motions.get(floor.part)
+        is_unknown = floor.part in unknown
+        figures = [_repeatability(motion)] if motion and not is_unknown else []
+        sentences.append(f"{capitalised(floor.part)}: {', '.join([*figures, _level(floor), *_shape(floor)])}.")
+        if motion and is_unknown:
+            sentences.append(f"Repeatability of the {floor.part} is not determined, as no cause explains its residual.")
+    return " ".join(sentences)
+
+
+def undetermined_parts(diagnosis: Diagnosis) -> set[str]:
+    """Return the parts with a residual by no cause that noise and repeatability of a usual size do not cover.
+
+    The fit of the causes takes that residual for motions of the captures, so their size must not be read as
+    repeatability.
+    """
+    if diagnosis.verdict in (NO_EFFECT, EXPLAINED):
+        return set()
+    scatter = diagnosis.fit.scatter
+    return {
+        floor.part
+        for floor in diagnosis.noise_floors
+        if not scatter.is_ordinary(PART_NAMES.index(floor.part), diagnosis.settings.material_excess)
+    }
+
+
+def _repeatability(motion: MotionSize) -> str:
+    shift = _size(motion.shift_um, motion.shift_error_um, "um", UNUSUAL_SHIFT)
+    turn = _size(motion.turn_urad, motion.turn_error_urad, "urad", UNUSUAL_TURN)
+    return (
+        f"{f'positions repeat to {shift}' if shift else 'repeatability of positions unknown'}, "
+        f"{f'turns to {turn}' if turn else 'repeatability of turns unknown'}"
+    )
+
+
+def _size(value: float, error: float, unit: str, unusual: float) -> str:
+    """Return a size with its error, or its upper limit where the session shows no such size; empty if unknown."""
+    if error <= _UNSURE * value:
+        return f"{quantity(value, error)} {unit}"
+    # A size that no reading depends on has an error of many powers of ten.
+    limit = value * exp(min(2.0 * error / value, 100.0))
+    return "" if limit > unusual else f"better than {cell_text(float(f'{limit:.2g}'))} {unit}"
+
+
+def _level(noise: NoiseFloor) -> str:
+    stated, measured = f"{noise.stated_px:#.3g}", f"{noise.measured_px:#.3g}"
+    if not isfinite(noise.measured_px):
+        return f"noise {stated} camera px as stated (too few points to measure it)"
+    if abs(noise.measured_px / noise.stated_px - 1.0) < _AS_STATED:
+        return f"noise {stated} camera px as stated"
+    return f"noise {measured} camera px where {stated} is stated"
+
+
+def _shape(noise: NoiseFloor) -> list[str]:
+    """Return how the noise differs between places and photographs, and how much of it neighbours share."""
+    texts = []
+    if noise.rim_factor != 1.0:
+        trend = "rising" if noise.rim_factor > 1.0 else "falling"
+        texts.append(f"{trend} to {noise.rim_factor:.2g} times in the corner of the image")
+    if noise.photographs_differ > 0.0:
+        texts.append(f"photographs differ in noise by {100 * expm1(noise.photographs_differ):.0f} %")
+    if noise.shared > 0.0:
+        share = "half" if abs(noise.shared - 0.5) < _ABOUT_HALF else f"{100 * noise.shared:.0f} %"
+        reach = f"(within {noise.shared_reach_px:.0f} camera px)"
+        texts.append(f"{share} of the noise variance is shared by neighbouring points {reach}")
+    return texts
 
 
 def effect_sentence(effect: StationEffect) -> str:
@@ -147,9 +214,9 @@ def effect_sentence(effect: StationEffect) -> str:
         noun = "spot" if effect.unit != "um" else "dent" if effect.size < 0.0 else "bump"
         shape = f"a {noun} of {size}, {cell_text(effect.length)} {effect.length_unit} wide, {_place_text(effect)}"
     odds = f"log10 odds {odds_text(effect.log10_odds)}"
-    sentence = f"an effect {WHERE[effect.station]} that no listed cause has: {shape} ({odds})"
+    sentence = f"an effect {STATIONS[effect.station][0]} that no listed cause has: {shape} ({odds})"
     if _is_ambiguous(effect):
-        sentence += f"; the session hardly tells it from an effect {WHERE[effect.next_station]}"
+        sentence += f"; the session hardly tells it from an effect {STATIONS[effect.next_station][0]}"
     return sentence
 
 
@@ -219,7 +286,7 @@ def _corrected_values(diagnosis: Diagnosis) -> list[str]:
 
 def _about_effect(effect: StationEffect) -> list[str]:
     """Return the sources to look for, the gain by a correction, and the measurement that tells two stations apart."""
-    where, gain = WHERE[effect.station], effect.held_out_improvement.percent
+    where, gain = STATIONS[effect.station][0], effect.held_out_improvement.percent
     worth = "A correction by the other captures does not improve captures left out."
     if gain > 0.0:
         share = 100 * min(max(effect.share_of_excess_removed, 0.0), 1.0)
@@ -231,7 +298,7 @@ def _about_effect(effect: StationEffect) -> list[str]:
     likely = " or ".join(effect.likely)
     steps = [f"Effects {where} of this kind often come from {likely}: look for that first. {worth}{in_bench}"]
     if _is_ambiguous(effect):
-        apart = [SEPARATED_BY[each] for each in (effect.station, effect.next_station) if each in SEPARATED_BY]
+        apart = [STATIONS[each][1] for each in (effect.station, effect.next_station)]
         steps.append(f"To tell the {effect.station} from the {effect.next_station}: {'; or '.join(apart)}.")
     if effect.station in ("panel", "combiner"):
         steps.append(
