@@ -157,19 +157,18 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
             turn_urad=float(scatter.turn_urad[number]) if shows else None,
         )
 
+    def groups(named: dict[str, BoolArray]) -> tuple[PredictedGroup, ...]:
+        return tuple(group(name, used & rows) for name, rows in named.items() if np.any(used & rows))
+
     still = replace(bench, mount=replace(bench.mount, slip_time_s=np.inf))
-    distances = {name: used & rows for name, rows in observations.target_distances().items()}
     return BenchPrediction(
         session.name,
         _mean_square(residual, used),
         None if by_own is None else _mean_square(by_own, used),
         _mean_square(residual_by(still), used) if np.isfinite(bench.mount.slip_time_s) else None,
         tuple(part(int(number)) for number in np.unique(observations.part[used])),
-        tuple(group(name, rows) for name, rows in distances.items() if rows.any()),
-        tuple(
-            group(str(observations.captures[number]), used & (observations.group == number))
-            for number in np.unique(observations.group[used])
-        ),
+        groups(observations.target_distances()),
+        groups({str(name): observations.group == number for number, name in enumerate(observations.captures)}),
         int(np.sum(noise.outlier)),
         sum(0 if each is None else len(each) for each in session.plan.parts) - len(observations),
         observations,

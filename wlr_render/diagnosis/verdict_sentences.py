@@ -180,12 +180,11 @@ def _size(value: float, error: float, unit: str, unusual: float) -> str:
 
 
 def _level(noise: NoiseFloor) -> str:
-    stated, measured = f"{noise.stated_px:#.3g}", f"{noise.measured_px:#.3g}"
-    if not isfinite(noise.measured_px):
-        return f"noise {stated} camera px as stated (too few points to measure it)"
-    if abs(noise.measured_px / noise.stated_px - 1.0) < _AS_STATED:
-        return f"noise {stated} camera px as stated"
-    return f"noise {measured} camera px where {stated} is stated"
+    stated = f"{noise.stated_px:#.3g}"
+    if abs(noise.measured_px / noise.stated_px - 1.0) >= _AS_STATED:  # NaN where not measured
+        return f"noise {noise.measured_px:#.3g} camera px where {stated} is stated"
+    unmeasured = "" if isfinite(noise.measured_px) else " (too few points to measure it)"
+    return f"noise {stated} camera px as stated{unmeasured}"
 
 
 def _shape(noise: NoiseFloor) -> list[str]:
