@@ -7,11 +7,14 @@ import pytest
 from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered
 
 from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.label_errors import label_errors
-from wlr_render.captures.correspondences import SeeThroughCaptures
+from wlr_render.captures.correspondences import Captures, SeeThroughCaptures
 from wlr_render.captures.feature_captures import CommonErrors
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.jobs.headset import open_eye
+from wlr_render.models import registration
 
 SIGMA = 0.25
 DEPTHS = (0.6, 1.0, 1.7)
@@ -82,7 +85,7 @@ def board(seed, size_m=0.0):
 
 
 def labels_of(fit, captures):
-    return label_errors(fit(captures, "planar", 3).smooth, captures)
+    return label_errors(fit(captures, "planar", 3).smooth, captures)[0]
 
 
 def said(found):
@@ -113,17 +116,36 @@ def test_a_foreign_error_is_named_by_its_label(fit, captures, label, size, seed)
 
 
 def test_a_named_error_is_in_the_predicted_one():
-    fit = fit_display(screwed(0), "planar", 3)
-    (named,) = [each for each in fit.report.labels if each.matters]
-    assert fit.report.predicted_arcmin == pytest.approx(
-        np.hypot(fit.predicted_arcmin(fit.mapping), named.in_model_arcmin)
-    )
+    without = fit_display(screwed(0), "planar", 3)
+    fit, captures = without.with_label_errors(), without.captures
+    (named,) = [each for each in fit.labels if each.matters]
+    assert set(fit.mapping.spread.sources) == {"stage axes"}
+    sigma, own = (each.mapping.sigma(captures.pixel, captures.viewpoint) for each in (fit, without))
+    assert np.sqrt(np.mean(sigma**2 - own**2)) == pytest.approx(named.in_model_arcmin, rel=0.1)
+    assert fit.report.predicted_arcmin == fit.predicted_arcmin(fit.mapping) > without.report.predicted_arcmin
+
+
+def test_a_budget_from_the_model_file_names_what_the_labels_do(tmp_path):
+    """The screw bends the display's model alone, the print the world's alone; both models share all variables."""
+    fit = calibrate(Captures(screwed(0), board(0, 2e-5)), display_degree=3, see_through_degree=3)
+    models = open_eye(str(fit.save(tmp_path / "model.json")))
+    rows, others = (np.random.default_rng(0).integers(0, len(each.captures), 300) for each in fit.both)
+    pixel, viewpoint = fit.display.captures.pixel[rows], fit.display.captures.viewpoint[rows]
+    point = fit.see_through.captures.point[others]
+    found = registration.model_registration_covariance(models.display, models.see_through, pixel, viewpoint, point)
+    rms = {name: np.sqrt(np.nanmean(np.trace(each, axis1=-2, axis2=-1))) for name, each in found.items()}
+    for name, side, label in (
+        ("stage axes", fit.display, "reading of stage axis x"),
+        ("printing errors of the board", fit.see_through, "dot"),
+    ):
+        (named,) = [each.in_model_arcmin for each in side.labels if each.label == label]
+        assert rms[name] == pytest.approx(named, rel=0.2)
 
 
 def test_an_error_of_the_readings_is_propagated_to_the_model():
     printed, exact = (fit_see_through(board(0, size), "planar", 3) for size in (2e-5, 0.0))
     changed = arcmin_between(printed.seen(printed.captures).value, exact.seen(printed.captures).value)
-    (named,) = [each for each in label_errors(printed.smooth, printed.captures) if each.stands_out]
+    (named,) = [each for each in label_errors(printed.smooth, printed.captures)[0] if each.stands_out]
     assert named.in_model_arcmin == pytest.approx(np.sqrt(np.mean(changed**2)), rel=0.3)
     assert not replace(named, own_arcmin=4.0 * named.in_model_arcmin).matters
 

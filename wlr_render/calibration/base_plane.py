@@ -14,7 +14,7 @@ _SIGNIFICANT = 10.0  # rise over thickness, squared, per degree of freedom
 
 
 def choose_base_plane(viewpoint: FloatArray, eye_box: EyeBox) -> BasePlane:
-    """Base plane of the best conditioning for captures.
+    """Return the base plane of the best conditioning for captures.
 
     At camera positions in the plane p~ is the position itself: neither the noise of a direction nor the solve mixes
     into it. So it is the least-squares plane through the positions, if they lie in one: tilted if a tilt of up to 20

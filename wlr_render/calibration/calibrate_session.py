@@ -170,7 +170,7 @@ def _refusals(
 
 
 def _excluded_before(excluded: Sequence[Excluded]) -> str:
-    """What was excluded, the worst first, is the likely cause of what is missing now."""
+    """Say what was excluded, the worst first: it is the likely cause of what is missing now."""
     if not excluded:
         return ""
     reasons = [f"{each.name}: {each.reason}" for each in excluded[:_NAMED]]
@@ -240,7 +240,7 @@ def sound_captures(
 def _of_targets(
     headset: Headset, bench: CalibratedBench, through: Sequence[tuple[BoardPhotograph, BoardObservation]]
 ) -> SeeThroughCaptures:
-    """Captures of the targets through the optics; photographs are numbered as visits."""
+    """Return captures of the targets through the optics; photographs are numbered as visits."""
     places = _place_numbers([each for each, _ in through])
     targets = []
     for number, ((each, seen), place) in enumerate(zip(through, places, strict=True)):
@@ -252,7 +252,7 @@ def _of_targets(
 
 
 def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:
-    """Samples at the places on the panel where the primary that was shown lies in its pixels."""
+    """Return samples at the places on the panel where the primary that was shown lies in its pixels."""
     offset = session.primary_offsets.get(entry.channel or "")
     return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
 
@@ -263,7 +263,7 @@ def _visits(captures: SeeThroughCaptures) -> IntArray:
 
 
 def _place_numbers(photographs: Sequence[BoardPhotograph]) -> list[int]:
-    """A number for each photograph, the same for those of one camera place."""
+    """Return a number for each photograph, the same for those of one camera place."""
     numbers: dict[str, int] = {}
     return [numbers.setdefault(each.place, len(numbers)) for each in photographs]
 

@@ -62,7 +62,7 @@ def see_through_outliers(captures: SeeThroughCaptures, photograph: IntArray) -> 
 def _outliers(
     captures: AnyCaptures, group: IntArray, fit: Callable[[AnyCaptures, str, int | None], ModelFit[AnyModel]]
 ) -> list[CaptureOutlier]:
-    """The captures that a fit finds far from where they are said to be, if their error is one that matters."""
+    """Return the captures that a fit finds far from where they are said to be, if their error is one that matters."""
     names = np.unique(group)
     rows = np.concatenate(
         [own[:: max(1, len(own) // _ROWS)] for own in (np.flatnonzero(group == name) for name in names)]

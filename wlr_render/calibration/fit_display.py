@@ -67,7 +67,7 @@ def fit_display(
 
 
 def with_trend(fitted: ModelFit[FittedDisplay], trend: Trend) -> ModelFit[FittedDisplay]:
-    """The fit with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
+    """Return the fit with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
     smooth = fitted.smooth.with_trend(trend)
     assert isinstance(fitted.mapping, BundleDisplay)
     mapping = replace(
@@ -86,7 +86,7 @@ def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend
     in_plane = captures.viewpoint[:, :2] + depth[:, None] * tangents
 
     def respond(slope: FloatArray, turned: FloatArray, rows: slice) -> FloatArray:
-        """t - f(pixel, p~): p~ moves with the camera, and with the direction that it is carried along."""
+        """Return the change of t - f(pixel, p~); p~ moves with the camera and with the direction of carrying."""
         by_place = slope[:, :, 2:]
         shifted = plane.carry_by_point(tangents[rows])
         return np.concatenate([-by_place @ shifted, turned - by_place @ carried[rows] @ turned], axis=2)
@@ -133,7 +133,10 @@ def _readings(
 
 
 def _of_points(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:
-    """t = a - w q is linear in the unknown a and w: q, where the measured ray meets the nominal plane, is known."""
+    """Return readings of t = a - w q, linear in the unknown a and w.
+
+    q, where the measured ray meets the nominal plane, is known.
+    """
     tangents, centre = captures.tangents, captures.eye_box.centre
     crossing = BasePlane(float(centre[2])).carry(captures.viewpoint, tangents) - centre[:2]
     multiplier = np.zeros((len(captures), 2, 3))

@@ -346,7 +346,7 @@ def _one_stage(fit: Callable[[Stage | None, _Both | None], _Both]) -> _Both:
 def _without_display(
     mean: FloatArray, root: FloatArray, added_mean: FloatArray, added_covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What the prior and see-through say of the parameters: mean (p,) and root (p, p) of the covariance.
+    """Return what the prior and see-through say of the parameters: mean (p,) and root (p, p) of the covariance.
 
     Args:
         mean, root: what the prior and the display say.
@@ -362,6 +362,19 @@ def _without_display(
     return covariance @ pull, np.linalg.cholesky(covariance)
 
 
+def _with_same_sources(shown: ModelFit[FittedDisplay], seen: ModelFit[FittedSeeThrough]) -> _Both:
+    """Return both fits with the sources of either one's covariance: what is the other's alone changes nothing."""
+    of_display, of_see_through = shown.mapping.spread, seen.mapping.spread
+    assert of_display is not None
+    assert of_see_through is not None
+    own = [() if each.smooth.of_labels is None else each.smooth.of_labels.sources for each in (shown, seen)]
+    common = of_display.shared - len(own[0])
+    return (
+        replace(shown, mapping=shown.mapping.with_spread(of_display.with_sources(own[1], of_display.shared))),
+        replace(seen, mapping=seen.mapping.with_spread(of_see_through.with_sources(own[0], common))),
+    )
+
+
 def _log_evidence(fitted: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]) -> float:
     return fitted.smooth.posterior.log_evidence
 
@@ -373,6 +386,9 @@ def _eye_fit(
     log_evidence: float,
 ) -> Calibration:
     source = captures.source
+    shown, seen = shown and shown.with_label_errors(), seen and seen.with_label_errors()
+    if shown is not None and seen is not None:
+        shown, seen = _with_same_sources(shown, seen)
     kind = next(each.kind for each in (shown, seen) if each is not None)
     mappings = Eye(
         f"{source.device} ({kind})",

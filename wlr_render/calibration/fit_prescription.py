@@ -155,7 +155,7 @@ def with_posterior(assembly: FittedAssembly, mean: FloatArray, covariance: Float
 
 
 def prescription_report(assembly: FittedAssembly, device: str, eye: str) -> dict[str, Any]:
-    """The assembly errors with their sigmas, and the corrected prescription as the text of a device file."""
+    """Return the assembly errors with their sigmas, and the corrected prescription as the text of a device file."""
     sigma = np.sqrt(np.diag(assembly.covariance))
     found = zip(ASSEMBLY_NAMES, assembly.values, sigma, strict=True)
     corrected = Device(device, "prescription with assembly errors fitted to captures", {eye: assembly.optics})
@@ -222,7 +222,7 @@ class _SeeThroughReadings:
 
 
 def _angles(change: FloatArray, tangents: FloatArray) -> FloatArray:
-    """Changes (n, 2) of tangents (n, 2) as angles (2 n,), of the right size on average over all directions."""
+    """Return changes (n, 2) of tangents (n, 2) as angles (2 n,), of the right size on average over all directions."""
     return np.asarray(change * (1.0 + np.sum(tangents**2, axis=1, keepdims=True)) ** -0.75).reshape(-1)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -146,7 +146,7 @@ class ModelFit(Generic[AnyModel]):
         smooth: the fit of its polynomial.
         readings_of: (captures) -> readings, with which it was made.
         orders: limits of the orders in words.
-        contraction: see `FitReport`.
+        contraction, labels: see `FitReport`.
     """
 
     kind: str
@@ -156,6 +156,7 @@ class ModelFit(Generic[AnyModel]):
     readings_of: Callable[..., FitReadings]
     orders: str
     contraction: float
+    labels: tuple[LabelError, ...] = ()
 
     @cached_property
     def report(self) -> FitReport:
@@ -188,21 +189,18 @@ class ModelFit(Generic[AnyModel]):
             wobble_urad=1e6 * smooth.turn_rad,
             moved=smooth.moved,
             log_evidence=smooth.posterior.log_evidence,
-            predicted_arcmin=self._with_labels(self.predicted_arcmin(self.mapping)),
+            predicted_arcmin=self.predicted_arcmin(self.mapping),
             held_out=tuple(self._held_out()),
             one_more=self._one_more(),
             motion_agreement=smooth.motion_agreement,
-            labels=self._labels,
+            labels=self.labels,
         )
 
-    @cached_property
-    def _labels(self) -> tuple[LabelError, ...]:
-        return label_errors(self.smooth, self.captures)
-
-    def _with_labels(self, predicted_arcmin: float) -> float:
-        """Root sum of squares of a predicted error and what the errors of labels that stand out do to the model."""
-        squares = [each.in_model_arcmin**2 for each in self._labels if each.stands_out]
-        return float(np.sqrt(predicted_arcmin**2 + sum(squares)))
+    def with_label_errors(self) -> Self:
+        """Return the fit whose covariance has the errors that the readings of a label share, see `label_errors`."""
+        labels, of_labels = label_errors(self.smooth, self.captures)
+        smooth = replace(self.smooth, of_labels=of_labels)
+        return replace(self, smooth=smooth, mapping=self.mapping.with_spread(smooth.spread), labels=labels)
 
     def predicted_arcmin(self, model: AnyModel) -> float:
         """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""
@@ -265,17 +263,17 @@ class ModelFit(Generic[AnyModel]):
             subject = self._subject(self.captures)[rows][:, None]
             sure = [np.nanmean(self.mapping.sigma(subject, place[None]) ** 2) for place in places]
             worst = places[int(np.argmax(sure))]
-            predicted = self._with_labels(self.predicted_arcmin(self.with_positions(worst)))
+            predicted = self.predicted_arcmin(self.with_positions(worst))
             name = f"a {noun} of {count} camera positions at {'xy'[axis]} = {1e3 * worst[0, axis]:+.1f} mm"
             tried.append(OneMore(name, predicted))
         return min(tried, key=lambda each: each.predicted_arcmin)
 
     def with_positions(self, viewpoint: FloatArray) -> AnyModel:
-        """The model with the covariance that further camera positions (m, 3) would give."""
+        """Return the model with the covariance that further camera positions (m, 3) would give."""
         return self.mapping.with_spread(self.smooth.spread_with(self.readings_of(self._with_positions(viewpoint))))
 
     def with_design(self, captures: DisplayCaptures | SeeThroughCaptures, hyper: Mapping[str, float]) -> AnyModel:
-        """The model with the covariance that a fit to other captures of the same headset would have.
+        """Return the model with the covariance that a fit to other captures of the same headset would have.
 
         Args:
             captures: of another design.
@@ -284,7 +282,7 @@ class ModelFit(Generic[AnyModel]):
         return self.mapping.with_spread(self.smooth.spread_from(self.readings_of(captures), hyper))
 
     def with_camera_motions(self, curve: Callable[[FloatArray], FloatArray]) -> AnyModel:
-        """The model that these captures would give if each camera had moved.
+        """Return the model that these captures would give if each camera had moved.
 
         Args:
             curve: (positions (m, 3)) -> (m, 6) rotation (rad) and displacement (m) of the camera there.
@@ -297,7 +295,7 @@ class ModelFit(Generic[AnyModel]):
         return changed
 
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
-        """The captures and further ones from viewpoints (m, 3), each of which sees what the nearest camera saw."""
+        """Return the captures and further ones from viewpoints (m, 3), each of which sees what the nearest one saw."""
         captures: Any = self.captures  # of either kind, and stays of its kind
         names, first = np.unique(captures.capture, return_index=True)
         apart = np.linalg.norm(captures.viewpoint[first] - viewpoint[:, None], axis=2)
@@ -314,7 +312,7 @@ class ModelFit(Generic[AnyModel]):
 
 
 def _bands(coordinate: FloatArray, capture: IntArray) -> IntArray:
-    """Number (n,) of the band of captures along a coordinate (n,): bands have equally many captures, about."""
+    """Return the number (n,) of each row's band along a coordinate (n,); bands have about equally many captures."""
     _, first, position = np.unique(capture, return_index=True, return_inverse=True)
     order = np.argsort(np.argsort(coordinate[first], kind="stable"), kind="stable")
     count = min(_BANDS, max(2, round(len(first) ** 0.5)))

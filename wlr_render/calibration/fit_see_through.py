@@ -105,7 +105,7 @@ def _straight(captures: SeeThroughCaptures) -> tuple[FloatArray, FloatArray]:
 
 
 def _by_point(straight: FloatArray) -> FloatArray:
-    """Derivative (n, 2, 3) of tangents (n, 2) of a straight line by its far end, times the depth of that."""
+    """Return the derivative (n, 2, 3) of tangents (n, 2) of a straight line by its far end, times the depth of that."""
     return np.concatenate([np.tile(np.eye(2), (len(straight), 1, 1)), straight[:, :, None]], axis=2)
 
 
@@ -118,7 +118,7 @@ def _readings(
     limits: Limits,
     trend: Trend | None,
 ) -> FitReadings:
-    """observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
+    """Return readings of observed (n, 2) = A(place, tangents) + B(place, tangents) / depth."""
     places, straight = place.shape[1], observed + captures.tangents
 
     def by_point(rows: slice) -> FloatArray:

@@ -17,6 +17,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from wlr_render.calibration.posterior_spread import principal
+from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import motion_columns
 from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
@@ -26,15 +28,22 @@ from wlr_render.numerics.evidence import weight_values
 STANDS_OUT, MATTERS = 2.0, 0.3
 """Log10 odds from which the captures have the errors of a label, and their least effect on the model, over the error
 that its fit expects, from which a report names them: 4 % more error."""
-_REMEDIES = {
-    "dot and pose": "Hold the board flat at all poses, and let the camera's focus alone.",
-    "dot": "Print the board on glass, or measure its dots.",
-    "visit": "Let the stage settle before each photograph.",
-    "time": "Let camera and headset warm up, and visit the positions in random order.",
-    "reading": "Measure the errors of that axis, or track the camera.",
-    "direction": "Approach all positions from one side.",
-    "cell": "Check the camera's lens and the decoding; else the optics are less smooth than the model.",
+_SOURCES = {
+    "dot and pose": (
+        "shape of the board at each pose",
+        "Hold the board flat at all poses, and let the camera's focus alone.",
+    ),
+    "dot": ("printing errors of the board", "Print the board on glass, or measure its dots."),
+    "visit": ("errors of each visit", "Let the stage settle before each photograph."),
+    "time": ("drift", "Let camera and headset warm up, and visit the positions in random order."),
+    "reading": ("stage axes", "Measure the errors of that axis, or track the camera."),
+    "direction": ("direction of travel", "Approach all positions from one side."),
+    "cell": (
+        "errors by place in the field",
+        "Check the camera's lens and the decoding; else the optics are less smooth than the model.",
+    ),
 }
+"""Source of the errors of a label, by the start of its name, and what avoids them."""
 _SIZES = np.geomspace(0.01, 10.0, 31)  # of errors per axis, in units of the noise, all as probable
 _DETERMINED = 0.2  # least information of a contrast between groups, over the largest; the fit absorbs what has less
 _CELLS, _DOTS, _DOTS_OF_POSE = 10, 16, 6  # along an axis of the image and of a board
@@ -76,9 +85,18 @@ class LabelError:
         return self.stands_out and self.in_model_arcmin > MATTERS * self.own_arcmin
 
     @property
+    def source(self) -> str:
+        """What such errors are of, as an error budget names it."""
+        return self._said[0]
+
+    @property
     def remedy(self) -> str:
         """What avoids such errors, a sentence."""
-        return next(remedy for start, remedy in _REMEDIES.items() if self.label.startswith(start))
+        return self._said[1]
+
+    @property
+    def _said(self) -> tuple[str, str]:
+        return next(said for start, said in _SOURCES.items() if self.label.startswith(start))
 
 
 @dataclass(frozen=True)
@@ -106,39 +124,49 @@ class _Label:
         return design.reshape(len(rows), 2, -1)
 
 
-def label_errors(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -> tuple[LabelError, ...]:
-    """Return the errors of all labels of the captures of a fit; () for exact data.
+def label_errors(
+    smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures
+) -> tuple[tuple[LabelError, ...], Response | None]:
+    """Return the errors of all labels of the captures of a fit, and how it follows those that stand out.
 
     Those that stand out come first, each judged with the ones before it as part of the model; the others with all.
+    Exact data have none.
     """
     readings = smooth.readings
     labels = list(_labels(smooth, captures)) if np.any(readings.sigma > 0) else []
     if not labels:
-        return ()
+        return (), None
     common = np.zeros((len(readings), 2, 0))  # errors of the bench that the captures state
     if readings.common is not None:
         common = readings.common.columns(readings.slopes(smooth.polynomial))
     groups = [_Label("common", np.zeros(len(readings), np.int64), common), *labels]
     stated, *parts = (slice(*each) for each in pairwise(np.cumsum([0, *(each.width for each in groups)])))
-    score, information, effect = _score(smooth, groups)
+    score, information, follow, of_side = _score(smooth, groups)
     score, information = _absorbed(score, information, stated, 1.0)
+    effect = _effect(smooth, follow, of_side)
     noise, own = smooth.noise * float(np.median(readings.sigma)), smooth.own_arcmin(_sample(smooth))
     named: list[LabelError] = []
+    response: Response | None = None
     left = list(zip(labels, parts, strict=True))
     while left:
         judged = []
         for label, part in left:
             ratio, log10_odds, size = _judged(score[part], information[part, part], noise)
             log10_odds -= float(np.log10(len(labels)))
-            sizes = float(np.sqrt(2.0)) * size, size * float(np.linalg.norm(effect[part]))
+            in_model = size * float(np.sqrt(np.sum(effect[:, :, part] ** 2) / len(effect)))
+            sizes = float(np.sqrt(2.0)) * size, in_model
             judged.append(LabelError(label.name, label.groups, ratio, log10_odds, *sizes, own))
         best = int(np.argmax([each.log10_odds for each in judged]))
         if not judged[best].stands_out:
-            return (*named, *sorted(judged, key=lambda each: -each.log10_odds))
+            return (*named, *sorted(judged, key=lambda each: -each.log10_odds)), response
         named.append(judged[best])
         part, size = left.pop(best)[1], judged[best].size_arcmin / np.sqrt(2.0)
+        few = size * principal(effect[:, :, part].reshape(-1, part.stop - part.start))
+        sources, mixed = (judged[best].source,) * few.shape[1], smooth.posterior.mixed_mean.size
+        of_axes = (follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
+        response = Response(sources, of_axes, (of_side[:mixed, part] @ few).T).beside(response)
         score, information = _absorbed(score, information, part, size)
-    return tuple(named)
+    return tuple(named), response
 
 
 def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -> Iterator[_Label]:
@@ -177,7 +205,7 @@ def _of_dots(captures: SeeThroughCaptures, shifted: FloatArray, turned: FloatArr
 
 
 def _numbered(group: IntArray) -> IntArray:
-    """Groups (n,) numbered without gaps; -1 stays."""
+    """Return groups (n,) numbered without gaps; -1 stays."""
     return np.asarray(np.where(group < 0, -1, np.searchsorted(np.unique(group[group >= 0]), group)))
 
 
@@ -203,10 +231,10 @@ def _cells(place: FloatArray, count: int) -> IntArray:
     return _numbered(np.where((columns < 0) | (rows < 0), -1, columns + count * rows))
 
 
-def _score(smooth: SmoothFit, labels: list[_Label]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return u = Z' K^-1 y (columns,), A = Z' K^-1 Z, and the effect (columns,) of the columns Z of all labels.
+def _score(smooth: SmoothFit, labels: list[_Label]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return u = Z' K^-1 y (k,) and A = Z' K^-1 Z for the columns Z of all labels, and how the fit follows them.
 
-    The effect is the rms change of the model at the readings that a unit error in a column causes, arcminutes.
+    That are changes (2, columns, k) of the coefficients of an output and (side, k) of the unknowns that both share.
     """
     readings, posterior, residual = smooth.readings, smooth.posterior, smooth.residual
     width = sum(each.width for each in labels)
@@ -233,24 +261,17 @@ def _score(smooth: SmoothFit, labels: list[_Label]) -> tuple[FloatArray, FloatAr
     of_side = posterior.side_covariance @ by_side
     information -= by_side.T @ of_side
     follow += posterior.by_side.transpose(0, 2, 1) @ of_side
-    return score, information, _effect(smooth, follow, of_side)
+    return score, information, follow, of_side
 
 
 def _effect(smooth: SmoothFit, follow: FloatArray, of_side: FloatArray) -> FloatArray:
-    """Return the rms change (k,) of the model at the readings, arcminutes, from changes of its unknowns.
-
-    Args:
-        smooth: the fit.
-        follow: (2, columns, k) changes of the coefficients of an output.
-        of_side: (side, k) changes of the unknowns that both tangents share.
-    """
+    """Return the change (r, 2, k) of the model at some readings, arcminutes, from changes of its unknowns."""
     readings, mixed, own = smooth.readings, smooth.posterior.mixed_mean.size, smooth.readings.coefficients
     rows = _sample(smooth)
     change = smooth.side_columns(rows)[:, :, :mixed] @ of_side[:mixed]
     if own:
         change += (readings.design(rows)[:, :own] @ follow[:, :own]).transpose(1, 0, 2)
-    change *= readings.metric[rows, None, None]
-    return np.asarray(np.sqrt(np.mean(np.sum(change**2, axis=1), axis=0)))
+    return np.asarray(change * readings.metric[rows, None, None])
 
 
 def _sample(smooth: SmoothFit) -> IntArray:

@@ -47,7 +47,7 @@ class ModelKind(Generic[AnyCaptures, AnyModel]):
 def _with_orders(
     readings_within: Callable[..., FitReadings], orders: IntArray, captures: AnyCaptures, **given: Any
 ) -> FitReadings:
-    """Readings of captures with the terms that a fit chose."""
+    """Return readings of captures with the terms that a fit chose."""
     return replace(readings_within(captures, limits=TREND_ALONE, **given), orders=orders)
 
 
@@ -140,7 +140,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         )
 
     def undetermined(self, kind: str, lacking: str) -> BadInputError:
-        """The refusal of captures that do not determine a model of a kind."""
+        """Return the refusal of captures that do not determine a model of a kind."""
         return BadInputError(f"the captures do not determine a {kind} {self.name} model: {lacking}.")
 
     def planar_box(self, captures: AnyCaptures, plane: BasePlane) -> Box:

@@ -4,7 +4,7 @@ import numpy as np
 
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import FitReadings
-from wlr_render.models.spread import Covariance
+from wlr_render.models.spread import PRESCRIPTION, Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
@@ -21,7 +21,7 @@ def spread_of(
     Args:
         readings: what was fitted.
         found: the posterior.
-        response: how the fit follows the errors that its captures share.
+        response: how the fit follows errors that it does not find.
         beyond: (blocks,) variance that terms beyond those of the fit add to an output; None for none.
     """
     orders, box, blocks = readings.orders, readings.box, readings.blocks
@@ -35,25 +35,26 @@ def spread_of(
     sample = basis(inputs, orders, box)
     weight = readings.metric[rows]
     if readings.mixed:
-        shared = 0
+        parameters = 0
         design = np.einsum("nrb,nt->nrbt", readings.multiplier[rows] * weight[:, None, None], sample)
         root = _root(found.side_covariance)
-        joint = root @ _principal(design.reshape(2 * len(rows), -1) @ root)
+        joint = root @ principal(design.reshape(2 * len(rows), -1) @ root)
         joint = _with_constant(joint.reshape(blocks, len(orders), -1).transpose(1, 0, 2), orders, beyond)
         apart = np.zeros((len(orders), 0))
         joint_orders = orders
+        parts = [joint[..., :0], joint]
     else:
         design = (readings.multiplier[rows] * weight[:, None])[:, :, None] * sample[:, None]
         design = design.reshape(len(rows), -1)
         own = readings.coefficients
         root = _root(found.alone[:own, :own])
-        apart_root = root @ _principal(design @ root)
+        apart_root = root @ principal(design @ root)
         own_factors = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
         own_factors = _with_constant(own_factors, orders, beyond)
         apart = own_factors.reshape(len(orders), blocks * own_factors.shape[2])
         # What the coefficients do with the side unknowns, the trend's parameters among them.
         trend = readings.trend
-        shared = trend.parameters if trend else 0
+        parameters = trend.parameters if trend else 0
         follow = found.by_side[:, :, :own].transpose(0, 2, 1)  # (2, columns, side)
         by_axis = follow.reshape(2, blocks, len(orders), follow.shape[2]).transpose(2, 1, 0, 3)
         by_term = by_axis.reshape(len(orders), outputs, follow.shape[2])
@@ -61,24 +62,25 @@ def spread_of(
         if trend:
             by_parameter = trend.by_parameter.coefficients.reshape(len(trend.by_parameter.orders), outputs, -1)
             padded = np.zeros((*by_parameter.shape[:2], by_term.shape[2]))
-            padded[..., :shared] = by_parameter
+            padded[..., :parameters] = by_parameter
             side = side.plus(Polynomial(trend.by_parameter.orders, box, padded.reshape(len(padded), -1)))
         joint_orders = side.orders
         joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ lower_root(found.side_covariance)
         sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(inputs)
         sampled = np.einsum("nb,nbok->nok", readings.multiplier[rows], sampled.reshape(len(rows), blocks, 2, -1))
         sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
-        keep = _principal(sampled[:, shared:], float(np.sum((design @ apart_root) ** 2)) * 2.0)
-        parts = [joint[..., :shared], joint[..., shared:] @ keep]
-        if response is not None:
-            parts.insert(1, _by_common(readings, response, joint_orders))
-            shared += len(response.coefficients)
-        joint = np.concatenate(parts, axis=-1)
+        keep = principal(sampled[:, parameters:], float(np.sum((design @ apart_root) ** 2)) * 2.0)
+        parts = [joint[..., :parameters], joint[..., parameters:] @ keep]
+    sources = (PRESCRIPTION,) * parameters
+    if response is not None:
+        parts.insert(1, _by_errors(readings, response, joint_orders))
+        sources += response.sources
+    joint = np.concatenate(parts, axis=-1)
     return Covariance(
         outputs,
         Polynomial(orders, box, apart),
         Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
-        readings.sources[:shared],
+        sources,
     )
 
 
@@ -98,16 +100,18 @@ def _root(covariance: FloatArray) -> FloatArray:
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def _by_common(readings: FitReadings, response: Response, orders: IntArray) -> FloatArray:
-    """Coefficients (terms, outputs, k) of what common errors do to a fitted polynomial, in the terms of `orders`."""
-    k, terms, blocks = len(response.coefficients), len(readings.orders), readings.blocks
+def _by_errors(readings: FitReadings, response: Response, orders: IntArray) -> FloatArray:
+    """Coefficients (terms, outputs, k) of what errors do to a fitted polynomial, in the terms of `orders`."""
+    k, terms, blocks = len(response.sources), len(readings.orders), readings.blocks
+    if readings.mixed:
+        return response.mixed.reshape(k, blocks, terms).transpose(2, 1, 0)
     of_terms = response.coefficients.reshape(k, 2, blocks, terms).transpose(3, 2, 1, 0).reshape(terms, -1)
     row_of = {tuple(order): row for row, order in enumerate(orders.tolist())}
     change = np.zeros((len(orders), of_terms.shape[1]))
     change[[row_of[tuple(order)] for order in readings.orders.tolist()]] = of_terms
     if readings.trend:
         by = readings.trend.by_parameter
-        of_trend = by.coefficients.reshape(len(by.orders), 2 * blocks, -1) @ response.parameters.T
+        of_trend = by.coefficients.reshape(len(by.orders), 2 * blocks, -1) @ response.mixed.T
         change[[row_of[tuple(order)] for order in by.orders.tolist()]] += of_trend.reshape(len(by.orders), -1)
     return change.reshape(len(orders), 2 * blocks, k)
 
@@ -123,7 +127,7 @@ def lower_root(covariance: FloatArray, jitter: float = 1e-12) -> FloatArray:
     return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
 
 
-def _principal(sampled: FloatArray, others: float = 0.0) -> FloatArray:
+def principal(sampled: FloatArray, others: float = 0.0) -> FloatArray:
     """Directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
 
     Scaled so that the mean variance of the samples stays what it is. None is kept where all are nothing beside

@@ -14,14 +14,24 @@ from wlr_render.numerics.posterior import Posterior
 
 @dataclass(frozen=True)
 class Response:
-    """How a fit follows common errors.
+    """How a fit follows errors that it does not find: k independent standard normal variables.
 
     Attributes:
-        coefficients: (k, 2, columns) of each axis. parameters: (k, parameters) of the trend.
+        sources: (k,) what each is an error of.
+        coefficients: (k, 2, columns) of each axis. mixed: (k, columns) of what both share: the parameters of the trend,
+            or the coefficients of mixed polynomials.
     """
 
+    sources: tuple[str, ...]
     coefficients: FloatArray
-    parameters: FloatArray
+    mixed: FloatArray
+
+    def beside(self, other: "Response | None") -> "Response":
+        """Return the errors of another response, then these."""
+        if other is None:
+            return self
+        of_axes, mixed = (other.coefficients, self.coefficients), (other.mixed, self.mixed)
+        return Response(other.sources + self.sources, np.concatenate(of_axes), np.concatenate(mixed))
 
 
 class UndeterminedModelError(BadInputError):
@@ -61,7 +71,7 @@ def sums_of(
     captures: int | None = None,
     still: Sums | None = None,
 ) -> Sums:
-    """Sums over the readings less their free part and trend.
+    """Return sums over the readings less their free part and trend.
 
     Args:
         readings: the readings.
@@ -143,11 +153,12 @@ def response_of(
         aim = by_trend - sum(each.T @ solved[:, :k] for each, solved in zip(cross, follow, strict=True))
         of_parameters = np.asarray(np.linalg.solve(rest, aim), np.float64)
     of_axes = [width[:, None] * (solved[:, :k] - solved[:, k:] @ of_parameters) for solved in follow]
-    return Response(np.stack(of_axes).transpose(2, 0, 1)[:, :, : readings.coefficients], of_parameters.T)
+    coefficients = np.stack(of_axes).transpose(2, 0, 1)[:, :, : readings.coefficients]
+    return Response(readings.common.sources, coefficients, of_parameters.T)
 
 
 def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) -> Polynomial:
-    """The polynomial of a posterior, with its free part `start` and its trend."""
+    """Return the polynomial of a posterior, with its free part `start` and its trend."""
     blocks, terms = readings.blocks, len(readings.orders)
     outputs = 1 if readings.mixed else 2
     mean = found.mixed_mean if readings.mixed else found.mean[:, : readings.coefficients]

@@ -10,7 +10,6 @@ from wlr_render.calibration.print_field import PrintField
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry.directions import ARCMIN, tangents_by_turn
-from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.evidence import Weights
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, limited_orders
@@ -83,7 +82,7 @@ class Trend:
     by_parameter: Polynomial
 
     def about(self, mean: FloatArray, root: FloatArray) -> "Trend":
-        """The trend in other parameters q, standard normal before the fit: parameters = mean + root @ q.
+        """Return the trend in other parameters q, standard normal before the fit: parameters = mean + root @ q.
 
         Args:
             mean: (parameters,).
@@ -158,12 +157,6 @@ class FitReadings:
         return len(self.inputs)
 
     @property
-    def sources(self) -> tuple[str, ...]:
-        """What display and see-through share errors of: the parameters of the trend, then common errors."""
-        parameters = self.trend.parameters if self.trend else 0
-        return (PRESCRIPTION,) * parameters + (self.common.sources if self.common else ())
-
-    @property
     def limits(self) -> Limits:
         """The narrowest limits that the orders keep."""
         parts = self.orders[:, ~self.is_place], self.orders[:, self.is_place], self.orders
@@ -200,7 +193,7 @@ class FitReadings:
         return np.asarray(~at_place & (self.orders.sum(axis=1) <= 1) & (self.trend is None))
 
     def select(self, rows: BoolArray | IntArray) -> "FitReadings":
-        """Some of the readings; captures keep their indices, and the box is that of all."""
+        """Return some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)
         if self.print_errors is not None:
@@ -208,7 +201,7 @@ class FitReadings:
         return chosen.within(self.box)
 
     def with_shared(self, shared: SharedNoise | None) -> "FitReadings":
-        """The same readings with other noise that neighbours share."""
+        """Return the same readings with other noise that neighbours share."""
         return replace(self, shared=shared).within(self.box)
 
     @property
@@ -227,7 +220,7 @@ class FitReadings:
         return self.inputs[:, ~self.is_place]
 
     def blocks_of_noise(self, kept: FloatArray) -> Iterator[tuple[IntArray, Weights]]:
-        """Readings whose noise is independent of that of all others, with their weight as `Sums.add` takes it.
+        """Yield the readings whose noise is independent of all others', with their weight as `Sums.add` takes it.
 
         Args:
             kept: (n,) weights, 1 down to 0 for outliers.
@@ -245,13 +238,13 @@ class FitReadings:
             yield np.concatenate(some), roots
 
     def within(self, box: Box) -> "FitReadings":
-        """The same readings in another box: coefficients and their priors mean the same as of readings in it."""
+        """Return the same readings in another box: coefficients and their priors mean the same as of readings in it."""
         changed = replace(self)
         changed.__dict__["box"] = box
         return changed
 
     def values(self, polynomial: Polynomial) -> FloatArray:
-        """What a polynomial says of `observed`, (n, 2)."""
+        """Return what a polynomial says of `observed`, (n, 2)."""
         return self._combined(polynomial(self.inputs))[..., 0]
 
     def slopes(self, polynomial: Polynomial) -> FloatArray:
@@ -313,7 +306,7 @@ def common_of(
     respond: Respond,
     by_point: Callable[[slice], FloatArray] | None = None,
 ) -> Common | None:
-    """Common errors of captures in the readings of a model that depends on the place; None without any.
+    """Return common errors of captures in the readings of a model that depends on the place; None without any.
 
     Args:
         captures: what was measured.

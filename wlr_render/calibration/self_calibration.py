@@ -173,21 +173,21 @@ class WearState:
 
     @classmethod
     def begin(cls, calibrated: Eye, settings: WearSettings = WearSettings()) -> "WearState":
-        """The state when the headset is put on: nothing has moved, and all of it may have."""
+        """Return the state when the headset is put on: nothing has moved, and all of it may have."""
         return cls(calibrated, settings, np.zeros(PARAMETERS), np.diag(settings.at_start))
 
     def carried(self, seconds: float) -> "WearState":
-        """The state some seconds later: the variances have grown."""
+        """Return the state some seconds later: the variances have grown."""
         if not (math.isfinite(seconds) and seconds >= 0):
             raise BadInputError(f"the time that has passed is {shown(seconds)} s; give zero or more seconds.")
         return self._with_added(self.settings.per_hour * (seconds / 3600.0))
 
     def slipped(self) -> "WearState":
-        """The state after a slip of the headset: the offset may be another one."""
+        """Return the state after a slip of the headset: the offset may be another one."""
         return self._with_added(self.settings.by_slip)
 
     def updated(self, clicks: Clicks, click_arcmin: float | None = None) -> "WearState":
-        """The state after some clicks, in any number. Dots at two depths or more tell the parameters apart.
+        """Return the state after some clicks, in any number. Dots at two depths or more tell the parameters apart.
 
         Args:
             clicks: made now.
@@ -250,7 +250,7 @@ class WearState:
         return self.corrected(self.calibrated).display.pixel_of_view_dir(seen, viewpoint).value
 
     def sigma_arcmin(self, point: FloatArray, tracked: FloatArray) -> FloatArray:
-        """Expected misalignment (n,) of points (n, 3) seen from tracked viewpoints (n, 3): rms over both axes.
+        """Return the expected misalignment (n,) of points (n, 3) from tracked viewpoints (n, 3), rms over both axes.
 
         Of what moves in use, of the tracker's noise and of the models' covariance. Ask for clicks where it is more than
         you tolerate.
@@ -292,7 +292,7 @@ class WearState:
         return flat[0], ((flat[1 : 1 + PARAMETERS] - flat[1 + PARAMETERS :]) / (2.0 * _STEPS[:, None])).T
 
     def _changes_of_models(self, clicks: Clicks) -> FloatArray:
-        """Changes (n, 2, k) of the gap in arcmin by the independent variables of the models' covariance."""
+        """Return changes (n, 2, k) of the gap in arcmin by the independent variables of the models' covariance."""
         display, see_through = self.calibrated.display, self.calibrated.see_through
         if not isinstance(display, FittedDisplay) or not isinstance(see_through, FittedSeeThrough):
             return np.zeros((len(clicks.pixel), 2, 0))
@@ -306,7 +306,7 @@ class WearState:
         return np.asarray(block_diag(*(by_offset @ by_offset.transpose(0, 2, 1))))
 
     def _fitted(self, clicks: Clicks, sigma_arcmin: float, prior: FloatArray, log_prior: float) -> "_Fitted":
-        """The posterior by Gauss-Newton steps; which clicks are wrong is chosen again after each step."""
+        """Find the posterior by Gauss-Newton steps; which clicks are wrong is chosen again after each step."""
         count = len(clicks.pixel)
         changes = self._changes_of_models(clicks).reshape(2 * count, -1)
         noise = changes @ changes.T + sigma_arcmin**2 * np.eye(2 * count)

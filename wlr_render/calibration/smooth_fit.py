@@ -14,7 +14,7 @@ import numpy as np
 
 from wlr_render.calibration.moved_captures import CaptureMotion
 from wlr_render.calibration.posterior_spread import spread_of
-from wlr_render.calibration.reading_sums import polynomial_of, response_of, sums_of, trend_columns
+from wlr_render.calibration.reading_sums import Response, polynomial_of, response_of, sums_of, trend_columns
 from wlr_render.calibration.readings import FitReadings, Trend, design_of, motion_columns
 from wlr_render.calibration.smooth_prior import (
     MotionFactors,
@@ -69,6 +69,7 @@ class SmoothFit:
         moved: captures that moved by far more than the others; their weights are zero.
         beyond: (blocks,) variance of each output of a block that is expected of terms beyond those of the fit; None for
             limits that the user states.
+        of_labels: errors that the readings of a label share; None where none were looked for, or for exact data.
         prior: of coefficients and motions.
         columns: (n, 2, 6) change of the readings by the motions; None where none are modelled.
         start: the free part, which the sums lack.
@@ -87,6 +88,7 @@ class SmoothFit:
     sums: Sums
     motion_curvature: FloatArray | None = None
     beyond: FloatArray | None = None
+    of_labels: Response | None = None
 
     @property
     def noise(self) -> float:
@@ -188,7 +190,7 @@ class SmoothFit:
         return self.posterior.mixed_mean[:count], self.posterior.side_covariance[:count, :count]
 
     def with_trend(self, trend: Trend) -> "SmoothFit":
-        """The fit with another prior of the trend's parameters, at the same hyperparameters and weights."""
+        """Return the fit with another prior of the trend's parameters, at the same hyperparameters and weights."""
         readings = replace(self.readings, trend=trend)
         sums = sums_of(readings, self.start, self.columns, self.kept)
         found = posterior(sums, self.prior, self.hyper)
@@ -196,7 +198,7 @@ class SmoothFit:
         return replace(self, polynomial=polynomial, posterior=found, readings=readings, sums=sums)
 
     def orders_that_matter(self, widest: FitReadings) -> IntArray | None:
-        """The fewest of the terms of `widest` with which the others do not matter; None where no more are needed."""
+        """Return the fewest terms of `widest` with which the others do not matter; None where no more are needed."""
         most = _BEYOND * self.noise**2 * self.determined[0] / self.sums.count
         most = max(most, (_UNSEEN * noise_floor(self.readings)) ** 2)
         readings = self.readings
@@ -222,11 +224,13 @@ class SmoothFit:
         return self._with_common(self.readings, self.posterior, self.sums, self.kept)
 
     def _with_common(self, readings: FitReadings, found: Posterior, sums: Sums, kept: FloatArray) -> Covariance:
-        """Covariance of a fit with these prior sizes, common errors included, by the sums over its readings."""
-        if readings.common is None:
-            return spread_of(readings, found, beyond=self.beyond)
-        width = self.prior.sizes(np.array(list(found.hyper.values()))) / found.noise
-        response = response_of(readings, self.polynomial, kept, sums, width, found.noise)
+        """Covariance of a fit with these prior sizes, errors that it does not find included, by sums over readings."""
+        response = None
+        if readings.common is not None:
+            width = self.prior.sizes(np.array(list(found.hyper.values()))) / found.noise
+            response = response_of(readings, self.polynomial, kept, sums, width, found.noise)
+        if self.of_labels is not None:
+            response = self.of_labels.beside(response)
         return spread_of(readings, found, response, self.beyond)
 
     @property
@@ -293,7 +297,7 @@ class SmoothFit:
         return np.asarray(variance * chosen.metric**2)
 
     def _sums_of(self, rows: BoolArray) -> Sums:
-        """Sums over some of the readings, whole captures or what is left of them."""
+        """Return sums over some of the readings, whole captures or what is left of them."""
         columns = None if self.columns is None else self.columns[rows]
         return sums_of(self.readings.select(rows), self.start, columns, self.kept[rows], captures=self._captures)
 
@@ -324,7 +328,7 @@ class SmoothFit:
         return self._with_common(readings, found, sums, kept)
 
     def with_motions(self, motion: FloatArray) -> Polynomial:
-        """The polynomial that these readings would give if their cameras had moved by `motion`.
+        """Return the polynomial that these readings would give if their cameras had moved by `motion`.
 
         Args:
             motion: (captures, 6) shift in metres, then turn in radians.

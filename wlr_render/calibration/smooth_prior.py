@@ -205,7 +205,7 @@ def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise
 
 
 def motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:
-    """The best of a few sizes of the motion: the evidence may have several maxima."""
+    """Return the best of a few sizes of the motion: the evidence may have several maxima."""
     mean, sigma = prior.expected[-2:].T
     starts = [still | dict(zip(("shift", "turn"), mean + at * sigma, strict=True)) for at in product(_SHIFTS, _TURNS)]
     starts.append(still | dict(zip(("shift", "turn"), prior.bounds[-2:, 0], strict=True)))

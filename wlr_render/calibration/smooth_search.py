@@ -149,7 +149,7 @@ def fit(
 
 
 def _without_moved(search: "_Search", smooth: SmoothFit) -> SmoothFit:
-    """The fit without all captures that moved, from one without some of them."""
+    """Return the fit without all captures that moved, from one without some of them."""
     captures, rejections = len(np.unique(search.readings.capture)), Counter[int]()
     most = int(_MOST * captures)
     for round_ in range(_ROUNDS_OF_MOTIONS):
@@ -261,7 +261,7 @@ def _shared_noise(
 
 
 def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
-    """Combinations (6, captures, k) of the captures' motions without those that vary smoothly with the place.
+    """Return combinations (6, captures, k) of the captures' motions without those that vary smoothly with the place.
 
     Smooth motions are another way to write the place; where the orders end before the optics do, they would be taken
     for motions of the camera, of any size. The unknowns of the combinations are standard normal before the fit, up to
@@ -288,7 +288,7 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
 
 
 def _with_terms_beyond(readings: FitReadings) -> FitReadings:
-    """Readings of a fit of few orders with more of them: what the orders cut off looks like motions of the camera."""
+    """Return readings of a fit of few orders with more: what the orders cut off looks like motions of the camera."""
     limits, variables = readings.limits, readings.is_place
     if readings.trend is not None or not _FEW_ORDERS < limits.total < _ENOUGH_ORDERS:
         return readings
@@ -299,7 +299,7 @@ def _with_terms_beyond(readings: FitReadings) -> FitReadings:
 
 
 def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, CaptureMotion]]:
-    """Captures that may have moved, and those left out before, measured by the rest; by their indices."""
+    """Return captures that may have moved, and those left out before, measured by the rest; by their indices."""
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
     kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
     offset = np.log(motion_sizes(readings))

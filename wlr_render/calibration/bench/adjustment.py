@@ -187,7 +187,7 @@ def _stepped(
 
 
 def _sound(state: BenchState, layout: Layout, sizes: Sizes) -> Normal | None:
-    """The normal equations; None where a board is so near a camera that they are not finite."""
+    """Return the normal equations; None where a board is so near a camera that they are not finite."""
     try:
         return Normal(state, layout, sizes, {})
     except np.linalg.LinAlgError:
@@ -223,7 +223,7 @@ def _noise(normal: Normal, sizes: Sizes, found: Posterior) -> dict[str, float]:
 
 
 def _feature_size(state: BenchState, name: str, normal: Normal, sizes: Sizes) -> float:
-    """The next standard deviation of the features' errors (MacKay's fixed point, see `numerics.evidence`)."""
+    """Return the next standard deviation of the features' errors (MacKay's fixed point, see `numerics.evidence`)."""
     size = sizes.feature_m[name]
     if name not in normal.features:
         return size

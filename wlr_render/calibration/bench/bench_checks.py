@@ -75,7 +75,7 @@ class Pull:
 
 
 def significance(chi_square: float, freedom: int) -> float:
-    """Standard deviations of one normal variable that are as improbable as this chi-squared."""
+    """Return standard deviations of one normal variable that are as improbable as this chi-squared."""
     probability = float(chi2.sf(chi_square, freedom))
     if probability > 1e-300:
         return float(max(norm.isf(0.5 * probability), 0.0))
@@ -177,7 +177,7 @@ def _fault_check(fault: Fault) -> Check:
 
 
 def _explained(fault: Fault) -> str:
-    """The explanations that the views cannot tell apart, the likeliest first, with their probabilities."""
+    """Return the explanations that the views cannot tell apart, the likeliest first, with their probabilities."""
     odds: dict[str, float] = {}
     for each in (fault, *fault.alternatives):
         odds[_moved(each)] = odds.get(_moved(each), 0.0) + float(np.exp(each.log_odds - fault.log_odds))
@@ -188,7 +188,7 @@ def _explained(fault: Fault) -> str:
 
 
 def _remedy(fault: Fault) -> str:
-    """What else looks like a fault, and what to do."""
+    """Say what else looks like a fault, and what to do."""
     if fault.kind == "photograph":
         return "the photograph was rejected: compare it with its entry, or take it again"
     if fault.kind == "exchange":
@@ -216,7 +216,7 @@ def _moved(fault: Fault) -> str:
 
 
 def _stage_checks(adjustment: Adjustment) -> list[Check]:
-    """The stage's errors against those of ordinary stages."""
+    """Check the stage's errors against those of ordinary stages."""
     if not adjustment.state.offsets:
         return []
     sizes, checks = adjustment.sizes, []
@@ -324,7 +324,7 @@ def _worst_views(adjustment: Adjustment, camera: str) -> list[str]:
 
 
 def _noise_check(adjustment: Adjustment, name: str) -> Check:
-    """The features' noise against what the detector states."""
+    """Check the features' noise against what the detector states."""
     noise = adjustment.sizes.noise[name]
     limit = float(np.exp(3.5 * _NOISE_DIFFERS))
     rms = np.sqrt(
@@ -352,7 +352,7 @@ def _noise_check(adjustment: Adjustment, name: str) -> Check:
 
 
 def _unsettled_check() -> Check:
-    """The search for the bench ended without a minimum."""
+    """Say that the search for the bench ended without a minimum."""
     sentence = (
         "no cameras, lenses and poses fit the photographs: one that shows another target pose, or was taken at another "
         "stage reading than session.toml states, does that; leave out half of them to find it"

@@ -61,7 +61,7 @@ class BoardView:
         return len(self.point)
 
     def only(self, rows: BoolArray) -> "BoardView":
-        """Some of the features, by mask (n,)."""
+        """Return some of the features, by mask (n,)."""
         return replace(
             self,
             feature=self.feature[rows],
@@ -72,7 +72,7 @@ class BoardView:
         )
 
     def seen_by(self, lens: Lens) -> "BoardView":
-        """The view with the centres of its dots as a known lens sees them."""
+        """Return the view with the centres of its dots as a known lens sees them."""
         if self.discs is None:
             return self
         return replace(self, pixel=self.discs.centres(lens, self.point, self.pixel))

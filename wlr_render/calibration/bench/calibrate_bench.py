@@ -119,7 +119,7 @@ def calibrate_bench(session: PhotoSession, reading: Reading) -> CalibratedBench:
 def _calibrated(
     session: PhotoSession, reading: Reading, observations: BenchObservations, lenses: dict[str, SoundViews]
 ) -> CalibratedBench:
-    """The bench, and the sound views of each camera in `lenses` as soon as they are known."""
+    """Return the bench, and the sound views of each camera in `lenses` as soon as they are known."""
     for name, setup in observations.cameras.items():
         try:
             lenses[name] = sound_views(
@@ -157,7 +157,7 @@ def place_key(session: PhotoSession, entry: SessionEntry) -> str:
 
 
 def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservations:
-    """The direct views of a session, and what it states beforehand.
+    """Return the direct views of a session, and what it states beforehand.
 
     Raises:
         BadInputError: nothing fixes the device frame, or a gauge is not possible.
@@ -220,7 +220,7 @@ def board_name(session: PhotoSession, target: int) -> str:
 
 
 def _free_views(session: PhotoSession, reading: Reading, name: str, camera: SessionCamera) -> list[BoardView]:
-    """Views of the board held anywhere before a camera."""
+    """Return views of the board held anywhere before a camera."""
     return [
         _board_view(session, session.name_of(path), reading.boards[path], name)
         for path in camera.intrinsics
@@ -250,7 +250,7 @@ def _rejected_check(name: str, reason: str) -> Check:
 
 
 def _sweep_checks(bench: CalibratedBench, reading: Reading) -> dict[int, Check | None]:
-    """What moved during the sweep at each target pose."""
+    """Return what moved during the sweep at each target pose."""
     session, adjustment = bench.session, bench.adjustment
     tracked = {k: [p.name for p in session.tracking if p.target_pose == k] for k in adjustment.state.targets}
     repeated = _repeated_views(bench, reading)

@@ -54,7 +54,7 @@ def with_bench_errors(
     display: tuple[DisplayCaptures, Entries] | None,
     see_through: tuple[SeeThroughCaptures, Entries] | None,
 ) -> tuple[DisplayCaptures | None, SeeThroughCaptures | None]:
-    """Captures with `motion` and `common` as the joint adjustment knows them.
+    """Return captures with `motion` and `common` as the joint adjustment knows them.
 
     Args:
         bench: the calibrated bench.
@@ -172,7 +172,7 @@ def _effect(captures: DisplayCaptures | SeeThroughCaptures, common: CommonErrors
 
 
 def _chosen(effect: FloatArray, sources: tuple[str, ...]) -> tuple[FloatArray, tuple[str, ...]]:
-    """Combinations (variables, m) of the variables of one source each that matter, and their sources (m,)."""
+    """Return combinations (variables, m) of the variables of one source each that matter, and their sources (m,)."""
     found: list[tuple[float, str, FloatArray]] = []
     for name in SOURCES:
         own = np.flatnonzero([source == name for source in sources])
@@ -193,7 +193,7 @@ def _chosen(effect: FloatArray, sources: tuple[str, ...]) -> tuple[FloatArray, t
 def _with_known(
     captures: AnyCaptures, common: CommonErrors, variance: FloatArray, turn: FloatArray, sources: tuple[str, ...]
 ) -> AnyCaptures:
-    """Captures with `motion` and `common`: `turn` gives the variables kept, and the rest is each camera's own."""
+    """Return captures with `motion` and `common`: `turn` gives the variables kept, the rest is each camera's own."""
     own = variance - np.sum((common.motion @ turn) ** 2, axis=2)
     motion = CaptureMotionPrior(common.capture, np.sqrt(np.maximum(own, 0.0)), _MOTION_LOG_SIGMA)
     if not sources:

@@ -86,7 +86,7 @@ def adjust_without_faults(
 
 
 def worst_fault(adjustment: Adjustment) -> Fault | None:
-    """The candidate of greatest evidence; None where chance explains all, or the motion is negligible."""
+    """Return the candidate of greatest evidence; None where chance explains all, or the motion is negligible."""
     state = adjustment.state
     candidates = _candidates(state)
     if not candidates:
@@ -161,7 +161,7 @@ def _exchanges(state: BenchState, staged: Sequence[BoardView]) -> list[Fault]:
 
 
 def _candidates(state: BenchState) -> list[Fault]:
-    """What could have gone wrong, by the order of taking."""
+    """Return what could have gone wrong, by the order of taking."""
     observations = state.observations
     none = np.zeros(6)
     bare = [view for view in observations.views if view.camera == EYEBALL and view.target is not None]
@@ -194,7 +194,7 @@ def _candidates(state: BenchState) -> list[Fault]:
 
 
 def _set_apart(observations: BenchObservations, fault: Fault, number: int) -> BenchObservations:
-    """The observations with the views of a fault on a target, or in a mounting, of their own."""
+    """Return the observations with the views of a fault on a target, or in a mounting, of their own."""
     if fault.kind in SINGLE:
         return observations.without(fault.names)
     touched = [view for view in observations.views if view.name in fault.views]

@@ -155,7 +155,7 @@ def free_views(
 def _chosen_lens(
     views: Sequence[BoardView], setup: CameraSetup, observations: BenchObservations
 ) -> tuple[Lens, dict[str, float]]:
-    """The lens of the simplest kind that predicts held-out photographs as well as any; and rms by kind, pixels."""
+    """Return the lens of the simplest kind that predicts held-out photographs as well as any, and rms by kind, px."""
     if len(views) < _FEWEST_VIEWS:
         raise BadInputError(
             f"a camera needs {_FEWEST_VIEWS} or more photographs of the board, tilted in different directions, and "
@@ -185,7 +185,7 @@ def _chosen_lens(
 
 
 def _simplest(missed: Mapping[str, FloatArray]) -> str:
-    """The first kind that is not worse than the best by more than chance.
+    """Return the first kind that is not worse than the best by more than chance.
 
     By logarithms, of one photograph as of another: a few show a distortion best, and one may be poor.
     """

@@ -142,7 +142,7 @@ def _turn_to(direction: FloatArray) -> FloatArray:
 
 
 def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS) -> tuple[FloatArray, float]:
-    """The pose after some steps, and the scale of the residuals before the last one."""
+    """Return the pose after some steps, and the scale of the residuals before the last one."""
     scale = np.inf
     for number in range(steps + 1):
         point = transforms.apply(pose, view.point)
@@ -339,7 +339,7 @@ class _Chain:
 
 
 def undetermined(views: Sequence[BoardView]) -> BadInputError:
-    """The error for views that do not determine a camera."""
+    """Return the error for views that do not determine a camera."""
     return BadInputError(
         f"the {len(views)} photographs {views[0].name} to {views[-1].name} do not determine the camera's focal length "
         "and centre, because they show the board parallel to the image or always at the same tilt; add photographs of "

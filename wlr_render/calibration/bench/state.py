@@ -54,7 +54,7 @@ class BoardShape:
     place: FloatArray
 
     def point_of(self, feature: IntArray, nominal: FloatArray) -> FloatArray:
-        """True places (n, 3) of features (n, 2) from those in the board's file (n, 3)."""
+        """Return true places (n, 3) of features (n, 2) from those in the board's file (n, 3)."""
         rows = self.rows_of(feature)
         own = np.where(rows[:, None] >= 0, self.place[rows], 0.0) if len(self.place) else np.zeros_like(nominal)
         return np.asarray(nominal + self.by_low(nominal) @ self.low + own)
@@ -187,14 +187,14 @@ class BenchState:
         return self.device_from_camera(view.place)
 
     def lens_at(self, target: int) -> Lens:
-        """The eyeball camera's lens as it is at a target pose."""
+        """Return the eyeball camera's lens as it is at a target pose."""
         lens, change = self.lens[EYEBALL], self.focus.get(target, 0.0)
         if not change or not isinstance(lens, LensCamera):
             return lens
         return lens.with_values(lens.values * np.where(np.arange(len(lens.values)) < 2, 1.0 + change, 1.0))
 
     def lens_of(self, view: BoardView) -> Lens:
-        """The lens of a view."""
+        """Return the lens of a view."""
         return self.lens[view.camera] if view.camera != EYEBALL or view.target is None else self.lens_at(view.target)
 
     def camera_from_board(self, view: BoardView) -> FloatArray:
@@ -283,7 +283,7 @@ class BenchState:
         return off
 
     def moved(self, step: Mapping[Key, FloatArray]) -> "BenchState":
-        """The state after a step of every block of unknowns."""
+        """Return the state after a step of every block of unknowns."""
         tracking = self.device_from_tracking
         if tracking is not None:
             tracking = tracking @ small_motion(step["extrinsics", TRACKING])
@@ -368,8 +368,10 @@ def stage_motion(twists: FloatArray, travel: FloatArray) -> FloatArray:
 
 
 def _exponential(twist: FloatArray) -> FloatArray:
-    """(4, 4) rigid motion of a twist (6,), rotation first, applied for one unit (K. M. Lynch and F. C. Park, "Modern
-    Robotics" (2017), equation 3.88)."""
+    """Return the rigid motion (4, 4) of a twist (6,), rotation first, applied for one unit.
+
+    Source: K. M. Lynch and F. C. Park, "Modern Robotics" (2017), equation 3.88.
+    """
     turn, shift = twist[:3], twist[3:]
     angle = float(np.linalg.norm(turn))
     if angle < 1e-12:
@@ -381,8 +383,10 @@ def _exponential(twist: FloatArray) -> FloatArray:
 
 
 def _right_jacobian(twist: FloatArray) -> FloatArray:
-    """(6, 6): exponential(twist + d) = exponential(twist) @ small_motion(J @ d) (T. D. Barfoot, "State Estimation for
-    Robotics" (2017), equation 7.83)."""
+    """Return J (6, 6): exponential(twist + d) = exponential(twist) @ small_motion(J @ d).
+
+    Source: T. D. Barfoot, "State Estimation for Robotics" (2017), equation 7.83.
+    """
     bracket = np.zeros((6, 6))
     bracket[:3, :3] = bracket[3:, 3:] = transforms.cross_matrix(twist[:3])
     bracket[3:, :3] = transforms.cross_matrix(twist[3:])

@@ -139,7 +139,7 @@ def load_station(path: str | Path) -> SavedStation:
 
 
 def _rigid(table: Table, key: str) -> FloatArray:
-    """A rigid transform (4, 4)."""
+    """Return a rigid transform (4, 4)."""
     matrix = table.vectors(key, 4)
     if matrix.shape != (4, 4) or not is_rotation(matrix[:3, :3]) or np.any(matrix[3] != [0, 0, 0, 1]):
         raise table.fail(f"'{key}' must be a rigid transform of 4 x 4 numbers; write the file again.")

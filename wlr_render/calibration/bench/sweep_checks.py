@@ -61,7 +61,7 @@ class TargetChange:
 
     @classmethod
     def of(cls, adjustment: Adjustment, target: int, fault: Fault | None, names: Sequence[str]) -> "TargetChange":
-        """The change at a target pose by the fault that the adjustment set apart; none without one."""
+        """Return the change at a target pose by the fault that the adjustment set apart; none without one."""
         before = adjustment.state.targets[target]
         moved = [k for k in adjustment.state.targets if k % APART == target and k >= APART]
         if fault is None or not moved:
@@ -89,7 +89,7 @@ class TargetChange:
         return f"{self.shift_mm:.3g} mm and {self.turn_arcmin:.2g}' ({self.sigmas:.0f} sigma)"
 
     def check(self, step: str, sentence: str) -> Check:
-        """The check of this change."""
+        """Return the check of this change."""
         turned = self.turn_arcmin * ARCMIN / NEGLIGIBLE_RAD > 1e-3 * self.shift_mm / NEGLIGIBLE_M
         value, limit = (self.turn_arcmin, NEGLIGIBLE_ARCMIN) if turned else (self.shift_mm, 1e3 * NEGLIGIBLE_M)
         large = self.shift_mm > REFUSED_MM or self.turn_arcmin > REFUSED_ARCMIN
@@ -173,7 +173,7 @@ def sweep_check(
 
 
 def _culprit(views: Sequence[_ViewChange]) -> str:
-    """What moved, given that the tracking camera saw the target move."""
+    """Return what moved, given that the tracking camera saw the target move."""
     follows = [view.follows for view in views if view.foreseen_arcmin > NEGLIGIBLE_ARCMIN]
     if not follows:
         return "the target moved or the headset shifted (no photograph through the optics, repeated, tells which)"

@@ -73,7 +73,7 @@ class Layout:
         return np.concatenate(parts) if parts else np.zeros(0, np.int64)
 
     def steps(self, vector: FloatArray) -> dict[Key, FloatArray]:
-        """The vector by block."""
+        """Return the vector by block."""
         return {key: vector[where] for key, where in self.where.items()}
 
 

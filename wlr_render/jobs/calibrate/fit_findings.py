@@ -103,7 +103,7 @@ def _label_warnings(title: str, report: FitReport) -> list[str]:
     return [
         f"{title}: the residuals show errors by {each.label} of {_digits(each.size_arcmin)}' rms (log10 odds "
         f"{each.log10_odds:.0f}), which the model lacks. They cause errors of the model of about "
-        f"{_digits(each.in_model_arcmin)}', which are in the predicted error above, not in that of the model file. "
+        f"{_digits(each.in_model_arcmin)}', which the predicted error contains as '{each.source}'. "
         f"{each.remedy}"
         for each in report.labels
         if each.matters
