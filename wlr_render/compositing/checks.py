@@ -27,7 +27,7 @@ _ROUNDING = _ROUNDING_M = 1e-9
 
 
 def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
-    """The eye that a caller names; it may be left out if there is one.
+    """Return the eye that a caller names; it may be left out if there is one.
 
     Raises:
         BadInputError: there is no such eye, or it is left out and there are two.
@@ -38,7 +38,7 @@ def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
 
 
 def checked_eyes(given: object, eyes: Sequence[str]) -> list[str]:
-    """Some of the eyes, the left one first; all if None.
+    """Return some of the eyes, the left one first; all if None.
 
     Raises:
         BadInputError: none are given, or another name.
@@ -79,7 +79,7 @@ def check_submitted(eyes: Sequence[str], submitted: Collection[str]) -> None:
 
 
 def checked_quad(size_m: object, world_from_quad: object, device_from_quad: object) -> Quad:
-    """The quad of an overlay.
+    """Return the quad of an overlay.
 
     Raises:
         BadInputError: both poses are given or neither, or one is not rigid; or a size that is not positive.
@@ -108,7 +108,7 @@ def checked_choice(value: object, choices: Sequence[str], what: str) -> str:
 
 
 def checked_flag(value: object, what: str) -> bool:
-    """True or False; "no" would count as true.
+    """Return True or False; "no" would count as true.
 
     Raises:
         BadInputError: it is neither.
@@ -119,7 +119,7 @@ def checked_flag(value: object, what: str) -> bool:
 
 
 def checked_number(value: object, what: str, at_least: float, at_most: float) -> float:
-    """A number within limits.
+    """Return a number within limits.
 
     Raises:
         BadInputError: it is no number, or outside them.
@@ -175,7 +175,7 @@ def _checked_channels(eye: str, models: Eye | Sequence[Eye]) -> EyeChannels:
 
 
 def checked_whole(value: Any, what: str, at_most: int) -> int:
-    """A whole number from 0 to a largest one.
+    """Return a whole number from 0 to a largest one.
 
     Raises:
         BadInputError: it is not.
@@ -249,7 +249,7 @@ def check_camera_size(plan: EyePlan) -> None:
 
 
 def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
-    """sRGB codes.
+    """Return sRGB codes.
 
     Raises:
         BadInputError: it is not three whole numbers from 0 to 255.
@@ -263,7 +263,7 @@ def checked_background(colour: Sequence[int]) -> tuple[int, int, int]:
 
 
 def checked_panels(panel: object, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, PanelLight]:
-    """The light of each eye's panel.
+    """Return the light of each eye's panel.
 
     Raises:
         BadInputError: an eye has none, or a uniformity map is not of the display's size.
@@ -285,7 +285,7 @@ def checked_panels(panel: object, eyes: Sequence[str], size_px: tuple[int, int])
 
 
 def checked_pose(pose: FloatArray, what: str = "the pose") -> FloatArray:
-    """A copy of `world_from_device` as (4, 4) float64: trackers write the next pose where the last one was.
+    """Return a copy of `world_from_device` as (4, 4) float64: trackers write the next pose where the last one was.
 
     Raises:
         BadInputError: not finite, not a rotation and translation, or too far away.

@@ -75,7 +75,7 @@ class ComposedFrame:
         return self._eye(eye).read_status()
 
     def texture(self, eye: str | None = None) -> Any:
-        """An eye's ModernGL texture, RGBA with its top row first; nothing crosses to the CPU.
+        """Return an eye's ModernGL texture, RGBA with its top row first; nothing crosses to the CPU.
 
         Raises:
             BadInputError: no such eye, or there is no texture.
@@ -102,7 +102,7 @@ class ComposedFrame:
         return source
 
     def unsolved(self) -> dict[str, dict[str, int]]:
-        """Number of unsolved points of the ray maps, by eye and reason. Costs a small transfer."""
+        """Return the number of unsolved points of the ray maps, by eye and reason. Costs a small transfer."""
         for name in self.eyes:
             self.check_readable(name)
         return {name: eye.unsolved() for name, eye in self.eyes.items()}

@@ -145,7 +145,7 @@ class Compositor:
         return self._backend.context
 
     def plan(self, eye: str) -> EyePlan:
-        """The plan of an eye: camera, axes, warp grid."""
+        """Return the plan of an eye: camera, axes, warp grid."""
         return self._plans[checked_eye(eye, self.eyes)]
 
     def within_reach(self, eye: str, viewpoint: FloatArray) -> FloatArray:
@@ -430,7 +430,7 @@ class Compositor:
             raise BadInputError("the compositor has been released; make another one.")
 
     def _handle(self, frame: FrameHandle | None) -> FrameHandle:
-        """A frame that may be submitted; the newest if None."""
+        """Return a frame that may be submitted; the newest if None."""
         self._check_alive()
         if frame is None:
             if not self._frames:

@@ -61,7 +61,7 @@ class EyeCamera:
         return float(left), float(right), float(up), float(down)
 
     def inset(self, fov_rad: tuple[float, float, float, float], size_px: tuple[int, int]) -> "EyeCamera":
-        """The camera of an inset, a sharper picture of a part of this one's field: `Compositor.submit(inset=...)`.
+        """Return the camera of an inset, a sharper picture of a part of its field: `Compositor.submit(inset=...)`.
 
         It has this camera's pose, so that one view matrix serves for both.
 

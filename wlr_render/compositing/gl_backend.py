@@ -92,7 +92,7 @@ class GlComposed:
             return gl.read(drawn.source, np.float32)
 
     def unsolved(self) -> dict[str, int]:
-        """Number of unsolved points of the ray maps by reason; empty if all are solved."""
+        """Return the number of unsolved points of the ray maps by reason; empty if all are solved."""
         return count_unsolved(each.read_status() for each in self.ray_maps)
 
     def read_ray_maps(self) -> list[RayMap]:
@@ -191,7 +191,7 @@ class GlEye:
         self._overlays[layer] = self._import_overlays[layer].take(picture, quad, stored_colour, rows)
 
     def seen_overlays(self, view: View, world_from_device: FloatArray) -> list[SeenOverlay]:
-        """The overlays that a view sees, with the head at a pose (4, 4), in the order in which they are drawn."""
+        """Return the overlays that a view sees, with the head at a pose (4, 4), in the order of drawing."""
         seen = []
         for _, overlay in sorted(self._overlays.items()):
             place_of_ray = overlay.quad.place_of_ray(view, world_from_device)
@@ -207,7 +207,7 @@ class GlEye:
         with_source: bool,
         overlays: Sequence[SeenOverlay],
     ) -> GlComposed:
-        """The picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `targets`."""
+        """Return the picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `targets`."""
         assert self._pictures, "the compositor checks that the eye is submitted"
         self.generation += 1
         return self._composed(self._pictures, viewpoint, image_from_ray_map, target, with_source, overlays)
@@ -354,7 +354,7 @@ def _context(context: Any, host_is_clean: bool) -> gl.GlContext:
 
 
 def _solve_of(context: gl.GlContext, mappings: Eye, offset_px: FloatArray, plan: EyePlan) -> RayMapSolver[GpuRayMap]:
-    """The solver for a primary whose sub-pixels lie at an offset (2,) from the pixels' centres, in display pixels."""
+    """Return the solver for a primary whose sub-pixels are offset (2,) display pixels from the centres of pixels."""
     warp_grid, axes = plan.warp_grid.grid, plan.device_from_camera
     warp_grid = replace(warp_grid, first_px=warp_grid.first_px + offset_px * warp_grid.panel.size_px / plan.size_px)
     if isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough):
@@ -364,7 +364,7 @@ def _solve_of(context: gl.GlContext, mappings: Eye, offset_px: FloatArray, plan:
 
 
 def checked_image(image: GpuImage, view: View, context: gl.GlContext) -> GpuImage:
-    """An image of our own renderers, drawn in this context from the view that was asked for.
+    """Return an image of our own renderers, drawn in this context from the view that was asked for.
 
     Raises:
         BadInputError: drawn with another camera, for another pose, or elsewhere.

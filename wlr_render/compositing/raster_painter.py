@@ -77,7 +77,7 @@ class WarpedPainter:
 
 
 def traced_instead(raster: SceneRaster | None, backend: str) -> list[str]:
-    """A sentence if frames are ray traced for want of OpenGL, or because `backend` is "cpu"."""
+    """Return a sentence if frames are ray traced for want of OpenGL, or because `backend` is "cpu"."""
     if raster is not None:
         return []
     if backend == "cpu":

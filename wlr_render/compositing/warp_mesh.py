@@ -108,7 +108,7 @@ class WarpMesh:
         self.triangles = mesh_triangles(grid)
 
     def camera(self, pose: FloatArray, viewpoint: FloatArray) -> EyeCamera:
-        """The camera to draw the eye's picture with.
+        """Return the camera to draw the eye's picture with.
 
         Args:
             pose: (4, 4) world_from_device.
@@ -159,7 +159,7 @@ class WarpMesh:
 
 
 def mesh_triangles(grid: WarpGrid) -> NDArray[np.uint32]:
-    """The two triangles of each cell, (m, 3) indices of a grid's points, row by row; counter-clockwise."""
+    """Return the two triangles of each cell, (m, 3) indices of a grid's points, row by row; counter-clockwise."""
     column, row = np.meshgrid(np.arange(grid.columns - 1), np.arange(grid.rows - 1))
     corner = np.stack([column, row], axis=-1).reshape(-1, 1, 1, 2) + _TRIANGLES
     return np.asarray((corner[..., 1] * grid.columns + corner[..., 0]).reshape(-1, 3), np.uint32)
@@ -174,7 +174,7 @@ def _node_count(mappings: Eye) -> int:
 
 
 def mesh_grid(mappings: Eye, axes: FloatArray, size_px: tuple[int, int], tolerance_arcmin: float) -> WarpGrid:
-    """The coarsest grid of square cells whose triangles are within the tolerance; no finer than the picture."""
+    """Return the coarsest grid of square cells whose triangles are within the tolerance; no finer than the picture."""
     panel = mappings.display.panel
     finest_px, coarsest_px = float(np.min(panel.size_px / size_px)), float(np.min(panel.size_px)) / _COARSEST_CELLS
     nodes, cell_px = _node_count(mappings), coarsest_px

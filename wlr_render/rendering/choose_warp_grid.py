@@ -83,7 +83,7 @@ def choose_warp_grid(
 
 
 def _cells_along(size_px: int, most_px: float) -> int:
-    """Number of equal cells of at most that size along an axis."""
+    """Return the number of equal cells of at most that size along an axis."""
     whole_blocks = [
         cell
         for cell in range(_BLOCK_PX, int(most_px) + 1, _BLOCK_PX)

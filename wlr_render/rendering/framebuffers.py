@@ -131,7 +131,7 @@ class FramebufferQueries:
         return bool(self.gl("glCheckFramebufferStatus", _UINT, result=_UINT)(BOTH) == _COMPLETE)
 
     def image(self, point: int) -> Image | None:
-        """The image that is attached there.
+        """Return the image that is attached there.
 
         Raises:
             BadInputError: a whole array of layers is attached, or a layer of a multisampled array, which Mesa does not
@@ -223,7 +223,7 @@ class FramebufferQueries:
             return
 
     def _with_texture(self, target: int, name: int, read: Callable[[], _Made]) -> _Made | None:
-        """What is read while a texture is bound to a target; None if the texture is of another kind."""
+        """Return what is read while a texture is bound to a target; None if the texture is of another kind."""
         bind, before = self.gl("glBindTexture", _UINT, _UINT), self.integer(_BINDINGS[target])
         bind(target, name)
         if self._context.take_error():
@@ -263,7 +263,7 @@ class ImageCache(Generic[_Made]):
         self._made: OrderedDict[tuple[object, ...], tuple[list[Any], int, _Made]] = OrderedDict()
 
     def get(self, objects: list[Any], key: tuple[object, ...], make: Callable[[_Made | None], _Made]) -> _Made:
-        """What `make` returned for the same objects and key.
+        """Return what `make` returned for the same objects and key.
 
         Args:
             objects: ModernGL objects, or numbers.
@@ -298,5 +298,5 @@ class ImageCache(Generic[_Made]):
 
 
 def fresh_framebuffer(context: gl.GlContext) -> gl.Framebuffer:
-    """A framebuffer of ours, to which an image can be attached."""
+    """Return a framebuffer of ours, to which an image can be attached."""
     return context.framebuffer([context.target((1, 1), 4, "f1")])

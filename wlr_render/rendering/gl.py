@@ -73,7 +73,7 @@ def make_mip_levels(texture: Texture) -> None:
 
 
 def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
-    """A texture as (height, width, components), or (height, width) if it has one component."""
+    """Return a texture as (height, width, components), or (height, width) if it has one component."""
     shape = (texture.height, texture.width) + ((texture.components,) if texture.components > 1 else ())
     pixels = np.empty(shape, dtype)
     texture.read_into(pixels, alignment=1)
@@ -98,7 +98,7 @@ class RenderTargets:
     def get(
         self, name: str, size: tuple[int, int], *formats: tuple[int, str], with_depth: bool = False
     ) -> RenderTarget:
-        """The target of a name and size (width, height).
+        """Return the target of a name and size (width, height).
 
         Args:
             name: of the target, which keeps its formats.

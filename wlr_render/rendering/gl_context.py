@@ -96,7 +96,7 @@ class GlContext:
 
     @contextlib.contextmanager
     def drawing(self, third_party: bool = False) -> Iterator[moderngl.Context]:
-        """A block of OpenGL calls: this context current, all switches off, errors raised at the end.
+        """Open a block of OpenGL calls: this context current, all switches off, errors raised at the end.
 
         Other users of OpenGL in the process leave their context current and blending on, and ModernGL would then
         draw silently wrong pixels.
@@ -145,7 +145,7 @@ class GlContext:
         return not isinstance(thing.ctx.mglo, moderngl.InvalidObject) and self._owner.is_same_as(thing.ctx)
 
     def take_error(self) -> int:
-        """The oldest error that OpenGL holds (0: none), after which it holds none; call it in a drawing block.
+        """Return the oldest error that OpenGL holds (0: none), after which it holds none; call it in a drawing block.
 
         Raises:
             GlError: the context is lost.
@@ -171,7 +171,7 @@ class GlContext:
         self.names_version += 1
 
     def program(self, vertex: str, fragment: str, functions: str = "", /, **constants: float) -> Program:
-        """The program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
+        """Return the program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
 
         Args:
             vertex: file name.
@@ -195,13 +195,13 @@ class GlContext:
         return self.no_vertices(self.program(vertex, fragment, functions, **constants))
 
     def no_vertices(self, program: Program) -> VertexArray:
-        """A program that draws from `gl_VertexID` alone: `.render(vertices=n)`; made once for each program."""
+        """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; made once for each program."""
         if program.glo not in self._no_vertices:
             self._no_vertices[program.glo] = self._tracked(self._ctx.vertex_array(program, []))
         return self._no_vertices[program.glo]
 
     def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
-        """An empty texture of (width, height) to draw into: dtype "f1" (8 bit), "nu2", "f2", "f4", "i4" or "u1".
+        """Return an empty texture of (width, height) to draw into: dtype "f1" (8 bit), "nu2", "f2", "f4", "i4" or "u1".
 
         "srgb" of four components holds sRGB codes in 8 bits: drawn and read as they are, decoded when sampled. "rgb10"
         has 10 bits, and 2 of alpha, and is read as uint16.
@@ -218,7 +218,7 @@ class GlContext:
         return texture
 
     def srgb_texture(self, image: NDArray[np.uint8]) -> Texture:
-        """An sRGB picture (height, width, 3) that is sampled in linear light, bilinear, repeating.
+        """Return an sRGB picture (height, width, 3) that is sampled in linear light, bilinear, repeating.
 
         The hardware's filter weights have 8 bits, so that a sample errs by up to 6e-3 of the local contrast.
         """
@@ -230,7 +230,7 @@ class GlContext:
         return texture
 
     def plain_sampler(self, decodes: bool = False) -> Sampler:
-        """A sampler that reads the nearest texel, without depth comparison; `decodes` sRGB formats or reads codes."""
+        """Return a sampler of the nearest texel, without depth comparison; `decodes` sRGB formats or reads codes."""
         nearest = moderngl.NEAREST, moderngl.NEAREST
         sampler = self._tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
         if not decodes and self.reads_srgb_codes:
@@ -239,7 +239,7 @@ class GlContext:
         return sampler
 
     def third_party_texture(self, number: int, size: tuple[int, int]) -> Texture:
-        """A 2D texture of 8 bits that other software made and frees, by its OpenGL name; in a third-party block."""
+        """Return a 2D texture of 8 bits that others made and free, by its OpenGL name; in a third-party block."""
         forget_textures(self._ctx)
         return self._ctx.external_texture(number, size, 4, 0, "f1")
 
@@ -262,13 +262,13 @@ class GlContext:
         return found.value in (_SRGB8, SRGB8_ALPHA8)
 
     def depth_target(self, size: tuple[int, int]) -> Texture:
-        """An empty depth texture of (width, height), 24 bits, read as plain values."""
+        """Return an empty depth texture of (width, height), 24 bits, read as plain values."""
         texture = self._tracked(self._ctx.depth_texture(size))
         texture.compare_func = ""
         return texture
 
     def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
-        """A target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
+        """Return a target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
         made = self._tracked(self._ctx.framebuffer(textures, depth))
         made.use()  # sets its draw buffers
         return made
@@ -288,7 +288,7 @@ class GlContext:
     def triangles(
         self, program: Program, attributes: dict[str, NDArray[Any]], indices: NDArray[np.uint32]
     ) -> VertexArray:
-        """An indexed triangle mesh; attributes (vertices, n) become float32, unused ones are left out."""
+        """Return an indexed triangle mesh; attributes (vertices, n) become float32, unused ones are left out."""
         content = [
             (self._buffer(values, np.float32), f"{values.shape[1]}f4", name)
             for name, values in attributes.items()
@@ -323,7 +323,7 @@ class GlContext:
             return True  # the context is lost with all its objects
 
     def pixel_buffer(self, size_bytes: int) -> Buffer:
-        """An empty buffer that pixels are read into."""
+        """Return an empty buffer that pixels are read into."""
         return self._tracked(self._ctx.buffer(reserve=size_bytes))
 
     def _buffer(self, values: NDArray[Any], dtype: DTypeLike) -> Any:

@@ -78,7 +78,7 @@ def level_sizes(size: tuple[int, int]) -> list[tuple[int, int]]:
 
 
 def _uncut(sizes: list[tuple[int, int]], level: int) -> int:
-    """The coarsest finer level of which a level's texels cut none; else level 0, whose texels are of one value."""
+    """Return the coarsest finer level whose texels this one's cut nowhere; else level 0, of texels of one value."""
     fitting = (
         finer
         for finer in range(level)

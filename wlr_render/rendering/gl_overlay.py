@@ -76,7 +76,7 @@ class OverlayImport:
         self._context, self._import, self._levels = context, PictureImport(context), MipLevels(context)
 
     def take(self, picture: Any, quad: Quad, stored_colour: StoredColour, rows: Rows | None) -> Overlay:
-        """A picture as an array, or as a texture of any kind that `PictureImport.from_textures` takes.
+        """Return a picture as an array, or as a texture of any kind that `PictureImport.from_textures` takes.
 
         Raises:
             BadInputError: another type, or as `PictureImport.from_arrays` and `from_textures`.

@@ -172,7 +172,7 @@ class _Kept:
         self.set: Callable[..., object] = functools.partial(setter, *first)
 
     def state(self) -> tuple[float, ...]:
-        """The numbers that were read."""
+        """Return the numbers that were read."""
         return tuple(self._numbers)
 
     def is_odd(self) -> bool:

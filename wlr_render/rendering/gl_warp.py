@@ -220,7 +220,7 @@ class GlWarp:
         constants: dict[str, int],
         uniforms: dict[str, Any],
     ) -> Iterator[gl.VertexArray]:
-        """The drawings of a picture, each with its textures and uniforms."""
+        """Return the drawings of a picture, each with its textures and uniforms."""
         image = picture.image
         gl.read_between_texels(image.colour)
         textures: dict[str, Any] = dict(self._panel.textures)
@@ -247,7 +247,7 @@ class GlWarp:
             yield drawing
 
     def _drawing(self, **constants: float) -> gl.VertexArray:
-        """The shaders' variant for constants that always come in the same order; looked up without sorting them."""
+        """Return the shaders' variant for constants that come in the same order always; it is found without a sort."""
         key = tuple(constants.values())
         if key not in self._drawings:
             constants |= {"CHANNELS": self._channels} | self._panel.constants | _CONSTANTS

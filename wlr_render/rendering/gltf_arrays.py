@@ -26,7 +26,7 @@ class GltfArrays:
         self._views: list[dict[str, Any]] = []
 
     def for_trimesh(self) -> tuple[bytes, dict[str, bytes]]:
-        """A .gltf file that trimesh reads as the document means it, and the files that it refers to.
+        """Return a .gltf file that trimesh reads as the document means it, and the files that it refers to.
 
         Primitives have triangles of plain floats in place of strips, fans, and sparse, quantised or interleaved data,
         and a material; the coordinates of the base texture are TEXCOORD_0, moved as `KHR_texture_transform` states.
@@ -63,7 +63,7 @@ class GltfArrays:
         return json.dumps(tree).encode(), files
 
     def values(self, number: int) -> NDArray[Any]:
-        """Stored values (count, components) of an accessor; zeros where it has none, sparse ones in their places."""
+        """Return stored values (count, components) of an accessor; zeros where it has none, sparse ones in place."""
         accessor = self._document.entry("accessors", number)
         columns, kind = COMPONENTS[accessor["type"]], np.dtype(_TYPES[accessor["componentType"]])
         count = accessor["count"]
@@ -107,7 +107,7 @@ class GltfArrays:
         return np.ndarray((count, columns), kind, content, start, (stride, kind.itemsize))
 
     def _triangles(self, primitive: dict[str, Any]) -> NDArray[Any]:
-        """Indices (3 n, 1) of triangles, also of strips and fans."""
+        """Return indices (3 n, 1) of triangles, also of strips and fans."""
         if "indices" in primitive:
             index = self.values(primitive["indices"])[:, 0].astype(np.uint32)
         else:
@@ -122,7 +122,7 @@ class GltfArrays:
         return index[corners].reshape(-1, 1)
 
     def _added(self, values: NDArray[Any]) -> int:
-        """The number of a new accessor with these values."""
+        """Return the number of a new accessor with these values."""
         kind = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[values.shape[1]]
         whole = values.dtype.kind in "iu"
         content = values.astype("<u4" if whole else "<f4").tobytes()

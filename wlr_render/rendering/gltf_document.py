@@ -39,7 +39,7 @@ Fetch = Callable[[str], bytes]
 
 
 def base_texture(material: dict[str, Any]) -> dict[str, Any] | None:
-    """The reference to the texture that gives a material its colour, or None."""
+    """Return the reference to the texture that gives a material its colour, or None."""
     rough = material.get("pbrMetallicRoughness", {})
     glossy = material.get("extensions", {}).get(GLOSSY, {})
     used: dict[str, Any] | None = rough.get("baseColorTexture") or glossy.get("diffuseTexture")
@@ -47,7 +47,7 @@ def base_texture(material: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def coordinates_key(material: dict[str, Any]) -> str:
-    """The attribute with the texture coordinates of a material's base texture."""
+    """Return the attribute with the texture coordinates of a material's base texture."""
     use = base_texture(material) or {}
     return f"TEXCOORD_{use.get('extensions', {}).get(MOVED, {}).get('texCoord', use.get('texCoord', 0))}"
 
@@ -95,7 +95,7 @@ class GltfDocument:
         return entry
 
     def entries(self, kind: str) -> list[Any]:
-        """A list of the file's top level, empty where the file has none."""
+        """Return a list of the file's top level, empty where the file has none."""
         entries = self.tree.get(kind, [])
         if not isinstance(entries, list):
             raise self.fail(f"'{kind}' must be a list")
@@ -115,7 +115,7 @@ class GltfDocument:
             left += reversed(self.entries("nodes")[index].get("children", []))
 
     def rewritten(self) -> dict[str, Any]:
-        """A copy of the tree with what trimesh would read wrongly put otherwise.
+        """Return a copy of the tree with what trimesh would read wrongly put otherwise.
 
         Siblings are reversed, because trimesh takes the last one first. Primitives without triangles and cameras are
         left out: trimesh loses the children of their nodes. Textures of specular glossiness, of which trimesh would
@@ -136,7 +136,7 @@ class GltfDocument:
         return tree
 
     def buffer_content(self, number: int, fetch: Fetch) -> bytes:
-        """The bytes of a buffer: of its uri, or of the GLB's second chunk."""
+        """Return the bytes of a buffer: of its uri, or of the GLB's second chunk."""
         if number not in self._buffers:
             buffer = self.entry("buffers", number)
             self._buffers[number] = self.bytes_of(buffer["uri"], fetch) if "uri" in buffer else self._binary
@@ -286,7 +286,7 @@ class GltfDocument:
         return content[start : start + view["byteLength"]]
 
     def bytes_of(self, uri: object, fetch: Fetch) -> bytes:
-        """What a uri refers to: data of its own, as base64 or text (RFC 2397), or a file."""
+        """Return what a uri refers to: data of its own, as base64 or text (RFC 2397), or a file."""
         if not isinstance(uri, str):
             raise self.fail(f"has the uri {shown(uri)}, which is not text")
         if not uri.startswith("data:"):

@@ -46,7 +46,7 @@ def lost_material_keys(document: GltfDocument, arrays: GltfArrays) -> Iterator[t
 def _sampler_keys(
     document: GltfDocument, texture: dict[str, Any], primitives: list[dict[str, Any]], arrays: GltfArrays
 ) -> Iterator[str]:
-    """Settings of a texture's sampler that differ visibly from repeated and bilinear."""
+    """Return settings of a texture's sampler that differ visibly from repeated and bilinear."""
     number = document.entry("textures", texture["index"]).get("sampler")
     sampler = {} if number is None else document.entry("samplers", number)
     for axis, key in enumerate(("wrapS", "wrapT")):

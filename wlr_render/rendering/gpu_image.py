@@ -77,7 +77,7 @@ def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
 
 
 def read_rgb(texture: gl.Texture) -> NDArray[Any]:
-    """An RGBA texture's colours, (height, width, 3) of `colour_type`; call it in a drawing block."""
+    """Return an RGBA texture's colours, (height, width, 3) of `colour_type`; call it in a drawing block."""
     rgba = gl.read(texture, colour_type(texture))
     return np.ascontiguousarray(rgba[..., :3]) if rgba.dtype == np.float16 else rgb_of_rgba(rgba)
 
@@ -88,7 +88,7 @@ def colour_type(texture: gl.Texture) -> DTypeLike:
 
 
 def shader_intrinsics(camera: Pinhole) -> tuple[float, float, float, float]:
-    """The shaders' `lens`: focal_u, focal_v, centre_u, centre_v in pixels."""
+    """Return the shaders' `lens`: focal_u, focal_v, centre_u, centre_v in pixels."""
     (focal_u, focal_v), (centre_u, centre_v) = camera.focal_px, camera.centre_px
     return float(focal_u), float(focal_v), float(centre_u), float(centre_v)
 

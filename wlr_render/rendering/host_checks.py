@@ -54,7 +54,7 @@ class ErrorReader:
         self._get_error = current.function("glGetError", result=_UINT)
 
     def take(self) -> int:
-        """The oldest error (0: none), after which OpenGL holds none.
+        """Return the oldest error (0: none), after which OpenGL holds none.
 
         Raises:
             GlError: the context is lost: it reports errors for ever.
@@ -164,7 +164,7 @@ class HostChecks:
                 )
 
     def _made_token(self) -> tuple[int, list[float]]:
-        """A sampler object whose border colour tells this context from any other."""
+        """Return a sampler object whose border colour tells this context from any other."""
         token = [float(secrets.randbits(20)) for _ in range(4)]
         set_token = self._current.function("glSamplerParameterfv", _UINT, _UINT, _POINTER)
         name = self._made("Samplers")

@@ -45,7 +45,7 @@ _UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", GLOSSY, "EXT_texture_webp", MOV
 
 
 def lights_of_scene(path: Path, source: Any) -> tuple[LightSource, ...]:
-    """The directional and point lights of a trimesh.Scene, world frame.
+    """Return the directional and point lights of a trimesh.Scene, world frame.
 
     Raises:
         BadInputError: a kind that glTF does not have, or a colour out of range.
@@ -113,7 +113,7 @@ def load_meshes(path: str | Path) -> MeshFile:
 
 
 def _polygon_file(path: Path) -> MeshFile:
-    """The meshes of an OBJ or PLY file, each placed once where it is."""
+    """Return the meshes of an OBJ or PLY file, each placed once where it is."""
     content, neighbours = read_bytes(path, LIMITS.mesh_bytes), _Neighbours(path)
     lost: Iterable[tuple[str, list[str]]] = ()
     file: ObjFile | PlyFile
@@ -154,7 +154,7 @@ def _is_part(geometry: Any) -> bool:
 
 
 def _instance_name(source: Any, node: str, mesh: str) -> str:
-    """The node's name; trimesh gives nodes of its own, with a random name, to meshes of several primitives."""
+    """Return the node's name; trimesh gives nodes of its own, with a random name, to meshes of several primitives."""
     return f"{source.graph.transforms.parents[node]}/{mesh}" if _is_part(source.geometry[mesh]) else node
 
 
@@ -174,11 +174,11 @@ class _Neighbours:
         return self.given[name] if name in self.given else self.get(name)
 
     def find(self, names: Sequence[str]) -> str | None:
-        """The first of these names that a file beside the one being read has."""
+        """Return the first of these names that a file beside the one being read has."""
         return next((name for name in names if name and (self._path.parent / name).is_file()), None)
 
     def _get(self, name: str) -> bytes:
-        """The content of a file beside the one being read."""
+        """Return the content of a file beside the one being read."""
         try:
             file = inside_folder(
                 self._path.parent, unquote(name.strip()) if self._is_gltf else name.strip(), str(self._path)
@@ -198,7 +198,7 @@ class _Neighbours:
 
 
 def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """A glTF file as a trimesh.Scene, with everything that it refers to, and what is not drawn."""
+    """Return a glTF file as a trimesh.Scene, with everything that it refers to, and what is not drawn."""
     import trimesh
 
     neighbours = _Neighbours(path)
@@ -224,7 +224,7 @@ def _named(path: Path, materials: Iterable[tuple[str, list[str]]], parts: Sequen
 
 
 def _meshes(path: Path, raw: Sequence[RawMesh], not_drawn: Sequence[str]) -> tuple[Mesh, ...]:
-    """Checked meshes, without those whose triangles have no area; refused where none is left."""
+    """Return checked meshes, without those whose triangles have no area; refused where none is left."""
     meshes = tuple(mesh for each in raw if (mesh := _mesh(path, each)) is not None)
     if raw and not meshes:
         which = f"mesh {shown(raw[0].name)} has" if len(raw) == 1 else "its meshes have"
@@ -237,7 +237,7 @@ def _meshes(path: Path, raw: Sequence[RawMesh], not_drawn: Sequence[str]) -> tup
 
 
 def _mesh(path: Path, raw: RawMesh) -> Mesh | None:
-    """A checked mesh; None where no triangle has an area."""
+    """Return a checked mesh; None where no triangle has an area."""
     name, position, triangles = raw.name, raw.position, raw.triangles
     if not (np.abs(position) < _LARGEST).all():
         raise BadInputError(
@@ -279,7 +279,7 @@ def _mesh(path: Path, raw: RawMesh) -> Mesh | None:
 
 
 def _flat(raw: RawMesh, triangles: NDArray[np.int64]) -> RawMesh:
-    """A mesh without normals as these triangles of it, each with three vertices and the normal of its plane."""
+    """Return a mesh without normals as these triangles of it, each with three vertices and the normal of its plane."""
     corners = raw.position[triangles]
     normal = np.repeat(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), 3, axis=0)
     kept = triangles.ravel()
@@ -294,14 +294,14 @@ def _flat(raw: RawMesh, triangles: NDArray[np.int64]) -> RawMesh:
 
 
 def _unit_normals(normal: FloatArray) -> Float32Array:
-    """Unit normals (vertices, 3) of normals of any length; up where one has no length."""
+    """Return unit normals (vertices, 3) of normals of any length; up where one has no length."""
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     unit = np.where(~(length <= 1e-12), normal / np.maximum(length, 1e-12), [0.0, 1.0, 0.0])
     return unit.astype(np.float32)
 
 
 def _of_trimesh(name: str, source: Any) -> RawMesh:
-    """A trimesh.Trimesh of a glTF file."""
+    """Return a trimesh.Trimesh of a glTF file."""
     visual, factor, uv, picture = source.visual, np.ones(3), None, None
     material = getattr(visual, "material", None)
     if material is not None:

@@ -179,7 +179,7 @@ def _offsets_in_pixel(count: int) -> FloatArray:
 
 
 def _finite_rays(mi: Any, origin: Float32Array, direction: Float32Array) -> tuple[Any, Any]:
-    """Indices of the rays without NaN, and these rays as Mitsuba's."""
+    """Return indices of the rays without NaN, and these rays as Mitsuba's."""
     origin = np.broadcast_to(origin, direction.shape)
     index = np.flatnonzero(np.isfinite(origin).all(axis=1) & np.isfinite(direction).all(axis=1))
     start, towards = (np.ascontiguousarray(each[index].T, dtype=np.float32) for each in (origin, direction))
@@ -195,7 +195,7 @@ def _registry_numbers(shape: Any) -> Any:
 
 
 def _shape(mi: Any, mesh: Mesh, instance: Instance) -> Any:
-    """An instance as a mesh in the world."""
+    """Return an instance as a mesh in the world."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(
         {"type": "twosided", "matt": {"type": "diffuse", "reflectance": _albedo(mi, mesh)}}
@@ -218,7 +218,7 @@ def _shape(mi: Any, mesh: Mesh, instance: Instance) -> Any:
 
 
 def _albedo(mi: Any, mesh: Mesh) -> Any:
-    """Base colour times texture times vertex colour, at most 1."""
+    """Return base colour times texture times vertex colour, at most 1."""
     import drjit
 
     attribute = {"type": "mesh_attribute", "name": _COLOUR}
@@ -304,7 +304,7 @@ def _installed_llvm() -> list[Path]:
 
 
 def _version_in_path(path: Path) -> tuple[int, ...]:
-    """The numbers behind "llvm" in a path: libLLVM-19.so, libLLVM.so.19.1, llvm@19/lib/libLLVM.dylib; empty without.
+    """Return the numbers behind "llvm" in a path: libLLVM-19.so, libLLVM.so.19.1, llvm@19/lib/libLLVM.dylib.
 
     Links are followed: Homebrew's opt/llvm leads to Cellar/llvm/21.1.0.
     """

@@ -28,14 +28,14 @@ class Neighbours(Protocol):
     """Files beside the one that is read."""
 
     def find(self, names: Sequence[str]) -> str | None:
-        """The first name that a file has."""
+        """Return the first name that a file has."""
 
     def get(self, name: str) -> bytes:
-        """The content of a file; refused where there is none."""
+        """Return the content of a file; refused where there is none."""
 
 
 def obj_text(content: bytes) -> str:
-    """The text of an OBJ or MTL file: UTF-8, or Latin-1 where it is not."""
+    """Return the text of an OBJ or MTL file: UTF-8, or Latin-1 where it is not."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -60,12 +60,12 @@ def statements(text: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def without_comment(text: str) -> str:
-    """A statement without a comment at its end."""
+    """Return a statement without a comment at its end."""
     return re.split(r"(?:^|\s)#", text, maxsplit=1)[0].strip() if "#" in text else text
 
 
 def spellings(name: str) -> list[str]:
-    """A file's name as it stands, then without quotes or a comment, with slashes for the backslashes of Windows."""
+    """Return a file's name as it stands, then without quotes or a comment, with slashes for Windows' backslashes."""
     plain = [name, name.strip("\"'"), without_comment(name)]
     return [*dict.fromkeys(plain + [each.replace("\\", "/") for each in plain])]
 
@@ -110,7 +110,7 @@ class Materials:
         return " or ".join(map(shown, self._libraries))
 
     def get(self, name: str) -> ObjMaterial | None:
-        """A material, with its texture read; None where no library has it."""
+        """Return a material, with its texture read; None where no library has it."""
         found = next((each for each in (name, without_comment(name)) if each in self._materials), None)
         if found is None:
             return None
@@ -175,7 +175,7 @@ class Materials:
 
 
 def _map_options(text: str) -> tuple[str, list[str]]:
-    """The file's name of a texture statement, and its options that change the picture and are not drawn."""
+    """Return the file's name of a texture statement, and its options that change the picture and are not drawn."""
     words, lost = text.split(" "), []
     while words and (option := words[0].lower()) in _NUMBERS | _CHOICES:
         plain = _NUMBERS.get(option, ())

@@ -70,7 +70,7 @@ class CurrentContext:
         return any(name(_EXTENSIONS, index) == extension.encode() for index in range(count.value))
 
     def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
-        """An OpenGL function of this context, to be called while it is current."""
+        """Return an OpenGL function of this context, to be called while it is current."""
         return ctypes.CFUNCTYPE(result, *argument_types)(self.load_opengl_function(name))
 
     def load_opengl_function(self, name: str) -> int:
@@ -84,10 +84,10 @@ class CurrentContext:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Does nothing: the program that made the context makes it current."""
+        """Do nothing: the program that made the context makes it current."""
 
     def release(self) -> None:
-        """Does nothing: the program that made the context destroys it."""
+        """Do nothing: the program that made the context destroys it."""
 
 
 class EglBinding:

@@ -104,7 +104,7 @@ class ObjFile:
         data: dict[str, FloatArray],
         colours: FloatArray | None,
     ) -> Iterator[RawMesh]:
-        """The mesh of a part, or two: without texture are the faces that lack the coordinates which others have."""
+        """Return the mesh of a part, or two: faces that lack the coordinates which others have are without texture."""
         place, coordinate, turned = np.array([*part.corners], dtype=np.int64).T
         position = data["v"][place]
         triangles = _triangles(self._path, position, part.polygons)
@@ -177,7 +177,7 @@ class ObjFile:
         part.polygons.append(polygon)
 
     def _corner(self, line: int, word: str) -> Corner:
-        """A corner's indices, counted from 0; negative ones in the file count back from the latest."""
+        """Return a corner's indices, counted from 0; negative ones in the file count back from the latest."""
         parts = word.split("/")
         found = [-1, -1, -1]
         for at, text in enumerate(parts):
@@ -199,7 +199,7 @@ class ObjFile:
         return found[0], found[1], found[2]
 
     def _array(self, kind: str, columns: int) -> FloatArray:
-        """The first columns of one kind of data, 0 where a line has fewer; every corner's index is checked."""
+        """Return the first columns of one kind of data, 0 where a line has fewer; every corner's index is checked."""
         rows, at = self._data[kind], _KINDS.index(kind)
         used = [np.array([*part.corners])[:, at].max() for part in self._parts.values() if part.corners]
         if (largest := int(max(used, default=-1))) >= len(rows):

@@ -86,7 +86,7 @@ def is_blank(colour: NDArray[np.uint8]) -> bool:
 
 
 def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
-    """A sentence if there are frames that show nothing of a scene, given the names of those frames."""
+    """Return a sentence if there are frames that show nothing of a scene, given the names of those frames."""
     if not names:
         return []
     which = names[0] if len(names) == 1 else f"{len(names)} frames, {names[0]} the first,"
@@ -97,7 +97,7 @@ def blank_warnings(names: Sequence[str], scene: str) -> list[str]:
 
 
 def saturation_warnings(scene: Scene, frames: Iterable[NDArray[np.uint8]]) -> list[str]:
-    """A sentence if lights of a scene burn out part of one of these frames; they are drawn only if a light may."""
+    """Return a sentence if lights of a scene burn out part of one of these frames, drawn only if a light may."""
     lights = scene.bright_lights()
     share = max((float(np.mean((frame == _WHITE).any(axis=-1))) for frame in frames if lights), default=0.0)
     if share < _SATURATED:
@@ -134,7 +134,7 @@ def channels_of(mappings: Eye | Sequence[Eye]) -> EyeChannels:
 
 
 def by_colour(pictures: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """The picture for all colours, or the red, green and blue of one picture each."""
+    """Return the picture for all colours, or the red, green and blue of one picture each."""
     return pictures[0] if len(pictures) == 1 else np.stack([each[..., k] for k, each in enumerate(pictures)], axis=-1)
 
 
@@ -211,7 +211,7 @@ def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Flo
 
 
 def inverse_depth_at(inverse_depth: Float32Array, source: Float32Array) -> Float32Array:
-    """What the warp reads from an inverse depth image (height, width) at finite positions (n, 2): (n,) in 1/m.
+    """Return what the warp reads from an inverse depth image (height, width) at finite positions (n, 2): (n,) in 1/m.
 
     Bilinear within a surface, the nearest texel at its edges, as `warp.py` states.
     """

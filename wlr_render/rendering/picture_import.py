@@ -47,7 +47,7 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """A picture of any kind that `Compositor.submit` takes; rows lie as usual for that kind if None.
+        """Return a picture of any kind that `Compositor.submit` takes; rows lie as usual for that kind if None.
 
         Args:
             camera: that drew it.
@@ -92,7 +92,7 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """A picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, and depth (height, width) or None.
+        """Return a picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, depth (height, width) or None.
 
         Raises:
             BadInputError: as `stored_picture.check_arrays`.
@@ -117,7 +117,7 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """A picture in textures of the image's context; see `is_texture`. The depth may be None.
+        """Return a picture in textures of the image's context; see `is_texture`. The depth may be None.
 
         ModernGL's textures are read as they are, the depth in their first channel. Others, and those of several
         samples, are copied on the GPU first; see `from_framebuffer`. The depth may have a depth format, or be the first
@@ -168,7 +168,7 @@ class PictureImport:
         stored_colour: StoredColour = CODES,
         wider: GpuImage | None = None,
     ) -> GpuImage:
-        """A picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
+        """Return a picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
 
         It is copied, on the GPU. Of several samples per pixel colours are averaged. Of their depths OpenGL takes one,
         usually sample 0, which lies up to half a pixel from the centre.

@@ -107,7 +107,7 @@ class PlyFile:
         self.not_drawn += [f"opacity (alpha) of '{each.name}'" for each in elements if each.is_translucent()]
 
     def meshes(self) -> Iterator[RawMesh]:
-        """The faces, as one mesh for each texture."""
+        """Return the faces, as one mesh for each texture."""
         vertex, face = (self._elements.get(name, _Element(name, 0)) for name in ("vertex", "face"))
         corners = next((face.columns[name] for name in _CORNERS if name in face.columns), None)
         position = vertex.vectors("xyz")
@@ -156,7 +156,7 @@ class PlyFile:
     def _corners(
         self, name: str, position: FloatArray, polygons: list[NDArray[Any]]
     ) -> tuple[NDArray[np.int64], Triangles]:
-        """The vertex of each corner of the polygons, and triangles of corners."""
+        """Return the vertex of each corner of the polygons, and triangles of corners."""
         place = np.concatenate(polygons).astype(np.int64)
         if place.size and not (place.min() >= 0 and place.max() < len(position)):
             raise BadInputError(
@@ -209,7 +209,7 @@ class PlyFile:
 
 
 def _faces_of_strips(strips: _Element) -> _Element:
-    """The triangles of strips, which the index -1 ends."""
+    """Return the triangles of strips, which the index -1 ends."""
     lists = [np.append(each, -1) for name in _CORNERS for each in strips.columns.get(name, ())]
     whole = np.concatenate([np.empty(0), *lists]).astype(np.int64)
     parts = [part[part >= 0] for part in np.split(whole, np.flatnonzero(whole < 0))]

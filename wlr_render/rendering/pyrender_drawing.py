@@ -237,7 +237,7 @@ def _light(pyrender: Any, light: LightSource) -> Any:
 
 
 def _world_from_light(light: LightSource) -> NDArray[np.float64]:
-    """A pose at a point light, or one whose -z axis a directional light follows."""
+    """Return a pose at a point light, or one whose -z axis a directional light follows."""
     if light.kind == "point":
         return transforms.rigid(np.eye(3), light.vector)
     backwards = -light.vector / np.linalg.norm(light.vector)

@@ -68,7 +68,7 @@ _DEGREE = 2
 
 
 def nearest_point_to_rays(slope_offset: FloatArray) -> FloatArray:
-    """The point (3,) that minimises the squares of the rays' offsets from it, in the rays' camera frame.
+    """Return the point (3,) that minimises the squares of the rays' offsets from it, in the rays' camera frame.
 
     A ray is at (c - a z, d - b z, z); its offset from (x, y, z) is measured across the viewing axis, so that the
     point is a regression of (c, d) on (a, b): (c, d) = (x, y) + z (a, b).
@@ -170,7 +170,7 @@ def minification_over_eye_box(
 
 
 def samples_for(minification: float) -> int:
-    """Samples per display pixel along each axis, 1 to MAX_SAMPLES, for `largest_minification`."""
+    """Return samples per display pixel along each axis, 1 to MAX_SAMPLES, for `largest_minification`."""
     return min(max(math.ceil(minification / SPACING_PX), 1), MAX_SAMPLES)
 
 
@@ -237,10 +237,10 @@ class EyePlan:
         return self.samples_of(self.camera)
 
     def samples_of(self, camera: Pinhole) -> int:
-        """The same of an inset's camera."""
+        """Return the same of an inset's camera."""
         return samples_for(float(np.max(camera.focal_px / self.camera.focal_px)) * self.minification)
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
-        """The camera pose and intrinsics to draw with for a viewpoint (3,) and a head pose (4, 4)."""
+        """Return the camera pose and intrinsics to draw with for a viewpoint (3,) and a head pose (4, 4)."""
         position = self.raster_position.at(viewpoint) if self.raster_position else viewpoint
         return View(self.camera, position, world_from_device, self.device_from_camera)

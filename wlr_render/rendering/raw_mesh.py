@@ -42,7 +42,7 @@ class RawMesh:
 
 
 def opened_picture(content: bytes) -> Any:
-    """The picture of a file's content, as PIL.Image, not yet decoded."""
+    """Return the picture of a file's content, as PIL.Image, not yet decoded."""
     from PIL import Image
 
     return Image.open(io.BytesIO(content))

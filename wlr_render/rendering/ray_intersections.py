@@ -40,7 +40,7 @@ class Intersections:
         return cls(np.full(count, np.inf, np.float32), *nothing, *zero)
 
     def reshaped(self, shape: tuple[int, ...]) -> "Intersections":
-        """Views of another shape."""
+        """Return views of another shape."""
         return Intersections(*(getattr(self, field.name).reshape(shape) for field in fields(self)))
 
     def fill(self, where: slice | NDArray[np.intp], hits: "Intersections") -> None:
@@ -127,7 +127,7 @@ def _flat(origin: ArrayLike, direction: ArrayLike) -> tuple[Float32Array, Float3
 
 
 def _finite_rays(origin: Float32Array, direction: Float32Array) -> NDArray[np.intp] | None:
-    """Indices of the rays without NaN or infinity; None for all of them, the usual case."""
+    """Return indices of the rays without NaN or infinity; None for all of them, the usual case."""
     if np.isfinite(direction).all() and np.isfinite(origin).all():
         return None
     return np.flatnonzero(np.isfinite(origin).all(axis=1) & np.isfinite(direction).all(axis=1))

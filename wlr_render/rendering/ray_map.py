@@ -48,7 +48,7 @@ class RayMapPlan:
     def with_nodes(
         cls, panel: Panel, count: int, device_from_camera: FloatArray, offset_px: FloatArray | None = None
     ) -> "RayMapPlan":
-        """A plan of count x count nodes for all pixels; `offset_px` (2,) moves their centres (for supersampling)."""
+        """Return a plan of count x count nodes for all pixels; `offset_px` (2,) moves them (for supersampling)."""
         pixels = WarpGrid.of_pixels(panel)
         if offset_px is not None:
             pixels = replace(pixels, first_px=pixels.first_px + offset_px)
@@ -56,7 +56,7 @@ class RayMapPlan:
 
     @classmethod
     def onto_grid(cls, warp_grid: WarpGrid, count: int, device_from_camera: FloatArray) -> "RayMapPlan":
-        """A plan of count x count nodes for the points of a warp grid."""
+        """Return a plan of count x count nodes for the points of a warp grid."""
         panel, (u, v) = warp_grid.panel, warp_grid.axes_px()
         columns = chebyshev.interpolation_matrix(count, 0, panel.width_px, u)
         rows = chebyshev.interpolation_matrix(count, 0, panel.height_px, v)
@@ -143,7 +143,7 @@ class RayMapSolver(Protocol[SolvedT]):
     """Solves the rays of a warp grid for successive viewpoints."""
 
     def solve(self, viewpoint: FloatArray) -> SolvedT:
-        """The ray map at a viewpoint (3,), device frame, metres; on the GPU the next solve overwrites it.
+        """Return the ray map at a viewpoint (3,), device frame, metres; on the GPU the next solve overwrites it.
 
         Raises:
             BadInputError: the viewpoint is not three finite numbers; the last solution is kept.
@@ -258,7 +258,7 @@ class FilledRayMaps:
         self._last_change = np.zeros_like(self._base_nodes)
 
     def at(self, viewpoint: FloatArray) -> RayMap:
-        """The ray map of a viewpoint (3,); its status names the points around filled nodes by the nodes' status."""
+        """Return the ray map of a viewpoint (3,); points around filled nodes have the nodes' status."""
         plan, base = self._plan, self._base
         solved = solve_pixels(self._mappings, plan.device_from_camera, plan.node_pixel, viewpoint, self._warm_start)
         self._last_change = self._filled(solved.slope_offset - self._base_nodes)
@@ -268,7 +268,7 @@ class FilledRayMaps:
         return RayMap(viewpoint, plan.device_from_camera, slope_offset, status.astype(np.uint8))
 
     def _filled(self, change: FloatArray) -> FloatArray:
-        """Changes (rows, columns, 4) at the nodes without NaN."""
+        """Return changes (rows, columns, 4) at the nodes without NaN."""
         flat = change.reshape(-1, 4)
         known = np.asarray(np.isfinite(flat).all(axis=-1))
         if known.all():
@@ -286,7 +286,7 @@ def _spread(plan: RayMapPlan, at_nodes: FloatArray) -> Float32Array:
 
 
 def _spread_status(plan: RayMapPlan, at_nodes: StatusArray) -> StatusArray:
-    """A point's status is the worst of the nodes around it."""
+    """Return the status of each point, the worst of the nodes around it."""
     columns, rows = plan.warp_grid.size
     if not at_nodes.any():
         return np.zeros((rows, columns), np.uint8)
@@ -338,7 +338,7 @@ def _neighbour_px(panel: Panel) -> FloatArray:
 
 
 def choose_plan(mappings: Eye, tolerance_px: float = 0.005) -> RayMapPlan:
-    """The least number of nodes that keeps the ray map within `tolerance_px` at the centre and corners of the eye box.
+    """Return the fewest nodes that keep the ray map within `tolerance_px` at the centre and corners of the eye box.
 
     Judged on 150 fixed pseudo-random pixels and the panel's corners, where polynomial interpolation errs most.
     If no count reaches the tolerance the largest is taken: a map with kinks is not for interpolation, and
@@ -359,7 +359,7 @@ def choose_plan(mappings: Eye, tolerance_px: float = 0.005) -> RayMapPlan:
 
 
 def _worst_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pixel: FloatArray) -> float:
-    """The largest known error at pixels (n, 2); infinity where none is, because a node itself has no answer.
+    """Return the largest known error at pixels (n, 2); infinity where none is, because a node itself has no answer.
 
     Extrapolated values count less: models bend at the border of their fit, which would cost many nodes.
     """

@@ -61,7 +61,7 @@ class RayRenderer:
     def render_blocks(
         self, shape: tuple[int, int], rays_of_rows: RaysOfRows, with_position: bool = False, shadows: bool = False
     ) -> TracedImage:
-        """A frame whose rays are made as they are needed, in the thread that traces them.
+        """Return a frame whose rays are made as they are needed, in the thread that traces them.
 
         Args:
             shape: (height, width).
@@ -98,7 +98,7 @@ class RayRenderer:
     def render_supersampled(
         self, shape: tuple[int, int], samples: Iterable[RaysOfRows], shadows: bool = False
     ) -> NDArray[np.uint8]:
-        """The mean of several frames in linear light, (height, width, 3) uint8 sRGB.
+        """Return the mean of several frames in linear light, (height, width, 3) uint8 sRGB.
 
         Args:
             shape: (height, width).
@@ -144,7 +144,7 @@ def _rows_per_block(shape: tuple[int, ...]) -> int:
 
 
 def _flat_rows(image: NDArray[_Value], rows: slice) -> NDArray[_Value]:
-    """Some rows of (height, width, ...) as (rows * width, ...), a view."""
+    """Return some rows of (height, width, ...) as (rows * width, ...), a view."""
     block = image[rows]
     return block.reshape(-1, *block.shape[2:])
 

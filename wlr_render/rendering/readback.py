@@ -49,7 +49,7 @@ class Readback:
             return self._wait(self._fence, _FLUSH, 0) not in (_TIMEOUT, _FAILED)
 
     def result(self) -> NDArray[Any]:
-        """The picture, (height, width, 3) as `ComposedFrame.read` returns it; waits for the GPU if it is not ready.
+        """Return the picture (height, width, 3), as `ComposedFrame.read` does; waits for the GPU if it is not ready.
 
         Raises:
             BadInputError: the context has been released.

@@ -128,7 +128,7 @@ class Scene:
         return sum(len(self.meshes[instance.mesh].triangles) for instance in self.instances)
 
     def mesh_of(self, instance: Instance) -> Mesh:
-        """The mesh that an instance places."""
+        """Return the mesh that an instance places."""
         return self.meshes[instance.mesh]
 
     @cached_property
@@ -145,6 +145,6 @@ def world_positions(mesh: Mesh, instance: Instance) -> NDArray[np.float64]:
 
 
 def world_normals(mesh: Mesh, instance: Instance) -> NDArray[np.float64]:
-    """Unit vertex normals of an instance in the world, (vertices, 3): by the inverse transpose."""
+    """Return unit vertex normals of an instance in the world, (vertices, 3): by the inverse transpose."""
     turned = mesh.normal @ np.linalg.inv(instance.world_from_mesh[:3, :3])
     return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-30))

@@ -96,7 +96,7 @@ def _require_header(table: Table) -> None:
 
 
 def _with(scene: Scene, placed: Placed) -> Scene:
-    """The scene and one more object; its instances' mesh indices are shifted."""
+    """Return the scene and one more object; its instances' mesh indices are shifted."""
     meshes, instances, lights, not_drawn = placed
     shifted = tuple(replace(instance, mesh=instance.mesh + len(scene.meshes)) for instance in instances)
     return replace(
@@ -142,7 +142,7 @@ def _light(table: Table) -> LightSource:
 
 
 def _object(table: Table, folder: Path) -> Placed:
-    """A shape or a mesh file, placed."""
+    """Return a shape or a mesh file, placed."""
     if table.has("mesh") == table.has("shape"):
         raise table.fail("needs either 'mesh', a file, or 'shape', one of the built-in ones; write one of them.")
     world_from_object = _placement(table)

@@ -33,7 +33,7 @@ class SceneRaster:
 
     @property
     def backend(self) -> str:
-        """ "egl" or "osmesa"; of an adopted context its platform."""
+        """Name, "egl" or "osmesa"; of an adopted context its platform."""
         return self.context.backend
 
     def draw(self, view: View) -> GeometryImage:

@@ -83,7 +83,7 @@ class Surfaces:
         return _interpolated(self.normal, hits)
 
     def albedo(self, hits: SurfaceHits) -> Float32Array:
-        """Base colour times texture times vertex colour, linear, (3, n)."""
+        """Return base colour times texture times vertex colour, linear, (3, n)."""
         albedo = self.base_colour.take(hits.instance, axis=1)
         if self.vertex_colour is not None:
             albedo *= _interpolated(self.vertex_colour, hits)
@@ -170,7 +170,7 @@ class MetSurfaces:
 def meet_surfaces(
     surfaces: Surfaces, hits: Intersections, origin: Float32Array, direction: Float32Array
 ) -> MetSurfaces:
-    """What rays hit, without light; arguments as of `shade`."""
+    """Return what rays hit, without light; arguments as of `shade`."""
     index = np.flatnonzero(hits.instance >= 0)
     instance = hits.instance.take(index).astype(np.intp)
     triangle = surfaces.first_triangle.take(instance) + hits.triangle.take(index)
@@ -245,7 +245,7 @@ def _dot(first: Float32Array, second: Float32Array) -> Float32Array:
 
 
 def _facing(normal: Float32Array, direction: Float32Array) -> Float32Array:
-    """Unit normals (3, m) turned against the directions (3, m), in place."""
+    """Return unit normals (3, m) turned against the directions (3, m), in place."""
     length = np.sqrt(_dot(normal, normal))
     scale = np.copysign(np.reciprocal(np.maximum(length, np.float32(1e-30), out=length)), -_dot(normal, direction))
     normal *= scale
@@ -253,7 +253,7 @@ def _facing(normal: Float32Array, direction: Float32Array) -> Float32Array:
 
 
 def _raised(position: Float32Array, normal: Float32Array, distance: Float32Array) -> Float32Array:
-    """Starts of shadow rays."""
+    """Return starts of shadow rays."""
     height = np.maximum(distance, np.float32(1)) * np.float32(_SHADOW_BIAS)
     return np.asarray(position + normal * height)
 

@@ -54,7 +54,7 @@ class TargetFramebuffers:
         }
 
     def _of_size(self, into: Any, size_px: tuple[int, int]) -> gl.Framebuffer:
-        """A framebuffer of ours with the first colour image of a target; the window's own for number 0."""
+        """Return a framebuffer of ours with the first colour image of a target; the window's own for number 0."""
         into = TextureLayer(into) if isinstance(into, gl.Texture | gl.TextureArray) else into
         owner = into.texture if isinstance(into, TextureLayer) else into
         if not is_number(owner) and not isinstance(owner, gl.Framebuffer | gl.Texture | gl.TextureArray):

@@ -32,7 +32,7 @@ class WarpGrid:
 
     @classmethod
     def of_pixels(cls, panel: Panel, size_px: tuple[int, int] | None = None) -> "WarpGrid":
-        """The pixel centres of a picture (width, height) that covers the panel; the panel's own if None."""
+        """Return the pixel centres of a picture (width, height) that covers the panel; the panel's own if None."""
         columns, rows = (panel.width_px, panel.height_px) if size_px is None else size_px
         step = panel.size_px / [columns, rows]
         return cls(panel, columns, rows, 0.5 * step, step)

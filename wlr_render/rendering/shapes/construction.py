@@ -20,7 +20,7 @@ Colour = tuple[float, float, float]
 
 
 def from_grid(name: str, position: FloatArray, normal: FloatArray, uv: FloatArray | None = None) -> Mesh:
-    """A grid of points as a mesh, its outside where the columns run right and the rows run down.
+    """Return a grid of points as a mesh, its outside where the columns run right and the rows run down.
 
     Args:
         name: for messages.
@@ -67,7 +67,7 @@ def revolved(name: str, profile: FloatArray, segments: int = 64, smooth: bool = 
 
 
 def tube(name: str, path: FloatArray, radius: float, segments: int = 16) -> Mesh:
-    """A round tube along an open path (n, 3) in a plane z = constant."""
+    """Return a round tube along an open path (n, 3) in a plane z = constant."""
     tangent = np.gradient(path, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     out = np.array([0.0, 0.0, 1.0])
@@ -78,7 +78,7 @@ def tube(name: str, path: FloatArray, radius: float, segments: int = 16) -> Mesh
 
 
 def rectangle(name: str, width: float, height: float) -> Mesh:
-    """A rectangle facing +z, centred at the origin, texture upright."""
+    """Return a rectangle facing +z, centred at the origin, texture upright."""
     x, y = 0.5 * width, 0.5 * height
     position = np.array([[[-x, y, 0], [x, y, 0]], [[-x, -y, 0], [x, -y, 0]]])
     return from_grid(name, position, np.broadcast_to([0.0, 0.0, 1.0], position.shape))
@@ -88,7 +88,7 @@ _FACES = {"front": (0, 0), "back": (0, 180), "right": (0, 90), "left": (0, -90),
 
 
 def cuboid(name: str, size: Sequence[float], faces: Sequence[str] = tuple(_FACES)) -> Mesh:
-    """A box with its origin in the middle of its bottom; each face carries the whole texture, upright.
+    """Return a box with its origin in the middle of its bottom; each face carries the whole texture, upright.
 
     Args:
         name: for messages.
@@ -107,19 +107,19 @@ def cuboid(name: str, size: Sequence[float], faces: Sequence[str] = tuple(_FACES
 
 
 def moved(mesh: Mesh, translation: Sequence[float]) -> Mesh:
-    """The mesh, shifted."""
+    """Return the mesh, shifted."""
     return replace(mesh, position=(mesh.position + np.asarray(translation)).astype(np.float32))
 
 
 def turned(mesh: Mesh, about_x: float = 0.0, about_y: float = 0.0, about_z: float = 0.0) -> Mesh:
-    """The mesh, turned by angles in radians about z, then x, then y."""
+    """Return the mesh, turned by angles in radians about z, then x, then y."""
     rotation = turn(about_x, about_y, about_z)
     position, normal = mesh.position @ rotation.T, mesh.normal @ rotation.T
     return replace(mesh, position=position.astype(np.float32), normal=normal.astype(np.float32))
 
 
 def coloured(mesh: Mesh, colour: Colour) -> Mesh:
-    """The mesh with one linear RGB colour at all its vertices, so that it can be merged with others."""
+    """Return the mesh with one linear RGB colour at all its vertices, so that it can be merged with others."""
     return replace(mesh, vertex_colour=np.tile(np.array(colour, np.float32), (len(mesh.position), 1)))
 
 
@@ -150,28 +150,28 @@ _MOST_DOTS = 10_000
 
 
 def plane(width_m: float = 1.0, height_m: float = 1.0, colour: Colour = (0.7, 0.7, 0.7)) -> Mesh:
-    """A rectangle facing +z, origin at its centre."""
+    """Return a rectangle facing +z, origin at its centre."""
     return replace(rectangle("plane", width_m, height_m), base_colour=np.array(colour, np.float32))
 
 
 def box(size_m: Colour = (0.1, 0.1, 0.1), colour: Colour = (0.7, 0.7, 0.7)) -> Mesh:
-    """A box of width, height, depth, origin at the middle of its bottom."""
+    """Return a box of width, height, depth, origin at the middle of its bottom."""
     return replace(cuboid("box", size_m), base_colour=np.array(colour, np.float32))
 
 
 def sphere(radius_m: float = 0.05, colour: Colour = (0.7, 0.7, 0.7), segments: int = 64) -> Mesh:
-    """A sphere, origin at its centre."""
+    """Return a sphere, origin at its centre."""
     return replace(globe("sphere", radius_m, segments), base_colour=np.array(colour, np.float32))
 
 
 def ball(radius_m: float = 0.06) -> Mesh:
-    """A beach ball, origin at its centre."""
+    """Return a beach ball, origin at its centre."""
     skin = textures.stripes(("e4572e", "fdf6e3", "2e86ab", "fdf6e3", "f3a712", "fdf6e3"))
     return replace(globe("ball", radius_m, 64), texture=skin)
 
 
 def globe(name: str, radius: float, segments: int) -> Mesh:
-    """A sphere about the origin, the top row of its texture at +y."""
+    """Return a sphere about the origin, the top row of its texture at +y."""
     latitude = np.linspace(0.5 * np.pi, -0.5 * np.pi, segments // 2 + 1)
     longitude = np.linspace(0, 2 * np.pi, segments + 1)
     x = np.cos(latitude)[:, None] * np.sin(longitude)
@@ -188,7 +188,7 @@ def dot_board(
     diameter_m: float = 0.008,
     marker_diameter_m: float = 0.0,
 ) -> Mesh:
-    """A white board of black round dots facing +z, origin at its centre, one pitch of margin around the outer dots.
+    """Return a white board of black round dots facing +z, origin at its centre, a pitch of margin around the dots.
 
     Args:
         columns, rows: of dots.

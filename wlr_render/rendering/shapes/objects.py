@@ -21,7 +21,7 @@ _TILES = (18, 3)  # repeats of the texture along and around the tube
 
 
 def sculpture(height_m: float = 0.2, around: int = 96, along: int = 1200) -> Mesh:
-    """A trefoil knot standing on two of its lobes, origin at the middle of its foot, facing +z.
+    """Return a trefoil knot standing on two of its lobes, origin at the middle of its foot, facing +z.
 
     Args:
         height_m: overall height.
@@ -56,7 +56,7 @@ def _relief(t: FloatArray, phi: FloatArray) -> FloatArray:
 
 
 def _centre_line(t: FloatArray) -> FloatArray:
-    """The trefoil (2, 3) on a torus of radii 2 and 1, one lobe up, (..., 3)."""
+    """Return the trefoil (2, 3) on a torus of radii 2 and 1, one lobe up, (..., 3)."""
     ring = 2 + np.cos(3 * t)
     return np.stack([-ring * np.sin(2 * t), ring * np.cos(2 * t), np.sin(3 * t)], axis=-1)
 
@@ -84,7 +84,7 @@ def _periodic_difference(position: FloatArray, axis: int) -> FloatArray:
 
 
 def plinth(radius_m: float = 0.11, height_m: float = 0.1) -> Mesh:
-    """A turned stone plinth, origin at the middle of its foot."""
+    """Return a turned stone plinth, origin at the middle of its foot."""
     relative = [(0, 1), (0.9, 1), (0.95, 0.97), (0.95, 0.86), (0.82, 0.82), (0.78, 0.74), (0.78, 0.3), (0.84, 0.22)]
     relative += [(0.98, 0.18), (1, 0.14), (1, 0.02), (0.98, 0), (0, 0)]
     profile = np.array(relative) * [radius_m, height_m]
@@ -103,14 +103,14 @@ _METAL: Colour = (0.45, 0.46, 0.48)
 
 
 def tabletop(size_m: Colour = (1.4, 0.03, 0.7)) -> Mesh:
-    """A wooden slab of width, thickness, depth, origin at the middle of its top."""
+    """Return a wooden slab of width, thickness, depth, origin at the middle of its top."""
     slab = moved(cuboid("tabletop", size_m), translation=(0, -size_m[1], 0))
     uv = np.stack([slab.position[:, 0], slab.position[:, 2] - slab.position[:, 1]], axis=-1) * 1.5
     return replace(slab, uv=uv.astype(np.float32), texture=textures.wood())
 
 
 def mug(colour: Colour = (0.75, 0.12, 0.06)) -> Mesh:
-    """A mug of coffee, 95 mm high, its handle to the right."""
+    """Return a mug of coffee, 95 mm high, its handle to the right."""
     outer = [(0.034, 0.095), (0.0375, 0.095), (0.0375, 0.006), (0.034, 0), (0, 0)]
     inner = [(0, 0.078), (0.034, 0.078)]
     wall = [(0.034, 0.078), (0.034, 0.095)]
@@ -126,7 +126,7 @@ def mug(colour: Colour = (0.75, 0.12, 0.06)) -> Mesh:
 
 
 def book(size_m: Colour = (0.24, 0.03, 0.17), colour: Colour = (0.05, 0.12, 0.3)) -> Mesh:
-    """A closed book lying on its back, width, thickness, depth; its spine faces +z."""
+    """Return a closed book lying on its back, width, thickness, depth; its spine faces +z."""
     width, thick, deep = size_m
     board = 0.0025
     pages = moved(cuboid("", (width - 0.008, thick - 2 * board, deep - 0.006)), (0, board, -0.002))
@@ -138,7 +138,7 @@ def book(size_m: Colour = (0.24, 0.03, 0.17), colour: Colour = (0.05, 0.12, 0.3)
 
 
 def monitor(width_m: float = 0.52) -> Mesh:
-    """The body and foot of a flat monitor, 16:9; `monitor_screen` has its picture."""
+    """Return the body and foot of a flat monitor, 16:9; `monitor_screen` has its picture."""
     height = width_m * 9 / 16
     slab = moved(cuboid("", (width_m + 0.016, height + 0.016, 0.018)), (0, 0.112, -0.01))
     neck = moved(cuboid("", (0.06, 0.16, 0.02)), (0, 0.01, -0.035))
@@ -147,14 +147,14 @@ def monitor(width_m: float = 0.52) -> Mesh:
 
 
 def monitor_screen(width_m: float = 0.52) -> Mesh:
-    """The picture of a `monitor` of the same width at the same place."""
+    """Return the picture of a `monitor` of the same width at the same place."""
     height = width_m * 9 / 16
     panel = moved(construction.rectangle("monitor_screen", width_m, height), (0, 0.12 + 0.5 * height, 0))
     return replace(panel, texture=textures.screen())
 
 
 def keyboard() -> Mesh:
-    """A keyboard, 440 mm wide, its keys up."""
+    """Return a keyboard, 440 mm wide, its keys up."""
     size = (0.44, 0.016, 0.14)
     top = cuboid("", size, faces=("top",))
     sides = cuboid("", size, faces=("front", "back", "left", "right"))
@@ -163,7 +163,7 @@ def keyboard() -> Mesh:
 
 
 def lamp(colour: Colour = (0.8, 0.4, 0.08)) -> Mesh:
-    """A jointed desk lamp, about 0.45 m high, its head over +x."""
+    """Return a jointed desk lamp, about 0.45 m high, its head over +x."""
     joints = np.array([[0, 0.02, 0], [-0.1, 0.24, 0], [0.1, 0.43, 0]])
     arms = [tube("", np.linspace(joints[i], joints[i + 1], 3), 0.006) for i in (0, 1)]
     knuckles = [moved(construction.globe("", 0.012, 24), joint) for joint in joints]
@@ -176,7 +176,7 @@ def lamp(colour: Colour = (0.8, 0.4, 0.08)) -> Mesh:
 
 
 def plant(leaves: int = 26, height_m: float = 0.32) -> Mesh:
-    """A pot of long, arching leaves."""
+    """Return a pot of long, arching leaves."""
     rng = np.random.default_rng(4)
     pot = np.array([(0.0, 0.1), (0.062, 0.1), (0.062, 0.115), (0.072, 0.115), (0.072, 0.095), (0.066, 0.095)])
     pot = np.concatenate([pot, [(0.048, 0.0), (0.0, 0.0)]])
@@ -190,7 +190,7 @@ def plant(leaves: int = 26, height_m: float = 0.32) -> Mesh:
 
 
 def _leaf(length: float, droop: float) -> Mesh:
-    """A blade that rises from the origin and rays over towards +z by `droop` radians."""
+    """Return a blade that rises from the origin and rays over towards +z by `droop` radians."""
     along = np.linspace(0, 1, 15)
     angle = 0.15 + droop * along
     step = length / along.size
@@ -202,7 +202,7 @@ def _leaf(length: float, droop: float) -> Mesh:
 
 
 def picture(width_m: float = 0.7) -> Mesh:
-    """A painting, 0.7 times as high as wide, origin at its centre."""
+    """Return a painting, 0.7 times as high as wide, origin at its centre."""
     canvas = construction.rectangle("picture", width_m, 0.711 * width_m)
     return replace(canvas, texture=textures.painting())
 

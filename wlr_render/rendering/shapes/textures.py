@@ -9,12 +9,12 @@ Texture = NDArray[np.uint8]
 
 
 def hex_colour(code: str) -> FloatArray:
-    """An sRGB colour "rrggbb" as (3,) in 0..1."""
+    """Return an sRGB colour "rrggbb" as (3,) in 0..1."""
     return np.array([int(code[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
 
 
 def encoded(colour: FloatArray) -> Texture:
-    """sRGB in 0..1 (height, width, 3) as bytes."""
+    """Return sRGB in 0..1 (height, width, 3) as bytes."""
     return np.asarray(np.round(np.clip(colour, 0, 1) * 255), dtype=np.uint8)
 
 
@@ -35,7 +35,7 @@ def inside(distance: FloatArray, softness: float) -> FloatArray:
 
 
 def wave(phase: FloatArray, duty: float = 0.5, softness: float = 0.02) -> FloatArray:
-    """A soft square wave of period 1: 1 during the first `duty` of each period."""
+    """Return a soft square wave of period 1: 1 during the first `duty` of each period."""
     return inside(np.abs(np.mod(phase - 0.5 * duty + 0.5, 1) - 0.5) - 0.5 * duty, softness)
 
 
@@ -49,7 +49,7 @@ def noise(height: int, width: int, rows: float, columns: float, seed: int) -> Fl
 
 
 def inlay() -> Texture:
-    """The sculpture's skin: a checker of ivory and petrol tiles in two sizes, between copper bands. Repeats."""
+    """Return the sculpture's skin: a checker of ivory and petrol tiles in two sizes, between copper bands. Repeats."""
     u, v = texel_grid(512, 512)
     coarse = np.abs(wave(2 * u) - wave(4 * v))
     fine = np.abs(wave(6 * u, softness=0.03) - wave(12 * v, softness=0.03))
@@ -87,7 +87,7 @@ def stripes(colours: tuple[str, ...]) -> Texture:
 
 
 def screen() -> Texture:
-    """What a monitor shows: a window of text lines, a side bar and a chart."""
+    """Return what a monitor shows: a window of text lines, a side bar and a chart."""
     height, width = 540, 960
     u, v = texel_grid(height, width)
     colour = mixed(hex_colour("10263f"), hex_colour("1f5f78"), v)
@@ -120,7 +120,7 @@ def _panel(
 
 
 def painting() -> Texture:
-    """A landscape: sun, sky and five ranges of hills."""
+    """Return a landscape: sun, sky and five ranges of hills."""
     height, width = 512, 720
     u, v = texel_grid(height, width)
     colour = mixed(hex_colour("f6c177"), hex_colour("e8e3d3"), np.clip(1.4 - 2.2 * v, 0, 1))
@@ -133,7 +133,7 @@ def painting() -> Texture:
 
 
 def keys() -> Texture:
-    """A keyboard from above: six rows of keys."""
+    """Return a keyboard from above: six rows of keys."""
     u, v = texel_grid(256, 768)
     row = np.floor(6 * v)
     gap = np.maximum(wave(15 * u + 0.28 * row, 0.14, 0.05), wave(6 * v, 0.13, 0.05))
