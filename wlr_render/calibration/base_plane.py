@@ -9,7 +9,7 @@ from wlr_render.numerics.arrays import FloatArray
 _FLAT = 0.1  # largest thickness of a layer of positions, of its extent, for it to count as a plane
 _SPREAD = 0.1  # least extent across the line that fits the positions best, of that along it
 _STEEPEST = np.tan(np.deg2rad(20.0))
-_LEAST_RISE = 1e-3  # of the extent: 0.06 degrees, which no camera position could show
+_LEAST_RISE = 1e-3  # rise over the extent: 0.06 degrees, which no camera position could show
 _SIGNIFICANT = 10.0  # rise over thickness, squared, per degree of freedom
 
 

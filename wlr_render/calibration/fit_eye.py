@@ -84,7 +84,7 @@ class Calibration:
     def _repr_html_(self) -> str:
         rows = []
         for name, fit in self.sides.items():
-            side: Any = fit  # of either kind, with its own mapping
+            side: Any = fit  # fit of either kind, with its own mapping
             rows.append((name, f"{side.kind}, {side.predicted_arcmin(side.mapping):.2g}'"))
         title = f"Fit of {self.mappings.name}, {self.mappings.eye} eye"
         return html_summary(

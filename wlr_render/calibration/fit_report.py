@@ -19,7 +19,7 @@ from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 AnyModel = TypeVar("AnyModel", FittedDisplay, FittedSeeThrough)
-_BANDS = 5  # of camera positions along x and y that are left out in turn
+_BANDS = 5  # bands of camera positions along x and y that are left out in turn
 _TESTED = 2_000  # pairs of viewpoint and pixel or point at which the predicted error is averaged
 
 
@@ -296,7 +296,7 @@ class ModelFit(Generic[AnyModel]):
 
     def _with_positions(self, viewpoint: FloatArray) -> DisplayCaptures | SeeThroughCaptures:
         """Return the captures and further ones from viewpoints (m, 3), each of which sees what the nearest one saw."""
-        captures: Any = self.captures  # of either kind, and stays of its kind
+        captures: Any = self.captures  # captures of either kind, which they keep
         names, first = np.unique(captures.capture, return_index=True)
         apart = np.linalg.norm(captures.viewpoint[first] - viewpoint[:, None], axis=2)
         seeing = [np.flatnonzero(captures.capture == name) for name in names[np.argmin(apart, axis=1)]]

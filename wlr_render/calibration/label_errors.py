@@ -44,10 +44,10 @@ _SOURCES = {
     ),
 }
 """Source of the errors of a label, by the start of its name, and what avoids them."""
-_SIZES = np.geomspace(0.01, 10.0, 31)  # of errors per axis, in units of the noise, all as probable
+_SIZES = np.geomspace(0.01, 10.0, 31)  # sizes of errors per axis in units of the noise, all as probable
 _DETERMINED = 0.2  # least information of a contrast between groups, over the largest; the fit absorbs what has less
 _CELLS, _DOTS, _DOTS_OF_POSE = 10, 16, 6  # along an axis of the image and of a board
-_BINS, _TIMES = 16, 6  # of a stage's reading and of time
+_BINS, _TIMES = 16, 6  # bins of a stage's reading and of time
 _SAMPLES = 200  # readings at which the effect on the model is averaged
 _SAME_READING_M = 1e-4  # stage readings nearer than this are one
 
@@ -162,9 +162,10 @@ def label_errors(
         named.append(judged[best])
         part, size = left.pop(best)[1], judged[best].size_arcmin / np.sqrt(2.0)
         few = size * principal(effect[:, :, part].reshape(-1, part.stop - part.start))
-        sources, mixed = (judged[best].source,) * few.shape[1], smooth.posterior.mixed_mean.size
-        of_axes = (follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
-        response = Response(sources, of_axes, (of_side[:mixed, part] @ few).T).beside(response)
+        if few.size:  # the model may follow none of them
+            sources, mixed = (judged[best].source,) * few.shape[1], smooth.posterior.mixed_mean.size
+            of_axes = (follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
+            response = Response(sources, of_axes, (of_side[:mixed, part] @ few).T).beside(response)
         score, information = _absorbed(score, information, part, size)
     return tuple(named), response
 
@@ -177,7 +178,7 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
     if isinstance(captures, DisplayCaptures):
         tried.append(_Label("cell of the panel", _cells(captures.pixel, _CELLS), angle))
     else:
-        away = captures.point - captures.viewpoint  # as stated: cells by the readings would sort their noise
+        away = captures.point - captures.viewpoint  # directions as stated: cells by the readings would sort their noise
         tried.append(_Label("cell of the field", _cells(away[:, :2] / away[:, 2:], _CELLS), angle))
         tried += _of_dots(captures, angle / away[:, 2, None, None], angle)
     tried.append(_Label("visit", readings.capture, angle))
@@ -254,7 +255,7 @@ def _score(smooth: SmoothFit, labels: list[_Label]) -> tuple[FloatArray, FloatAr
                 by_axis[axis][:, used] += readings.design(rows).T @ weighted
     square = smooth.noise**2
     score, information, by_axis, by_side = (each / square for each in (score, information, by_axis, by_side))
-    follow = posterior.alone @ by_axis  # of the coefficients, if the side unknowns were known
+    follow = posterior.alone @ by_axis  # change of the coefficients, if the side unknowns were known
     if not readings.mixed:
         information -= sum(each.T @ moved for each, moved in zip(by_axis, follow, strict=True))
         by_side = by_side + np.einsum("osc,ocg->sg", posterior.by_side, by_axis)

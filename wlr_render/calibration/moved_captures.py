@@ -10,11 +10,11 @@ from wlr_render.calibration.smooth_prior import SHIFT, TURN, motion_scale, motio
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of the shift, and of the turn, of a camera that moved
-_SHARE_THAT_MOVES = 0.03  # of captures, before the readings
-_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # of a capture to be judged by the others, and to be named
+_SHARE_THAT_MOVES = 0.03  # share of captures, before the readings
+_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # odds from which a capture is judged by the others, and is named
 _MEDIAN_OF_THREE = 1.538  # median length of three standard normal numbers
 _MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # a motion below both is an ordinary stage's
-_PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # a larger motion is no camera's on a stage
+_PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # a camera on a stage does not move by more
 _ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # per axis, of a good stage
 _BAD_STAGE_M, _BAD_STAGE_RAD, _TIMES_STATED = 1e-4, 3e-4, 2.0  # likewise, of a bad one, or as often as stated
 
@@ -88,7 +88,7 @@ def moved_odds(
     scale = np.repeat(list(product(_TIMES_USUAL, repeat=2)), 3, axis=1)
     normal = np.eye(6) + scale[:, :, None] * (0.5 * (information + information.T)) * scale[:, None]
     values, axes = np.linalg.eigh(normal)
-    values = np.maximum(values, 1.0)  # by rounding alone they are less
+    values = np.maximum(values, 1.0)  # rounding alone makes them smaller
     along = np.einsum("pki,pk->pi", axes, scale * pull)
     logs = 0.5 * (np.sum(along**2 / values, axis=1) - np.log(values).sum(axis=1))
     means = usual * scale * np.einsum("pki,pi->pk", axes, along / values)

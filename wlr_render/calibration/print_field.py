@@ -13,7 +13,7 @@ USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
 _UNIT_M = 0.1
 _FINEST_M = 0.095  # half of the shortest wave: printers err over the width of a hand
 _MOST_WAVES = 12  # along an axis
-_BEYOND = 1.15  # size of the board over that of its dots
+_BEYOND = 1.15  # extent of the board over the extent of its dots
 
 
 @dataclass(frozen=True)

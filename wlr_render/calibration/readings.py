@@ -18,9 +18,9 @@ from wlr_render.numerics.shared_noise import SharedNoise
 _CHUNK = 4_096  # readings whose design is held at once
 _FLAT_M, _FLAT = 1e-6, 0.03
 """Extent of the places along an axis that counts as none: metres, and of the widest axis."""
-_THIN = 0.003  # of the extent along the line or plane that fits the places best: what a stage's errors reach
-_UNKNOWN_EXTENT_M = 0.01  # of places, where all captures have the same: an eye box
-_BOX_MARGIN = 0.025  # of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
+_THIN = 0.003  # share of the extent along the best line or plane: the size of a stage's errors
+_UNKNOWN_EXTENT_M = 0.01  # extent of places where all captures have the same one: an eye box
+_BOX_MARGIN = 0.025  # share of the box per side: half a cell of the coarsest usual grid, 20 samples across the panel
 
 
 def angular_metric(tangents: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ _ROUNDS, _HALVINGS = 15, 6
 _ROUGH, _SETTLED = 1.0, 0.05  # sigmas of the worst unknown: when sizes are worth finding, and when all is found
 _SAME = 0.01  # relative change of sizes
 _FEATURES_CHANGE = 3.0  # factor by which their size may change in one round
-_ROUNDING = 1e-7  # of the sum of squares
+_ROUNDING = 1e-7  # share of the sum of squares
 
 
 class UndeterminedError(ValueError):
@@ -175,7 +175,7 @@ def _stepped(
     for _ in range(_HALVINGS):
         tried = state.moved(step)
         now = _sound(tried, layout, sizes)
-        # Features that a step carries out of a camera's sight cost nothing, and are no gain.
+        # Features that a step carries out of a camera's sight cost nothing; that is not a gain.
         if (
             now is not None
             and now.count >= normal.count

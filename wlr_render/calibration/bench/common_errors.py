@@ -37,14 +37,14 @@ _SOURCE_OF = {
     "axis": "stage",
     "smooth": "stage",
 }
-_KEPT = 0.999  # of the variance that a source brings into the readings
+_KEPT = 0.999  # share of the variance that a source brings into the readings
 _MOST = 24  # variables of all sources
 _LEAST_ARCMIN = 1e-3  # rms in the readings of a variable that is worth keeping
-_JITTER = 1e-10  # of each variance: some poses follow others to nearly all digits
+_JITTER = 1e-10  # share of each variance that is added: some poses follow others to nearly all digits
 _LENS_DEGREE, _LENS_GRID = 7, 21
 _IMAGES_M = (0.3, 5.0)  # distances of virtual images for which shifts of a camera are judged
-_ROWS = 400  # of display and see-through, at which effects are judged
-_MOTION_LOG_SIGMA = 0.3  # of the factor on the poses' sigmas, from some twenty photographs
+_ROWS = 400  # rows of display and see-through at which effects are judged
+_MOTION_LOG_SIGMA = 0.3  # sigma of the logarithm of the factor on the poses' sigmas, from some twenty photographs
 
 Entries = Sequence[SessionEntry]
 

@@ -30,7 +30,7 @@ _SIMILAR = 5.0  # natural logarithm of the odds between explanations that the vi
 _CONVINCING = 9.2  # natural logarithm of the odds, 10,000 to 1, beyond the number of candidates
 _MOST = 4
 _MOST_PAIRED = 40  # photographs of which all pairs are tried
-_SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # of stage errors, logarithms
+_SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # steps of stage errors, logarithms
 SINGLE = ("photograph", "exchange")
 """Kinds of faults whose photographs are rejected; the others leave a target or a mounting of its own."""
 

@@ -20,14 +20,14 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
-_KINDS = ("brown", "fisheye", "rational")  # by number of terms; thin prisms are tried where rational terms help
+_KINDS = ("brown", "fisheye", "rational")  # kinds by number of terms; thin prisms are tried where rational terms help
 _FEWEST_VIEWS = 3
 _CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
 _ENOUGH = 350  # features of a view: more cost time and tell little
-_OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature is no reading of the board
+_OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature does not belong to the board
 _POOR_FIT = 3.0  # times the usual scatter from which a photograph is rejected
 _MISREAD, _LENS_BENDS_PX = 10.0, 2.0  # times as far from a plane's image as usual; and what lenses do to some views
-_BETTER_SIGMAS = 2.0  # by which more terms must predict held-out views better
+_BETTER_SIGMAS = 2.0  # standard errors by which more terms must predict held-out views better
 
 
 class RefusedViewsError(BadInputError):

@@ -28,9 +28,9 @@ from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, Lens
 from wlr_render.numerics.arrays import FloatArray
 
 _SOME = 80  # features of a view that the start takes: it need not be exact, and OpenCV's time grows with them
-_SOME_VIEWS = 8  # by which rough lenses are compared
-_CORNER_DEG = np.geomspace(15.0, 150.0, 12)  # from the axis to the picture's corner
-_LEAST_COSINE = 0.17  # of features that a pose starts from: nearer to the edge of the half space they weigh too much
+_SOME_VIEWS = 8  # views by which rough lenses are compared
+_CORNER_DEG = np.geomspace(15.0, 150.0, 12)  # angle from the axis to the picture's corner
+_LEAST_COSINE = 0.17  # cosine from the axis of features that a pose starts from: others weigh too much
 _STEPS, _CLOSE = 30, 1e-9
 _UNCLEAR = 5.0  # ratio of the residuals of the two poses of a plane below which both are refined
 _MOVED = 1e-3

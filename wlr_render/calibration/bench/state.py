@@ -35,7 +35,7 @@ Key = tuple[str, int | str]
 """Name of a block of unknowns: what it is, and of which camera, board, target, axis, place or view."""
 
 _MOST_ROWS = 100_000
-_TERMS = 12  # of the Jacobian's series: rounding error up to a radian
+_TERMS = 12  # terms of the Jacobian's series: rounding error up to a radian
 
 
 @dataclass(frozen=True, eq=False)

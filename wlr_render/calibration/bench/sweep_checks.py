@@ -233,5 +233,5 @@ def _affine_part(point: FloatArray, displaced: FloatArray, sigma: FloatArray) ->
     axes = np.linalg.qr(design / sigma)[0]  # orthonormal: a coefficient has unit noise
     found = axes.T @ (displaced / sigma)
     square = np.mean(np.sum((axes @ found * sigma) ** 2, axis=1))
-    noise = np.mean(np.sum((axes * sigma) ** 2, axis=1)) / axes.shape[1]  # by each coefficient, on average
+    noise = np.mean(np.sum((axes * sigma) ** 2, axis=1)) / axes.shape[1]  # mean change by each coefficient
     return float(np.sqrt(max(square - found.size * noise, 0.0))), float(np.sqrt(noise))

@@ -19,9 +19,9 @@ USUAL_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 _LEAST, _MOST = 1e-9, 1e-2
 _FOCUS_CHANGES = 2e-4  # standard deviation of a focal length, relative, from one target distance to the other
 _DIRECTION_RAD = np.radians(0.2)  # standard deviation of a stated direction, about what dowel pins and squares give
-_SCALE = 1e-3  # of an axis' travel over its reading: half of what the checks take for ordinary
-_PIVOT_M = 1e-3  # standard deviation of a stated pivot, about what a rule measures
-_DECAY = 0.5  # of the smooth error's size by degree
+_SCALE = 1e-3  # sigma of an axis' travel over its reading: half of the ordinary error in the checks
+_PIVOT_M = 1e-3  # standard deviation of a stated pivot, about as a rule measures it
+_DECAY = 0.5  # factor of the smooth error's size from one degree to the next
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
 _NOISE_DIFFERS = 0.3
