@@ -105,7 +105,7 @@ def _by_errors(readings: FitReadings, response: Response, orders: IntArray) -> F
     k, terms, blocks = len(response.sources), len(readings.orders), readings.blocks
     if readings.mixed:
         return response.mixed.reshape(k, blocks, terms).transpose(2, 1, 0)
-    of_terms = response.coefficients.reshape(k, 2, blocks, terms).transpose(3, 2, 1, 0).reshape(terms, -1)
+    of_terms = response.coefficients.reshape(k, 2, blocks, terms).transpose(3, 2, 1, 0).reshape(terms, 2 * blocks * k)
     row_of = {tuple(order): row for row, order in enumerate(orders.tolist())}
     change = np.zeros((len(orders), of_terms.shape[1]))
     change[[row_of[tuple(order)] for order in readings.orders.tolist()]] = of_terms

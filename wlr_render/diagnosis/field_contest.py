@@ -80,6 +80,14 @@ class FieldContest:
         return np.asarray(self.fixed.count - sum(sizes) + np.cumsum([0, *sizes])[: len(sizes)])
 
     @cached_property
+    def _order(self) -> IntArray:
+        """Order of the function of each fixed column; -1 of those that are not a field's."""
+        order = np.full(self.fixed.count, -1)
+        for first, field in zip(self._first, self.fields, strict=True):
+            order[first : first + field.order.size] = field.order
+        return order
+
+    @cached_property
     def _causes(self) -> IntArray:
         """Columns of the causes of the fit."""
         return np.asarray(self.fixed.count + np.arange(self.found.at.free.size))
@@ -257,17 +265,19 @@ class FieldContest:
         span: IntArray | None = None,
         by: FloatArray | None = None,
         added: IntArray | None = None,
+        mean: float = 1.0,
     ) -> tuple[float, float]:
         """-2 log evidence of a field beside what is known, over all sizes, and its most probable size.
 
         `span` are a cause's columns, put to values `by` that do nothing; `added` are those of them that the field has
-        as well, at unit rms.
+        as well, at unit rms. The field's constants are `mean` times as large as its other coefficients.
         """
         added = np.zeros(0, dtype=np.int64) if added is None else added
         bases, tridiagonals = [], []
         for _, sums, cost in self._scatters:
             alone = folded(sums.moved(span, by), known, np.r_[columns, added])
             scale = np.ones(len(alone.gradient))
+            scale[: len(columns)][self._order[columns] == 0] = mean
             scale[len(columns) :] = 1.0 / np.sqrt(
                 np.mean(self.found.at.jacobian[:, :, added - self.fixed.count] ** 2, axis=(0, 1))
             )

@@ -12,6 +12,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.scatter import LOG10_ODDS, Known
 
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
+_MEAN_OF_DRIFT = 4.0  # a drift is on average as far off as this, over the size of its other terms
 _NEARLY_ALL = 0.95  # of the evidence for cause and field, from which a cause stands by itself
 
 
@@ -73,7 +74,8 @@ class NameContest(FieldContest):
         named, rest, span, at_none = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station)
         with_name = min(self._least_of(columns, named)[0] for columns in tried)
-        without = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
+        means = (1.0, _MEAN_OF_DRIFT) if station in ELSEWHERE else (1.0,)
+        without = min(self._least_of(columns, rest, span, at_none, mean=mean)[0] for columns in tried for mean in means)
         return float(LOG10_ODDS * (without - with_name))
 
     def _odds_against(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:

@@ -388,8 +388,8 @@ def test_a_fit_in_which_nothing_is_wrong_warns_of_nothing_and_says_what_it_found
                 )
             },
             "Display: the residuals show errors by time of 0.18' rms (log10 odds 8), which the model lacks. They cause "
-            "errors of the model of about 0.092', which are in the predicted error above, not in that of the model "
-            "file. Let camera and headset warm up, and visit the positions in random order.",
+            "errors of the model of about 0.092', which the predicted error contains as 'drift'. Let camera and "
+            "headset warm up, and visit the positions in random order.",
         ),
         (
             {"one_more": OneMore("a row of 3 camera positions at y = +4.0 mm", 0.06)},
