@@ -12,8 +12,9 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
+from wlr_render.optics.raised import Offset
 from wlr_render.optics.sag_surfaces import XYPolynomial
-from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Shape
 
 _PIVOT_M = 0.02  # distance of a part's centre of rotation from its origin
 

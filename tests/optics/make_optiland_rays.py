@@ -19,8 +19,9 @@ import numpy as np
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV
 from wlr_render.optics.device import Interaction, Path, PlacedSurface
 from wlr_render.optics.device_file import load_device
+from wlr_render.optics.raised import Offset
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Toroid, XYPolynomial
-from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
+from wlr_render.optics.surfaces import Conic, Ellipsoid
 from wlr_render.optics.traced_mappings import TracedDisplay
 
 STORED = FilePath(__file__).resolve().parent / "data" / "optiland_rays.npz"

@@ -10,8 +10,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.optics.device import Interaction
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM, Medium
+from wlr_render.optics.raised import Offset
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, Asphere, SumOfProfiles, Toroid, XYPolynomial
-from wlr_render.optics.surfaces import Offset
 from wlr_render.optics.traced_mappings import traced_eye
 
 GOOD = """

@@ -14,7 +14,7 @@ from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSur
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import save_device
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.raised import FormError, raised
+from wlr_render.optics.raised import FormError, Offset, raised
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
     AnamorphicTerm,
@@ -24,7 +24,7 @@ from wlr_render.optics.sag_surfaces import (
     Toroid,
     XYPolynomial,
 )
-from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
+from wlr_render.optics.surfaces import Conic, Ellipsoid
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
 WAVELENGTH_UM = 0.6

@@ -7,7 +7,7 @@ from scipy.optimize import minimize
 from wlr_render.geometry.transforms import rigid, rotations_of_vectors
 from wlr_render.optics.glass_files import shipped_glasses
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.raised import FormError, raised
+from wlr_render.optics.raised import FormError, Offset, raised
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
     AnamorphicTerm,
@@ -17,7 +17,7 @@ from wlr_render.optics.sag_surfaces import (
     Toroid,
     XYPolynomial,
 )
-from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset
+from wlr_render.optics.surfaces import Conic, Ellipsoid
 
 COEFFICIENTS = np.array([[0.0, 0.02, -1.5, 30.0], [-0.01, 0.3, -8.0, 0.0], [-2.0, 10.0, 0.0, 0.0]])
 

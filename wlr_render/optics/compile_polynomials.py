@@ -8,7 +8,6 @@ keeps the terms small, so that the polynomial continues smoothly there.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -114,27 +113,45 @@ class _Samples:
     reached: float
 
 
-class _Rays(Protocol):
-    """Sampling and tracing of the rays of a map."""
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """Sampling and tracing of the rays of a map; see `compile_display`."""
 
-    @property
-    def box(self) -> Box:
-        """Box of the inputs."""
+    optics: EyeOptics
+    values: FloatArray
+    plane: BasePlane
+    box: Box
+    wavelength_um: float
+
+    def traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Trace rays with assembly errors: pixels (n, 2) or deviations (n, 4), and which rays pass."""
+        raise NotImplementedError
+
+    def by_stepped_values(self, samples: _Samples, outputs: FloatArray) -> FloatArray:
+        """Return (n, outputs, 12) derivatives of what `traced` returns by the assembly errors, along fixed rays."""
+        stepped = self.values + _VALUE_STEP * np.eye(len(self.values))
+        changed = [self.traced(values, samples.place, samples.tangents)[0] for values in stepped]
+        return np.stack([moved - outputs for moved in changed], axis=-1) / _VALUE_STEP
 
     def lattice(self, limits: Limits) -> tuple[FloatArray, FloatArray]:
         """Return the places and tangents, (n, 2) each, enough for these orders."""
+        raise NotImplementedError
 
     def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Return the places and tangents, (n, 2) each."""
+        raise NotImplementedError
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
         """Trace rays and keep the rays that pass, in the box grown by `border` of its size."""
+        raise NotImplementedError
 
     def by_values(self, samples: _Samples) -> FloatArray:
         """Return (n, outputs, 12) derivatives of the outputs by the assembly errors, at constant inputs."""
+        raise NotImplementedError
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
         """Return the angles (n,) of differences (n, outputs) of the outputs."""
+        raise NotImplementedError
 
 
 def _compiled(rays: _Rays, ladder: tuple[Limits, ...]) -> CompiledMap:
@@ -170,17 +187,10 @@ def _ridge_regression(inputs: FloatArray, orders: IntArray, box: Box) -> Callabl
     return solve
 
 
-@dataclass(frozen=True, eq=False)
-class _DisplayRays:
+class _DisplayRays(_Rays):
     """Rays of the display, traced from the eye; each meets the panel in some pixel."""
 
-    optics: EyeOptics
-    values: FloatArray
-    plane: BasePlane
-    box: Box
-    wavelength_um: float
-
-    def _traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
         display = TracedDisplay(assembled(self.optics, values), self.wavelength_um)
         pixel, status = display.plane_pixel(dir_of_tangents(tangents), self.plane.lift(place))
         return pixel, np.asarray(status == Status.OK)
@@ -191,7 +201,7 @@ class _DisplayRays:
     def _bounds(self, place: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return lowest and highest tangents (n, 2) that reach the box from places (n, 2), of a grid `axes` (m, 2)."""
         grid = _grid(axes[:, 0], axes[:, 1])
-        pixel, passes = self._traced(self.values, np.repeat(place, len(grid), axis=0), np.tile(grid, (len(place), 1)))
+        pixel, passes = self.traced(self.values, np.repeat(place, len(grid), axis=0), np.tile(grid, (len(place), 1)))
         reaching = (self._in_box(pixel, _BORDER) & passes).reshape(len(place), -1, 1)
         step = axes[1] - axes[0]
         low = np.where(reaching, grid, np.inf).min(axis=1) - step
@@ -214,14 +224,12 @@ class _DisplayRays:
         return np.repeat(place, len(unit), axis=0), (low + unit * (high - low)).reshape(-1, 2)
 
     def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Return random places and tangents, as `_Rays` does."""
         place = rng.uniform(self.box.low[2:], self.box.high[2:], (_CHECKED, 2))
         reach = self._reach()
         return place, rng.uniform(reach[0], reach[-1], (_CHECKED, 2))
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
-        """Trace rays, as `_Rays` does."""
-        pixel, passes = self._traced(self.values, place, tangents)
+        pixel, passes = self.traced(self.values, place, tangents)
         meant = self._in_box(pixel, border)
         kept = meant & passes
         inputs, reached = _joined(pixel, place)[kept], kept.sum() / max(1, meant.sum())
@@ -231,28 +239,19 @@ class _DisplayRays:
         """Return the derivatives dt/dvalue = -(dpixel/dt)^-1 dpixel/dvalue, the last along a fixed ray."""
         place, tangents = samples.place, samples.tangents
         pixel = samples.inputs[:, :2]
-        shifted = [self._traced(self.values, place, tangents + _TANGENT_STEP * axis)[0] for axis in np.eye(2)]
+        shifted = [self.traced(self.values, place, tangents + _TANGENT_STEP * axis)[0] for axis in np.eye(2)]
         by_tangents = np.stack([moved - pixel for moved in shifted], axis=-1) / _TANGENT_STEP
-        changed = [self._traced(values, place, tangents)[0] for values in _stepped(self.values)]
-        by_value = np.stack([moved - pixel for moved in changed], axis=-1) / _VALUE_STEP
-        return np.asarray(-np.linalg.solve(by_tangents, by_value))
+        return np.asarray(-np.linalg.solve(by_tangents, self.by_stepped_values(samples, pixel)))
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
         """Return the angles between the view directions."""
         return _angle_arcmin(samples.tangents, difference)
 
 
-@dataclass(frozen=True, eq=False)
-class _SeeThroughRays:
+class _SeeThroughRays(_Rays):
     """Rays of the see-through mapping, traced from the eye to the world."""
 
-    optics: EyeOptics
-    values: FloatArray
-    plane: BasePlane
-    box: Box
-    wavelength_um: float
-
-    def _traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the deviations (n, 4), and which rays pass."""
         start, path = self.plane.lift(place), assembled(self.optics, values).see_through
         traced = trace(path, start, dir_of_tangents(tangents), self.wavelength_um)
@@ -261,36 +260,27 @@ class _SeeThroughRays:
         return _joined(beyond - tangents, traced.origin[:, :2] + back - place), np.asarray(traced.status == Status.OK)
 
     def lattice(self, limits: Limits) -> tuple[FloatArray, FloatArray]:
-        """Return places and tangents, as `_Rays` does."""
         place, tangents = _nodes_2d(self.box, (0, 1), limits[0] + 3), _nodes_2d(self.box, (2, 3), limits[1] + 4)
         return np.repeat(place, len(tangents), axis=0), np.tile(tangents, (len(place), 1))
 
     def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Return random places and tangents, as `_Rays` does."""
         inputs = rng.uniform(self.box.low, self.box.high, (_CHECKED, 4))
         return inputs[:, :2], inputs[:, 2:]
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
         """Trace rays, all of which are in the box."""
-        deviation, passes = self._traced(self.values, place, tangents)
+        deviation, passes = self.traced(self.values, place, tangents)
         place, tangents = place[passes], tangents[passes]
         return _Samples(place, tangents, _joined(place, tangents), deviation[passes], float(passes.mean()))
 
     def by_values(self, samples: _Samples) -> FloatArray:
-        """Return the derivatives of the outputs, as `_Rays` does."""
-        changed = [self._traced(values, samples.place, samples.tangents)[0] for values in _stepped(self.values)]
-        return np.stack([moved - samples.outputs for moved in changed], axis=-1) / _VALUE_STEP
+        return self.by_stepped_values(samples, samples.outputs)
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
         """Return the larger of the errors at the nearest point and at infinity."""
         far, offset = difference[:, :2], difference[:, 2:] / _NEAREST_M
         angles = [_angle_arcmin(samples.tangents, each) for each in (far, far + offset)]
         return np.maximum(*angles)
-
-
-def _stepped(values: FloatArray) -> FloatArray:
-    """Return (12, 12) values, each row with one of them changed by `_VALUE_STEP`."""
-    return np.asarray(values + _VALUE_STEP * np.eye(len(values)))
 
 
 def _joined(*parts: FloatArray) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path as FilePath
-from typing import Any
 
 import numpy as np
 
@@ -18,24 +17,12 @@ from wlr_render.optics.device import (
     PlacedSurface,
     mirrored,
 )
-from wlr_render.optics.device_file import MM, base_chain
-from wlr_render.optics.glass_files import shipped_glasses
+from wlr_render.optics.device_media import medium_content
+from wlr_render.optics.device_shapes import MM, Content, in_mm, shape_content
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.raised import Raised, RaisedSag
-from wlr_render.optics.sag_surfaces import (
-    AnamorphicAsphere,
-    AnamorphicTerm,
-    Asphere,
-    GaussianBump,
-    SumOfProfiles,
-    Toroid,
-    XYPolynomial,
-)
-from wlr_render.optics.surfaces import Conic, Ellipsoid, Offset, Shape
+from wlr_render.optics.raised import Offset, RaisedSag, base_of, nesting
+from wlr_render.optics.surfaces import Shape
 from wlr_render.toml_files import write_toml
-
-Content = dict[str, Any]
-"""A table of the file, in plain lists and numbers, so that two tables can be compared."""
 
 
 def save_device(device: Device, path: str | FilePath) -> FilePath:
@@ -51,7 +38,7 @@ def device_content(device: Device) -> Content:
     """Return the content that `save_device` writes; two devices are the same if it is equal."""
     names = _medium_names(device)
     head = {"name": device.name, "source": device.source, "frame": "openxr"}
-    media = [_medium(name, medium) for medium, name in names.items() if medium != AIR]
+    media = [medium_content(name, medium) for medium, name in names.items() if medium != AIR]
     eyes = _eyes(device, names)
     return head | ({"medium": media} if media else {}) | {"eye": eyes}
 
@@ -68,24 +55,6 @@ def _medium_names(device: Device) -> dict[Medium, str]:
     return names
 
 
-def _medium(name: str, medium: Medium) -> Content:
-    shift = {"index_shift": medium.index_shift} if medium.index_shift else {}
-    for glass in shipped_glasses().values():
-        if (medium.terms, medium.powers) == (glass.terms, glass.powers):
-            return {"name": name, "formula": glass.name} | shift
-    poles = [list(term) for term in medium.terms if term[1]]
-    # A Sellmeier term with a pole of 0 is a constant of n^2, and so is a factor of the power 0.
-    constant = sum(strength for strength, pole in medium.terms if not pole)
-    constant += sum(factor for factor, power in medium.powers if not power)
-    powers = [[factor, power] for factor, power in medium.powers if power]
-    if powers:
-        sellmeier = {"sellmeier": poles} if poles else {}
-        return {"name": name} | sellmeier | {"schott": [[1.0 + constant, 0.0], *powers]} | shift
-    if poles:
-        return {"name": name, "sellmeier": [*poles, *([[constant, 0.0]] if constant else [])]} | shift
-    return {"name": name, "index": replace(medium, index_shift=0.0).index(1.0)} | shift
-
-
 def _eyes(device: Device, names: dict[Medium, str]) -> list[Content]:
     """Return one table for both eyes if one is the mirror image of the other, else one for each."""
     first, *others = device.eyes
@@ -100,7 +69,7 @@ def _eye(eye: EyeOptics, names: dict[Medium, str]) -> Content:
         "display_path": _path(eye.display, names),
         "see_through_path": _path(eye.see_through, names),
         **({} if eye.field is None else {"field_deg": _field(eye.field)}),
-        "eye_box": {"centre_mm": _mm(eye.eye_box.centre), "size_mm": _mm(eye.eye_box.size)},
+        "eye_box": {"centre_mm": in_mm(eye.eye_box.centre), "size_mm": in_mm(eye.eye_box.size)},
         "panel": _panel(eye.panel),
         **_surfaces(eye.surfaces()),
     }
@@ -121,8 +90,8 @@ def _field(field: FieldOfView) -> list[float]:
 
 def _panel(panel: PlacedPanel) -> Content:
     return {
-        "centre_mm": _mm(panel.device_from_panel[:3, 3]),
-        "size_mm": _mm(panel.size),
+        "centre_mm": in_mm(panel.device_from_panel[:3, 3]),
+        "size_mm": in_mm(panel.size),
         "pixels": [panel.pixels.width_px, panel.pixels.height_px],
         "u_axis": panel.device_from_panel[:3, 0].tolist(),
         "v_axis": panel.device_from_panel[:3, 1].tolist(),
@@ -134,20 +103,20 @@ def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
     """Return all surfaces and the bases that displaced ones need, each base before the surfaces that refer to it."""
     placed, bases = list(surfaces), dict[str, str]()
     for surface in placed:  # grows by the bases, which may be displaced too
-        if not isinstance(surface.shape, Offset | Raised | RaisedSag):
+        if (shape := base_of(surface.shape)) is None:
             continue
-        base = _base(surface, surface.shape.base, placed)
+        base = _placed_base(surface, shape, placed)
         bases[surface.name] = base.name
         if base not in placed:
             placed.append(base)
-    ordered = sorted(placed, key=lambda surface: len(base_chain(surface.shape)))
+    ordered = sorted(placed, key=lambda surface: nesting(surface.shape))
     return {"surface": [_surface(surface, bases) for surface in ordered]} if placed else {}
 
 
-def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> PlacedSurface:
+def _placed_base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> PlacedSurface:
     """Return the surface that is the base of a displaced one: an existing surface in its place, or a new one."""
     for other in placed:
-        if other.shape is shape and np.array_equal(other.device_from_surface, surface.device_from_surface):
+        if other.shape == shape and np.array_equal(other.device_from_surface, surface.device_from_surface):
             return other
     name = f"{surface.name}_base"
     while any(name == other.name for other in placed):
@@ -156,83 +125,24 @@ def _base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> 
 
 
 def _surface(surface: PlacedSurface, bases: dict[str, str]) -> Content:
-    if isinstance(surface.shape, Offset):
-        content = {"shape": "offset", "of": bases[surface.name], "distance_mm": surface.shape.distance / MM}
-    elif isinstance(surface.shape, Raised | RaisedSag):
+    shape = surface.shape
+    if not isinstance(shape, Offset | RaisedSag):
+        content = shape_content(shape) | _pose(surface.device_from_surface)
+    elif isinstance(shape, Offset) and not shape.errors:
+        content = {"shape": "offset", "of": bases[surface.name], "distance_mm": shape.distance / MM}
+    else:
         errors = [
-            _shape(each.sag) | _pose(surface.device_from_surface @ each.surface_from_error)
-            for each in surface.shape.errors
+            shape_content(each.sag) | _pose(surface.device_from_surface @ each.surface_from_error)
+            for each in shape.errors
         ]
         content = {"shape": "raised", "of": bases[surface.name], "error": errors}
-    else:
-        content = _shape(surface.shape) | _pose(surface.device_from_surface)
     return {"name": surface.name} | content | _aperture(surface.aperture)
-
-
-def _shape(shape: Shape) -> Content:
-    match shape:
-        case Conic(curvature=0.0):
-            return {"shape": "plane"}
-        case Conic():
-            return {"shape": "conic"} | _base_conic(shape)
-        case Ellipsoid():
-            return {"shape": "ellipsoid", "semi_axes_mm": _mm(shape.semi_axes)}
-        case Toroid():
-            return {"shape": "toroid", "radius_x_mm": shape.radius_x / MM, "radius_y_mm": shape.radius_y / MM}
-        case Asphere():
-            base = _base_conic(shape) if shape.curvature else {}
-            sag = {f"r{k}": each / MM ** (1 - k) for k, each in enumerate(shape.coefficients, start=2) if each}
-            return {"shape": "asphere"} | base | {"sag_mm": sag or {"r2": 0.0}}
-        case SumOfProfiles():
-            return {"shape": "sum_of_profiles"} | _biconic(shape)
-        case XYPolynomial():
-            base = _base_conic(shape) if shape.curvature else {}
-            return {"shape": "xy_polynomial"} | base | {"sag_mm": _polynomial(shape.coefficients)}
-        case AnamorphicAsphere():
-            return {"shape": "anamorphic"} | _anamorphic(shape)
-        case GaussianBump():
-            return {"shape": "bump", "height_mm": shape.height / MM, "width_mm": shape.width / MM}
-    raise TypeError(f"a device file has no shape {type(shape).__name__}.")
-
-
-def _base_conic(shape: Conic | Asphere | XYPolynomial) -> Content:
-    return {"radius_mm": 1.0 / shape.curvature / MM, "conic": shape.conic}
-
-
-def _polynomial(coefficients: FloatArray) -> Content:
-    """Return non-zero terms with keys such as x2y3; one zero term if all vanish."""
-    powers = [(int(m), int(n)) for m, n in np.argwhere(coefficients)] or [(0, 0)]
-    return {_term_key(m, n): float(coefficients[m, n]) / MM ** (1 - m - n) for m, n in powers}
-
-
-def _term_key(m: int, n: int) -> str:
-    """Return the key of a term, such as x2y3 or y4; x0 for the constant."""
-    return f"x{m}" * (m > 0) + f"y{n}" * (n > 0) or "x0"
-
-
-def _biconic(shape: AnamorphicAsphere | SumOfProfiles) -> Content:
-    """Return the radii of the profiles that have one, and conics."""
-    radii = {
-        f"radius_{axis}_mm": 1.0 / curvature / MM
-        for axis, curvature in zip("xy", shape.curvature, strict=True)
-        if curvature
-    }
-    return radii | {"conic_x": shape.conic[0], "conic_y": shape.conic[1]}
-
-
-def _anamorphic(shape: AnamorphicAsphere) -> Content:
-    return _biconic(shape) | ({"term": [_term(term) for term in shape.terms]} if shape.terms else {})
-
-
-def _term(term: AnamorphicTerm) -> Content:
-    order = 2 * term.power
-    return {"order": order, "sag_mm": term.amplitude / MM ** (1 - order), "asymmetry": term.asymmetry}
 
 
 def _pose(device_from_surface: FloatArray) -> Content:
     rotation = device_from_surface[:3, :3]
     return {
-        "origin_mm": _mm(device_from_surface[:3, 3]),
+        "origin_mm": in_mm(device_from_surface[:3, 3]),
         "z_axis": rotation[:, 2].tolist(),
         "x_axis": rotation[:, 0].tolist(),
         **({"mirrored": True} if np.linalg.det(rotation) < 0 else {}),
@@ -242,9 +152,4 @@ def _pose(device_from_surface: FloatArray) -> Content:
 def _aperture(aperture: ClearAperture) -> Content:
     """Return a pair (low, high) for each axis on which the aperture is bounded."""
     sides = zip("xyz", aperture.low, aperture.high, strict=True)
-    return {f"aperture_{axis}_mm": _mm(np.array(side)) for axis, *side in sides if np.isfinite(side).any()}
-
-
-def _mm(metres: FloatArray) -> list[float]:
-    millimetres: list[float] = (metres / MM).tolist()
-    return millimetres
+    return {f"aperture_{axis}_mm": in_mm(np.array(side)) for axis, *side in sides if np.isfinite(side).any()}

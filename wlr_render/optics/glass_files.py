@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, hashes_of_inputs, read_bytes, reason_of, shown
-from wlr_render.optics.lens_files.lens_text import decode_lens_text, lines_of
+from wlr_render.input_files import hashes_of_inputs, reason_of, shown
+from wlr_render.optics.lens_files.lens_text import read_lens_lines
 from wlr_render.optics.media import Medium
 
 SHIPPED = Path(__file__).with_name("glasses.agf")
@@ -62,7 +62,7 @@ class GlassEntry:
                 f"{where} has {len(values)} coefficients; formula {number} ({title}) has {count}, and zeros up to ten: "
                 "correct the number of the formula or the coefficients."
             )
-        medium = build(self.name, values[:count])
+        medium = build(self.name, *values[:count])
         if fault := medium.fault():
             raise BadInputError(f"{where}: {fault}")
         return medium
@@ -76,8 +76,7 @@ def read_glass_file(path: Path) -> dict[str, GlassEntry]:
     """
     entries: dict[str, GlassEntry] = {}
     entry = None
-    text = decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), _KIND)
-    for number, line in enumerate(lines_of(text), 1):
+    for number, line in enumerate(read_lens_lines(path, _KIND), 1):
         key, *words = line.split() or [""]
         if key == "NM" and len(words) > 1:
             entry = GlassEntry(words[0], words[1], f"{path}: line {number}")
@@ -108,24 +107,11 @@ def shipped_glasses() -> dict[str, Medium]:
     return {entry.name: entry.medium() for entry in shipped_entries().values()}
 
 
-def sellmeier(name: str, coefficients: Sequence[float]) -> Medium:
-    """Return a medium of n^2 = 1 + sum of K L^2 / (L^2 - pole), from K, pole, K, pole and so on."""
-    return Medium.squared(name, zip(coefficients[::2], coefficients[1::2], strict=True), [(1.0, 0.0)])
-
-
-def fraction(strength: float, pole: float) -> tuple[list[tuple[float, float]], list[tuple[float, float]]]:
-    """Return the terms and powers, for `Medium.squared`, of strength / (L^2 - pole)."""
-    if not pole:
-        return [], [(strength, -2.0)]
-    return [(strength / pole, pole)], [(-strength / pole, 0.0)]
-
-
-def herzberger(name: str, coefficients: Sequence[float]) -> Medium:
+def herzberger(name: str, a: float, b: float, c: float, *rest: float) -> Medium:
     """Return a medium of n = A + B M + C M^2 + D L^2 + E L^4 + F L^6 with M = 1 / (L^2 - 0.028).
 
     M is expanded in powers of 0.028 / L^2 up to L^-20: from 0.4 micrometres on, n is exact to 1e-7.
     """
-    a, b, c, *rest = coefficients
     factors = [(a, 0.0), *zip(rest, (2.0, 4.0, 6.0), strict=True)]
     for k in range(10):
         factors.append((b * _HERZBERGER_POLE**k, -2.0 * k - 2.0))
@@ -134,55 +120,38 @@ def herzberger(name: str, coefficients: Sequence[float]) -> Medium:
     return Medium(name, powers=tuple(pair for pair in medium.powers if pair[1] >= -_MOST_POWER))
 
 
-def _powers(*powers: float) -> Callable[[str, Sequence[float]], Medium]:
+def _of_powers(*powers: float) -> Callable[..., Medium]:
     """Return a reader of n^2 = sum of coefficient L^power."""
-    return lambda name, values: Medium.squared(name, (), zip(values, powers, strict=True))
+    return lambda name, *values: Medium.squared(name, (), zip(values, powers, strict=True))
 
 
-def _sellmeier_2(name: str, values: Sequence[float]) -> Medium:
-    """Return a medium of n^2 = 1 + A + B L^2 / (L^2 - p^2) + C / (L^2 - q^2)."""
-    a, b, p, c, q = values
-    terms, powers = fraction(c, q * q)
-    return Medium.squared(name, [(b, p * p), *terms], [(1.0 + a, 0.0), *powers])
+def _sellmeier(name: str, *values: float) -> Medium:
+    """Return a medium of n^2 = 1 + sum of K L^2 / (L^2 - pole), from K, pole, K, pole and so on."""
+    return Medium.squared(name, zip(values[::2], values[1::2], strict=True), [(1.0, 0.0)])
 
 
-def _handbook_1(name: str, values: Sequence[float]) -> Medium:
-    """Return a medium of n^2 = A + B / (L^2 - C) - D L^2."""
-    a, b, c, d = values
-    terms, powers = fraction(b, c)
-    return Medium.squared(name, terms, [(a, 0.0), (-d, 2.0), *powers])
-
-
-def _handbook_2(name: str, values: Sequence[float]) -> Medium:
-    """Return a medium of n^2 = A + B L^2 / (L^2 - C) - D L^2."""
-    a, b, c, d = values
-    return Medium.squared(name, [(b, c)], [(a, 0.0), (-d, 2.0)])
-
-
-def _sellmeier_4(name: str, values: Sequence[float]) -> Medium:
-    """Return a medium of n^2 = A + B L^2 / (L^2 - C) + D L^2 / (L^2 - E)."""
-    a, b, c, d, e = values
-    return Medium.squared(name, [(b, c), (d, e)], [(a, 0.0)])
-
-
-def _conrady(name: str, values: Sequence[float]) -> Medium:
-    """Return a medium of n = A + B / L + C / L^3.5."""
-    return Medium.cauchy(name, tuple(zip(values, (0.0, -1.0, -3.5), strict=True)))
-
-
-_FORMULAS: dict[int, tuple[str, int, Callable[[str, Sequence[float]], Medium]]] = {
-    1: ("Schott", 6, _powers(*SCHOTT_POWERS)),
-    2: ("Sellmeier 1", 6, sellmeier),
+_FORMULAS: dict[int, tuple[str, int, Callable[..., Medium]]] = {
+    1: ("Schott", 6, _of_powers(*SCHOTT_POWERS)),
+    2: ("Sellmeier 1", 6, _sellmeier),
     3: ("Herzberger", 6, herzberger),
-    4: ("Sellmeier 2", 5, _sellmeier_2),
-    5: ("Conrady", 3, _conrady),
-    6: ("Sellmeier 3", 8, sellmeier),
-    7: ("Handbook of Optics 1", 4, _handbook_1),
-    8: ("Handbook of Optics 2", 4, _handbook_2),
-    9: ("Sellmeier 4", 5, _sellmeier_4),
-    10: ("Extended", 8, _powers(*SCHOTT_POWERS, -10.0, -12.0)),
-    11: ("Sellmeier 5", 10, sellmeier),
-    12: ("Extended 2", 8, _powers(*SCHOTT_POWERS, 4.0, 6.0)),
-    13: ("Extended 3", 9, _powers(*NIKON_POWERS)),
+    # n^2 = 1 + A + B L^2 / (L^2 - p^2) + C / (L^2 - q^2)
+    4: (
+        "Sellmeier 2",
+        5,
+        lambda name, a, b, p, c, q: Medium.squared(name, [(b, p * p)], [(1.0 + a, 0.0)], [(c, q * q)]),
+    ),
+    # n = A + B / L + C / L^3.5
+    5: ("Conrady", 3, lambda name, *abc: Medium.cauchy(name, tuple(zip(abc, (0.0, -1.0, -3.5), strict=True)))),
+    6: ("Sellmeier 3", 8, _sellmeier),
+    # n^2 = A + B / (L^2 - C) - D L^2
+    7: ("Handbook of Optics 1", 4, lambda name, a, b, c, d: Medium.squared(name, (), [(a, 0.0), (-d, 2.0)], [(b, c)])),
+    # n^2 = A + B L^2 / (L^2 - C) - D L^2
+    8: ("Handbook of Optics 2", 4, lambda name, a, b, c, d: Medium.squared(name, [(b, c)], [(a, 0.0), (-d, 2.0)])),
+    # n^2 = A + B L^2 / (L^2 - C) + D L^2 / (L^2 - E)
+    9: ("Sellmeier 4", 5, lambda name, a, b, c, d, e: Medium.squared(name, [(b, c), (d, e)], [(a, 0.0)])),
+    10: ("Extended", 8, _of_powers(*SCHOTT_POWERS, -10.0, -12.0)),
+    11: ("Sellmeier 5", 10, _sellmeier),
+    12: ("Extended 2", 8, _of_powers(*SCHOTT_POWERS, 4.0, 6.0)),
+    13: ("Extended 3", 9, _of_powers(*NIKON_POWERS)),
 }
 """Zemax's dispersion formulas by number: name, count of coefficients, reader. L is in micrometres."""

@@ -39,10 +39,18 @@ class Medium:
 
     @classmethod
     def squared(
-        cls, name: str, terms: Iterable[tuple[float, float]] = (), powers: Iterable[tuple[float, float]] = ()
+        cls,
+        name: str,
+        terms: Iterable[tuple[float, float]] = (),
+        powers: Iterable[tuple[float, float]] = (),
+        fractions: Iterable[tuple[float, float]] = (),
     ) -> "Medium":
-        """Return a medium of n^2 = sum of strength L^2 / (L^2 - pole) + sum of factor L^power; all constants in one."""
+        """Return a medium of the sum of strength L^2 / (L^2 - pole), factor L^power, strength / (L^2 - pole) as n^2."""
         terms, powers = list(terms), list(powers)
+        for strength, pole in fractions:
+            # B / (L^2 - C) is B / C times L^2 / (L^2 - C) - 1.
+            terms += [(strength / pole, pole)] if pole else []
+            powers.append((-strength / pole, 0.0) if pole else (strength, -2.0))
         constant = sum(factor for factor, power in powers if power == 0.0) - 1.0
         constant += sum(strength for strength, pole in terms if pole == 0.0)
         kept = tuple((strength, pole) for strength, pole in terms if strength and pole)

@@ -1,4 +1,4 @@
-"""A surface with form errors: raised from its prescription by heights over a plane."""
+"""Surfaces displaced from another one: parallel to it, and raised by form errors."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -6,11 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse
-from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.sag_surfaces import LevelSurface, SagSurface
-from wlr_render.optics.surfaces import DisplacedShape, Offset, Shape, dot, unit
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.optics.sag_surfaces import Gradient, LevelSurface, SagSurface
+from wlr_render.optics.surfaces import Shape, SurfaceIntersections, unit
 
-_REACH = 1e-2  # metres: form errors are far smaller
+_RAISED_REACH = 1e-2  # metres by which form errors may move a root: they are far smaller
+_MAX_TURNS = 40
+_SETTLED = 1e-17  # change in metres at convergence: about ten rounding units of a shift of a few millimetres
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,54 +40,85 @@ class FormError:
         return height, pose[:2, :3].T @ np.stack([slope_x, slope_y])
 
 
-class _WithErrors:
-    """A surface raised by the sum of form errors."""
-
-    errors: tuple[FormError, ...]
-
-    def height_and_gradient(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the sum of the errors' heights (n,) at points (3, n), and its gradient (3, n)."""
-        heights, gradients = zip(*(error.height_and_gradient(point) for error in self.errors), strict=True)
-        return np.sum(heights, axis=0), np.sum(gradients, axis=0)
+def _sums(errors: tuple[FormError, ...], point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the sum of the heights (n,) of form errors at points (3, n), and its gradient (3, n)."""
+    heights, gradients = zip(*(error.height_and_gradient(point) for error in errors), strict=True)
+    return np.sum(heights, axis=0), np.sum(gradients, axis=0)
 
 
 @dataclass(frozen=True)
-class Raised(_WithErrors, DisplacedShape):
-    """A surface raised by form errors along its unit normal.
+class Offset:
+    """A surface displaced from another one along its unit normals: by a distance, and by form errors.
 
-    The height is a function of the point itself, not of its foot. Then the surface is F(p) = h(p), where F is the
-    distance of a point from the base, and its normal is grad F - grad h: independent of the curvature of the base.
+    Without errors it is the true parallel surface. A ray meets the displaced surface at p = q + d(p, q) where the ray
+    shifted by -d meets the base at q. Each iteration shrinks the error by about d / radius of curvature, or by the
+    slope of d.
+
+    The height h of the errors is a function of the point itself, not of its foot. Then the surface is F(p) = h(p),
+    where F is the distance of a point from the base, and its normal is grad F - grad h: independent of the curvature of
+    the base.
 
     Attributes:
-        base: the surface as prescribed.
-        errors: added to each other.
+        base: the shape that it is displaced from.
+        distance: metres, positive along the base's normal; must stay below the radii of curvature of the base.
+        errors: form errors, added to the distance.
     """
 
     base: Shape
-    errors: tuple[FormError, ...]
+    distance: float
+    errors: tuple[FormError, ...] = ()
 
-    @property
-    def footing(self) -> Shape:
-        """Shape of the feet; an offset has the normals of its base, so that one contraction finds both."""
-        return self.base.base if isinstance(self.base, Offset) else self.base
+    def _displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return the displacement (3, n) of points (3, n) from their feet, at which the unit normals are (3, n)."""
+        height = _sums(self.errors, point)[0] + self.distance if self.errors else self.distance
+        return np.asarray(height * normal)
 
-    def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """Return the displacement of points from their feet."""
-        offset = self.base.distance if isinstance(self.base, Offset) else 0.0
-        return np.asarray((self.height_and_gradient(point)[0] + offset) * normal)
+    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
+        """Return the intersections of rays with the displaced surface."""
+        start = self.base.meet(origin, direction)
+        distance, converged = start.distance.copy(), start.converged.copy()
+        # Roots of the base farther behind a ray stay behind it, except at grazing angles below 6 degrees.
+        reach = _RAISED_REACH if self.errors else 10.0 * abs(self.distance)
+        for row in range(len(distance)):
+            if row and np.array_equal(start.distance[row], start.distance[row - 1], equal_nan=True):
+                distance[row] = distance[row - 1]  # the only root with a plane fills both rows
+                continue
+            near = distance[row] > -reach
+            if near.any():
+                distance[row], settled = self._settle(row, origin, direction)
+                converged &= settled | ~near
+        return SurfaceIntersections(distance, converged)
 
-    @property
-    def reach(self) -> float:
-        """Largest shift of a root in metres."""
-        return _REACH
+    def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Follow one root of the base to the displaced surface; returns distance and convergence, (n,) each."""
+        shift = np.zeros_like(origin)
+        for _ in range(_MAX_TURNS):
+            shifted = origin - shift
+            distance = self.base.meet(shifted, direction).distance[row]
+            foot = shifted + distance * direction
+            new_shift = self._displacement(foot + shift, self.base.normal(foot))
+            moving = np.abs(new_shift - shift).max(axis=0) > _SETTLED
+            shift = new_shift
+            if not moving.any():
+                break
+        return distance, ~moving
 
     def normal(self, point: FloatArray) -> FloatArray:
-        """Return the unit normals, on the side of the base's normals."""
-        return unit(self.foot_normal(point) - self.height_and_gradient(point)[1])
+        """Return the unit normals (3, n) at points (3, n), on the side of the base's normals.
+
+        The feet of the points are found by the same contraction.
+        """
+        shift = np.zeros_like(point)
+        for _ in range(_MAX_TURNS):
+            normal = self.base.normal(point - shift)
+            previous, shift = shift, self._displacement(point, normal)
+            if not (np.abs(shift - previous).max(axis=0) > _SETTLED).any():
+                break
+        return unit(normal - _sums(self.errors, point)[1]) if self.errors else normal
 
 
 @dataclass(frozen=True)
-class RaisedSag(_WithErrors, LevelSurface):
+class RaisedSag(LevelSurface):
     """A surface stated as z(x, y), raised by form errors along its z.
 
     Attributes:
@@ -96,24 +129,32 @@ class RaisedSag(_WithErrors, LevelSurface):
     base: SagSurface
     errors: tuple[FormError, ...]
 
-    def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the height z of points above the surface, and its derivative along directions."""
-        height, gradient = self.height_and_gradient(point)
-        above, slope = self.base.level(point, direction)
-        return above - height, slope - dot(gradient, direction)
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """Return the unit normals, which point to +z at the vertex."""
-        _, slope_x, slope_y = self.base.sag_and_slopes(point[0], point[1])
-        return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]) - self.height_and_gradient(point)[1])
+    def level(self, point: FloatArray) -> tuple[FloatArray, Gradient]:
+        """Return the height of the surface above points, and its gradient."""
+        below, (by_x, by_y, by_z) = self.base.level(point)
+        height, gradient = _sums(self.errors, point)
+        return below + height, (by_x + gradient[0], by_y + gradient[1], by_z + gradient[2])
 
 
 def raised(shape: Shape, *errors: FormError) -> Shape:
     """Return a shape with form errors, in addition to any that it has."""
     match shape:
-        case Raised() | RaisedSag():
+        case Offset() | RaisedSag():
             return replace(shape, errors=(*shape.errors, *errors))
         case SagSurface():
             return RaisedSag(shape, errors)
         case _:
-            return Raised(shape, errors)
+            return Offset(shape, 0.0, errors)
+
+
+def base_of(shape: Shape) -> Shape | None:
+    """Return the shape that a displaced one is stated by: its base, or the offset that has errors; None for others."""
+    if isinstance(shape, Offset) and shape.errors and shape.distance:
+        return replace(shape, errors=())
+    return shape.base if isinstance(shape, Offset | RaisedSag) else None
+
+
+def nesting(shape: Shape) -> int:
+    """Return the number of shapes that a shape is based on, one by another."""
+    base = base_of(shape)
+    return 0 if base is None else 1 + nesting(base)

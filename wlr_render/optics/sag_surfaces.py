@@ -18,12 +18,15 @@ _STEPS_OF_ALL = 6  # Newton steps on all rays; most have converged by then, and 
 # Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
 _LAST_STEP = 1e-10
 
+Gradient = tuple[FloatArray, FloatArray, FloatArray | float]
+"""Derivatives by x, y and z, (n,) each."""
+
 
 class LevelSurface:
     """A shape as the zero of a function near z = 0, solved by Newton's method from the point at z = 0; one root."""
 
-    def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the function (n,) in metres at points (3, n), and its derivative (n,) along unit directions (3, n)."""
+    def level(self, point: FloatArray) -> tuple[FloatArray, Gradient]:
+        """Return the height (n,) in metres of the shape above points (3, n), and the gradient of this height."""
         raise NotImplementedError
 
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
@@ -34,8 +37,8 @@ class LevelSurface:
         rays: slice | NDArray[np.int64] = slice(None)  # all; soon, the few that have not converged
         for number in range(_MAX_STEPS):
             at, along = origin[:, rays], direction[:, rays]
-            value, slope = self.level(at + distance[rays] * along, along)
-            step[rays] = value / slope
+            value, (by_x, by_y, by_z) = self.level(at + distance[rays] * along)
+            step[rays] = value / (by_z * along[2] + by_x * along[0] + by_y * along[1])
             distance[rays] -= step[rays]
             going = np.abs(step) > _LAST_STEP
             if not going.any():
@@ -43,6 +46,11 @@ class LevelSurface:
             if number >= _STEPS_OF_ALL:
                 rays = np.flatnonzero(going)
         return SurfaceIntersections(distance[None], ~going)
+
+    def normal(self, point: FloatArray) -> FloatArray:
+        """Return the unit normals, which point to +z at the vertex."""
+        by_x, by_y, by_z = self.level(point)[1]
+        return unit(-np.stack([by_x, by_y, np.broadcast_to(by_z, by_x.shape)]))
 
 
 class SagSurface(LevelSurface):
@@ -52,16 +60,10 @@ class SagSurface(LevelSurface):
         """Return the height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
         raise NotImplementedError
 
-    def level(self, point: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the height z of points above the surface, and its derivative along directions."""
-        (x, y, z), (dx, dy, dz) = point, direction
-        sag, slope_x, slope_y = self.sag_and_slopes(x, y)
-        return np.asarray(z - sag), np.asarray(dz - slope_x * dx - slope_y * dy)
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """Return the unit normals, which point to +z at the vertex."""
-        _, slope_x, slope_y = self.sag_and_slopes(point[0], point[1])
-        return unit(np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]))
+    def level(self, point: FloatArray) -> tuple[FloatArray, Gradient]:
+        """Return the height of the shape above points, and its gradient."""
+        sag, slope_x, slope_y = self.sag_and_slopes(point[0], point[1])
+        return np.asarray(sag - point[2]), (slope_x, slope_y, -1.0)
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,7 @@ class SumOfProfiles(SagSurface):
         return sag_x + sag_y, slope_x, slope_y
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class XYPolynomial(SagSurface):
     """Sum of C[m, n] x^m y^n, on a conic base.
 

@@ -1,4 +1,4 @@
-"""Surface shapes in closed form, and parallel offsets of any shape.
+"""Surface shapes in closed form.
 
 A shape has its own frame, in metres. Inside the tracer rays are columns: points and directions are (3, n) arrays, so
 that each coordinate is contiguous. Shapes have no apertures and poses (see `device`).
@@ -88,7 +88,7 @@ class Conic:
         return unit(np.stack([-c * x, -c * y, 1.0 - (1.0 + self.conic) * c * z]))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ellipsoid:
     """A whole ellipsoid about the origin.
 
@@ -108,95 +108,3 @@ class Ellipsoid:
     def normal(self, point: FloatArray) -> FloatArray:
         """Return the unit normals, which point outwards."""
         return unit(point / (self.semi_axes * self.semi_axes)[:, None])
-
-
-class DisplacedShape:
-    """A shape whose points lie at a displacement from another shape, its base; intersected by contraction.
-
-    A ray meets the displaced surface at p = q + d(p, q) where the ray shifted by -d meets the base at q. Each iteration
-    shrinks the error by about d / radius of curvature, or by the slope of d.
-    """
-
-    base: Shape
-
-    @property
-    def footing(self) -> Shape:
-        """Shape that the feet lie on."""
-        return self.base
-
-    def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """Return the displacement (3, n) of points (3, n) from their feet, at which the unit normals are (3, n)."""
-        raise NotImplementedError
-
-    @property
-    def reach(self) -> float:
-        """Distance in metres by which a root may move; roots of the base farther behind a ray stay behind it."""
-        raise NotImplementedError
-
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """Return the intersections of rays with the displaced shape."""
-        start = self.footing.meet(origin, direction)
-        distance, converged = start.distance.copy(), start.converged.copy()
-        for row in range(len(distance)):
-            if row and np.array_equal(start.distance[row], start.distance[row - 1], equal_nan=True):
-                distance[row] = distance[row - 1]  # the only root with a plane fills both rows
-                continue
-            near = distance[row] > -self.reach
-            if near.any():
-                distance[row], settled = self._settle(row, origin, direction)
-                converged &= settled | ~near
-        return SurfaceIntersections(distance, converged)
-
-    def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Follow one root of the base to the displaced surface; returns distance and convergence, (n,) each."""
-        shift = np.zeros_like(origin)
-        for _ in range(_MAX_TURNS):
-            shifted = origin - shift
-            distance = self.footing.meet(shifted, direction).distance[row]
-            foot = shifted + distance * direction
-            new_shift = self.displacement(foot + shift, self.footing.normal(foot))
-            moving = np.abs(new_shift - shift).max(axis=0) > _SETTLED
-            shift = new_shift
-            if not moving.any():
-                break
-        return distance, ~moving
-
-    def foot_normal(self, point: FloatArray) -> FloatArray:
-        """Return the unit normals (3, n) at the feet of points (3, n), found by the same contraction."""
-        shift = np.zeros_like(point)
-        for _ in range(_MAX_TURNS):
-            normal = self.footing.normal(point - shift)
-            previous, shift = shift, self.displacement(point, normal)
-            if not (np.abs(shift - previous).max(axis=0) > _SETTLED).any():
-                break
-        return normal
-
-
-@dataclass(frozen=True)
-class Offset(DisplacedShape):
-    """The true parallel surface of another shape: all points at a signed distance along its unit normal.
-
-    Attributes:
-        base: the shape it is parallel to; `distance` must stay below its radii of curvature.
-        distance: metres, positive along the base's normal.
-    """
-
-    base: Shape
-    distance: float
-
-    def displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """Return the displacement of points from their feet."""
-        return self.distance * normal
-
-    @property
-    def reach(self) -> float:
-        """Largest shift of a root: roots farther behind come ahead only at grazing angles below 6 degrees."""
-        return 10.0 * abs(self.distance)
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """Return the unit normals of the base at the feet of points."""
-        return self.foot_normal(point)
-
-
-_MAX_TURNS = 40
-_SETTLED = 1e-17  # change in metres at convergence: about ten rounding units of a shift of a few millimetres

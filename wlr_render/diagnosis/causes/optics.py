@@ -26,7 +26,8 @@ from wlr_render.optics.device import (
 )
 from wlr_render.optics.glass_files import shipped_glasses
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.surfaces import Conic, Offset
+from wlr_render.optics.raised import Offset
+from wlr_render.optics.surfaces import Conic
 
 _PLATE_AHEAD = 0.15  # metres before the eye: beyond all optics; where else a plane plate stands does not matter
 _PLATE_APART = 0.05  # metres from one added plate to the next
@@ -83,7 +84,7 @@ def _combiner_thickened(
             along = rigid(np.eye(3), np.array([0.0, 0.0, offset]))
             return replace(surface, device_from_surface=surface.device_from_surface @ along)
         shape = surface.shape
-        if isinstance(shape, Offset):
+        if isinstance(shape, Offset) and not shape.errors:
             return replace(surface, shape=replace(shape, distance=shape.distance + offset))
         return replace(surface, shape=Offset(shape, offset))
 

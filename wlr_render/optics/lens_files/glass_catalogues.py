@@ -11,8 +11,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError, install_command, installed_by
 from wlr_render.input_files import read_text, shown
-from wlr_render.optics.glass_files import GlassEntry, fraction, herzberger, read_glass_file, shipped_entries
-from wlr_render.optics.lens_files.sequence import Notes, ignore
+from wlr_render.optics.glass_files import GlassEntry, herzberger, read_glass_file, shipped_entries
 from wlr_render.optics.media import AIR, Medium
 
 _ALSO = {
@@ -49,11 +48,6 @@ class Glass:
     note: str = ""
     is_other: bool = False
 
-    def tell(self, notes: Notes, surface: int, key: str, name: str) -> None:
-        """Note where the glass of a surface was found."""
-        if self.note:
-            ignore(notes, surface, key, name, self.note, self.is_other, "glass" if self.is_other else "other")
-
 
 @dataclass(frozen=True)
 class GlassCatalogue:
@@ -77,13 +71,6 @@ class GlassCatalogue:
         if key not in self.cache:
             self.cache[key] = self._find(name, key[1])
         return self.cache[key]
-
-    def require(self, name: str, where: str, manufacturers: Sequence[str] = ()) -> Glass:
-        """Find a glass as `find` does; refuse one that no catalogue has. `where` begins the sentence."""
-        glass = self.find(name, manufacturers)
-        if glass is None:
-            raise BadInputError(f"{where}: no catalogue has the glass {shown(name)}. {unknown_glass_remedy()}")
-        return glass
 
     def _find(self, name: str, manufacturers: tuple[str, ...]) -> Glass | None:
         if name.upper() in ("AIR", "VACUUM"):
@@ -209,21 +196,15 @@ def _of_database_file(path: str, name: str) -> Medium:
         case 5:
             return Medium.cauchy(name, ((constant, 0.0), *pairs))
         case 7:
-            return herzberger(name, [*values, *[0.0] * (6 - len(values))])
+            return herzberger(name, *values, *[0.0] * (6 - len(values)))
     raise BadInputError(f"{path}: states formula {kind}; formulas 1 to 5 and 7 are read: give a catalogue file (.agf).")
 
 
 def _of_fractions(name: str, values: list[float]) -> Medium:
     """Return a medium of formula 4: n^2 = c1 + c2 L^c3 / (L^2 - c4^c5) + c6 L^c7 / (L^2 - c8^c9) + c10 L^c11 + ..."""
     values = [*values, *[0.0] * (9 - len(values))]
-    terms: list[tuple[float, float]] = []
     powers = [(values[0], 0.0), *zip(values[9::2], values[10::2], strict=False)]
-    for strength, power, base, exponent in (values[1:5], values[5:9]):
-        pole = base**exponent
-        if power:
-            terms.append((strength, pole))
-        else:
-            more = fraction(strength, pole)
-            terms += more[0]
-            powers += more[1]
-    return Medium.squared(name, terms, powers)
+    poles = [(strength, power, base**exponent) for strength, power, base, exponent in (values[1:5], values[5:9])]
+    terms = [(strength, pole) for strength, power, pole in poles if power]
+    fractions = [(strength, pole) for strength, power, pole in poles if not power]
+    return Medium.squared(name, terms, powers, fractions)

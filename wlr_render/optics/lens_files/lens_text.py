@@ -5,30 +5,32 @@ import re
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import as_bad_input
+from wlr_render.input_files import LIMITS, as_bad_input, read_bytes
 
 
-def decode_lens_text(path: Path, content: bytes, kind: str) -> str:
-    """Decode the text of a Zemax file.
+def read_lens_lines(path: Path, kind: str) -> list[str]:
+    """Read the lines of a Zemax file.
+
+    Unlike `str.splitlines`, it splits only at line ends, not at separators such as Latin-1's 0x85.
 
     Raises:
         BadInputError: the content is not text; the sentence says that it is not `kind`.
     """
+    content = read_bytes(path, LIMITS.text_bytes)
     with as_bad_input(path, kind, "name another file, or save it as text"):
-        if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            return content.decode("utf-16")
-        if content[1:200:2].count(0) > content[0:200:2].count(0):
-            return content.decode("utf-16-le")
-        if content[0:1] == b"\0" != content[1:2]:
-            return content.decode("utf-16-be")
-        if 0 in content:
-            raise BadInputError(f"{path}: has bytes of zero, so this is not {kind}; name another file.")
-        try:
-            return content.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            return content.decode("latin-1")
+        return re.split("\r\n|\r|\n", _decoded(path, content, kind))
 
 
-def lines_of(text: str) -> list[str]:
-    """Split a text into lines; unlike `str.splitlines`, only at line ends, not at separators such as Latin-1's 0x85."""
-    return re.split("\r\n|\r|\n", text)
+def _decoded(path: Path, content: bytes, kind: str) -> str:
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16")
+    if content[1:200:2].count(0) > content[0:200:2].count(0):
+        return content.decode("utf-16-le")
+    if content[0:1] == b"\0" != content[1:2]:
+        return content.decode("utf-16-be")
+    if 0 in content:
+        raise BadInputError(f"{path}: has bytes of zero, so this is not {kind}; name another file.")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")

@@ -9,26 +9,25 @@ from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, require_glass
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.sequence import (
+    MOST_POWER,
     LensFile,
+    LensReading,
     LensSurface,
-    Notes,
     box_aperture,
-    conic_or_asphere,
-    ignore,
+    constant_glass,
     number_of,
     require_surfaces,
+    toroid,
 )
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.sag_surfaces import SumOfProfiles, Toroid, XYPolynomial
+from wlr_render.optics.sag_surfaces import SumOfProfiles, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.toml_files import Table
 
 _MM = 1e-3
-_MOST_TERMS = 21  # most powers of x or y, from 0 on
 _DEEPEST = 20  # deepest nesting of frames
-_OPEN = (-np.inf, -np.inf), (np.inf, np.inf)
 
 
 def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFile:
@@ -44,31 +43,32 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
     """
     entries = file.table("surface_group").tables("surfaces", most=1000)
     require_surfaces(path, len(entries))
-    notes: Notes = []
+    reading = LensReading(path, catalogue, _MM)
     surfaces: list[LensSurface] = []
     medium = AIR
     for number, entry in enumerate(entries):
+        reading.surface = number
         geometry = entry.table("geometry")
         # Files of older versions have no model: the surface itself states whether it is a mirror.
         has_model = entry.raw("interaction_model") is not None
         model = entry.table("interaction_model") if has_model else entry
         reflects = model.flag("is_reflective", default=False)
         if has_model and model.text("type") != "RefractiveReflectiveModel":
-            ignore(notes, number, "interaction_model", model.text("type"), "bends rays in another way", True, "shape")
-        medium = medium if reflects else _medium(entry, number, catalogue, notes)
+            reading.ignore("interaction_model", model.text("type"), "bends rays in another way", True, "shape")
+        medium = medium if reflects else _medium(entry, reading)
         surfaces.append(
             LensSurface(
                 number,
                 str(entry.raw("comment") or "")[:100],
-                _shape(geometry, number, notes),
+                _shape(geometry, reading),
                 _pose(geometry.table("cs"), infinite=number == 0),
                 medium,
                 reflects,
                 entry.flag("is_stop", default=False),
-                _aperture(entry, number, notes),
+                _aperture(entry, reading),
             )
         )
-    return LensFile(str(file.raw("name") or "")[:200], tuple(surfaces), tuple(notes))
+    return LensFile(str(file.raw("name") or "")[:200], tuple(surfaces), tuple(reading.notes))
 
 
 def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
@@ -85,35 +85,24 @@ def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
     return _pose(frame.table("reference_cs"), infinite, depth + 1) @ pose
 
 
-def _medium(entry: Table, number: int, catalogue: GlassCatalogue, notes: Notes) -> Medium:
+def _medium(entry: Table, reading: LensReading) -> Medium:
     material = entry.table("material_post")
     kind = material.text("type")
     if kind == "IdealMaterial":
-        index = number_of(material, "index")
-        return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), material.where)
+        return constant_glass(number_of(material, "index"), material.where)
     if kind == "AbbeMaterial":
         index, abbe = number_of(material, "index"), number_of(material, "abbe")
-        ignore(
-            notes,
-            number,
-            "AbbeMaterial",
-            f"{index:g}, {abbe:g}",
-            "taken by n_d and V_d; between lines it may differ",
-            part="glass",
-        )
-        return model_glass(index, abbe, material.where)
+        return reading.model_glass(kind, index, abbe, material.where)
     if kind == "Material":
-        name = material.text("name")
         reference = material.raw("reference")
-        glass = catalogue.require(name, material.where, (reference,) if isinstance(reference, str) else ())
-        glass.tell(notes, number, "material_post", name)
-        return glass.medium
+        makers = (reference,) if isinstance(reference, str) else ()
+        return reading.required_glass("material_post", material.text("name"), material.where, makers)
     raise material.fail(f"material {shown(kind)} is not read; write it as IdealMaterial, AbbeMaterial or Material.")
 
 
-def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
+def _aperture(entry: Table, reading: LensReading) -> ClearAperture:
     if entry.raw("aperture") is None:
-        return box_aperture(*_OPEN)
+        return box_aperture()
     aperture = entry.table("aperture")
     kind = aperture.text("type")
     if kind == "RectangularAperture":
@@ -122,18 +111,18 @@ def _aperture(entry: Table, number: int, notes: Notes) -> ClearAperture:
     if kind in ("RadialAperture", "OffsetRadialAperture"):
         half = _MM * number_of(aperture, "r_max")
         x, y = (_MM * number_of(aperture, key, 0.0) for key in ("offset_x", "offset_y"))
-        ignore(notes, number, "aperture", kind, "a circle: the square around it is the clear aperture")
+        reading.ignore("aperture", kind, "a circle: the square around it is the clear aperture")
         if number_of(aperture, "r_min", 0.0) > 0:
-            ignore(notes, number, "r_min", number_of(aperture, "r_min"), "rays pass the middle of the ring")
+            reading.ignore("r_min", number_of(aperture, "r_min"), "rays pass the middle of the ring")
         return box_aperture((x - half, y - half), (x + half, y + half))
-    ignore(notes, number, "aperture", kind, "this form is not read: the surface is open")
-    return box_aperture(*_OPEN)
+    reading.ignore("aperture", kind, "this form is not read: the surface is open")
+    return box_aperture()
 
 
 def _curvature(geometry: Table, key: str = "radius") -> float:
-    """Return the curvature in 1/mm; 0 for a radius that is infinite or 0."""
+    """Return the curvature in 1/m; 0 for a radius that is infinite or 0."""
     radius = number_of(geometry, key, np.inf, infinite=True)
-    return 1.0 / radius if radius and np.isfinite(radius) else 0.0
+    return 1.0 / radius / _MM if radius and np.isfinite(radius) else 0.0
 
 
 def _coefficients(geometry: Table, key: str = "coefficients") -> FloatArray:
@@ -142,75 +131,60 @@ def _coefficients(geometry: Table, key: str = "coefficients") -> FloatArray:
         array = np.array([] if value is None else value, dtype=float)
     except (ValueError, TypeError, OverflowError) as error:
         raise geometry.fail(f"'{key}' is {shown(value)}; it must be numbers.") from error
-    if not np.isfinite(array).all() or array.ndim > 2 or max(array.shape, default=0) > _MOST_TERMS:
-        raise geometry.fail(f"'{key}' must be finite, and at most {_MOST_TERMS} along each axis.")
+    if not np.isfinite(array).all() or array.ndim > 2 or max(array.shape, default=0) > MOST_POWER + 1:
+        raise geometry.fail(f"'{key}' must be finite, and at most {MOST_POWER + 1} along each axis.")
     return array
 
 
-def _shape(geometry: Table, number: int, notes: Notes) -> Shape:
+def _shape(geometry: Table, reading: LensReading) -> Shape:
     kind = geometry.text("type")
-    read = _SHAPES.get(kind)
-    if read is None:
-        ignore(notes, number, "geometry", kind, "this shape is not read: its conic stands in its place", True, "shape")
-        return _conic(geometry, number, notes)
-    return read(geometry, number, notes)
+    if kind not in _SHAPES:
+        reading.ignore("geometry", kind, "this shape is not read: its conic stands in its place", True, "shape")
+    return _SHAPES.get(kind, _conic)(geometry, reading)
 
 
-def _conic(geometry: Table, number: int, notes: Notes) -> Shape:
-    return Conic(_curvature(geometry) / _MM, number_of(geometry, "conic", 0.0))
+def _conic(geometry: Table, reading: LensReading) -> Conic:
+    return Conic(_curvature(geometry), number_of(geometry, "conic", 0.0))
 
 
-def _asphere_of(step: int) -> Callable[[Table, int, Notes], Shape]:
+def _asphere_of(step: int) -> Callable[[Table, LensReading], Shape]:
     """Return a reader of terms r^step, r^(2 step), ..."""
-
-    def read(geometry: Table, number: int, notes: Notes) -> Shape:
-        terms: dict[int, float] = {step * (k + 1): c for k, c in enumerate(_coefficients(geometry).ravel().tolist())}
-        if terms.get(1):
-            ignore(notes, number, "coefficients[0]", terms[1], "the term in r, a tip on the axis, is not read", True)
-        if any(value for power, value in terms.items() if power > 20):
-            ignore(notes, number, "coefficients", "above r20", "powers that a device file does not have", True)
-        by_power = [terms.get(power, 0.0) for power in range(2, 21)]
-        return conic_or_asphere(_curvature(geometry), number_of(geometry, "conic", 0.0), by_power, _MM)
-
-    return read
+    return lambda geometry, reading: reading.asphere(
+        _conic(geometry, reading), step, _coefficients(geometry).ravel().tolist(), "coefficients"
+    )
 
 
-def _polynomial(geometry: Table, number: int, notes: Notes) -> Shape:
-    in_mm = np.atleast_2d(_coefficients(geometry))
+def _polynomial(geometry: Table, reading: LensReading) -> Shape:
+    in_mm, base = np.atleast_2d(_coefficients(geometry)), _conic(geometry, reading)
     if not in_mm.any():
-        return _conic(geometry, number, notes)
+        return base
     m, n = np.indices(in_mm.shape)
-    if np.any(in_mm[m + n > 20]):
-        ignore(notes, number, "coefficients", "above order 20", "orders that a device file does not have", True)
-    curvature = _curvature(geometry) / _MM
-    coefficients = np.where(m + n > 20, 0.0, in_mm) * _MM ** (1.0 - m - n)
-    return XYPolynomial(coefficients, curvature, number_of(geometry, "conic", 0.0) if curvature else 0.0)
+    if np.any(in_mm[m + n > MOST_POWER]):
+        reading.ignore("coefficients", f"above order {MOST_POWER}", "orders that a device file does not have", True)
+    coefficients = np.where(m + n > MOST_POWER, 0.0, in_mm) * _MM ** (1.0 - m - n)
+    return XYPolynomial(coefficients, base.curvature, base.conic if base.curvature else 0.0)
 
 
-def _biconic(geometry: Table, number: int, notes: Notes) -> Shape:
+def _biconic(geometry: Table, reading: LensReading) -> Shape:
     """Return the sum of two profiles, Optiland's biconic; Zemax and others have one root of both coordinates."""
-    x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
+    x, y = (_curvature(geometry, f"radius_{axis}") for axis in "xy")
     if not x and not y:
         return Conic(0.0)
     return SumOfProfiles((x, y), (number_of(geometry, "conic_x", 0.0), number_of(geometry, "conic_y", 0.0)))
 
 
-def _toroid(geometry: Table, number: int, notes: Notes) -> Shape:
-    x, y = (_curvature(geometry, f"radius_{axis}") / _MM for axis in "xy")
+def _toroid(geometry: Table, reading: LensReading) -> Shape:
+    x, y = (_curvature(geometry, f"radius_{axis}") for axis in "xy")
     conic, terms = number_of(geometry, "conic_yz", 0.0), _coefficients(geometry, "coeffs_poly_y")
     if terms.any():
-        ignore(notes, number, "coeffs_poly_y", terms.tolist(), "terms of y of a toroid are not read", True)
-    if not x:
-        return SumOfProfiles((0.0, y), (0.0, conic)) if y else Conic(0.0)
-    if not y:
-        return SumOfProfiles((x, 0.0))
-    if conic:
-        ignore(notes, number, "conic_yz", conic, "the conic of a toroid is not read: it is a circle", True)
-    return Toroid(1.0 / x, 1.0 / y)
+        reading.ignore("coeffs_poly_y", terms.tolist(), "terms of y of a toroid are not read", True)
+    if x and y and conic:
+        reading.ignore("conic_yz", conic, "the conic of a toroid is not read: it is a circle", True)
+    return toroid((x, y), (0.0, conic))
 
 
-_SHAPES: dict[str, Callable[[Table, int, Notes], Shape]] = {
-    "Plane": lambda geometry, number, notes: Conic(0.0),
+_SHAPES: dict[str, Callable[[Table, LensReading], Shape]] = {
+    "Plane": lambda geometry, reading: Conic(0.0),
     "StandardGeometry": _conic,
     "EvenAsphere": _asphere_of(2),
     "OddAsphere": _asphere_of(1),

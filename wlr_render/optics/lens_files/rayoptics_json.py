@@ -10,22 +10,21 @@ from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.glass_files import NIKON_POWERS, SCHOTT_POWERS
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, require_glass
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
     LensFile,
+    LensReading,
     LensSurface,
-    Notes,
     box_aperture,
-    conic_or_asphere,
+    constant_glass,
     finite,
-    ignore,
     number_of,
     require_surfaces,
     shift,
+    toroid,
 )
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.sag_surfaces import SumOfProfiles, Toroid
 from wlr_render.optics.surfaces import Conic, Shape
 from wlr_render.toml_files import Table
 
@@ -62,6 +61,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
     if unit_name not in UNITS_M:
         raise system.fail(f"the unit of length is {shown(unit_name)}; it must be one of {', '.join(UNITS_M)}.")
     unit = UNITS_M[unit_name]
+    reading = LensReading(path, catalogue, unit)
     sequence = model.table("seq_model").table("attributes")
     entries, gaps = sequence.tables("ifcs", most=1000), sequence.tables("gaps", most=1000)
     require_surfaces(path, len(entries))
@@ -70,40 +70,39 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
     profiles = model.table("profile_dict") if model.has("profile_dict") else None
     has_stop = sequence.raw("stop_surface") is not None
     stop = sequence.whole("stop_surface", most=len(entries) - 1) if has_stop else None
-    notes: Notes = []
     surfaces: list[LensSurface] = []
     pose, medium, thickness, before = np.eye(4), AIR, 0.0, None
     for number, entry in enumerate(entries):
-        surface = entry.table("attributes")
+        reading.surface, surface = number, entry.table("attributes")
         decentre = surface.table("decenter").table("attributes") if surface.raw("decenter") else None
         pose = pose @ _step(before, thickness, decentre, unit)
         mode = surface.text("interact_mode")
         if mode not in ("transmit", "reflect", "dummy", "phantom"):
-            ignore(notes, number, "interact_mode", mode, "taken as a surface that light passes", True)
+            reading.ignore("interact_mode", mode, "taken as a surface that light passes", True)
         kind = _class_of(surface.table("phase_element") if surface.raw("phase_element") else entry)
         if kind != "Surface":
-            ignore(notes, number, "surface", kind, "bends rays by more than its shape: not read", True, "shape")
+            reading.ignore("surface", kind, "bends rays by more than its shape: not read", True, "shape")
         if mode != "reflect":
-            medium = _medium(gaps[number], number, catalogue, notes) if number < len(gaps) else medium
+            medium = _medium(gaps[number], reading) if number < len(gaps) else medium
         thickness = number_of(gaps[number].table("attributes"), "thi") if number < len(gaps) else 0.0
         infinite = number == 0 and abs(thickness) >= _INFINITE
         surfaces.append(
             LensSurface(
                 number,
                 str(surface.raw("label") or "")[:100],
-                _shape(surface, profiles, number, unit, notes),
+                _shape(surface, profiles, reading),
                 np.full((4, 4), np.nan) if infinite else pose @ shift(z=-unit * thickness) if number == 0 else pose,
                 medium,
                 mode == "reflect",
                 number == stop,
-                _aperture(surface, number, unit, notes),
+                _aperture(surface, reading),
                 unit * number_of(surface, "max_aperture", 0.0),
             )
         )
         if number == 0:
             thickness, decentre = 0.0, None
         before = decentre
-    return LensFile(str(system.raw("title") or "")[:200], tuple(surfaces), tuple(notes))
+    return LensFile(str(system.raw("title") or "")[:200], tuple(surfaces), tuple(reading.notes))
 
 
 def _class_of(entry: Table) -> str:
@@ -137,44 +136,26 @@ def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, 
     # About x and y the angles are left-handed, as in CODE V.
     rotation = rigid(rotation_about("x", -alpha) @ rotation_about("y", -beta) @ rotation_about("z", gamma), np.zeros(3))
     moved = shift(*(unit * each for each in _array(table, "dec", 3)))
-    none = np.eye(4)
-    cases = {
-        ("decenter", "before"): (rotation, moved),
-        ("decenter", "after"): (none, none),
-        ("bend", "before"): (rotation, moved),
-        ("bend", "after"): (rotation, none),
-        ("dec and return", "before"): (rotation, moved),
-        ("dec and return", "after"): (rotation.T, inverse(moved)),
-        ("reverse", "before"): (none, none),
-        ("reverse", "after"): (rotation.T, inverse(moved)),
-    }
-    if (kind, side) not in cases:
-        raise table.fail(
-            f"the decentre is {shown(kind)}; it must be one of {', '.join(sorted({k for k, _ in cases}))}."
-        )
-    return cases[kind, side]
+    nothing, back = (np.eye(4), np.eye(4)), (rotation.T, inverse(moved))
+    after = {"decenter": nothing, "bend": (rotation, np.eye(4)), "dec and return": back, "reverse": back}
+    if kind not in after:
+        raise table.fail(f"the decentre is {shown(kind)}; it must be one of {', '.join(sorted(after))}.")
+    if side == "after":
+        return after[kind]
+    return nothing if kind == "reverse" else (rotation, moved)
 
 
-def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) -> Medium:
+def _medium(gap: Table, reading: LensReading) -> Medium:
     medium = gap.table("attributes").table("medium")
     kind, where = _class_of(medium), medium.where
     attributes = medium.table("attributes") if medium.has("attributes") else medium
     if kind == "Air":
         return AIR
     if kind == "ConstantIndex":
-        index = number_of(attributes, "n")
-        return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), where)
+        return constant_glass(number_of(attributes, "n"), where)
     if kind == "ModelGlass":
         index, abbe = (number_of(attributes, key) for key in "nv")
-        ignore(
-            notes,
-            number,
-            "ModelGlass",
-            f"{index:g}, {abbe:g}",
-            "taken by n_d and V_d; between lines it may differ",
-            part="glass",
-        )
-        return model_glass(index, abbe, where)
+        return reading.model_glass(kind, index, abbe, where)
     name = attributes.text("gname", "") or attributes.text("label", "") or kind
     if attributes.has("coefs"):
         coefficients = _array(attributes, "coefs")
@@ -184,31 +165,29 @@ def _medium(gap: Table, number: int, catalogue: GlassCatalogue, notes: Notes) ->
         if kind in _POWERS_OF_MAKERS and len(coefficients) == len(_POWERS_OF_MAKERS[kind]):
             powers = zip(coefficients, _POWERS_OF_MAKERS[kind], strict=True)
             return require_glass(Medium.squared(name, (), powers), where)
-    glass = catalogue.require(name, where, (kind.removesuffix("Glass"),))
-    glass.tell(notes, number, "medium", name)
-    return glass.medium
+    return reading.required_glass("medium", name, where, (kind.removesuffix("Glass"),))
 
 
-def _aperture(surface: Table, number: int, unit: float, notes: Notes) -> ClearAperture:
+def _aperture(surface: Table, reading: LensReading) -> ClearAperture:
     apertures = surface.tables("clear_apertures", required=False)
     if not apertures:
-        return box_aperture((-np.inf, -np.inf), (np.inf, np.inf))
+        return box_aperture()
     first, kind = apertures[0].table("attributes"), _class_of(apertures[0])
-    x, y = (unit * number_of(first, key, 0.0) for key in ("x_offset", "y_offset"))
+    x, y = (reading.unit * number_of(first, key, 0.0) for key in ("x_offset", "y_offset"))
     if kind == "Circular":
-        half_x = half_y = unit * number_of(first, "radius")
-        ignore(notes, number, "clear_apertures", kind, "a circle: the square around it is the clear aperture")
+        half_x = half_y = reading.unit * number_of(first, "radius")
+        reading.ignore("clear_apertures", kind, "a circle: the square around it is the clear aperture")
     elif kind == "Rectangular":
-        half_x, half_y = (unit * number_of(first, f"{axis}_half_width") for axis in "xy")
+        half_x, half_y = (reading.unit * number_of(first, f"{axis}_half_width") for axis in "xy")
     else:
-        ignore(notes, number, "clear_apertures", kind, "this form is not read: the surface is open")
+        reading.ignore("clear_apertures", kind, "this form is not read: the surface is open")
         half_x = half_y = np.inf
     if len(apertures) > 1 or first.raw("rotation"):
-        ignore(notes, number, "clear_apertures", len(apertures), "only the first, unturned, is read")
+        reading.ignore("clear_apertures", len(apertures), "only the first, unturned, is read")
     return box_aperture((x - half_x, y - half_y), (x + half_x, y + half_y))
 
 
-def _shape(surface: Table, profiles: Table | None, number: int, unit: float, notes: Notes) -> Shape:
+def _shape(surface: Table, profiles: Table | None, reading: LensReading) -> Shape:
     if surface.has("profile"):
         profile = surface.table("profile")
     elif profiles is not None and surface.has("profile_id"):
@@ -216,34 +195,22 @@ def _shape(surface: Table, profiles: Table | None, number: int, unit: float, not
     else:
         return Conic(0.0)
     kind, attributes = _class_of(profile), profile.table("attributes")
-    curvature = number_of(attributes, "cv", 0.0)
+    curvature = number_of(attributes, "cv", 0.0) / reading.unit
     conic = number_of(attributes, "cc", 0.0)
     if attributes.raw("cc") is None and attributes.raw("ec") is not None:
         conic = number_of(attributes, "ec") - 1.0
     terms = _array(attributes, "coefs") if attributes.has("coefs") else []
     if kind in ("EvenPolynomial", "RadialPolynomial"):
-        step = 2 if kind == "EvenPolynomial" else 1
-        by_power = {step * (place + 1): term for place, term in enumerate(terms)}
-        if by_power.get(1):
-            ignore(notes, number, "coefs[0]", by_power[1], "the term in r, a tip on the axis, is not read", True)
-        if any(term for power, term in by_power.items() if power > 20):
-            ignore(notes, number, "coefs", "above r20", "powers that a device file does not have", True)
-        return conic_or_asphere(curvature, conic, [by_power.get(power, 0.0) for power in range(2, 21)], unit)
+        return reading.asphere(Conic(curvature, conic), 2 if kind == "EvenPolynomial" else 1, terms, "coefs")
     if kind in ("XToroid", "YToroid"):
-        return _toroid(kind, attributes, curvature / unit, conic, number, unit, notes)
+        around = number_of(attributes, "cR", 0.0) / reading.unit
+        if any(_array(attributes, "coefs")) or (conic and around) or (kind == "XToroid" and curvature and around):
+            reason = "taken as a toroid of two circles, turned about an axis along y"
+            reading.ignore("profile", kind, reason, True)
+        # Two circles make the same toroid about either axis, as its note says.
+        if kind == "YToroid" or (curvature and around):
+            return toroid((around, curvature), (0.0, conic))
+        return toroid((curvature, around), (conic, 0.0))
     if kind not in ("Spherical", "Conic"):
-        ignore(notes, number, "profile", kind, "this shape is not read: its conic stands in its place", True, "shape")
-    return Conic(curvature / unit, conic)
-
-
-def _toroid(
-    kind: str, attributes: Table, curvature: float, conic: float, number: int, unit: float, notes: Notes
-) -> Shape:
-    around = number_of(attributes, "cR", 0.0) / unit
-    if any(_array(attributes, "coefs")) or (conic and around) or (kind == "XToroid" and curvature and around):
-        ignore(notes, number, "profile", kind, "taken as a toroid of two circles, turned about an axis along y", True)
-    if curvature and around:
-        return Toroid(1.0 / around, 1.0 / curvature)
-    x, y = (around, curvature) if kind == "YToroid" else (curvature, around)
-    kx, ky = (0.0, conic) if kind == "YToroid" else (conic, 0.0)
-    return SumOfProfiles((x, y), (kx, ky)) if x or y else Conic(0.0)
+        reading.ignore("profile", kind, "this shape is not read: its conic stands in its place", True, "shape")
+    return Conic(curvature, conic)

@@ -7,13 +7,13 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotation_about
-from wlr_render.input_files import LIMITS, read_bytes, shown
+from wlr_render.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, unknown_glass_remedy
-from wlr_render.optics.lens_files.lens_text import decode_lens_text, lines_of
+from wlr_render.optics.lens_files.lens_text import read_lens_lines
 from wlr_render.optics.lens_files.sequence import UNITS_M, LensFile, LensSurface, box_aperture, require_surfaces, shift
-from wlr_render.optics.lens_files.zemax_lines import SurfaceLines, ZemaxReading
+from wlr_render.optics.lens_files.zemax_lines import ZemaxReading, ZemaxSurface
 from wlr_render.optics.lens_files.zemax_shapes import shape_of
 from wlr_render.optics.media import AIR, Medium
 
@@ -47,52 +47,57 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
             glass that no catalogue has.
     """
     reading = ZemaxReading(path, catalogue)
-    header, surfaces = _split(path, decode_lens_text(path, read_bytes(path, LIMITS.text_bytes), _KIND))
+    header, surfaces = _split(reading)
     require_surfaces(path, len(surfaces))
     title = _read_header(reading, header)
     taken: list[LensSurface] = []
     pose, medium = np.eye(4), AIR
     for surface in surfaces:
-        _list_other_keys(reading, surface)
+        reading.surface = surface.number
+        _list_other_keys(surface)
         kind = _kind(surface)
-        thickness = reading.unit * reading.value(surface, "DISZ", 0.0, infinite=surface.number == 0)
+        thickness = reading.unit * surface.value("DISZ", infinite=surface.number == 0)
         if kind == "COORDBRK":
-            pose = pose @ _coordinate_break(reading, surface) @ shift(z=thickness)
+            pose = pose @ _coordinate_break(surface) @ shift(z=thickness)
             continue
-        reflects, medium = _glass(reading, surface, medium)
+        reflects, medium = _glass(surface, medium)
         # The object lies before the first surface, where the file's frame begins.
         placed = pose @ shift(z=-thickness) if surface.number == 0 and np.isfinite(thickness) else pose
         taken.append(
             LensSurface(
                 surface.number,
                 " ".join((surface.last("COMM") or ([], 0))[0])[:100],
-                shape_of(reading, surface, kind),
+                shape_of(surface, kind),
                 np.full((4, 4), np.nan) if np.isinf(thickness) else placed,
                 medium,
                 reflects,
                 surface.last("STOP") is not None,
-                _aperture(reading, surface),
-                reading.unit * reading.value(surface, "DIAM", np.nan) if surface.last("DIAM") else np.nan,
+                _aperture(surface),
+                reading.unit * surface.value("DIAM", np.nan),
             )
         )
         if surface.number:
             pose = pose @ shift(z=thickness)
-    _refuse_unknown_glasses(reading)
+    if reading.unknown_glasses:
+        names = "; ".join(
+            f"{name} (surface {', '.join(map(str, numbers))})" for name, numbers in reading.unknown_glasses.items()
+        )
+        raise BadInputError(f"{path}: no catalogue has these glasses: {names[:300]}. {unknown_glass_remedy()}")
     return LensFile(title, tuple(taken), tuple(reading.notes))
 
 
-def _split(path: Path, text: str) -> tuple[dict[str, tuple[list[str], int]], list[SurfaceLines]]:
+def _split(reading: ZemaxReading) -> tuple[dict[str, tuple[list[str], int]], list[ZemaxSurface]]:
     """Return the keys of the header, and the lines of each surface."""
     header: dict[str, tuple[list[str], int]] = {}
-    surfaces: list[SurfaceLines] = []
-    within = False
-    for number, line in enumerate(lines_of(text), 1):
+    surfaces: list[ZemaxSurface] = []
+    within, path = False, reading.path
+    for number, line in enumerate(read_lens_lines(path, _KIND), 1):
         key, *words = line.split() or [""]
         if key == "SURF":
             stated = words[0] if words else ""
             if stated != str(len(surfaces)):
                 raise BadInputError(f"{path}: line {number}: surface {shown(stated)} follows {len(surfaces) - 1}.")
-            surfaces.append(SurfaceLines(len(surfaces)))
+            surfaces.append(ZemaxSurface(reading, len(surfaces)))
             within = True
         elif surfaces and key and (key in _TAKEN or (within and line[:1].isspace())):
             surfaces[-1].lines.append((key, words, number))
@@ -118,9 +123,7 @@ def _read_header(reading: ZemaxReading, header: dict[str, tuple[list[str], int]]
     reading.manufacturers = tuple(header.get("GCAT", ([], 0))[0])
     words, line = header.get("MNUM", (["1"], 0))
     if words and words[0].isdecimal() and int(words[0]) > 1:
-        reading.ignore(
-            None, "MNUM", words[0], "the file has several configurations; the one saved as current is taken", True
-        )
+        reading.ignore("MNUM", words[0], "the file has several configurations; the one saved as current is taken", True)
     _note_environment(reading, header)
     return " ".join(header.get("NAME", ([], 0))[0])[:200]
 
@@ -130,104 +133,87 @@ def _note_environment(reading: ZemaxReading, header: dict[str, tuple[list[str], 
     words, line = header.get("ENVD", ([], 0))
     if len(words) > 1 and tuple(reading.number(words, place, line, "ENVD") for place in (0, 1)) != _ROOM:
         reason = "the indices are those at 20 degrees Celsius and 1 atmosphere; another environment is not read"
-        reading.ignore(None, "ENVD", " ".join(words), reason, True)
+        reading.ignore("ENVD", " ".join(words), reason, True)
 
 
-def _kind(surface: SurfaceLines) -> str:
+def _kind(surface: ZemaxSurface) -> str:
     last = surface.last("TYPE")
     return last[0][0].upper() if last and last[0] else "STANDARD"
 
 
-def _list_other_keys(reading: ZemaxReading, surface: SurfaceLines) -> None:
+def _list_other_keys(surface: ZemaxSurface) -> None:
     """Note the keys that are not read, unless they do not affect rays."""
     for key, words, _ in surface.lines:
         if key in _TAKEN or key in _HARMLESS:
             continue
         first, reason = _BENDING_KEYS.get(key, (len(words), ""))
         bends = any(word.strip("-+0.eE") for word in words[first:])
-        reading.ignore(surface, key, " ".join(words), reason if bends else "this key is not read", bends)
+        surface.reading.ignore(key, " ".join(words), reason if bends else "this key is not read", bends)
 
 
-def _coordinate_break(reading: ZemaxReading, surface: SurfaceLines) -> FloatArray:
+def _coordinate_break(surface: ZemaxSurface) -> FloatArray:
     """Return the pose of a coordinate break: shift, then rotations about x, y and z, or reversed with a flag."""
-    values = reading.numbered(surface, "PARM")
+    values, unit = surface.numbered("PARM"), surface.reading.unit
     x, y, *degrees = (values.get(place, 0.0) for place in range(1, 6))
     about_x, about_y, about_z = (rotation_about(axis, np.deg2rad(a)) for axis, a in zip("xyz", degrees, strict=True))
-    shifted = shift(reading.unit * x, reading.unit * y)
+    shifted = shift(unit * x, unit * y)
     if values.get(6, 0.0) == 0.0:
         return shifted @ rigid(about_x @ about_y @ about_z, np.zeros(3))
     return rigid(about_z @ about_y @ about_x, np.zeros(3)) @ shifted
 
 
-def _glass(reading: ZemaxReading, surface: SurfaceLines, before: Medium) -> tuple[bool, Medium]:
+def _glass(surface: ZemaxSurface, before: Medium) -> tuple[bool, Medium]:
     """Return whether the surface is a mirror, and the medium behind it."""
-    entry = surface.last("GLAS")
+    entry, reading = surface.last("GLAS"), surface.reading
     if entry is None or not entry[0]:
         return False, AIR
     words, line = entry
     name = words[0]
     if name.upper() == "MIRROR":
         return True, before
-    model = words[1:2] == [_MODEL_GLASS] or re.fullmatch("_+BLANK", name.upper()) is not None
-    glass = None if model else reading.catalogue.find(name, reading.manufacturers)
-    if glass is not None:
-        glass.tell(reading.notes, surface.number, "GLAS", name)
-        return False, glass.medium
-    medium = _stated_glass(reading, surface, words, line, model)
+    is_model = words[1:2] == [_MODEL_GLASS] or re.fullmatch("_+BLANK", name.upper()) is not None
+    medium = None if is_model else reading.glass("GLAS", name, reading.manufacturers)
+    medium = medium or _stated_glass(reading, words, line, is_model)
     if medium is None:
         reading.unknown_glasses.setdefault(name, []).append(surface.number)
-        return False, Medium(name)
-    return False, medium
+    return False, medium or Medium(name)
 
 
-def _stated_glass(
-    reading: ZemaxReading, surface: SurfaceLines, words: list[str], line: int, model: bool
-) -> Medium | None:
+def _stated_glass(reading: ZemaxReading, words: list[str], line: int, is_model: bool) -> Medium | None:
     """Return the glass from the index and Abbe number in its line, or from a six-digit name; None without them."""
     name, where = words[0], f"{reading.path}: line {line}: glass {shown(words[0])}"
     if len(words) > 4:
         index, abbe = (reading.number(words, place, line, "GLAS") for place in (3, 4))
         deviation = reading.number(words, 5, line, "GLAS") if len(words) > 5 else 0.0
-        if model:
+        if is_model:
             return model_glass(index, abbe, where, deviation=deviation)
         if (index, abbe) not in _NOT_STATED:
             reason = f"in no catalogue: taken by its index {index:g} and Abbe number {abbe:g}"
-            reading.ignore(surface, "GLAS", name, reason, part="glass")
+            reading.ignore("GLAS", name, reason, part="glass")
             return model_glass(index, abbe, where, name, deviation)
     if re.fullmatch(r"\d{6}", name) is None:
         return None
     index, abbe = 1.0 + int(name[:3]) / 1000.0, int(name[3:]) / 10.0
     reason = f"a six-digit code: taken by its index {index:g} and Abbe number {abbe:g}"
-    reading.ignore(surface, "GLAS", name, reason, part="glass")
+    reading.ignore("GLAS", name, reason, part="glass")
     return model_glass(index, abbe, where)
 
 
-def _refuse_unknown_glasses(reading: ZemaxReading) -> None:
-    if reading.unknown_glasses:
-        names = "; ".join(
-            f"{name} (surface {', '.join(map(str, numbers))})" for name, numbers in reading.unknown_glasses.items()
-        )
-        raise BadInputError(f"{reading.path}: no catalogue has these glasses: {names[:300]}. {unknown_glass_remedy()}")
-
-
-def _aperture(reading: ZemaxReading, surface: SurfaceLines) -> ClearAperture:
+def _aperture(surface: ZemaxSurface) -> ClearAperture:
     """Return the aperture that stops rays; a circle becomes the square around it."""
-    x, y = 0.0, 0.0
-    if line := surface.last("OBDC"):
-        x, y = (reading.number(line[0], place, line[1], "OBDC") for place in (0, 1))
+    ignore, unit = surface.reading.ignore, surface.reading.unit
+    centre = surface.pair("OBDC") or (0.0, 0.0)
     for key in ("CLAP", "FLAP", "SQAP", "ELAP"):
-        if line := surface.last(key):
-            first, second = (reading.number(line[0], place, line[1], key) for place in (0, 1))
-            half = (first, second) if key in ("SQAP", "ELAP") else (second, second)
+        if pair := surface.pair(key):
+            first, second = pair
+            half = pair if key in ("SQAP", "ELAP") else (second, second)
             if key == "ELAP":
-                reading.ignore(surface, key, f"{first:g} {second:g}", "an ellipse: the rectangle around it is clear")
+                ignore(key, f"{first:g} {second:g}", "an ellipse: the rectangle around it is clear")
             elif key != "SQAP":
-                reading.ignore(surface, key, f"{second:g}", "a circle: the square around it is the clear aperture")
+                ignore(key, f"{second:g}", "a circle: the square around it is the clear aperture")
                 if first > 0:
-                    reading.ignore(surface, key, f"{first:g}", "inner radius of a ring: rays pass its middle")
-            if min(half) <= 0:
-                continue
-            scaled = np.array(half) * reading.unit
-            centre = reading.unit * np.array([x, y])
-            return box_aperture((centre - scaled).tolist(), (centre + scaled).tolist())
-    return box_aperture((-np.inf, -np.inf), (np.inf, np.inf))
+                    ignore(key, f"{first:g}", "inner radius of a ring: rays pass its middle")
+            if min(half) > 0:
+                low, high = (unit * np.array(centre) + sign * unit * np.array(half) for sign in (-1.0, 1.0))
+                return box_aperture(low.tolist(), high.tolist())
+    return box_aperture()

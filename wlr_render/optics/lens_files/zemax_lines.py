@@ -1,38 +1,24 @@
-"""State of reading a Zemax lens file: the lines of each surface, numbers, and notes."""
+"""State of reading a Zemax lens file: the lines of each surface, and their numbers."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
-from wlr_render.optics.lens_files.sequence import Notes, Part, finite, ignore
+from wlr_render.optics.lens_files.sequence import LensReading, finite
 
 MOST_NUMBERED = 500
 """Largest number of a parameter of a surface."""
 
 
 @dataclass
-class SurfaceLines:
-    """The lines of one surface: words after each key, with the line's number."""
+class ZemaxReading(LensReading):
+    """State of reading one Zemax file.
 
-    number: int
-    lines: list[tuple[str, list[str], int]] = field(default_factory=list)
+    Attributes:
+        manufacturers: names of glass catalogues in the header.
+        unknown_glasses: surfaces by the name of their glass, which no catalogue has.
+    """
 
-    def last(self, key: str) -> tuple[list[str], int] | None:
-        """Return the words and line number of the last line with a key."""
-        lines = [(words, line) for each, words, line in self.lines if each == key]
-        return lines[-1] if lines else None
-
-
-@dataclass
-class ZemaxReading:
-    """The state of reading one file."""
-
-    path: Path
-    catalogue: GlassCatalogue
-    unit: float = 1e-3
     manufacturers: tuple[str, ...] = ()
-    notes: Notes = field(default_factory=list)
     unknown_glasses: dict[str, list[int]] = field(default_factory=dict)
 
     def number(self, words: list[str], place: int, line: int, key: str, infinite: bool = False) -> float:
@@ -41,31 +27,43 @@ class ZemaxReading:
         word = "inf" if infinite and word.upper() == "INFINITY" else word
         return finite(word, f"{self.path}: line {line}: value {place + 1} of {key}", infinite)
 
-    def value(self, surface: SurfaceLines, key: str, default: float = 0.0, infinite: bool = False) -> float:
-        """Return the first number of a surface's key."""
-        line = surface.last(key)
-        return default if line is None else self.number(line[0], 0, line[1], key, infinite)
 
-    def numbered(self, surface: SurfaceLines, key: str) -> dict[int, float]:
+@dataclass
+class ZemaxSurface:
+    """The lines of one surface: words after each key, with the line's number."""
+
+    reading: ZemaxReading
+    number: int
+    lines: list[tuple[str, list[str], int]] = field(default_factory=list)
+
+    def last(self, key: str) -> tuple[list[str], int] | None:
+        """Return the words and line number of the last line with a key."""
+        lines = [(words, line) for each, words, line in self.lines if each == key]
+        return lines[-1] if lines else None
+
+    def value(self, key: str, default: float = 0.0, infinite: bool = False) -> float:
+        """Return the first number of a key."""
+        line = self.last(key)
+        return default if line is None else self.reading.number(line[0], 0, line[1], key, infinite)
+
+    def pair(self, key: str) -> tuple[float, float] | None:
+        """Return the first two numbers of a key; None without it."""
+        line = self.last(key)
+        if line is None:
+            return None
+        first, second = (self.reading.number(line[0], place, line[1], key) for place in (0, 1))
+        return first, second
+
+    def numbered(self, key: str) -> dict[int, float]:
         """Return the values of `PARM` or `XDAT`, by their number."""
         values = {}
-        for name, words, line in surface.lines:
+        for name, words, line in self.lines:
             if name == key:
-                place = self.number(words, 0, line, key)
+                place = self.reading.number(words, 0, line, key)
                 if not 0 <= place <= MOST_NUMBERED:
-                    raise BadInputError(f"{self.path}: line {line}: {key} has the number {place:g}; correct it.")
-                values[int(place)] = self.number(words, 1, line, key)
+                    raise BadInputError(
+                        f"{self.reading.path}: line {line}: {key} has the number {place:g}; correct it."
+                    )
+                values[int(place)] = self.reading.number(words, 1, line, key)
         values.pop(0, None)  # has no meaning for the surfaces that are read
         return values
-
-    def ignore(
-        self,
-        surface: SurfaceLines | None,
-        key: str,
-        value: object,
-        reason: str,
-        bends_rays: bool = False,
-        part: Part = "other",
-    ) -> None:
-        """Note a key of a surface, or of the header, that is not read as it stands."""
-        ignore(self.notes, None if surface is None else surface.number, key, value, reason, bends_rays, part)
