@@ -379,6 +379,16 @@ def test_surfaces_stated_by_one_another_end_somewhere(tmp_path):
         load(tmp_path, GOOD + more)
 
 
+def test_a_raised_surface_can_be_raised_again(tmp_path):
+    """The surface between is in no path, but another one is stated by it."""
+    again = GOOD.replace(*_RAISED).replace('name = "back"', 'name = "between"')
+    again += f'\n[[eye.surface]]\nname = "back"\n{_RAISED[1].replace("front", "between")}\n'
+    shape = load(tmp_path, again).eyes["right"].surfaces()[1].shape
+    assert len(shape.errors) == 2
+    with pytest.raises(BadInputError, match="surface 'between' is in no path"):
+        load(tmp_path, again.replace('of = "between"', 'of = "front"'))
+
+
 @pytest.mark.parametrize("name", ["model.json", "MODEL.JSON"])
 def test_a_model_given_as_a_device_is_named_as_one(tmp_path, monkeypatch, name):
     """Also by a name without a folder."""

@@ -196,6 +196,7 @@ def surface_at(name, shape, depth, low=(-0.05, -0.05, -np.inf), high=(0.05, 0.05
     )
 
 
+BUMP = FormError(GaussianBump(1e-5, 4e-3), np.eye(4))
 BACK = surface_at("back", Conic(0.0), 0.06)
 
 
@@ -216,6 +217,8 @@ BACK = surface_at("back", Conic(0.0), 0.06)
         AnamorphicAsphere((-4.0, 3.0), (0.1, -2.0), (AnamorphicTerm(40.0, -0.2, 2), AnamorphicTerm(-3e4, 1.5, 3))),
         Offset(Conic(5.0), 1.5e-3),
         Offset(Offset(Toroid(-0.3, 0.2), -1e-3), 2e-3),
+        Offset(raised(Conic(5.0), BUMP), 1e-3),
+        raised(Offset(raised(Toroid(-0.3, 0.2), BUMP), 1e-3), BUMP),
     ],
 )
 def test_every_shape_survives(tmp_path, shape):

@@ -38,7 +38,7 @@ def _named_glass(table: Table, name: str) -> Medium:
             f"'formula' is {shown(formula)}; choose one of the glasses that devices/README.md lists, such as "
             f"{', '.join(like)}, or give any glass by 'sellmeier', or by 'nd' and 'vd'."
         )
-    return glasses[formula].renamed(name)
+    return replace(glasses[formula], name=name)
 
 
 def _squared(table: Table, name: str) -> Medium:

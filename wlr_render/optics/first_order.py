@@ -11,8 +11,8 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
-from wlr_render.optics.ray_losses import judged_directions
-from wlr_render.optics.tracer import trace
+from wlr_render.optics.ray_losses import judged_directions, on_panel
+from wlr_render.optics.traced_mappings import TracedDisplay
 
 _TANGENT_STEP = 1e-4
 _EYE_STEP_M = 1e-4
@@ -58,11 +58,10 @@ def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
     """
     tangents = tangents_of_dir(judged_directions(optics))
     place = _place(optics, tangents, optics.eye_box.centre, wavelength_um)
-    pixel = optics.panel.pixel_of_local(place)
-    on_panel = np.all((pixel >= 0.0) & (pixel <= optics.panel.pixels.size_px), axis=-1)
-    if not on_panel.any():
+    arriving = on_panel(optics, optics.panel.pixel_of_local(place))
+    if not arriving.any():
         return None
-    tangents, place = tangents[on_panel], place[on_panel]
+    tangents, place = tangents[arriving], place[arriving]
     nearest = int(np.argmin(np.linalg.norm(tangents - tangents.mean(axis=0), axis=-1)))
     middle = tangents[nearest]
     steps = np.concatenate([np.eye(2), -np.eye(2)])
@@ -93,7 +92,6 @@ def first_order(optics: EyeOptics, wavelength_um: float) -> FirstOrder | None:
 
 def _place(optics: EyeOptics, tangents: FloatArray, viewpoint: FloatArray, wavelength_um: float) -> FloatArray:
     """Return positions on the panel (n, 2) in metres from its middle; NaN for lost rays."""
-    traced = trace(optics.display, viewpoint, dir_of_tangents(tangents), wavelength_um)
-    pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
+    pixel, status = TracedDisplay(optics, wavelength_um).plane_pixel(dir_of_tangents(tangents), viewpoint)
     local = (pixel / optics.panel.pixels.size_px - 0.5) * optics.panel.size
-    return np.where((traced.status == Status.OK)[..., None], local, np.nan)
+    return np.where((status == Status.OK)[..., None], local, np.nan)

@@ -85,10 +85,6 @@ class Medium:
         """Return the same medium with `delta` added to its index at every wavelength."""
         return replace(self, index_shift=self.index_shift + delta)
 
-    def renamed(self, name: str) -> "Medium":
-        """Return the same medium with another name."""
-        return replace(self, name=name)
-
     def index(self, wavelength_um: float) -> float:
         """Return the refractive index at a vacuum wavelength in micrometres."""
         square = wavelength_um * wavelength_um

@@ -6,12 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from wlr_render.mappings import Status
+from wlr_render.mappings import Status, StatusArray
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import EyeOptics, Interaction, Path, PlacedSurface, Step
 from wlr_render.optics.media import GREEN_UM
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere, SumOfProfiles, Toroid
 from wlr_render.optics.surfaces import Conic, Shape
+from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import Trace, trace
 
 _COLUMNS, _ROWS = 25, 21
@@ -67,24 +68,27 @@ def display_losses(optics: EyeOptics, wavelength_um: float) -> tuple[SurfaceLoss
     alive = np.ones(len(view_dir), dtype=bool)
     entries = []
     steps = optics.display.steps
-    for count, step in enumerate(steps, 1):
-        traced = trace(Path(steps[:count]), start, view_dir, wavelength_um)
+    traced = trace(Path(), start, view_dir, wavelength_um)
+    for count, step in enumerate(steps):
+        arriving, traced = traced, trace(Path(steps[: count + 1]), start, view_dir, wavelength_um)
         passed = alive & (traced.status == Status.OK)
-        reasons = _reasons(Path(steps[:count]), start, view_dir, wavelength_um, alive & ~passed)
+        # A total reflection that fails counts as clipped; as a plain mirror, only the aperture clips.
+        mirror = replace(step, interaction=Interaction.REFLECT)
+        mirrored = trace(Path((*steps[:count], mirror)), start, view_dir, wavelength_um)
+        reasons = _reasons(mirror, arriving, traced.status, mirrored.status, alive & ~passed)
         name, kind = step.surface.name, str(step.interaction)
         entries.append(SurfaceLosses(name, kind, int(alive.sum()), int(passed.sum()), reasons))
         alive = passed
-    traced = trace(optics.display, start, view_dir, wavelength_um)
     pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
     ahead = np.isfinite(pixel).all(axis=-1)
     behind = np.isfinite(optics.panel.pixel_of_ray(traced.origin, -traced.direction)).all(axis=-1)
-    arriving = alive & on_panel(optics, pixel)
+    met = alive & on_panel(optics, pixel)
     reasons = {
         "miss its plane": int((alive & ~ahead & ~behind).sum()),
         "run away from it, for it lies behind them": int((alive & ~ahead & behind).sum()),
-        "pass beside its lit area": int((alive & ahead & ~arriving).sum()),
+        "pass beside its lit area": int((alive & ahead & ~met).sum()),
     }
-    entries.append(SurfaceLosses("panel", "panel", int(alive.sum()), int(arriving.sum()), reasons))
+    entries.append(SurfaceLosses("panel", "panel", int(alive.sum()), int(met.sum()), reasons))
     return tuple(entries)
 
 
@@ -94,39 +98,27 @@ def on_panel(optics: EyeOptics, pixel: FloatArray) -> BoolArray:
 
 
 def _reasons(
-    path: Path, start: FloatArray, view_dir: FloatArray, wavelength_um: float, lost: BoolArray
+    mirror: Step, arriving: Trace, status: StatusArray, as_mirror: StatusArray, lost: BoolArray
 ) -> dict[str, int]:
-    """Return why rays are lost at the last step of a path."""
-    *before, last = path.steps
-    status = trace(path, start, view_dir, wavelength_um).status
-    # A total reflection that fails counts as clipped; as a plain mirror, only the aperture clips.
-    mirrored = Path((*before, replace(last, interaction=Interaction.REFLECT)))
-    outside = trace(mirrored, start, view_dir, wavelength_um).status == Status.CLIPPED
-    missed = lost & (status == Status.MISS)
-    behind = _lies_behind(last, trace(Path(tuple(before)), start, view_dir, wavelength_um))
+    """Return why rays are lost at a step, given the step as a plain mirror and the status of rays with both."""
+    back = trace(Path((mirror,)), arriving.origin, -arriving.direction, GREEN_UM)
+    missed, clipped = lost & (status == Status.MISS), lost & (status == Status.CLIPPED)
+    is_behind, is_outside = back.status != Status.MISS, as_mirror == Status.CLIPPED
     return {
-        "miss it": int((missed & ~behind).sum()),
-        "run away from it, for it lies behind them": int((missed & behind).sum()),
-        "fall outside its aperture": int((lost & (status == Status.CLIPPED) & outside).sum()),
-        "leave through it below the critical angle": int((lost & (status == Status.CLIPPED) & ~outside).sum()),
+        "miss it": int((missed & ~is_behind).sum()),
+        "run away from it, for it lies behind them": int((missed & is_behind).sum()),
+        "fall outside its aperture": int((clipped & is_outside).sum()),
+        "leave through it below the critical angle": int((clipped & ~is_outside).sum()),
         "are totally reflected": int((lost & (status == Status.TOTAL_REFLECTION)).sum()),
         "do not settle on it": int((lost & (status == Status.NOT_CONVERGED)).sum()),
     }
 
 
-def _lies_behind(step: Step, arriving: Trace) -> BoolArray:
-    """Return which rays would meet a surface if they ran backwards, (n,)."""
-    back = trace(
-        Path((replace(step, interaction=Interaction.REFLECT),)), arriving.origin, -arriving.direction, GREEN_UM
-    )
-    return np.asarray(back.status != Status.MISS)
-
-
 def reach_panel(optics: EyeOptics, wavelength_um: float) -> int:
     """Return the number of judged rays that end on the panel."""
-    traced = trace(optics.display, optics.eye_box.centre, judged_directions(optics), wavelength_um)
-    pixel = optics.panel.pixel_of_ray(traced.origin, traced.direction)
-    return int(np.sum((traced.status == Status.OK) & on_panel(optics, pixel)))
+    display = TracedDisplay(optics, wavelength_um)
+    pixel, status = display.plane_pixel(judged_directions(optics), optics.eye_box.centre)
+    return int(np.sum((status == Status.OK) & on_panel(optics, pixel)))
 
 
 def turned_round(surface: PlacedSurface) -> PlacedSurface:

@@ -98,7 +98,7 @@ def _plate_added(bench: Bench, thickness: float, tilt_deg: FloatArray, wedge_deg
     """
     if thickness == 0.0:
         return bench
-    pmma = shipped_glasses()["pmma_sultanova_2009"].renamed("added_plate")
+    pmma = replace(shipped_glasses()["pmma_sultanova_2009"], name="added_plate")
     index = pmma.index(bench.target_wavelength_um)
     medium = pmma if thickness > 0.0 else Medium.constant("added_plate", 1.0 / (2.0 - 1.0 / index))
     near = _tilt(tilt_deg)

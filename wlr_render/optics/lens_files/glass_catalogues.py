@@ -77,13 +77,11 @@ class GlassCatalogue:
             return Glass(AIR)
         for entries in self._in_order(manufacturers):
             if entry := _by_name(entries, name):
-                return Glass(entry.medium(), *_note_on(entry, name, ""))
+                return _glass_of(entry, name)
         shipped = _by_name(shipped_entries(), _ALSO.get(_letters(name), name))
         others = _OTHER_MAKERS.get(shipped.name, ()) if shipped else ()
         if shipped and not any(other in maker for other in others for maker in manufacturers):
-            return Glass(
-                shipped.medium(), *_note_on(shipped, name, f"from this program's catalogue ({shipped.source})")
-            )
+            return _glass_of(shipped, name, f"from this program's catalogue ({shipped.source})")
         medium = _glass_of_optiland(name, manufacturers)
         if medium is None:
             return None
@@ -116,19 +114,18 @@ def _by_name(entries: dict[str, GlassEntry], name: str) -> GlassEntry | None:
     return next((entry for each, entry in entries.items() if _letters(each) == _letters(name)), None)
 
 
-def _note_on(entry: GlassEntry, name: str, note: str) -> tuple[str, bool]:
-    """Return a note on a glass, and whether its index may differ from the index of the named glass."""
-    parts = [note] if note else []
-    if entry.name.upper() != name.upper():
-        parts.insert(0, f"taken as {entry.name}")
+def _glass_of(entry: GlassEntry, name: str, *source: str) -> Glass:
+    """Return the glass of an entry that was found for a name, with a note on its source and on how it differs."""
+    notes = [f"taken as {entry.name}"] if entry.name.upper() != name.upper() else []
+    notes += source
     try:
         low, high = (float(word.replace(",", ".")) for word in entry.range_um[:2])
     except ValueError:
         low, high = _VISIBLE_UM
     is_outside = low > _VISIBLE_UM[0] or high < _VISIBLE_UM[1]
     if is_outside:
-        parts.append(f"its formula is stated from {low:g} to {high:g} um only, and is used beyond them")
-    return ", ".join(parts), is_outside
+        notes.append(f"its formula is stated from {low:g} to {high:g} um only, and is used beyond them")
+    return Glass(entry.medium(), ", ".join(notes), is_outside)
 
 
 def model_glass(index: float, abbe: float, where: str, name: str = "", deviation: float = 0.0) -> Medium:
