@@ -355,6 +355,19 @@ def test_faults_of_catalogue_files_are_named(tmp_path, content, sentence):
         GlassCatalogue((bad,)).find("odd")
 
 
+@pytest.mark.parametrize("kind", ["tilt", ["bend"], {}])
+def test_a_decentre_of_another_kind_is_refused(tmp_path, kind):
+    file = json.loads((FOLDER / "decentred.roa").read_text())
+    surfaces = file["optical_model"]["attributes"]["seq_model"]["attributes"]["ifcs"]
+    decentre = next(each["attributes"]["decenter"] for each in surfaces if each["attributes"]["decenter"])
+    decentre["attributes"].pop("dtype", None)
+    decentre["attributes"]["_dtype"] = kind
+    path = tmp_path / "lens.roa"
+    path.write_text(json.dumps(file))
+    with pytest.raises(BadInputError, match=r"the decentre is .*; it must be one of bend, dec and return"):
+        read_lens_file(path, CATALOGUE)
+
+
 def test_planes_are_planes(tmp_path):
     assert lens_of(tmp_path, ZMX).surfaces[4].shape == Conic(0.0)
 

@@ -131,7 +131,8 @@ def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, 
     """Return the rotation and shift of a decentre before or after its surface."""
     if table is None:
         return np.eye(4), np.eye(4)
-    kind = table.raw("_dtype") or table.raw("dtype")
+    stated = table.raw("_dtype") or table.raw("dtype")
+    kind = str(stated)
     alpha, beta, gamma = np.deg2rad(_array(table, "euler", 3))
     # About x and y the angles are left-handed, as in CODE V.
     rotation = rigid(rotation_about("x", -alpha) @ rotation_about("y", -beta) @ rotation_about("z", gamma), np.zeros(3))
@@ -139,7 +140,7 @@ def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, 
     nothing, back = (np.eye(4), np.eye(4)), (rotation.T, inverse(moved))
     after = {"decenter": nothing, "bend": (rotation, np.eye(4)), "dec and return": back, "reverse": back}
     if kind not in after:
-        raise table.fail(f"the decentre is {shown(kind)}; it must be one of {', '.join(sorted(after))}.")
+        raise table.fail(f"the decentre is {shown(stated)}; it must be one of {', '.join(sorted(after))}.")
     if side == "after":
         return after[kind]
     return nothing if kind == "reverse" else (rotation, moved)
