@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
@@ -37,7 +38,9 @@ class Problem:
         sums = Sums(self.design.shape[1], OUTPUTS, self.mixed.shape[2], GROUPS, OWN)
         for rows in np.array_split(np.arange(len(self.value)), parts):
             mixed = self.mixed[rows] if self.mixed.shape[2] else None
-            sums.add(self.value[rows], self.weight[rows], self.design[rows], mixed, self.own[rows], self.group[rows])
+            readings = self.value[rows], self.weight[rows], self.design[rows]
+            sums.add(*readings)
+            sums.add_side(*readings, mixed, self.own[rows], self.group[rows])
         return sums
 
     def dense(self, hyper: FloatArray) -> tuple[float, FloatArray, FloatArray]:
@@ -69,6 +72,13 @@ def all_means(found: Posterior) -> FloatArray:
     return np.concatenate([found.mixed_mean, found.group_mean.ravel(), found.mean.ravel()])
 
 
+def covariance_of(found: Posterior) -> FloatArray:
+    """Covariance of the side unknowns, then of all coefficients, which follow them."""
+    side, follow = found.side_covariance, np.concatenate([*found.by_side], axis=1)
+    own = block_diag(*[found.alone] * OUTPUTS) + follow.T @ side @ follow
+    return np.block([[side, side @ follow], [follow.T @ side, own]])
+
+
 @pytest.mark.parametrize("mixed", [0, 4])
 @pytest.mark.parametrize("motion", [-0.5, -20.0])
 def test_evidence_mean_and_covariance_are_those_of_the_covariance_of_all_readings(mixed: int, motion: float) -> None:
@@ -78,7 +88,7 @@ def test_evidence_mean_and_covariance_are_those_of_the_covariance_of_all_reading
     log_evidence, mean, covariance = problem.dense(hyper)
     assert found.log_evidence == pytest.approx(log_evidence, abs=1e-8)
     np.testing.assert_allclose(all_means(found), mean, atol=1e-12)
-    np.testing.assert_allclose(found.covariance, covariance, atol=1e-14)
+    np.testing.assert_allclose(covariance_of(found), covariance, atol=1e-14)
 
 
 @pytest.mark.parametrize("mixed", [0, 4])
@@ -117,9 +127,9 @@ def test_sums_less_those_of_some_readings_are_those_of_the_others() -> None:
     problem = Problem(2)
     first = Sums(problem.design.shape[1], OUTPUTS, 0, GROUPS, OWN)
     rows = slice(0, 100)
-    first.add(
-        problem.value[rows], problem.weight[rows], problem.design[rows], None, problem.own[rows], problem.group[rows]
-    )
+    readings = problem.value[rows], problem.weight[rows], problem.design[rows]
+    first.add(*readings)
+    first.add_side(*readings, None, problem.own[rows], problem.group[rows])
     rest = Problem(2)
     for name in ("design", "own", "group", "value", "weight", "mixed"):
         setattr(rest, name, getattr(problem, name)[100:])
@@ -178,7 +188,8 @@ def drawn(
     noise = noise * (np.sqrt((1.0 + place**2) ** 2 / 1.87)[:, None] if rim else 1.0)
     value = design @ truth.T + noise + motion * rng.normal(size=(groups, 1))[group]
     sums = Sums(columns, 2, 0, groups, 1)
-    sums.add(value, np.ones(count), design, None, np.ones((count, 2, 1)), group)
+    sums.add(value, np.ones(count), design)
+    sums.add_side(value, np.ones(count), design, None, np.ones((count, 2, 1)), group)
     features = np.zeros((columns, 4))
     features[:, 0], features[:, 1] = 1.0, -order
     none = np.zeros((0, 4))
@@ -204,14 +215,10 @@ def test_the_predicted_error_is_the_true_one(motion: float, kind: str) -> None:
         found = maximise(sums, prior, STARTS)
         assert found.noise == pytest.approx(0.1, rel=0.15)
         squares.append(np.mean((at @ (found.mean - truth).T) ** 2))
-        first = len(found.covariance) - 24
+        covariance = covariance_of(found)
+        first = len(covariance) - 24
         predicted.append(
-            np.mean(
-                [
-                    np.einsum("ni,ij,nj->n", at, found.covariance[a : a + 12, a : a + 12], at)
-                    for a in (first, first + 12)
-                ]
-            )
+            np.mean([np.einsum("ni,ij,nj->n", at, covariance[a : a + 12, a : a + 12], at) for a in (first, first + 12)])
         )
         found_motion.append(np.exp(found.hyper["motion"]))
     assert 0.8 < np.sqrt(np.mean(predicted) / np.mean(squares)) < 1.25

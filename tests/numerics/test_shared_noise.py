@@ -64,7 +64,8 @@ def test_sums_of_readings_that_share_noise_are_those_of_their_inverse_covariance
     value, design, grouped = (rng.normal(size=(len(PLACE), *shape)) for shape in ((2,), (5,), (2, 3)))
     sums = Sums(5, 2, 0, 1, 3)
     root = noise.root(PLACE, np.ones(len(PLACE))) * weight
-    sums.add(value, [root], design, None, grouped, np.zeros(len(PLACE), int))
+    sums.add(value, [root], design)
+    sums.add_side(value, [root], design, None, grouped, np.zeros(len(PLACE), int))
     covariance = (0.4 * noise.correlation(PLACE) + 0.6 * np.eye(len(PLACE))) / weight / weight[:, None]
     inverse = np.linalg.inv(covariance)
     np.testing.assert_allclose(sums.gram, design.T @ inverse @ design)

@@ -88,7 +88,6 @@ def sums_of(
     columns = readings.coefficients + (0 if readings.print_errors is None else len(readings.print_errors.frequency))
     side = readings.blocks * terms if readings.mixed else parameters, groups, own
     sums = Sums(columns, 2, *side) if still is None else still.with_side(*side)
-    add = sums.add if still is None else sums.add_side
     observed = np.zeros_like(readings.observed)
     if start is not None and len(readings):
         observed = readings.observed - readings.values(start)
@@ -96,14 +95,12 @@ def sums_of(
     for rows, weight in readings.blocks_of_noise(kept):
         design = readings.design(rows)
         mixed = design if readings.mixed else trend_columns(readings, rows)
-        add(
-            observed[rows],
-            weight,
-            np.empty((len(design), 0)) if readings.mixed else design,
-            mixed,
-            None if motion is None else motion[rows],
-            readings.capture[rows],
-        )
+        if readings.mixed:
+            design = np.empty((len(design), 0))
+        if still is None:
+            sums.add(observed[rows], weight, design)
+        grouped = None if motion is None else motion[rows]
+        sums.add_side(observed[rows], weight, design, mixed, grouped, readings.capture[rows])
     return sums
 
 

@@ -66,24 +66,13 @@ class Sums:
         self.side_gram, self.side_moment = np.zeros((side, side)), np.zeros(side)
         self.side_cross = np.zeros((outputs, side, columns))
 
-    def add(
-        self,
-        value: FloatArray,
-        weight: Weights,
-        design: FloatArray,
-        mixed: FloatArray | None = None,
-        grouped: FloatArray | None = None,
-        group: IntArray | None = None,
-    ) -> None:
-        """Add n readings.
+    def add(self, value: FloatArray, weight: Weights, design: FloatArray) -> None:
+        """Add n readings, without their side unknowns.
 
         Args:
             value: (n, outputs).
             weight: see `Weights`.
             design: (n, columns) A.
-            mixed: (n, outputs, mixed) C.
-            grouped: (n, outputs, grouped) H.
-            group: (n,) each reading's group, 0..groups - 1.
         """
         weighted_design, weighted_value = weight_values(weight, design), weight_values(weight, value)
         diagonal = weight if isinstance(weight, np.ndarray) else np.concatenate([np.diag(each) for each in weight])
@@ -92,7 +81,6 @@ class Sums:
         self.square += float(np.sum(weighted_value**2))
         self.gram += weighted_design.T @ weighted_design
         self.moment += weighted_value.T @ weighted_design
-        self.add_side(value, weight, design, mixed, grouped, group)
 
     def add_side(
         self,
@@ -103,7 +91,13 @@ class Sums:
         grouped: FloatArray | None = None,
         group: IntArray | None = None,
     ) -> None:
-        """Add the side unknowns of n readings that were added before, see `add`.
+        """Add the side unknowns of n readings.
+
+        Args:
+            value, weight, design: as in `add`, which counts the readings.
+            mixed: (n, outputs, mixed) C.
+            grouped: (n, outputs, grouped) H.
+            group: (n,) each reading's group, 0..groups - 1.
 
         Raises:
             ValueError: readings of several groups share noise.

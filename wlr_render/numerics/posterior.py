@@ -80,13 +80,6 @@ class Posterior:
         return by_side
 
     @cached_property
-    def covariance(self) -> FloatArray:
-        """(side + outputs * columns, ...) covariance of z and b, then of x of output 0, output 1 and so on."""
-        outputs, side = len(self.half_cross), len(self.side_used)
-        sizes = np.concatenate([self.sizes[:side], np.tile(self.sizes[side:], outputs)])
-        return _in_place(self._unit_covariance, sizes, np.concatenate([self.side_used, np.tile(self.used, outputs)]))
-
-    @cached_property
     def determined(self) -> float:
         """Effective number of unknowns that the readings determine (MacKay's gamma)."""
         return len(self.unit) - float(self._variance.sum())
