@@ -282,7 +282,7 @@ def _readings(
         return said.readings
     listed = [effect for effect in effects if effect.name in CAUSES]
     predictor = Predictor.of_session(*observed(plan, listed, np.random.default_rng(0), nature))
-    noise = noise_of(predictor.observations, predictor.residual(Explanation()), said.settings)
+    noise = noise_of(predictor.observations, predictor.residual(Explanation()))
     return WeighedReadings.of(predictor.with_sigma(noise.sigma_px).of_rows(~noise.outlier), noise)
 
 

@@ -10,7 +10,7 @@ from small_session import SIGMA_PX, explanation, fitted, fitted_at_rest, measure
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.fit import is_physical, reduced_chi_squared, whole_step_cost
 from wlr_render.diagnosis.prediction import Explanation
-from wlr_render.numerics.scatter import Scatter, ScatterSums, marginal, minus_two_log_evidence
+from wlr_render.numerics.scatter import Scatter, ScatterSums, marginal
 
 
 def fits(observations, *starts):
@@ -113,8 +113,8 @@ def test_the_evidence_of_whole_steps_is_the_sum_over_the_multiples(sigma):
     y = flat @ (np.array([0.5, -0.8, 0.7]) / np.r_[prior_sigma[:2], 1.0]) + rng.normal(size=120)
     ones = np.zeros(60, dtype=int)
     sums = ScatterSums.over(y.reshape(60, 2), np.zeros((60, 2, 6)), columns, ones, ones, 1)
-    scatter, mean = Scatter.usual(1), np.zeros(3)
-    found = minus_two_log_evidence(marginal(sums, scatter), mean)
+    scatter = Scatter.usual(1)
+    found = marginal(sums, scatter).minus_two_log_evidence
     found += whole_step_cost(sums, scatter, start, np.array([0, 1, 2]))
     variance = np.eye(120) + flat[:, 2:] @ flat[:, 2:].T
     each = [

@@ -14,7 +14,6 @@ from wlr_render.numerics.scatter import (
     cost_and_slopes,
     costs_of_sizes,
     marginal,
-    minus_two_log_evidence,
     surprise,
     tridiagonal,
 )
@@ -25,8 +24,6 @@ from wlr_render.numerics.scatter_search import (
     scatter_errors,
     with_moved_captures,
 )
-
-NOTHING = np.zeros(0)
 
 
 @pytest.fixture(scope="module")
@@ -69,10 +66,11 @@ def test_values_are_integrated_out_over_their_priors_exactly(drawn):
     sums, scatter, y, columns, variance = drawn
     mean, sigma = np.array([0.4, -1.0, 0.2]), np.array([0.3, 1.0, 2.0])
     expected = density(y - columns @ mean, variance + (columns * sigma**2) @ columns.T)
-    assert minus_two_log_evidence(marginal(sums, scatter), mean, sigma) == pytest.approx(expected, rel=1e-9)
+    found = marginal(replace(sums, mean=mean, sigma=sigma), scatter)
+    assert found.minus_two_log_evidence == pytest.approx(expected, rel=1e-9)
     some = marginal(sums.of_columns(np.array([2, 0])), scatter)
     expected = density(y, variance + columns[:, [2, 0]] @ columns[:, [2, 0]].T)
-    assert minus_two_log_evidence(some, np.zeros(2)) == pytest.approx(expected, rel=1e-9)
+    assert some.minus_two_log_evidence == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_most_probable_motions_are_those_of_linear_regression(drawn):
@@ -85,41 +83,40 @@ def test_the_most_probable_motions_are_those_of_linear_regression(drawn):
 def test_carried_effects_are_one_more_random_error_of_all_readings(drawn):
     sums, scatter, y, columns, variance = drawn
     size = np.array([0.3, 2.0])
-    carried = replace(sums, carried=size)
+    carried = replace(sums, mean=np.array([0.4, 0.0, 0.0]), sigma=np.r_[1.0, size], carried=2)
     found = marginal(carried, scatter)
     variance = variance + (columns[:, 1:] * size**2) @ columns[:, 1:].T
     solved = np.linalg.solve(variance, columns[:, :1])
     assert found.minus_two_log == pytest.approx(density(y, variance), rel=1e-9)
     np.testing.assert_allclose(found.information, columns[:, :1].T @ solved, rtol=1e-8)
     np.testing.assert_allclose(found.gradient, solved.T @ y, rtol=1e-8)
-    mean = np.array([0.4])
-    evidence = minus_two_log_evidence(found, mean) + surprise(scatter, sums)
-    assert cost(carried, scatter, mean) == pytest.approx(evidence, rel=1e-9)
+    evidence = found.minus_two_log_evidence + surprise(scatter, sums)
+    assert cost(carried, scatter) == pytest.approx(evidence, rel=1e-9)
 
 
 def test_slopes_of_the_evidence_are_its_derivatives(drawn):
     sums, scatter, *_ = drawn
-    sums, mean, step = replace(sums, carried=np.array([2.0])), np.array([0.4, -0.1]), 1e-5
-    value, slopes = cost_and_slopes(sums, scatter, mean)
-    assert value == pytest.approx(cost(sums, scatter, mean), rel=1e-12)
+    step, priors = 1e-5, {"mean": np.array([0.4, -0.1, 0.0]), "sigma": np.array([1.0, 1.0, 2.0])}
+    sums = replace(sums, **priors, carried=1)
+    value, slopes = cost_and_slopes(sums, scatter)
+    assert value == pytest.approx(cost(sums, scatter), rel=1e-12)
     for number in (0, 1, 3, 4, 6, 7):
         ahead, back = (scatter.vector() + sign * step * np.eye(9)[number] for sign in (1, -1))
-        difference = cost(sums, scatter.at(ahead), mean) - cost(sums, scatter.at(back), mean)
+        difference = cost(sums, scatter.at(ahead)) - cost(sums, scatter.at(back))
         assert slopes.ravel()[number] == pytest.approx(difference / (2 * step), rel=1e-5, abs=1e-5)
 
 
 def test_the_best_sizes_have_the_highest_evidence(drawn):
     sums, scatter, *_ = drawn
-    mean = np.zeros(3)
-    best, cost = best_scatter(sums, scatter, mean)
-    assert cost == pytest.approx(minus_two_log_evidence(marginal(sums, best), mean) + surprise(best, sums))
+    best, cost = best_scatter(sums, scatter)
+    assert cost == pytest.approx(marginal(sums, best).minus_two_log_evidence + surprise(best, sums))
     for number in range(8):
         for step in (-0.3, 0.3):
             vector = best.vector()
             vector[number] += step
             other = best.at(vector)
             if np.all(other.noise >= 1.0):
-                at = minus_two_log_evidence(marginal(sums, other), mean) + surprise(other, sums)
+                at = marginal(sums, other).minus_two_log_evidence + surprise(other, sums)
                 assert at > cost - 0.05
     np.testing.assert_array_equal(best.moved, scatter.moved)
 
@@ -163,8 +160,8 @@ def test_sizes_of_motions_come_back_within_their_errors(still, shift_um, turn_ur
     off, logs = [], []
     for seed in range(15):
         sums = sums_of(still, np.random.default_rng(seed), shift_um, turn_urad, motion_dof=np.inf)
-        found, _ = best_scatter(sums, Scatter.usual(36), NOTHING)
-        errors = scatter_errors(sums, found, NOTHING)
+        found, _ = best_scatter(sums, Scatter.usual(36))
+        errors = scatter_errors(sums, found)
         logs.append([np.log(found.shift_um[0] / shift_um), np.log(found.turn_urad[0] / turn_urad)])
         off.append(np.array(logs[-1]) / errors[1:, 0])
         assert found.noise[0] == pytest.approx(1.0, abs=0.08)
@@ -180,9 +177,9 @@ def test_captures_that_moved_are_named_exactly(still, count):
         rng = np.random.default_rng(100 + seed)
         moved = np.sort(rng.permutation(18)[:count])
         sums = sums_of(still, rng, 12.0, 30.0, moved)
-        found, cost = with_moved_captures(sums, Scatter.usual(36), NOTHING)
+        found, cost = with_moved_captures(sums, Scatter.usual(36))
         np.testing.assert_array_equal(np.flatnonzero(found.moved), moved)
-        assert cost < best_scatter(sums, Scatter.usual(36), NOTHING)[1] - 10.0
+        assert cost < best_scatter(sums, Scatter.usual(36))[1] - 10.0
 
 
 def test_where_none_moved_none_is_named(still):
@@ -190,14 +187,14 @@ def test_where_none_moved_none_is_named(still):
     named = 0
     for seed in range(12):
         sums = sums_of(still, np.random.default_rng(200 + seed), 15.0, 40.0)
-        named += int(with_moved_captures(sums, Scatter.usual(36), NOTHING)[0].moved.sum())
+        named += int(with_moved_captures(sums, Scatter.usual(36))[0].moved.sum())
     assert named <= 2
 
 
 def test_captures_that_were_taken_to_have_moved_are_taken_back(still):
     sums = sums_of(still, np.random.default_rng(7), 12.0, 30.0, (4,))
     start = scatter_of(still.observations, 8.0, 25.0, moved=(2, 3, 5, 9))
-    found, _ = with_moved_captures(sums, start, NOTHING)
+    found, _ = with_moved_captures(sums, start)
     assert np.flatnonzero(found.moved).tolist() == [4]
 
 
@@ -207,8 +204,8 @@ def test_a_shift_that_all_captures_have_is_for_the_causes(still):
     columns = still.motions[:, :, :3] * 500.0
     y = rng.normal(size=(len(observed), 2)) + columns @ np.array([1.0, -1.0, 0.5])
     sums = ScatterSums.over(y, still.motions, columns, observed.group, observed.part, len(observed.captures))
-    with_it, _ = best_scatter(sums, Scatter.usual(36), np.zeros(3))
-    without, _ = best_scatter(sums.of_columns(np.zeros(0, dtype=int)), Scatter.usual(36), NOTHING)
+    with_it, _ = best_scatter(sums, Scatter.usual(36))
+    without, _ = best_scatter(sums.of_columns(np.zeros(0, dtype=int)), Scatter.usual(36))
     assert with_it.shift_um[DISPLAY] < 6.0
     assert without.shift_um[DISPLAY] > 100.0
 

@@ -158,7 +158,7 @@ def test_a_slip_in_the_last_captures_is_a_slip_and_none_of_them_moved(bench, pla
 def test_a_candidate_that_loses_readings_is_none(two):
     """Its few residuals would be smaller than those of all readings."""
     search = searching(two, ("combiner_shift",))
-    nothing = ranking_of(search).subsample
+    nothing = search.on_subsample(ranking_of(search).current)
     prospect, *_ = screen(search.signatures, nothing, search.hypotheses)
     assert best_fit(search.subsample, nothing, prospect) is not None
     lost = Explanation().plus(prospect.hypothesis, np.array([100.0, 0.0, 0.0]))

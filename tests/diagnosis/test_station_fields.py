@@ -202,7 +202,7 @@ def test_nothing_is_located_where_nothing_acts(bench, plan):
 def test_a_displacement_is_returned_in_the_units_of_its_station(bench, plan):
     won = contest(bench, plan, bent_panel(bench, plan))
     (effect, *_) = won.located(2.0)
-    (values,) = won.values([effect], won.scatter_beside([effect]))
+    ((values, _),) = won.values_and_covariances([effect], won.scatter_beside([effect]))
     found, read = effect.displacement(values), simulate(bench, plan).panel_pixel
     true = 0.6 * wave(read[:, 0], 1000) * wave(read[:, 1], 900)
     assert np.std(found[: len(true), 0] - true) < 0.25 * np.std(true)
@@ -340,7 +340,7 @@ def test_a_far_smaller_effect_may_be_the_rest_of_a_large_one(bench, plan):
     won = contest(bench, plan, replace(read, panel_pixel=pixel + beside(6.0 * wave(pixel[:, 0] + 100.0, 2400.0))))
     effects = won.located(2.0)
     assert [each.field.station for each in effects] == ["panel"]
-    rests = won.rests(effects, 2.0)
+    rests = won.located(2.0, before=effects)
     assert all(each.is_rest for each in rests)
     assert "time" in {each.field.station for each in rests}
     left = [np.mean(won.left(each, won.scatter_beside(each)) ** 2) for each in (effects, [*effects, *rests])]

@@ -36,7 +36,7 @@ def test_then_composes(bench, plan):
     some = observations.of_rows(observations.group < 2)
     readings = weighed(some, shared=0.6, reach_px=150.0)
     first = shared_noise_whitening(some, readings.noise)
-    assert len(first.by_axis) == 2
+    assert len(first.groups) == 2
     rows, effect = np.flatnonzero(some.group == 1), np.random.default_rng(2).normal(size=(56, 2, 3))
     both = first.then([rows], [effect])
     common = np.zeros((2 * len(some), 3))

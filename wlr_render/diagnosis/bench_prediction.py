@@ -132,12 +132,12 @@ def predict_session(bench: Bench, session: Session, own: Bench | None = None) ->
 
     residual = predictor.residual(Explanation())
     by_own = None if own is None else residual_by(own)
-    noise = noise_of(observations, residual, DEFAULT)
+    noise = noise_of(observations, residual)
     used = ~noise.outlier
     errors = effect_errors(predictor)
     by_noise = (observations.sigma_px / noise.sigma_px)[used, None, None]
     readings = WeighedReadings.of(predictor.with_sigma(noise.sigma_px).of_rows(used), noise)
-    readings = readings.with_effects(errors[used] * by_noise, np.ones(errors.shape[2]))
+    readings = replace(readings, effects=errors[used] * by_noise, effect_sizes=np.ones(errors.shape[2]))
     found = fit(readings, Explanation(), Scatter.usual(len(observations.captures)), 0)
     if found is None:
         raise BadInputError(f"{session.name}: the bench does not predict every reading; check its stage and targets.")
@@ -187,9 +187,10 @@ def _about_common_motions(readings: WeighedReadings, found: Fit) -> tuple[Scatte
         rows = observations.part == part
         if len(np.unique(observations.group[rows])) < 2:
             continue
-        sums = readings.sums(found.at.residual, readings.camera_motions * rows[:, None, None])
-        _, without = best_scatter(sums.of_columns(np.arange(0)), found.scatter, np.zeros(0))
-        about, cost = best_scatter(sums, found.scatter, np.zeros(6), np.repeat([UNUSUAL_SHIFT, UNUSUAL_TURN], 3))
+        motions, sigma = readings.camera_motions * rows[:, None, None], np.repeat([UNUSUAL_SHIFT, UNUSUAL_TURN], 3)
+        sums = readings.sums(found.at.residual, motions, sigma=sigma)
+        _, without = best_scatter(sums.of_columns(np.arange(0)), found.scatter)
+        about, cost = best_scatter(sums, found.scatter)
         if LOG10_ODDS * (without - cost) > DEFAULT.least_log10_odds:
             systematic.add(int(part))
             mine = np.arange(len(PART_NAMES)) == part

@@ -17,8 +17,6 @@ from wlr_render.diagnosis.fit import (
     Fit,
     fit,
     is_physical,
-    off_prior,
-    reduced_chi_squared,
 )
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, held_out_residual
 from wlr_render.diagnosis.located_effects import LocatedEffect
@@ -58,11 +56,6 @@ class Candidate:
     behind: float = 0.0
     fitted_to_all: bool = False
 
-    @property
-    def reduced_chi_squared(self) -> float:
-        """Of the fit."""
-        return reduced_chi_squared(self.fit)
-
 
 @dataclass(frozen=True, eq=False)
 class CandidateRanking:
@@ -70,7 +63,6 @@ class CandidateRanking:
 
     Attributes:
         current: the fit to which it would be added.
-        subsample: the same fit to the subsample, on which hypotheses are compared.
         screened: the gain of each hypothesis on the subsample to first order; largest first.
         candidates: those that were fitted, best first, one per cause in the best of its variants.
         field_gain: by how much -2 log evidence of the subsample would fall by a field that explains far more than all
@@ -78,7 +70,6 @@ class CandidateRanking:
     """
 
     current: Fit
-    subsample: Fit
     screened: tuple[ScreenedHypothesis, ...]
     candidates: tuple[Candidate, ...]
     field_gain: float = 0.0
@@ -153,13 +144,8 @@ class Search:
         for readings, fields in each_with_fields:
             causes = readings.predictor.linearised(beside)
             columns = [_beyond(each.over(fields), causes, readings, constants) for each in effects]
-            searched.append(readings.with_effects(np.concatenate(columns, axis=2), sizes))
+            searched.append(replace(readings, effects=np.concatenate(columns, axis=2), effect_sizes=sizes))
         return replace(self, full=searched[-1], subsample=searched[0], simulated=self.signatures)
-
-    @cached_property
-    def share(self) -> float:
-        """Number of all readings over that of the subsample."""
-        return len(self.full.observations) / len(self.subsample.observations)
 
     def select(self, start: Explanation = Explanation()) -> Selection:  # noqa: B008
         """Add causes to some while each is worth it; restart from runners-up where the first was not the last."""
@@ -184,9 +170,7 @@ class Search:
 
     def _with_moved(self, found: Fit) -> Fit:
         """Fit all readings, with the captures that moved found anew."""
-        mean = -off_prior(found.explanation)[found.at.free]
-        sums = self.full.sums(found.at.residual, found.at.jacobian)
-        again, _ = with_moved_captures(sums, found.scatter, mean)
+        again, _ = with_moved_captures(self.full.sums_at(found.at), found.scatter)
         if np.array_equal(again.moved, found.scatter.moved):
             return found
         refit = _fitted(self.full, found.explanation, again)
@@ -220,7 +204,7 @@ class Search:
         self.progress(f"cause {len(taken) + 1}: {', '.join(each.hypothesis.cause.name for each in found[:3])}")
         field_gain = self._field_gain(contest, found)
         candidates = self._candidates(at, found, field_gain)
-        return self._equally_searched(CandidateRanking(current, at, tuple(found), tuple(candidates), field_gain))
+        return self._equally_searched(CandidateRanking(current, tuple(found), tuple(candidates), field_gain))
 
     def _field_gain(self, contest: NameContest, screened: Sequence[ScreenedHypothesis]) -> float:
         """By how much a field lowers -2 log evidence where it does far more than all causes together; else 0."""
@@ -329,12 +313,9 @@ class Search:
 
     def _loss_without(self, found: Fit, place: int) -> float:
         """By how much -2 log evidence rises without one of the causes, to first order."""
-        rest = found.owner != place
-        mean = -off_prior(found.explanation)[found.at.free]
-        residual, columns = found.residual_without(place), found.at.jacobian
-        _, without = best_scatter(self.full.sums(residual, columns[:, :, rest]), found.scatter, mean[rest])
-        _, with_it = best_scatter(self.full.sums(found.at.residual, columns), found.scatter, mean)
-        return without - with_it
+        rest, residual = found.owner != place, found.residual_without(place)
+        sums = self.full.sums(residual, found.at.jacobian[:, :, rest], -found.at.off_prior[rest])
+        return best_scatter(sums, found.scatter)[1] - best_scatter(self.full.sums_at(found.at), found.scatter)[1]
 
 
 def _beyond(effect: LocatedEffect, at: Linearisation, readings: WeighedReadings, constants: bool) -> FloatArray:

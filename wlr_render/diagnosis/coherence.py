@@ -15,12 +15,14 @@ from itertools import product
 import numpy as np
 
 from wlr_render.diagnosis.combiner_fields import footprints
+from wlr_render.diagnosis.field_terms import over_rows
 from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, squares_of_captures
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.residual_surfaces import surfaces
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.cells import cells_of
 from wlr_render.numerics.polynomial import Box
 
 _CLIP, _CLIP_OF_REST = 4.0, 8.0  # sigma: a wild reading counts no more than this, and in later rounds
@@ -35,6 +37,7 @@ _CELLS_MM = (0.5, 1.0, 2.0)  # on the combiner
 _CELLS_PANEL = (80, 160)  # over the panel's width
 _CELLS_CAMERA = (80, 160)  # over the image's width
 _FOLDS, ROUNDS = 4, (1, 4)
+_FEWEST_CAPTURES = 4  # captures of a part in which cells are compared
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better, where the odds leave a doubt
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
 _BOX, _FEWEST_CELLS = 3.5, 3.0  # half a box around a spot, in its rms radii, and in cells at least
@@ -48,42 +51,50 @@ class FineEffect:
     """An effect that residuals of different captures have in common in cells of a station.
 
     Attributes:
-        station, coordinates, unit: where, by which coordinates, and their unit.
+        station: where.
         part: of the session that shows it.
         meeting: number of the surface along the display's path on which the places of the display are.
         cell: width of a cell, in the unit.
-        log10_odds: for it against noise alone.
         noise: variance of the noise per reading by which means of cells vary, in squares of sigma.
         cells: (c, 2) middles of the cells, in the unit.
         means: (c, 2) mean residual of each, in units of sigma.
         place, width: (2,) and (): middle of the cells that stand out, and their rms distance from it, in the unit;
             NaN where most of the station stands out.
-        next_station: the station of next best evidence; empty where there is no other.
-        odds_against_next: log10 odds against that station.
         improvement: of captures left out by the means of the others; and the share of the excess that this removes.
         rows: (m,) of the readings of all parts that show it, at: (m, 2) their places at the station, and change: (m, 2)
             of them by the effect, in units of sigma.
+        log10_odds: for it against noise alone.
+        next_station: the station of next best evidence; empty without another station.
+        odds_against_next: log10 odds against that station.
     """
 
     station: str
-    coordinates: str
-    unit: str
     part: str
     meeting: int
     cell: float
-    log10_odds: float
     noise: float
     cells: FloatArray
     means: FloatArray
     place: FloatArray
     width: float
-    next_station: str
-    odds_against_next: float
     improvement: HeldOutImprovement
     share_removed: float
     rows: IntArray
     at: FloatArray
     change: FloatArray
+    log10_odds: float = 0.0
+    next_station: str = ""
+    odds_against_next: float = 0.0
+
+    @property
+    def coordinates(self) -> str:
+        """Name of the coordinates of its station."""
+        return _COORDINATES[self.station][0]
+
+    @property
+    def unit(self) -> str:
+        """Unit of these coordinates."""
+        return _COORDINATES[self.station][1]
 
     @property
     def spot_on_combiner(self) -> Box | None:
@@ -104,7 +115,8 @@ class _Cells:
     """Readings of one part by the cells of one station.
 
     Attributes:
-        station, coordinates, unit, part, width, meeting: as in `FineEffect`.
+        station, part, meeting: as in `FineEffect`; part by its number.
+        width: of a cell.
         place: (m, 2) of the readings at the station.
         left: (m, 2) what surfaces leave of their residuals.
         capture: (m,) of each.
@@ -112,25 +124,27 @@ class _Cells:
     """
 
     station: str
-    coordinates: str
-    unit: str
     part: int
+    meeting: int
     width: float
     place: FloatArray
     left: FloatArray
     capture: IntArray
     rows: IntArray
-    meeting: int = 0
 
     @cached_property
+    def _cells(self) -> tuple[FloatArray, IntArray]:
+        return cells_of(self.place, self.width)
+
+    @property
     def middles(self) -> FloatArray:
         """Middles of the cells that have readings, (c, 2)."""
-        return np.asarray((np.unique(np.floor(self.place / self.width), axis=0) + 0.5) * self.width)
+        return self._cells[0]
 
-    @cached_property
+    @property
     def cell(self) -> IntArray:
         """Cell of each reading (m,)."""
-        return np.unique(np.floor(self.place / self.width), axis=0, return_inverse=True)[1].ravel()
+        return self._cells[1]
 
     @cached_property
     def noise(self) -> float:
@@ -163,10 +177,7 @@ class _Cells:
         count, square = count[several], np.sum(total[several] ** 2, axis=1) / self.noise
         logs, tried = [], list(product(_SHARES, _SIZES))
         for share, size in tried:
-            factor = np.log1p(count * size) - 0.5 * square * size / (1.0 + count * size)
-            logs.append(
-                float(np.sum(np.logaddexp(np.log1p(-share) if share < 1.0 else -np.inf, np.log(share) - factor)))
-            )
+            logs.append(float(np.sum(np.logaddexp(*_log_likelihoods(count, square, share, size)))))
         best = int(np.argmax(logs))
         odds = (float(np.logaddexp.reduce(logs)) - np.log(len(tried))) / np.log(10.0)
         return odds, tried[best][0], tried[best][1] * self.noise
@@ -175,10 +186,22 @@ class _Cells:
         """Return the expected mean (c, 2) of each cell by some of the readings (m,)."""
         count, total = self.sums(rows)
         square, size = np.sum(total**2, axis=1) / self.noise, variance / self.noise
-        log_factor = np.log1p(count * size) - 0.5 * square * size / (1.0 + count * size)
-        none = np.log1p(-share) if share < 1.0 else -np.inf
-        probable = np.exp(-np.logaddexp(0.0, none - np.log(share) + log_factor))
+        none, some = _log_likelihoods(count, square, share, size)
+        probable = np.exp(-np.logaddexp(0.0, none - some))
         return np.asarray(total * (probable * size / (1.0 + count * size))[:, None])
+
+
+def _log_likelihoods(count: FloatArray, square: FloatArray, share: float, size: float) -> tuple[float, FloatArray]:
+    """Return the log likelihoods that a cell has no mean, and that each has one (c,), relative to noise alone.
+
+    Args:
+        count: (c,) readings of each cell.
+        square: (c,) of the sums of their residuals, over the noise's variance.
+        share: of the cells that have a mean.
+        size: variance of the means, over that of the noise.
+    """
+    none = float(np.log1p(-share)) if share < 1.0 else -np.inf
+    return none, np.log(share) - np.log1p(count * size) + 0.5 * square * size / (1.0 + count * size)
 
 
 def _spot(middles: FloatArray, power: FloatArray, reach: float) -> tuple[FloatArray, float]:
@@ -225,25 +248,19 @@ def fine_effect(
     shown = [each for each in best.values() if each.station == ranked[0] and each.agreement[0] > least_log10_odds]
     shown.sort(key=lambda each: -each.agreement[0])
     rival = ranked[1] if len(ranked) > 1 else ""
-    described = [
-        _described(predictor.observations, residual, shown, each, odds[ranked[0]], rival, odds.get(rival, 0.0))
-        for each in rounds
-    ]
-    found = max(described, key=lambda each: each.improvement.significance)
+    described = [_described(predictor.observations, residual, shown, each) for each in rounds]
+    found = replace(
+        max(described, key=lambda each: each.improvement.significance),
+        log10_odds=odds[ranked[0]],
+        next_station=rival,
+        odds_against_next=odds[ranked[0]] - odds.get(rival, 0.0),
+    )
     # Readings of one point at one pixel may err alike in neighbouring captures, without anything at a station.
     is_plain = found.log10_odds > BEYOND_DOUBT or found.predicts
     return found if is_plain else None
 
 
-def _described(
-    observations: Observations,
-    residual: FloatArray,
-    parts: Sequence[_Cells],
-    rounds: int,
-    odds: float,
-    rival: str,
-    of_rival: float,
-) -> FineEffect:
+def _described(observations: Observations, residual: FloatArray, parts: Sequence[_Cells], rounds: int) -> FineEffect:
     """Return the effect with its map and its improvement of captures left out; the first part shows it best."""
     first, every = parts[0], np.ones(len(residual), dtype=bool)
     change = _change(observations, residual, parts, every, rounds)
@@ -257,19 +274,14 @@ def _described(
     rows = np.concatenate([each.rows for each in parts])
     return FineEffect(
         station=first.station,
-        coordinates=first.coordinates,
-        unit=first.unit,
         part=PART_NAMES[first.part],
         meeting=max(each.meeting for each in parts),
         cell=first.width,
-        log10_odds=odds,
         noise=noise,
         cells=first.middles,
         means=means,
         place=place,
         width=width,
-        next_station=rival,
-        odds_against_next=odds - of_rival,
         improvement=improvement,
         share_removed=share,
         rows=rows,
@@ -328,56 +340,29 @@ def _standardised(observations: Observations, residual: FloatArray, clip: float 
 def _all_cells(predictor: Predictor, residual: FloatArray) -> Iterator[_Cells]:
     """Yield the cells of every station and width to try."""
     observations = predictor.observations
-    left = _standardised(observations, residual)
-    judged = np.isfinite(left).all(axis=1)
+    left, group = _standardised(observations, residual), observations.group
     for part in (DISPLAY, SEE_THROUGH):
-        mine = judged & (observations.part == part)
-        captures = len(np.unique(observations.group[mine]))
-        if captures < 4:
+        judged = np.isfinite(left).all(axis=1) & (observations.part == part)
+        if len(np.unique(group[judged])) < _FEWEST_CAPTURES:
             continue
-        for meeting in range(len(observations.nominal.optics.display.steps)) if part == DISPLAY else (0,):
-            path = "display" if part == DISPLAY else ""
-            yield from _cells(
-                observations, left, mine, part, "combiner", footprints(predictor, path, meeting), _CELLS_MM, meeting
-            )
-        for station, place, widths in _stations(observations, part):
-            yield from _cells(observations, left, mine, part, station, place, widths)
+        for station, place, widths, meeting in _places(predictor, part):
+            rows = np.flatnonzero(judged & np.isfinite(place).all(axis=1))
+            for width in widths if rows.size else ():
+                yield _Cells(station, part, meeting, width, place[rows], left[rows], group[rows], rows)
 
 
-def _cells(
-    observations: Observations,
-    left: FloatArray,
-    judged: BoolArray,
-    part: int,
-    station: str,
-    place: FloatArray,
-    widths: Sequence[float],
-    meeting: int = 0,
-) -> Iterator[_Cells]:
-    """Yield the cells of places (n, 2) of a station, of each width."""
-    rows = judged & np.isfinite(place).all(axis=1)
-    numbers, (coordinates, unit) = np.flatnonzero(rows), _COORDINATES[station]
-    for width in widths if rows.any() else ():
-        capture = observations.group[rows]
-        yield _Cells(station, coordinates, unit, part, width, place[rows], left[rows], capture, numbers, meeting)
-
-
-def _stations(observations: Observations, part: int) -> Iterator[tuple[str, FloatArray, tuple[float, ...]]]:
-    """Stations but the combiner that a part shows: name, places (n, 2), and widths of cells."""
-    widths = tuple(float(observations.nominal.camera.size_px[0] / count) for count in _CELLS_CAMERA)
-    yield "camera", observations.image_place, widths
-    plan, rows = observations.session.plan, observations.part == part
-    place = np.full((len(observations), 2), np.nan)
+def _places(predictor: Predictor, part: int) -> Iterator[tuple[str, FloatArray, Sequence[float], int]]:
+    """Yield stations that a part shows: name, places (n, 2), widths of cells, and `meeting` of `FineEffect`."""
+    observations = predictor.observations
+    nominal, plan, rows = observations.nominal, observations.session.plan, observations.part == part
+    for meeting in range(len(nominal.optics.display.steps)) if part == DISPLAY else (0,):
+        path = "display" if part == DISPLAY else ""
+        yield "combiner", footprints(predictor, path, meeting), _CELLS_MM, meeting
+    yield "camera", observations.image_place, [float(nominal.camera.size_px[0] / count) for count in _CELLS_CAMERA], 0
     if part == DISPLAY and observations.session.readings.panel_pixel is not None:
-        place[rows] = observations.session.readings.panel_pixel
-        size = float(observations.nominal.optics.panel.pixels.width_px)
-        yield "panel", place, tuple(size / count for count in _CELLS_PANEL)
+        widths = [float(nominal.optics.panel.pixels.width_px) / count for count in _CELLS_PANEL]
+        yield "panel", over_rows(rows, observations.session.readings.panel_pixel, np.nan), widths, 0
     if part == SEE_THROUGH and plan.see_through is not None:
-        pitch = float(np.median(observations.nominal.target.pitch))
-        place[rows] = (
-            1e3
-            * pitch
-            * plan.see_through.dot
-            / observations.nominal.target.pitch[plan.see_through.target_pose][:, None]
-        )
-        yield "target", place, (1e3 * pitch,)
+        pitch = float(np.median(nominal.target.pitch))
+        place = 1e3 * pitch * plan.see_through.dot / nominal.target.pitch[plan.see_through.target_pose][:, None]
+        yield "target", over_rows(rows, place, np.nan), [1e3 * pitch], 0

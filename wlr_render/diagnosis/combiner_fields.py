@@ -1,6 +1,6 @@
 """Fields of the combiner: heights of its surfaces wherever lines of sight meet them, or deflections of the view."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -21,14 +21,13 @@ from wlr_render.diagnosis.field_terms import (
     as_effects,
     field_of,
     lever_of,
-    over_rows,
     scaled,
     smooth_terms,
 )
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.numerics.waves import LocalWaves, local_orders
 from wlr_render.optics.assembly import combiner_middle
@@ -38,6 +37,7 @@ from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.tracer import trace
 
 _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # whose tilt and form are causes
+_DEGREES = (4, 6, 8, 10, 12)  # degrees of heights over the whole combiner
 _SPOT_SHARES = (1.0, 0.65)  # of the box around a spot: the smaller, the finer
 _SPOT_DEGREES = (3, 5, 7, 9, 11, 14)
 _SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
@@ -93,7 +93,7 @@ def _meetings(readings: WeighedReadings) -> list[_Meeting]:
     for path in ("display", "see_through"):
         for number, step in enumerate(getattr(readings.observations.nominal.optics, path).steps):
             place = footprints(predictor, path, number)
-            lever = lever_of(predictor, Hypothesis(_height(path, number), ""))
+            lever = lever_of(predictor, _height(path, number))
             # The levers of the slopes are those of heights x and y about the middle: less the heights themselves.
             lever[:, :, 1:] -= lever[:, :, :1] * np.nan_to_num(place)[:, None, :]
             lever[~np.isfinite(place).all(axis=1)] = 0.0
@@ -116,85 +116,87 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
     if not met.any():
         return
     meetings = _meetings(readings)
-    place, box = np.where(met[:, None], first, 0.0), Box.around(np.concatenate([_known(each) for each in meetings]))
-    orders = total_degree(2, 12)
+    every = np.concatenate([each.place for each in meetings])
+    place, box = np.where(met[:, None], first, 0.0), Box.around(every[np.isfinite(every).all(axis=1)])
+    orders = total_degree(2, _DEGREES[-1])
     value, order, done = basis(place, orders, box), np.asarray(orders.sum(axis=1)), list[set[str]]()
-
     # A height that is the same everywhere moves next to nothing, and its value is next to unknown.
     about_mean = value - value[met].mean(axis=0)
-
-    def height(values: FloatArray) -> FloatArray:
-        return np.asarray(about_mean @ values)[:, None]
-
     for surfaces, names_of in SURFACES.items():
         names = names_of(readings.observations.nominal.optics)
         if not names or names in done:
             continue
         done.append(names)
-        columns = sum(_by_height(each, orders, box) for each in meetings if each.surface in names)
+        of_surfaces = [each for each in meetings if each.surface in names]
+        columns = np.asarray(sum(_by_height(each, orders, box) for each in of_surfaces))
         # A height of the second degree in all surfaces is a tilt and a form error, which are causes.
-        coordinates, finer = "place on the combiner", (4, 6, 8, 10, 12)
-        degrees = finer if surfaces in _OF_CAUSES else (2, *finer)
-        form, in_bench = f"height of {surfaces}", partial(as_effects, "combiner", surfaces, orders, box, 1, ({},))
-        field = StationField(
-            "combiner", coordinates, form, np.asarray(columns), order, degrees, place, met, "um", height, in_bench
-        )
-        yield scaled(field)
-        for each in () if spot is None else _boxes(spot):
-            yield from _in_spot(each, surfaces, [meeting for meeting in meetings if meeting.surface in names], first)
+        degrees = _DEGREES if surfaces in _OF_CAUSES else (2, *_DEGREES)
+        in_bench = partial(as_effects, "combiner", surfaces, orders, box, 1, ({},))
+        yield _height_field(surfaces, columns, order, degrees, first, met, about_mean, in_bench)
+        if spot is not None:
+            for share in _SPOT_SHARES:
+                yield from _in_spot(spot, share, surfaces, of_surfaces, first)
 
 
-def _boxes(spot: Box) -> Iterator[Box]:
-    """Yield the boxes around the middle of a spot in which heights are tried."""
-    middle, half = 0.5 * (spot.low + spot.high), 0.5 * (spot.high - spot.low)
-    for share in _SPOT_SHARES:
-        yield Box(middle - share * half, middle + share * half)
+def _height_field(
+    surfaces: str,
+    columns: FloatArray,
+    order: IntArray,
+    degrees: tuple[int, ...],
+    first: FloatArray,
+    acts: BoolArray,
+    value: FloatArray,
+    in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]],
+) -> StationField:
+    """Return the field of a height; `value` (n, t) are its functions at places `first` (n, 2)."""
+    place, form = np.where(acts[:, None], first, 0.0), f"height of {surfaces}"
+    field = StationField(
+        "combiner",
+        "place on the combiner",
+        form,
+        columns,
+        order,
+        degrees,
+        place,
+        acts,
+        "um",
+        lambda values: np.asarray(value @ values)[:, None],
+        in_bench,
+    )
+    return scaled(field)
 
 
-def _in_spot(spot: Box, surfaces: str, meetings: Sequence[_Meeting], first: FloatArray) -> Iterator[StationField]:
-    """Return heights that are zero outside a spot, if readings look through it.
+def _in_spot(
+    spot: Box, share: float, surfaces: str, meetings: Sequence[_Meeting], first: FloatArray
+) -> Iterator[StationField]:
+    """Return heights that are zero outside the middle of a spot, if readings look through it.
 
     Args:
         spot: in millimetres.
+        share: of its width.
         surfaces: a key of `SURFACES`.
         meetings: with these.
         first: (n, 2) where each reading's line of sight meets the first surface; NaN where it does not.
     """
-    orders = local_orders(_SPOT_DEGREES[-1])
-    waves = LocalWaves(orders, spot, np.eye(len(orders)))
-    columns, value = np.zeros((len(first), 2, len(orders))), waves(first)
+    middle, half = 0.5 * (spot.low + spot.high), 0.5 * share * (spot.high - spot.low)
+    box, orders = Box(middle - half, middle + half), local_orders(_SPOT_DEGREES[-1])
+    waves = LocalWaves(orders, box, np.eye(len(orders)))
+    columns = np.zeros((len(first), 2, len(orders)))
     for each in meetings:
-        rows = np.all((each.place > spot.low) & (each.place < spot.high), axis=1)
+        rows = np.all((each.place > box.low) & (each.place < box.high), axis=1)
         height, slopes = waves.with_jacobian(each.place[rows])
         moved = np.concatenate([height[:, :, None], slopes], axis=2)
         columns[rows] += np.einsum("nik,ntk->nit", each.lever[rows], moved)
 
     def in_bench(values: FloatArray) -> tuple[BenchEffect, ...]:
-        return (BenchEffect("combiner", surfaces, LocalWaves(orders, spot, values[:, None])),)
+        return (BenchEffect("combiner", surfaces, LocalWaves(orders, box, values[:, None])),)
 
     acts = np.any(columns != 0.0, axis=(1, 2)) & np.isfinite(first).all(axis=1)
     if acts.any():
-        yield scaled(
-            StationField(
-                "combiner",
-                "place on the combiner",
-                f"height of {surfaces} in a spot {spot.high[0] - spot.low[0]:.2g} mm wide",
-                columns,
-                orders.sum(axis=1) - 1,
-                _SPOT_DEGREES,
-                np.where(acts[:, None], first, 0.0),
-                acts,
-                "um",
-                lambda values: np.asarray(value @ values)[:, None],
-                in_bench,
-                is_in_spot=True,
-            )
-        )
-
-
-def _known(meeting: _Meeting) -> FloatArray:
-    """Places (m, 2) that are known."""
-    return np.asarray(meeting.place[np.isfinite(meeting.place).all(axis=1)])
+        form = f"{surfaces} in a spot {box.high[0] - box.low[0]:.2g} mm wide"
+        order = orders.sum(axis=1) - 1
+        field = _height_field(form, columns, order, _SPOT_DEGREES, first, acts, waves(first), in_bench)
+        yield replace(field, is_in_spot=True)
 
 
 def _by_height(meeting: _Meeting, orders: IntArray, box: Box) -> FloatArray:
@@ -226,8 +228,8 @@ def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
     turn = 1e-3 * np.stack(by_tangent, axis=-1)
     shift = turn / (viewpoint - dot)[:, 2, None, None]
     lever = np.concatenate([turn, shift], axis=2) / observations.sigma_of(SEE_THROUGH)[:, :, None]
-    terms = smooth_terms("direction of view", tangents, 1, 2, 3, 4, 6).over(rows)
-    yield field_of("combiner", "turn and shift of the line of sight", "mrad, mm", terms, over_rows(rows, lever))
+    terms = smooth_terms("direction of view", tangents, 1, 2, 3, 4, 6)
+    yield field_of("combiner", "turn and shift of the line of sight", "mrad, mm", terms, lever, rows)
 
 
 def footprints(predictor: Predictor, path: str = "", step: int = 0) -> FloatArray:

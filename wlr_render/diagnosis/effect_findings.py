@@ -87,7 +87,7 @@ def station_effects(
         fine: the effect that is too fine for a field, if there is one.
         as_stated: predictor of all readings, with the noise as stated.
     """
-    estimates = contest.values_and_covariances(located, scatter) if located else []
+    estimates = contest.values_and_covariances(located, scatter)
     records = [
         _smooth(contest, effect, *estimate, scatter, [each for each in located if each is not effect])
         for effect, estimate in zip(located, estimates, strict=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.field_terms import StationField
-from wlr_render.diagnosis.fit import Fit, off_prior
+from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.held_out import (
     HeldOutImprovement,
     held_out_improvement,
@@ -25,8 +25,8 @@ from wlr_render.diagnosis.held_out import (
 )
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
-from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.scatter import (
     LOG10_ODDS,
     Known,
@@ -34,10 +34,7 @@ from wlr_render.numerics.scatter import (
     Scatter,
     ScatterSums,
     costs_of_sizes,
-    folded,
     marginal,
-    minus_two_log_evidence,
-    of_columns,
     surprise,
     tridiagonal,
 )
@@ -49,6 +46,7 @@ MOST_EFFECTS = 3
 """Effects that are located in one session, and effects that these may leave."""
 _FAIR_SHARE = 0.25  # of the first effect's log odds
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
+_NONE = np.zeros(0, dtype=np.int64)  # columns
 _LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
 
 
@@ -66,23 +64,23 @@ class FieldContest:
     readings: WeighedReadings
     found: Fit
     fields: Sequence[StationField]
-    fixed: FixedColumns
+    fixed: ScatterSums
 
     @cached_property
     def sums(self) -> ScatterSums:
         """Over all fixed columns, then those of the fit."""
-        return self.readings.sums(self.found.at.residual, self.found.at.jacobian, self.fixed)
+        return self.readings.sums_at(self.found.at, self.fixed)
 
     @cached_property
     def _first(self) -> IntArray:
         """Column at which each field begins."""
         sizes = [field.order.size for field in self.fields]
-        return np.asarray(self.fixed.count - sum(sizes) + np.cumsum([0, *sizes])[: len(sizes)])
+        return np.asarray(len(self.fixed.mean) - sum(sizes) + np.cumsum([0, *sizes])[: len(sizes)])
 
     @cached_property
     def _order(self) -> IntArray:
         """Order of the function of each fixed column; -1 of those that are not a field's."""
-        order = np.full(self.fixed.count, -1)
+        order = np.full(len(self.fixed.mean), -1)
         for first, field in zip(self._first, self.fields, strict=True):
             order[first : first + field.order.size] = field.order
         return order
@@ -90,20 +88,11 @@ class FieldContest:
     @cached_property
     def _causes(self) -> IntArray:
         """Columns of the causes of the fit."""
-        return np.asarray(self.fixed.count + np.arange(self.found.at.free.size))
+        return np.asarray(len(self.fixed.mean) + np.arange(self.found.at.free.size))
 
     @cached_property
-    def _all_causes(self) -> BoolArray:
-        return np.ones(self._causes.size, dtype=bool)
-
-    @cached_property
-    def _mean(self) -> FloatArray:
-        """Means of the causes' priors less their values, in prior sigmas."""
-        return np.asarray(-off_prior(self.found.explanation)[self.found.at.free])
-
-    @cached_property
-    def _scatters(self) -> list[tuple[Scatter, Marginal, float]]:
-        """Sizes of what is random that are tried, each with the sums over its readings and its surprise."""
+    def _scatters(self) -> list[tuple[Marginal, float]]:
+        """Sums over the readings and the surprise of each of the sizes of what is random that are tried."""
         scatter = self.found.scatter
         noises = [np.ones_like(scatter.noise)]
         if np.max(scatter.noise) > _LARGER_NOISE:
@@ -112,12 +101,12 @@ class FieldContest:
             Scatter(noise, less * scatter.shift_um, less * scatter.turn_urad, scatter.moved)
             for less, noise in product(_LESS_MOTION, noises)
         ]
-        return [(each, marginal(self.sums, each), surprise(each, self.sums)) for each in tried]
+        return [(marginal(self.sums, each), surprise(each, self.sums)) for each in tried]
 
     @cached_property
     def _charge(self) -> FloatArray:
         """Of each fixed column, in -2 log evidence, for the fields of which its field was chosen."""
-        charge = np.zeros(self.fixed.count)
+        charge = np.zeros(len(self.fixed.mean))
         for first, field in zip(self._first, self.fields, strict=True):
             charge[first : first + field.order.size] = 2.0 * np.log(field.alternatives)
         return charge
@@ -125,48 +114,37 @@ class FieldContest:
     def _columns(self, number: int, degree: int, above: int = -1) -> IntArray:
         return np.asarray(self._first[number] + np.flatnonzero(self.fields[number].counting(degree, above)))
 
-    def _known(self, effects: Iterable[LocatedEffect], causes: BoolArray) -> Known:
-        """Columns, means and prior sigmas of some of the causes' values and of effects."""
-        columns, mean, sigma = [self._causes[causes]], [self._mean[causes]], [np.ones(int(causes.sum()))]
+    def _known(self, effects: Iterable[LocatedEffect], causes: IntArray) -> Known:
+        """Columns of causes and of effects, with their prior sigmas."""
+        columns, sigma = [causes], [np.ones(causes.size)]
         for effect in effects:
             columns.append(self._columns(self.fields.index(effect.field), effect.degree, effect.above))
-            mean.append(np.zeros(columns[-1].size))
             sigma.append(np.full(columns[-1].size, effect.size))
-        return np.concatenate(columns), np.concatenate(mean), np.concatenate(sigma)
+        return Known(np.concatenate(columns), np.concatenate(sigma))
 
-    def located(self, least_log10_odds: float, most: int = MOST_EFFECTS) -> list[LocatedEffect]:
+    def located(
+        self, least_log10_odds: float, most: int = MOST_EFFECTS, before: Sequence[LocatedEffect] = ()
+    ) -> list[LocatedEffect]:
         """Return the effects that the readings show beside the causes, in the order of their evidence.
 
         Each has good odds and predicts captures that are left out of its fit better than nothing does: what only
         resembles a field of that station does not. A further one has a fair share of the first one's odds: what a field
-        describes imperfectly leaves a little everywhere, see `rests`.
+        describes imperfectly leaves a little everywhere. With effects that were located `before`, their rests.
         """
         effects: list[LocatedEffect] = []
         while len(effects) < most:
-            best = self._best(effects)
-            least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects else 0.0)
+            beside = [*before, *effects]
+            best = next(iter(self._ranked_beside(beside, further=bool(before)) if beside else self.ranked), None)
+            least = max(least_log10_odds, _FAIR_SHARE * effects[0].log10_odds if effects and not before else 0.0)
             if best is None or best.log10_odds < least:
                 break
-            scatter = self.scatter_beside([*effects, best])
             # A spot is seen in few captures, too few for a comparison; cells of different captures agree there.
-            is_plain = best.field.is_in_spot and best.log10_odds > BEYOND_DOUBT and not effects
-            if not is_plain and self.held_out(best, scatter, effects)[0].significance < _PREDICTS:
+            is_plain = best.field.is_in_spot and best.log10_odds > BEYOND_DOUBT and not beside
+            scatter = self.scatter_beside([*beside, best])
+            if not is_plain and self.held_out(best, scatter, beside)[0].significance < _PREDICTS:
                 break
-            effects.append(best)
+            effects.append(replace(best, is_rest=bool(before)))
         return effects
-
-    def rests(self, effects: Sequence[LocatedEffect], least_log10_odds: float) -> list[LocatedEffect]:
-        """Return the effects that the readings show beside located ones, which may describe theirs imperfectly."""
-        rests: list[LocatedEffect] = []
-        while len(rests) < MOST_EFFECTS:
-            beside = [*effects, *rests]
-            best = self._best(beside, further=True)
-            if best is None or best.log10_odds < least_log10_odds:
-                break
-            if self.held_out(best, self.scatter_beside([*beside, best]), beside)[0].significance < _PREDICTS:
-                break
-            rests.append(replace(best, is_rest=True))
-        return rests
 
     def with_effects(self, effects: Sequence[LocatedEffect]) -> Self:
         """Return the contest with a residual less what is not linear in the effects' coefficients at their values."""
@@ -190,7 +168,7 @@ class FieldContest:
             shapes: fixed columns of each, in prior sigmas.
             most: how many are taken.
         """
-        known, left = self._known((), self._all_causes), list(shapes)
+        known, left = self._known((), self._causes), list(shapes)
         least = start = self._least(known)
         for _ in range(most):
             tried = [self._least(_with_columns(known, each)) for each in left]
@@ -200,23 +178,6 @@ class FieldContest:
             known = _with_columns(known, left.pop(best))
         return start - least
 
-    def _best(self, beside: Sequence[LocatedEffect], further: bool = False) -> LocatedEffect | None:
-        """Return the field of best evidence with the causes and others at work; None where no field has evidence.
-
-        With `further`, functions of a higher order than those of a located effect are a field as well.
-        """
-        ranked = self._ranked_beside(beside, further) if beside else self.ranked
-        if not ranked:
-            return None
-        others = [each for each in ranked if each.field.station != ranked[0].field.station]
-        if not others:
-            return ranked[0]
-        return replace(
-            ranked[0],
-            next_station=others[0].field.station,
-            odds_against_next=ranked[0].log10_odds - others[0].log10_odds,
-        )
-
     @cached_property
     def ranked(self) -> list[LocatedEffect]:
         """Every field beside the causes, with its best degree and size, best first."""
@@ -224,7 +185,7 @@ class FieldContest:
 
     def _ranked_beside(self, beside: Sequence[LocatedEffect], further: bool) -> list[LocatedEffect]:
         """Every field beside the causes and some effects, best first; all that are tried are charged alike."""
-        known = self._known(beside, self._all_causes)
+        known = self._known(beside, self._causes)
         # Functions of a higher order than those that are located may have another size.
         taken = {id(each.field): each.degree for each in sorted(beside, key=lambda each: each.degree)}
         tried = [
@@ -244,42 +205,32 @@ class FieldContest:
             odds = LOG10_ODDS * (none - least) - charge
             if number not in best or odds > best[number].log10_odds:
                 best[number] = LocatedEffect(self.fields[number], degree, size, odds, above=above)
-        return sorted(best.values(), key=lambda each: -each.log10_odds)
+        ranked = sorted(best.values(), key=lambda each: -each.log10_odds)
+        of_next = next((each for each in ranked if each.field.station != ranked[0].field.station), None)
+        if of_next is not None:
+            odds = ranked[0].log10_odds - of_next.log10_odds
+            ranked[0] = replace(ranked[0], next_station=of_next.field.station, odds_against_next=odds)
+        return ranked
 
-    def _least(
-        self,
-        known: Known,
-        removed: IntArray | None = None,
-        by: FloatArray | None = None,
-    ) -> float:
-        """-2 log evidence of what is known alone; `removed` columns are put to values `by` that do nothing."""
-        return min(
-            minus_two_log_evidence(of_columns(sums.moved(removed, by), known[0]), known[1], known[2]) + cost
-            for _, sums, cost in self._scatters
-        )
+    def _least(self, known: Known) -> float:
+        """-2 log evidence of what is known alone."""
+        return min(sums.of_columns(known).minus_two_log_evidence + cost for sums, cost in self._scatters)
 
     def _least_of(
-        self,
-        columns: IntArray,
-        known: Known,
-        span: IntArray | None = None,
-        by: FloatArray | None = None,
-        added: IntArray | None = None,
-        mean: float = 1.0,
+        self, columns: IntArray, known: Known, added: IntArray = _NONE, mean: float = 1.0
     ) -> tuple[float, float]:
         """-2 log evidence of a field beside what is known, over all sizes, and its most probable size.
 
-        `span` are a cause's columns, put to values `by` that do nothing; `added` are those of them that the field has
-        as well, at unit rms. The field's constants are `mean` times as large as its other coefficients.
+        `added` are columns of causes that the field has as well, at unit rms. The field's constants are `mean` times as
+        large as its other coefficients.
         """
-        added = np.zeros(0, dtype=np.int64) if added is None else added
         bases, tridiagonals = [], []
-        for _, sums, cost in self._scatters:
-            alone = folded(sums.moved(span, by), known, np.r_[columns, added])
+        for sums, cost in self._scatters:
+            alone = sums.folded(known, np.r_[columns, added])
             scale = np.ones(len(alone.gradient))
             scale[: len(columns)][self._order[columns] == 0] = mean
             scale[len(columns) :] = 1.0 / np.sqrt(
-                np.mean(self.found.at.jacobian[:, :, added - self.fixed.count] ** 2, axis=(0, 1))
+                np.mean(self.found.at.jacobian[:, :, added - len(self.fixed.mean)] ** 2, axis=(0, 1))
             )
             bases.append(alone.minus_two_log + cost)
             tridiagonals.append(tridiagonal(scale[:, None] * alone.information * scale, scale * alone.gradient))
@@ -291,21 +242,19 @@ class FieldContest:
 
     def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
         """Return the sizes of what is random with the causes and effects at work."""
-        columns, mean, sigma = self._known(effects, self._all_causes)
-        return best_scatter(self.sums.of_columns(columns), self.found.scatter, mean, sigma)[0]
-
-    def values(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> list[FloatArray]:
-        """Return the most probable coefficients (c,) of effects that act together, the causes being as fitted."""
-        return [values for values, _ in self.values_and_covariances(effects, scatter)]
+        known = self._known(effects, self._causes)
+        return best_scatter(self.sums.of_columns(known.columns, sigma=known.sigma), self.found.scatter)[0]
 
     def values_and_covariances(
         self, effects: Sequence[LocatedEffect], scatter: Scatter
     ) -> list[tuple[FloatArray, FloatArray]]:
-        """Return the coefficients (c,) of `values` with their covariance (c, c), of each effect by itself."""
-        columns, mean, sigma = self._known(effects, ~self._all_causes)
-        sums = marginal(self.sums.of_columns(columns), scatter)
-        covariance = np.asarray(np.linalg.inv(sums.information + np.diag(sigma**-2.0)), np.float64)
-        values = covariance @ (sums.gradient + mean / sigma**2)
+        """Return the most probable coefficients (c,) of effects that act together, the causes being as fitted.
+
+        Each effect's with their covariance (c, c).
+        """
+        known = self._known(effects, _NONE)
+        sums = marginal(self.sums.of_columns(known.columns, sigma=known.sigma), scatter)
+        values, covariance = sums.values, sums.covariance
         ends = np.cumsum([0, *(effect.columns.shape[2] for effect in effects)])
         slices = [slice(start, end) for start, end in pairwise(ends)]
         return [(values[each], covariance[each, each]) for each in slices]
@@ -313,7 +262,7 @@ class FieldContest:
     def left(self, effects: Sequence[LocatedEffect], scatter: Scatter) -> FloatArray:
         """Return what causes and effects leave of the readings, (n, 2)."""
         left = self.found.at.residual
-        for effect, values in zip(effects, self.values(effects, scatter) if effects else [], strict=True):
+        for effect, (values, _) in zip(effects, self.values_and_covariances(effects, scatter), strict=True):
             left = left - effect.columns @ values
         return left
 
@@ -341,6 +290,5 @@ class FieldContest:
 
 
 def _with_columns(known: Known, columns: IntArray) -> Known:
-    """With columns in prior sigmas, of which nothing is expected."""
-    count = len(columns)
-    return np.concatenate([known[0], columns]), np.r_[known[1], np.zeros(count)], np.r_[known[2], np.ones(count)]
+    """With columns in prior sigmas."""
+    return Known(np.concatenate([known.columns, columns]), np.r_[known.sigma, np.ones(len(columns))])

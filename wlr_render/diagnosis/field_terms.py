@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from wlr_render.bench.bench_effects import BenchEffect
+from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
@@ -70,12 +71,13 @@ class Terms:
 
     Attributes:
         coordinates: their name.
-        place: (n, v) coordinates of each reading; zero where the functions are.
+        place: (n, v) coordinates of each reading.
         values: (n, t) functions. order: (t,) of each.
         degrees: that are tried, ascending.
         polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each of `copies`.
         copies: attributes of a bench's effect that limit each copy of the functions to some readings.
         means: (t,) what was taken off each of these polynomials.
+        in_bench: as in `StationField`, where they are not polynomials.
     """
 
     coordinates: str
@@ -86,6 +88,7 @@ class Terms:
     polynomials: tuple[IntArray, Box] | None = None
     copies: tuple[Mapping[str, Any], ...] = ({},)
     means: FloatArray | None = None
+    in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]] | None = None
 
     def varying(self) -> "Terms":
         """Return the functions less their means, except a constant, of order 0."""
@@ -98,10 +101,6 @@ class Terms:
         copies = np.concatenate([self.values * (numbers == each)[:, None] for each in values], axis=1)
         limits = tuple({limit: int(each)} for each in values)
         return replace(self, values=copies, order=np.tile(self.order, len(values)), copies=limits)
-
-    def over(self, mask: BoolArray) -> "Terms":
-        """Return the functions at some of the readings (n,), zero elsewhere; they are given for these (m,) only."""
-        return replace(self, place=over_rows(mask, self.place), values=over_rows(mask, self.values))
 
 
 def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int, orders: IntArray | None = None) -> Terms:
@@ -132,32 +131,39 @@ def as_effects(
     )
 
 
-def field_of(station: str, form: str, unit: str, terms: Terms, lever: FloatArray, displaces: str = "") -> StationField:
-    """Return a field of terms, each acting through all components of a lever (n, 2, k): sigma per unit.
+def field_of(
+    station: str, form: str, unit: str, terms: Terms, lever: FloatArray, rows: BoolArray, displaces: str = ""
+) -> StationField:
+    """Return a field of terms at some of the readings, each acting through all components of a lever.
 
-    `displaces` is what an effect of a bench at that station displaces alike; empty where there is none.
+    Args:
+        station, form, unit: as in `StationField`.
+        terms: at these readings (m,).
+        lever: (m, 2, k) sigma per unit.
+        rows: mask (n,) of these readings.
+        displaces: what an effect of a bench at that station displaces alike; empty where there is none.
     """
-    columns = (lever[:, :, None, :] * terms.values[:, None, :, None]).reshape(len(lever), 2, -1)
-    components = np.repeat(terms.values[:, :, None], lever.shape[2], axis=2)
+    count, components = len(lever), lever.shape[2]
+    columns = (lever[:, :, None, :] * terms.values[:, None, :, None]).reshape(count, 2, -1)
 
     def displacement(values: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("ntk,tk->nk", components, values.reshape(-1, lever.shape[2])))
+        return over_rows(rows, terms.values @ values.reshape(-1, components))
 
-    in_bench = None
+    in_bench = terms.in_bench
     if displaces and terms.polynomials is not None:
         in_bench = partial(
-            as_effects, station, displaces, *terms.polynomials, lever.shape[2], terms.copies, means=terms.means
+            as_effects, station, displaces, *terms.polynomials, components, terms.copies, means=terms.means
         )
-    order, acts = np.repeat(terms.order, lever.shape[2]), np.any(terms.values != 0.0, axis=1)
+    acts = over_rows(rows, np.any(terms.values != 0.0, axis=1)) > 0.0
     return scaled(
         StationField(
             station,
             terms.coordinates,
             form,
-            columns,
-            order,
+            over_rows(rows, columns),
+            np.repeat(terms.order, components),
             terms.degrees,
-            terms.place,
+            over_rows(rows, terms.place),
             acts,
             unit,
             displacement,
@@ -208,17 +214,17 @@ def neighbours_agree(field: StationField, left: FloatArray, standard_errors: flo
     return False
 
 
-def over_rows(mask: BoolArray, values: FloatArray) -> FloatArray:
-    """Return values (m, ...) of the readings in a mask (n,), zero elsewhere."""
-    full = np.zeros((len(mask), *values.shape[1:]))
+def over_rows(mask: BoolArray, values: FloatArray, elsewhere: float = 0.0) -> FloatArray:
+    """Return values (m, ...) of the readings in a mask (n,), and one value elsewhere."""
+    full = np.full((len(mask), *values.shape[1:]), elsewhere)
     full[mask] = values
     return full
 
 
-def lever_of(predictor: Predictor, hypothesis: Hypothesis) -> FloatArray:
+def lever_of(predictor: Predictor, cause: Cause) -> FloatArray:
     """Return the change (n, 2, k) of the readings, in sigma, by each parameter of a cause, at the nominal bench."""
-    nothing = Explanation()
-    at = predictor.added(predictor.state(nothing), nothing.plus(hypothesis))
-    lever = np.zeros((*at.residual.shape, len(hypothesis.cause.parameters)))
+    explanation = Explanation().plus(Hypothesis(cause, next(iter(cause.variants))))
+    at = predictor.added(predictor.state(Explanation()), explanation)
+    lever = np.zeros((*at.residual.shape, len(cause.parameters)))
     lever[:, :, at.free] = at.jacobian
-    return np.asarray(lever / [each.prior_sigma for each in hypothesis.cause.parameters])
+    return np.asarray(lever / explanation.prior_sigma)

@@ -24,7 +24,7 @@ from wlr_render.diagnosis.fit import (
     correlation_matrix,
     few_captures_factor,
     fit,
-    off_prior,
+    reduced_chi_squared,
     times_between_captures,
 )
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, RUN_TIME, SEE_THROUGH, Observations
@@ -90,7 +90,7 @@ def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
     """Return the fitted candidates, then the best of the others by their gain to first order."""
     ranked = [
         RankedCandidate(
-            each.hypothesis.cause.name, each.hypothesis.variant, each.reduced_chi_squared, LOG10_ODDS * each.behind
+            each.hypothesis.cause.name, each.hypothesis.variant, reduced_chi_squared(each.fit), LOG10_ODDS * each.behind
         )
         for each in ranking.candidates
     ]
@@ -123,7 +123,8 @@ def detection_limits(search: Search, found: Fit, causes: Mapping[str, Cause]) ->
     """
     limits = []
     # A reading of the subsample represents several; a capture represents itself.
-    scatter = replace(found.scatter, noise=found.scatter.noise / np.sqrt(search.share))
+    share = len(search.full.observations) / len(search.subsample.observations)
+    scatter = replace(found.scatter, noise=found.scatter.noise / np.sqrt(share))
     times = times_between_captures(search.full.observations.session.plan)
     middle = float(times[len(times) // 2]) if len(times) else 0.0
     for cause in causes.values():
@@ -209,8 +210,7 @@ def usual_motion(readings: Predictor, found: Fit) -> FloatArray:
     """Return the change of readings (n, 2, 6), in units of sigma, by a motion of the usual size of their capture."""
     observations, scatter = readings.observations, found.scatter
     usual = replace(scatter.at_rest(), noise=np.ones_like(scatter.noise))
-    part_of = np.array([name.part for name in observations.captures])
-    return camera_motions(readings) * usual.sizes(part_of)[observations.group][:, None, :]
+    return camera_motions(readings) * usual.sizes(observations.part_of_capture)[observations.group][:, None, :]
 
 
 def expected_summary(observations: Observations, motion: FloatArray, used: BoolArray) -> ResidualSummary:
@@ -226,8 +226,8 @@ def expected_summary(observations: Observations, motion: FloatArray, used: BoolA
 
 def motion_sizes(readings: WeighedReadings, found: Fit) -> tuple[MotionSize, ...]:
     """Return the repeatability of each part, with standard errors by the curvature of the evidence."""
-    sums = readings.sums(found.at.residual, found.at.jacobian)
-    errors = scatter_errors(sums, found.scatter, -off_prior(found.explanation)[found.at.free])
+    sums = readings.sums_at(found.at)
+    errors = scatter_errors(sums, found.scatter)
     return tuple(
         MotionSize(
             PART_NAMES[part],

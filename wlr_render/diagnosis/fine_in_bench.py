@@ -13,7 +13,7 @@ from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.station_fields import dot_lever
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.cells import Cells
+from wlr_render.numerics.cells import Cells, cells_of
 
 _ROUNDS = 2  # of cells
 _STATED = 0.05  # sigma; cells that move readings by less are not stated
@@ -64,8 +64,8 @@ def size_of(fine: FineEffect, predictor: Predictor) -> tuple[float, float]:
     part = PART_NAMES.index(fine.part)
     mine, strength = predictor.observations.part[fine.rows] == part, np.linalg.norm(fine.change, axis=1)
     if np.isfinite(fine.width):
-        cell = np.floor(fine.at / fine.cell)
-        mine &= np.all(cell == cell[np.argmax(np.where(mine, strength, 0.0))], axis=1)
+        cell = cells_of(fine.at, fine.cell)[1]
+        mine &= cell == cell[np.argmax(np.where(mine, strength, 0.0))]
     displaced = _displacement(fine.station, predictor, part, fine.rows[mine], fine.change[mine])
     size = _TO_FILE[fine.station] * float(np.sqrt(np.mean(np.sum(displaced**2, axis=1))))
     relative = np.sqrt(fine.noise / np.sum(mine)) / max(np.sqrt(np.mean(strength[mine] ** 2)), np.finfo(float).tiny)
@@ -79,12 +79,11 @@ def _of_part(fine: FineEffect, predictor: Predictor, part: int, mine: BoolArray)
         return None
     station, per_unit = fine.station, 1.0
     displaced = _TO_FILE[station] * _displacement(station, predictor, part, fine.rows[mine], fine.change[mine])
-    cells, cell = np.unique(np.floor(fine.at[mine] / fine.cell), axis=0, return_inverse=True)
-    sums = [np.bincount(cell.reshape(-1), each) for each in displaced.T]
-    values = np.stack(sums, axis=1) / np.bincount(cell.reshape(-1))[:, None]
+    middles, cell = cells_of(fine.at[mine], fine.cell)
+    values = np.stack([np.bincount(cell, each) for each in displaced.T], axis=1) / np.bincount(cell)[:, None]
     if station == "target":
         per_unit = 1e-3 / float(np.median(predictor.observations.nominal.target.pitch))
-    function = Cells(per_unit * fine.cell, per_unit * fine.cell * (cells + 0.5), values)
+    function = Cells(per_unit * fine.cell, per_unit * middles, values)
     in_one = "" if station in ("panel", "target") else PARTS[part]
     meeting = fine.meeting if part == DISPLAY else 0
     return BenchEffect(station, _DISPLACES[station], function, part=in_one, meeting=meeting)

@@ -19,7 +19,7 @@ from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.diagnosis.whitening import Whitening
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.scatter import Scatter, ScatterSums, cost, marginal, minus_two_log_evidence
+from wlr_render.numerics.scatter import Scatter, ScatterSums, cost, marginal
 from wlr_render.numerics.scatter_search import best_scatter
 
 _ITERATIONS = 12
@@ -69,10 +69,9 @@ class Fit:
     @cached_property
     def effects(self) -> FloatArray:
         """Free values (p,) in prior sigmas; 0 for those that only shape an effect."""
-        parameters = self.explanation.parameters()
-        sizes = np.array([each.role is Role.SIZE for each in parameters], dtype=bool)
-        sigma = np.array([each.prior_sigma for each in parameters])
-        return np.asarray(np.where(sizes, self.explanation.vector() / sigma, 0.0)[self.at.free])
+        sizes = np.array([each.role is Role.SIZE for each in self.explanation.parameters()], dtype=bool)
+        values = self.explanation.vector() / self.explanation.prior_sigma
+        return np.asarray(np.where(sizes, values, 0.0)[self.at.free])
 
     def residual_without(self, number: int) -> FloatArray:
         """Residual (n, 2) in units of sigma without one of the causes, to first order."""
@@ -81,7 +80,7 @@ class Fit:
 
     def sigmas(self) -> FloatArray:
         """One standard deviation of all parameters, in their units; 0 for those that are not free."""
-        prior_sigma = np.array([parameter.prior_sigma for parameter in self.explanation.parameters()])
+        prior_sigma = self.explanation.prior_sigma
         sigma = np.zeros(len(prior_sigma))
         sigma[self.at.free] = np.sqrt(np.diag(self.covariance))
         return np.asarray(sigma * prior_sigma)
@@ -123,23 +122,6 @@ def fit(
     return Fit(found.explanation, found, scatter, residual, jacobian, float(np.sum(residual**2)), information, evidence)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """A step that helps.
-
-    Attributes:
-        explanation, state: after it.
-        gained, promised: fall of chi-squared, and what the derivatives said of it.
-        damping: to go on with.
-    """
-
-    explanation: Explanation
-    state: State
-    gained: float
-    promised: float
-    damping: float
-
-
 def _settled(
     readings: WeighedReadings, at: Linearisation, whiten: Whitening, iterations: int, roughly: bool
 ) -> Linearisation:
@@ -148,33 +130,39 @@ def _settled(
         step = _step(predictor, at, whiten, damping) if at.free.size else None
         if step is None:
             break
-        as_promised = roughly and abs(step.gained - step.promised) < _AS_PROMISED * step.promised
+        explanation, state, gained, promised, damping = step
+        as_promised = roughly and abs(gained - promised) < _AS_PROMISED * promised
         # A shape has no derivative before the effect has a size.
         all_known = at.free.size == sum(each.role is not Role.TIME for each in at.explanation.parameters())
-        if step.gained < enough or (as_promised and all_known):
-            at = replace(at, explanation=step.explanation, state=step.state, residual=predictor.residual_of(step.state))
+        if gained < enough or (as_promised and all_known):
+            at = replace(at, explanation=explanation, state=state, residual=predictor.residual_of(state))
         elif roughly:
-            at = predictor.extended(at, step.state, step.explanation)
+            at = predictor.extended(at, state, explanation)
         else:
-            at = predictor.linearised(step.explanation, step.state)
-        damping = step.damping
-        if step.gained < enough:
+            at = predictor.linearised(explanation, state)
+        if gained < enough:
             break
     return at
 
 
-def _step(predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float) -> _Step | None:
-    """Return the next step; None where none helps."""
+def _step(
+    predictor: Predictor, at: Linearisation, whiten: Whitening, damping: float
+) -> tuple[Explanation, State, float, float, float] | None:
+    """Return the next step; None where none helps.
+
+    Returns:
+        Explanation and state after it, the fall of chi-squared, what the derivatives promise of it, and the damping to
+        go on with.
+    """
     rows = whiten(at.jacobian).reshape(-1, at.free.size)
-    residual, off = whiten(at.residual), off_prior(at.explanation)[at.free]
+    residual, off = whiten(at.residual), at.off_prior
     information = rows.T @ rows + np.eye(len(off))
     gradient = rows.T @ residual.ravel() - off
     before = float(np.sum(residual**2)) + _prior_cost(at.explanation)
-    prior_sigma = np.array([parameter.prior_sigma for parameter in at.explanation.parameters()])
     for _ in range(8):
         step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
         moved = at.explanation.vector()
-        moved[at.free] += step * prior_sigma[at.free]
+        moved[at.free] += step * at.explanation.prior_sigma[at.free]
         trial = at.explanation.at(moved)
         state = predictor.state(trial, at.state)
         raw = predictor.residual_of(state)
@@ -182,38 +170,23 @@ def _step(predictor: Predictor, at: Linearisation, whiten: Whitening, damping: f
             after = float(np.sum(whiten(raw) ** 2)) + _prior_cost(trial)
             if after < before:
                 promised = 2.0 * float(gradient @ step) - float(step @ information @ step)
-                return _Step(trial, state, before - after, promised, 0.1 * damping)
+                return trial, state, before - after, promised, 0.1 * damping
         if float(gradient @ step) < _SETTLED:
             return None
         damping = max(10.0 * damping, 1e-4)
     return None
 
 
-def off_prior(explanation: Explanation) -> FloatArray:
-    """Distance (p,) of all values from what is expected of them, in prior sigmas; 0 for times."""
-    parameters = explanation.parameters()
-    mean = np.array([p.starts[0] if p.role is Role.SHAPE else p.prior_mean for p in parameters])
-    sigma = np.array([p.prior_sigma for p in parameters])
-    off = (explanation.vector() - mean) / sigma
-    off[[p.role is Role.TIME for p in parameters]] = 0.0
-    return np.asarray(off)
-
-
 def _prior_cost(explanation: Explanation) -> float:
-    off = off_prior(explanation)
-    return float(off @ off)
+    return float(explanation.off_prior @ explanation.off_prior)
 
 
 def _evidence(
     readings: WeighedReadings, at: Linearisation, scatter: Scatter, vary: bool
 ) -> tuple[Scatter, float, float]:
     """Return sizes of noise and motions at a solution, -2 log evidence, and the largest change of their logarithms."""
-    sums = readings.sums(at.residual, at.jacobian)
-    mean = -off_prior(at.explanation)[at.free]
-    if vary:
-        found, least = best_scatter(sums, scatter, mean)
-    else:
-        found, least = scatter, cost(sums, scatter, mean)
+    sums = readings.sums_at(at)
+    found, least = best_scatter(sums, scatter) if vary else (scatter, cost(sums, scatter))
     least += whole_step_cost(sums, found, at.explanation, at.free)
     least += 2.0 * float(np.log(choices(at.explanation, readings.observations)))
     return found, least, float(np.max(np.abs(found.vector() - scatter.vector())))
@@ -245,9 +218,8 @@ def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanatio
     whole = np.isfinite(steps)
     if not whole.any():
         return 0.0
-    found, mean = marginal(sums, scatter), -off_prior(explanation)[free]
-    normal = found.information + np.eye(len(free))
-    smooth = minus_two_log_evidence(found, mean)
+    found = marginal(sums, scatter)
+    normal, mean = found.precision, found.mean
     normal[np.ix_(whole, whole)] -= np.eye(int(whole.sum()))
     right = found.gradient + np.where(whole, 0.0, mean)
     covariance = np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal)))
@@ -262,7 +234,7 @@ def whole_step_cost(sums: ScatterSums, scatter: Scatter, explanation: Explanatio
     off = (k - at[:, None]) * steps[whole][:, None]
     precision = np.linalg.inv(covariance[np.ix_(whole, whole)])
     logs = -0.5 * np.einsum("ik,ij,jk->k", off, precision, off) - np.sum(np.log(2.0) * np.abs(k) + np.log(3.0), axis=0)
-    return float(flat - 2.0 * np.logaddexp.reduce(logs) - smooth)
+    return float(flat - 2.0 * np.logaddexp.reduce(logs) - found.minus_two_log_evidence)
 
 
 def _whole_steps(explanation: Explanation, free: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -272,8 +244,7 @@ def _whole_steps(explanation: Explanation, free: IntArray) -> tuple[FloatArray, 
         for hypothesis in explanation.hypotheses
         for parameter in hypothesis.cause.parameters
     ]
-    sigma = np.array([parameter.prior_sigma for parameter in explanation.parameters()])
-    return np.array(steps, dtype=np.float64)[free], (explanation.vector() / sigma)[free]
+    return np.array(steps, dtype=np.float64)[free], (explanation.vector() / explanation.prior_sigma)[free]
 
 
 def reduced_chi_squared(found: Fit) -> float:
@@ -288,9 +259,8 @@ def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
     whole = np.array([value if each.in_bench is None else each.in_bench(bench) for each, value in pairs])
     minimum = np.array([parameter.minimum for parameter in parameters])
     sizes = np.array([parameter.role is Role.SIZE for parameter in parameters], dtype=bool)
-    prior_sigma = np.array([parameter.prior_sigma for parameter in parameters])
     mean = np.array([parameter.prior_mean for parameter in parameters])
-    usual = np.abs((values - mean)[sizes]) <= settings.max_prior_sigmas * prior_sigma[sizes]
+    usual = np.abs((values - mean)[sizes]) <= settings.max_prior_sigmas * found.explanation.prior_sigma[sizes]
     return bool(np.all(whole >= minimum - 3.0 * found.sigmas()) and np.all(usual))
 
 

@@ -7,13 +7,10 @@ from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause_selection import Search
 from wlr_render.diagnosis.coherence import FineEffect
 from wlr_render.diagnosis.diagnosis import StationEffect, TriedField
-from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.field_contest import MOST_EFFECTS, FieldContest
 from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.located_effects import LocatedEffect
-from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
-from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.scatter import Scatter
 
 _ROUNDS = 2  # times that causes are searched for beside located effects
@@ -36,26 +33,18 @@ class Located:
 
     search: Search
     found: Fit
-    contest: FieldContest | None = None
-    effects: tuple[LocatedEffect, ...] = ()
-    scatter: Scatter | None = None
-    tried: tuple[TriedField, ...] = ()
-    dropped: tuple[str, ...] = ()
-    odds: tuple[float, ...] = ()
+    contest: FieldContest
+    effects: tuple[LocatedEffect, ...]
+    scatter: Scatter
+    tried: tuple[TriedField, ...]
+    dropped: tuple[str, ...]
+    odds: tuple[float, ...]
 
     def bench(self, corrected: Bench) -> Bench:
         """Return a bench with the effects at work that a bench file can state."""
-        if self.contest is None or self.scatter is None or not self.effects:
-            return corrected
         pairs = zip(self.effects, self.contest.values_and_covariances(self.effects, self.scatter), strict=True)
         added = [each for effect, estimate in pairs for each in effect.in_bench(*estimate)]
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
-
-    @property
-    def left(self) -> FloatArray:
-        """What causes and effects leave of the contest's readings, (n, 2)."""
-        assert self.contest is not None
-        return self.contest.left(self.effects, self.scatter or self.found.scatter)
 
     def about_rests(self) -> tuple[str, ...]:
         """Return a sentence on what the located effects leave, if the bench has effects for it."""
@@ -83,12 +72,6 @@ class Located:
             "and does not predict captures left out: something is left that no cause and no field describes",
         )
 
-    def records(self, fine: FineEffect | None, as_stated: Predictor) -> list[StationEffect]:
-        """Return the effects as the report states them; see `station_effects`."""
-        if self.contest is None or self.scatter is None:
-            return []
-        return station_effects(self.contest, self.effects, self.scatter, fine, as_stated)
-
 
 def locate(search: Search, found: Fit) -> Located:
     """Locate effects beside the causes, and causes beside these effects, until there are no others.
@@ -106,10 +89,10 @@ def locate(search: Search, found: Fit) -> Located:
         located = replace(again, dropped=(*located.dropped, *again.dropped))
         if is_last:
             break
-    if located.contest is None or not located.effects:
+    if not located.effects:
         return located
     contest = located.contest.with_effects(located.effects)
-    effects = (*located.effects, *contest.rests(located.effects, search.settings.least_log10_odds))
+    effects = (*located.effects, *contest.located(search.settings.least_log10_odds, before=located.effects))
     contest = contest.with_effects(effects)
     return replace(located, contest=contest, effects=effects, scatter=contest.scatter_beside(effects))
 

@@ -40,8 +40,9 @@ class NameContest(FieldContest):
 
     def odds_of_all_causes(self, beside: Sequence[LocatedEffect]) -> tuple[float, str]:
         """Return log10 odds for all causes against one field in their place, and the station of that field."""
+        every = np.ones(self.found.at.free.size, dtype=bool)
         stations = sorted({field.station for field in self.fields} - {each.field.station for each in beside})
-        odds = [(self._odds_against(self._all_causes, station, beside), station) for station in stations]
+        odds = [(self._odds_against(every, station, beside), station) for station in stations]
         return min(odds, default=(float("inf"), ""))
 
     def _odds_at_its_station(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
@@ -50,19 +51,17 @@ class NameContest(FieldContest):
         Where the cause leaves something to a field beside it, the fields have the cause's span as well: otherwise they
         could not imitate it, and its name would always win. A cause that does nearly all by itself is no such match.
         """
-        named, rest, span, at_none = self._with_and_without(mine, station, beside)
-        tried = self._tried_at(station)
+        named, unnamed = self._with_and_without(mine, station, beside)
+        tried, span = self._tried_at(station), unnamed.moved
         if not tried:
             return float("inf")
         charge = 2.0 * float(np.log(len(tried)))
-        alone, nothing = self._least(named), self._least(rest, span, at_none)
-        both = min(self._least_of(columns, named)[0] for columns in tried) + charge
-        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried) + charge
+        alone, nothing = self._least(named), self._least(unnamed)
+        both, field = (self._least_of_any(tried, known) + charge for known in (named, unnamed))
         if nothing - alone > _NEARLY_ALL * (nothing - min(alone, both)):
             return float(LOG10_ODDS * (min(nothing, field) - min(alone, both)))
         spanned = min(
-            self._least_of(columns, rest, span, at_none, span[self._beyond(columns, span) > _OWN_SHAPE])[0]
-            for columns in tried
+            self._least_of(columns, unnamed, span[self._beyond(columns, span) > _OWN_SHAPE])[0] for columns in tried
         )
         # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
         # part of that field which happens to look like it.
@@ -71,24 +70,26 @@ class NameContest(FieldContest):
 
     def _odds_beside(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Log10 odds for a cause against none where a field of another station may explain the same."""
-        named, rest, span, at_none = self._with_and_without(mine, station, beside)
+        named, unnamed = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station)
-        with_name = min(self._least_of(columns, named)[0] for columns in tried)
         means = (1.0, _MEAN_OF_DRIFT) if station in ELSEWHERE else (1.0,)
-        without = min(self._least_of(columns, rest, span, at_none, mean=mean)[0] for columns in tried for mean in means)
-        return float(LOG10_ODDS * (without - with_name))
+        without = min(self._least_of(columns, unnamed, mean=mean)[0] for columns in tried for mean in means)
+        return LOG10_ODDS * (without - self._least_of_any(tried, named))
 
     def _odds_against(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Log10 odds for causes against the fields of a station in their place.
 
         What is constant there is that of a station which moves as a whole: it rivals no name.
         """
-        named, rest, span, at_none = self._with_and_without(mine, station, beside)
+        named, unnamed = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station, constants=station not in ELSEWHERE)
         if not tried:
             return float("inf")
-        field = min(self._least_of(columns, rest, span, at_none)[0] for columns in tried)
-        return float(LOG10_ODDS * (field + 2.0 * np.log(len(tried)) - self._least(named)))
+        field = self._least_of_any(tried, unnamed) + 2.0 * float(np.log(len(tried)))
+        return LOG10_ODDS * (field - self._least(named))
+
+    def _least_of_any(self, tried: Sequence[IntArray], known: Known) -> float:
+        return min(self._least_of(columns, known)[0] for columns in tried)
 
     def _tried_at(self, station: str, constants: bool = True) -> list[IntArray]:
         """Columns of all fields of a station, by degree; without its constants, if it has others."""
@@ -103,21 +104,20 @@ class NameContest(FieldContest):
         varying = [columns[self.fields[n].order[columns - self._first[n]] > 0] for n, columns in tried]
         return [columns for columns in varying if columns.size]
 
-    def _with_and_without(
-        self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]
-    ) -> tuple[Known, Known, IntArray, FloatArray]:
-        """Return the model with and without causes, and the columns and null values of the causes.
+    def _with_and_without(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> tuple[Known, Known]:
+        """Return the model with causes, and without them, at their null values.
 
         `mine` is a mask of these columns among those of the fit.
         """
         elsewhere = [each for each in beside if each.field.station != station]
-        named = self._known(elsewhere, self._all_causes)
+        unnamed = self._known(elsewhere, self._causes[~mine])
         # The causes' own values count from none.
-        return named, self._known(elsewhere, ~mine), self._causes[mine], -self.found.effects[mine]
+        unnamed = unnamed._replace(moved=self._causes[mine], by=-self.found.effects[mine])
+        return self._known(elsewhere, self._causes), unnamed
 
     def _beyond(self, columns: IntArray, span: IntArray) -> FloatArray:
         """Share of each column of a span (s,) that lies outside some columns, as the readings weigh them."""
-        _, sums, _ = self._scatters[0]
+        sums, _ = self._scatters[0]
         own = sums.information[np.ix_(columns, columns)]
         across = sums.information[np.ix_(columns, span)]
         ridge = 1e-9 * float(np.trace(own)) * np.eye(len(columns))

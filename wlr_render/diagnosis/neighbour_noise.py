@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
-from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH, Observations
+from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.residual_surfaces import Surface
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
@@ -98,11 +97,7 @@ def _incoherent(observations: Observations, residual: FloatArray, own: list[Surf
     That is a smooth function of the camera pixel which changes with the stage's position. A fit of it takes more of
     smooth noise than of fine noise: of each photograph that is made good, as if all noise were white.
     """
-    left, plan = residual.copy(), observations.session.plan
-    stage = np.zeros((len(observations), 3))
-    for number, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
-        if table is not None:
-            stage[observations.part == number] = table.stage
+    left, stage = residual.copy(), observations.of_captures("stage", 3)
     kinds: dict[tuple[int, int], list[IntArray]] = {}
     for each in own:
         pose = observations.captures[observations.group[each.rows[0]]].target_pose
@@ -181,5 +176,4 @@ def _contrasts(observations: Observations, residual: FloatArray, rows: IntArray,
     degree = _SMOOTHEST if len(rows) >= _ENOUGH_FOR_A_CUBIC else _SMOOTHEST - 1
     design = basis(place, total_degree(2, degree), Box.around(place)) / shape[rows][:, None]
     across = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
-    values = across.T @ (residual[rows] / shape[rows][:, None])
-    return Contrasts(cdist(place, place), across, values @ values.T)
+    return Contrasts.of(place, across, residual[rows] / shape[rows][:, None])

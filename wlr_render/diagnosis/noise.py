@@ -13,10 +13,13 @@ import numpy as np
 from wlr_render.diagnosis.neighbour_noise import CLEARLY, NeighbourNoise, neighbour_noise
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, Observations
 from wlr_render.diagnosis.residual_surfaces import Surface, surfaces
-from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.shared_noise import SharedNoise
 
+SIGNIFICANT_SE = 3.0
+"""Standard errors from which two variances differ: chance exceeds 3 in one of 700 comparisons."""
+MATERIAL_VARIANCE = 0.1
+"""Share of a variance below which a difference changes neither verdict nor error bars by much."""
 _STATED_ERROR = 0.1  # relative error of a sigma that a bench states
 _ENOUGH_FOR_A_SPREAD = 8  # photographs
 _RIM_FACTORS = np.arange(0.3, 5.01, 0.05)
@@ -36,15 +39,17 @@ class Variance:
         return bool(np.isfinite(self.value))
 
 
-def is_significant(difference: float, error: float, settings: Settings = DEFAULT) -> bool:
+_UNKNOWN = Variance(np.nan, np.nan)
+
+
+def is_significant(difference: float, error: float) -> bool:
     """Return whether two variances differ by more than chance, and by enough to matter.
 
     Args:
         difference: of their logarithms, of either sign.
         error: its standard error.
-        settings: thresholds.
     """
-    return abs(difference) > max(settings.significant_se * error, settings.material_variance)
+    return abs(difference) > max(SIGNIFICANT_SE * error, MATERIAL_VARIANCE)
 
 
 @dataclass(frozen=True)
@@ -106,9 +111,9 @@ class Noise:
         return next(each for each in self.floors if each.part == PART_NAMES[part])
 
 
-def noise_of(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Noise:
+def noise_of(observations: Observations, residual: FloatArray) -> Noise:
     """Estimate the noise of a session's readings from a residual (n, 2) in units of the stated sigma."""
-    found = list(surfaces(observations, residual, settings))
+    found = list(surfaces(observations, residual))
     outlier, shape = np.zeros(len(observations), dtype=bool), np.ones(len(observations))
     for surface in found:
         outlier[surface.rows[~surface.good]] = True
@@ -122,18 +127,18 @@ def noise_of(observations: Observations, residual: FloatArray, settings: Setting
         for surface, factor in zip(own, factors, strict=True):
             shape[surface.rows] *= factor
         shape[rows] /= np.sqrt(np.mean(shape[rows] ** 2))
-        floors.append(_floor(observations, residual, own, shape, int(part), rim, differ, settings))
+        floors.append(_floor(observations, residual, own, shape, int(part), rim, differ))
     sigma = observations.sigma_px * shape
     for floor in floors:
         sigma[observations.part == PART_NAMES.index(floor.part)] *= floor.used_px / floor.stated_px
     return Noise(tuple(floors), sigma, outlier)
 
 
-def measured_at_run_time(floor: NoiseFloor, factor: float, readings: int, settings: Settings = DEFAULT) -> NoiseFloor:
+def measured_at_run_time(floor: NoiseFloor, factor: float, readings: int) -> NoiseFloor:
     """Return the noise at run time by what is left of it: `factor` times what is used, over so many readings."""
     measured = factor * floor.used_px
     variance_error = float(np.sqrt(1.0 / readings))
-    is_believable = not is_significant(2.0 * float(np.log(measured / floor.stated_px)), variance_error, settings)
+    is_believable = not is_significant(2.0 * float(np.log(measured / floor.stated_px)), variance_error)
     used = floor.used_px if is_believable else measured
     return replace(
         floor, measured_px=measured, error_px=0.5 * variance_error * measured, used_px=used, is_believable=is_believable
@@ -148,22 +153,19 @@ def _floor(
     part: int,
     rim: float,
     differ: float,
-    settings: Settings,
 ) -> NoiseFloor:
     stated = float(np.sqrt(np.mean(observations.sigma_px[observations.part == part] ** 2)))
     neighbours = neighbour_noise(observations, residual, own, shape)
     within = _within(own, shape, neighbours)
-    repeats = (
-        _repeats(observations, residual, shape, neighbours, settings) if part == DISPLAY else Variance(np.nan, np.nan)
-    )
-    measured = _combined(within, repeats, settings)
+    repeats = _repeats(observations, residual, shape, neighbours) if part == DISPLAY else _UNKNOWN
+    measured = _combined(within, repeats)
     within_px, repeats_px, measured_px = (stated * float(np.sqrt(e.value)) for e in (within, repeats, measured))
     error_px, used_px, is_believable = np.nan, stated, True
     if measured.value > 0.0:
         error_px = 0.5 * measured_px * measured.error
         # Of logarithms the relative error is the error, whichever of the two is true.
         logarithm = float(np.log(measured.value))
-        is_believable = not is_significant(logarithm, measured.error, settings)
+        is_believable = not is_significant(logarithm, measured.error)
         weight = (2.0 * _STATED_ERROR) ** 2 / ((2.0 * _STATED_ERROR) ** 2 + measured.error**2)
         used_px = stated * float(np.exp(0.5 * weight * logarithm)) if is_believable else measured_px
     pixels, field = (stated, within_px, repeats_px, measured_px, error_px, used_px), neighbours.shared
@@ -216,7 +218,7 @@ def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArr
     return np.exp(0.5 * shrunk), 0.5 * float(_SPREADS[best])
 
 
-def _combined(within: Variance, repeats: Variance, settings: Settings) -> Variance:
+def _combined(within: Variance, repeats: Variance) -> Variance:
     """Return the mean weighted by inverse variance; the smaller one alone where the two contradict each other.
 
     Repeats do not take a fixed pattern that is finer than a photograph's points for noise; and what differs between
@@ -227,7 +229,7 @@ def _combined(within: Variance, repeats: Variance, settings: Settings) -> Varian
     if within.value == 0.0 or repeats.value == 0.0:
         return within
     error = float(np.hypot(within.error, repeats.error))
-    if is_significant(float(np.log(within.value / repeats.value)), error, settings):
+    if is_significant(float(np.log(within.value / repeats.value)), error):
         return repeats if repeats.value < within.value else within
     weights = np.array([repeats.error, within.error]) ** 2 / error**2
     logarithm = float(weights @ np.log([within.value, repeats.value]))
@@ -243,7 +245,7 @@ def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Va
         shared: noise that neighbours share, which surfaces follow.
     """
     if not own:
-        return Variance(np.nan, np.nan)
+        return _UNKNOWN
     variances = np.array([np.mean(each.squares / shape[each.rows[each.good]] ** 2) for each in own])
     degrees = np.array([each.freedom for each in own])
     # The median of chi-squared is smaller than its mean (E. B. Wilson and M. M. Hilferty, PNAS 17 (1931) 684).
@@ -259,16 +261,14 @@ def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Va
     return Variance(median / shared.kept, float(np.hypot(error, shared.kept_error)))
 
 
-def _repeats(
-    observations: Observations, residual: FloatArray, shape: FloatArray, shared: NeighbourNoise, settings: Settings
-) -> Variance:
+def _repeats(observations: Observations, residual: FloatArray, shape: FloatArray, shared: NeighbourNoise) -> Variance:
     """Return the variance by display points seen more than once at one camera pixel from one place.
 
     What differs smoothly over a photograph is taken off: the bench has moved between the two, and that is no noise.
     """
     plan = observations.session.plan.display
     if plan is None:
-        return Variance(np.nan, np.nan)
+        return _UNKNOWN
     place = np.round(np.column_stack([1e9 * plan.stage, 1e3 * plan.camera_pixel, plan.travel, plan.channel]))
     _, point, counts = np.unique(place, axis=0, return_inverse=True, return_counts=True)
     own, times = residual[observations.part == DISPLAY], counts[point]
@@ -278,8 +278,8 @@ def _repeats(
     repeated = np.zeros(len(observations), dtype=bool)
     repeated[np.flatnonzero(observations.part == DISPLAY)[times > 1]] = True
     if not repeated.any():
-        return Variance(np.nan, np.nan)
-    twice = list(surfaces(observations.of_rows(repeated), deviation[times > 1], settings))
+        return _UNKNOWN
+    twice = list(surfaces(observations.of_rows(repeated), deviation[times > 1]))
     found = _within(twice, shape[repeated], shared)
     # Of k photographs from one place, the deviations from their mean hold k - 1 independent ones.
     again = float(np.mean(times[times > 1]))

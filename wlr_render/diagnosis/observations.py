@@ -97,12 +97,25 @@ class Observations:
         return np.asarray(self.sigma_px[self.part == part][:, None])
 
     @cached_property
+    def part_of_capture(self) -> IntArray:
+        """Index into `PART_NAMES` of each capture (captures,)."""
+        return np.array([name.part for name in self.captures], dtype=np.int64)
+
+    @cached_property
     def photograph(self) -> IntArray:
         """Which photograph each reading comes from (n,): a capture in one colour."""
         plan, channel = self.session.plan.display, np.zeros(len(self), dtype=np.int64)
         if plan is not None:
             channel[self.part == DISPLAY] = plan.channel
         return np.asarray(3 * self.group + channel)
+
+    def of_captures(self, name: str, width: int) -> FloatArray:
+        """Return a column of the tables of captures, (n, width); zero at run time."""
+        plan, values = self.session.plan, np.zeros((len(self), width))
+        for part, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
+            if table is not None:
+                values[self.part == part] = getattr(table, name).reshape(len(table), width)
+        return values
 
     @cached_property
     def image_place(self) -> FloatArray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.diagnosis.fit import Fit, off_prior
+from wlr_render.diagnosis.fit import Fit
 from wlr_render.diagnosis.observations import SEE_THROUGH, CaptureName, Observations
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray
@@ -40,16 +40,15 @@ def moved_captures(readings: WeighedReadings, found: Fit) -> list[MovedCapture]:
     Run-time recordings have no camera pose and are never listed.
     """
     observations = readings.observations
-    sums = readings.sums(found.at.residual, found.at.jacobian)
-    motion, mean = motions_of(sums, found.scatter), -off_prior(found.explanation)[found.at.free]
-    least = cost(sums, found.scatter, mean)
+    sums = readings.sums_at(found.at)
+    motion, least = motions_of(sums, found.scatter), cost(sums, found.scatter)
     made = []
     for number in np.flatnonzero(found.scatter.moved):
         rows = observations.group == number
         before = readings.shared(found.at.residual)[rows]
         after = before - readings.motions[rows] @ motion[number]
         rest = one_at_rest(found.scatter, int(number))
-        odds = LOG10_ODDS * (cost(sums, rest, mean) - least)
+        odds = LOG10_ODDS * (cost(sums, rest) - least)
         shift, turn = (1e-3 * motion[number, :3]).tolist(), np.degrees(1e-6 * motion[number, 3:]).tolist()
         name, rms = observations.captures[number], [float(np.sqrt(np.mean(each**2))) for each in (before, after)]
         known = not _is_placed_by_bare(observations, name)

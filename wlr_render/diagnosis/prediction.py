@@ -86,6 +86,20 @@ class Explanation:
         """All parameters, in order."""
         return [parameter for hypothesis in self.hypotheses for parameter in hypothesis.cause.parameters]
 
+    @property
+    def prior_sigma(self) -> FloatArray:
+        """Standard deviations (p,) of all priors, in the parameters' units."""
+        return np.array([parameter.prior_sigma for parameter in self.parameters()])
+
+    @property
+    def off_prior(self) -> FloatArray:
+        """Distance (p,) of all values from the means of their priors, in prior sigmas; 0 for times."""
+        parameters = self.parameters()
+        mean = np.array([p.starts[0] if p.role is Role.SHAPE else p.prior_mean for p in parameters])
+        off = (self.vector() - mean) / self.prior_sigma
+        off[[p.role is Role.TIME for p in parameters]] = 0.0
+        return np.asarray(off)
+
     def vector(self) -> FloatArray:
         """All values one after the other."""
         return np.concatenate([np.zeros(0), *self.values])
@@ -128,6 +142,11 @@ class Linearisation:
     residual: FloatArray
     jacobian: FloatArray
     free: IntArray
+
+    @property
+    def off_prior(self) -> FloatArray:
+        """Distance (p,) of the free values from the means of their priors, in prior sigmas."""
+        return self.explanation.off_prior[self.free]
 
 
 class Predictor:

@@ -28,6 +28,7 @@ from wlr_render.diagnosis.diagnosis import (
     StationEffect,
     Unexplained,
 )
+from wlr_render.diagnosis.effect_findings import station_effects
 from wlr_render.diagnosis.field_terms import neighbours_agree
 from wlr_render.diagnosis.findings import (
     capture_residuals,
@@ -45,7 +46,7 @@ from wlr_render.diagnosis.fit import (
     Fit,
 )
 from wlr_render.diagnosis.located_beside import Located, locate
-from wlr_render.diagnosis.noise import Noise, NoiseFloor, measured_at_run_time, noise_of
+from wlr_render.diagnosis.noise import SIGNIFICANT_SE, Noise, NoiseFloor, measured_at_run_time, noise_of
 from wlr_render.diagnosis.observations import PART_NAMES, RUN_TIME, Observations
 from wlr_render.diagnosis.outliers import MovedCapture, moved_captures, not_excluded
 from wlr_render.diagnosis.prediction import Explanation, Predictor
@@ -59,6 +60,8 @@ from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
 _ALIKE = 4.0  # standard errors beyond which neighbours at a station are alike
 _WILD = 10.0  # sigma, from which a reading says nothing of a correction
+_SAME_NOISE = 0.1  # change of sigma, or of the shared part, below which causes are not selected again
+_FEWEST_READINGS = 30  # fewest readings of a photograph that tell noise from a smooth effect
 _CONTESTS = 3  # times that another candidate may take a place before the comparison ends
 
 
@@ -96,7 +99,7 @@ def diagnose(
     located, rankings = _beside_effects(prepared, progress)
     search, readings, found = located.search, located.search.full, located.found
     fine = located.fine_beside(prepared.fine)
-    noise = _with_run_time(prepared.noise, located, stated.observations, settings)
+    noise = _with_run_time(prepared.noise, located, stated.observations)
     left = _unexplained(located, prepared, noise, fine, settings)
     corrected, effects = _corrected(located, fine, stated, settings)
     structure = located.structure(effects)
@@ -193,7 +196,7 @@ def _corrected(
         if _size(as_stated.residual_of_bench(with_cells)) < _size(residual):
             bench = with_cells
         fine = None if fine is None else left
-    return bench, located.records(fine, as_stated)
+    return bench, station_effects(located.contest, located.effects, located.scatter, fine, as_stated)
 
 
 def _size(residual: FloatArray) -> float:
@@ -203,34 +206,33 @@ def _size(residual: FloatArray) -> float:
 
 def _prepared(as_stated: Predictor, causes: Mapping[str, Cause], settings: Settings, progress: Progress) -> _Prepared:
     """Measure the noise and select causes; again, where the residual by these causes shows another noise."""
-    first = _with_noise_left_by(Explanation(), as_stated, causes, settings, progress)
+    start = Explanation()
+    first = _selected(start, _noise_left_by(start, as_stated, settings, None), as_stated, causes, settings, progress)
     progress("measuring the noise again")
-    if not first.selection.fit.explanation.hypotheses:
+    start = first.selection.fit.explanation
+    if not start.hypotheses:
         return first
-    explanation = first.selection.fit.explanation
-    noise, _, _ = _noise_left_by(explanation, as_stated, settings, first.search.spot)
+    # A spot that was there without the explanation: a cause that explains it has its fields as rivals.
+    noise, fine, spot = _noise_left_by(start, as_stated, settings, first.search.spot)
     now, before = ([floor.shared for floor in each.floors] for each in (noise, first.noise))
-    same = np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=settings.same_noise)
-    same = same and np.allclose(now, before, atol=settings.same_noise)
+    same = np.allclose(noise.sigma_px, first.noise.sigma_px, rtol=_SAME_NOISE)
+    same = same and np.allclose(now, before, atol=_SAME_NOISE)
     if same and np.array_equal(noise.outlier, first.noise.outlier):
         return first
     progress("the noise differs from the first estimate: again")
-    return _with_noise_left_by(explanation, as_stated, causes, settings, progress, first.search.spot)
+    return _selected(start, (noise, fine, spot), as_stated, causes, settings, progress)
 
 
-def _with_noise_left_by(
-    explanation: Explanation,
+def _selected(
+    start: Explanation,
+    left: tuple[Noise, FineEffect | None, Box | None],
     as_stated: Predictor,
     causes: Mapping[str, Cause],
     settings: Settings,
     progress: Progress,
-    spot: Box | None = None,
 ) -> _Prepared:
-    """Select causes by the noise that an explanation leaves within the photographs.
-
-    A `spot` is one that was there without the explanation: a cause that explains it has its fields as rivals.
-    """
-    noise, fine, spot = _noise_left_by(explanation, as_stated, settings, spot)
+    """Select causes from an explanation on, with the noise and effects that `_noise_left_by` finds with it."""
+    noise, fine, spot = left
     observations, variance = as_stated.observations, dict[int, float]()
     if fine is not None:
         part = observations.part[fine.rows]
@@ -243,7 +245,7 @@ def _with_noise_left_by(
     progress("what each cause and each field would do")
     fields = station_fields(subsample, spot=spot)
     search = Search(full, subsample, hypotheses(causes), progress, settings, fields, spot)
-    return _Prepared(noise, fine, variance, search, search.select(explanation))
+    return _Prepared(noise, fine, variance, search, search.select(start))
 
 
 def _noise_left_by(
@@ -259,7 +261,7 @@ def _noise_left_by(
     if fine is not None:
         residual[fine.rows] -= fine.change
         spot = fine.spot_on_combiner if spot is None else spot
-    noise = noise_of(as_stated.observations, residual, settings)
+    noise = noise_of(as_stated.observations, residual)
     if spot is None:
         return noise, fine, None
     # What lies far from its neighbours in the spot is the effect.
@@ -299,22 +301,22 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None)
     return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
 
 
-def _with_run_time(noise: Noise, located: Located, observations: Observations, settings: Settings) -> Noise:
+def _with_run_time(noise: Noise, located: Located, observations: Observations) -> Noise:
     """Return the noise with that of a recording of head motion: what is left where no station explains any of it.
 
     A photograph shows its noise by itself; a recording only shows that neighbours at no station are alike.
     """
-    at_run_time, scatter = observations.part == RUN_TIME, located.scatter or located.found.scatter
+    at_run_time, scatter, contest = observations.part == RUN_TIME, located.scatter, located.contest
     # The fit takes no noise for smaller than stated: there it says nothing of its size.
-    is_measured = at_run_time.sum() >= settings.fewest_readings and scatter.noise[RUN_TIME] > 1.0
-    if located.contest is None or not is_measured:
+    is_measured = at_run_time.sum() >= _FEWEST_READINGS and scatter.noise[RUN_TIME] > 1.0
+    if not is_measured:
         return noise
-    in_contest, left = located.contest.readings.observations.part == RUN_TIME, located.left
-    fields = [each for each in located.contest.fields if np.any(each.acts & in_contest)]
+    in_contest, left = contest.readings.observations.part == RUN_TIME, contest.left(located.effects, scatter)
+    fields = [each for each in contest.fields if np.any(each.acts & in_contest)]
     if any(neighbours_agree(field, left, _ALIKE) for field in fields):
         return noise
     floor = noise.floor(RUN_TIME)
-    measured = measured_at_run_time(floor, float(scatter.noise[RUN_TIME]), int(at_run_time.sum()), settings)
+    measured = measured_at_run_time(floor, float(scatter.noise[RUN_TIME]), int(at_run_time.sum()))
     floors = tuple(measured if each is floor else each for each in noise.floors)
     sigma = np.where(at_run_time, measured.used_px / floor.used_px, 1.0) * noise.sigma_px
     return replace(noise, floors=floors, sigma_px=sigma)
@@ -326,23 +328,23 @@ def _unexplained(
     """Return the parts whose residual exceeds noise and repeatability with causes, effects and a fine one at work."""
     left: list[Unexplained] = []
     observations, raw = located.search.full.observations, located.found.at.residual
-    scatter = located.scatter or located.found.scatter
+    scatter = located.scatter
     for part in np.unique(observations.part):
         floor = prepared.noise.floor(part)
-        error = _variance_error(observations, int(part), floor, settings)
+        error = _variance_error(observations, int(part), floor)
         # What photographs show within is noise, if a stated noise that is smaller is believed, too.
         within = max(1.0, float(np.nan_to_num(noise.floor(part).measured_px)) / floor.used_px)
         excess = float((scatter.noise[part] / within) ** 2 - 1.0)
         if fine is not None:
             excess -= prepared.fine_variance.get(int(part), 0.0)
         moves = max(scatter.shift_um[part] / UNUSUAL_SHIFT, scatter.turn_urad[part] / UNUSUAL_TURN)
-        if excess > max(settings.significant_se * error, settings.material_excess) or moves > 1.0:
+        if excess > max(SIGNIFICANT_SE * error, settings.material_excess) or moves > 1.0:
             rms = float(np.sqrt(np.mean(raw[observations.part == part] ** 2)))
             left.append(Unexplained(PART_NAMES[part], excess, rms))
     return left
 
 
-def _variance_error(observations: Observations, part: int, floor: NoiseFloor, settings: Settings) -> float:
+def _variance_error(observations: Observations, part: int, floor: NoiseFloor) -> float:
     """Relative standard error of the noise's variance in a part.
 
     Where photographs have too few readings to tell what neighbours share, it may be anything; at run time it is as
@@ -353,7 +355,7 @@ def _variance_error(observations: Observations, part: int, floor: NoiseFloor, se
     if part == RUN_TIME:
         return few
     readings = np.sum(rows) / len(np.unique(observations.photograph[rows]))
-    known = floor.error_px > 0 and readings >= settings.fewest_readings
+    known = floor.error_px > 0 and readings >= _FEWEST_READINGS
     return float(np.hypot(few, 2.0 * floor.error_px / floor.measured_px)) if known else np.inf
 
 

@@ -10,12 +10,12 @@ from functools import lru_cache
 import numpy as np
 
 from wlr_render.diagnosis.observations import Observations
-from wlr_render.diagnosis.settings import DEFAULT, Settings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
 _DEGREE = 6  # highest degree of a surface
 _ROWS_PER_COEFFICIENT = 2.5  # readings that each coefficient of an axis needs
+_OUTLIER = 6.0  # residual over the noise of its photograph; neither noise nor a smooth effect is so far off
 _OUTLIER_ROUNDS = 6  # most rejections of outliers
 
 
@@ -70,7 +70,7 @@ def photographs(observations: Observations) -> Iterator[IntArray]:
     yield from rows_by_label(observations.photograph)[1]
 
 
-def surfaces(observations: Observations, residual: FloatArray, settings: Settings = DEFAULT) -> Iterator[Surface]:
+def surfaces(observations: Observations, residual: FloatArray) -> Iterator[Surface]:
     """Yield a smooth surface through the residual (n, 2) of each photograph that has enough points."""
     for rows, design, whole in _designs(observations):
         good = known = np.asarray(np.isfinite(residual[rows]).all(axis=1))
@@ -80,7 +80,7 @@ def surfaces(observations: Observations, residual: FloatArray, settings: Setting
         left, leverage, size = _about_surface(design, own, good, whole)
         for _ in range(_OUTLIER_ROUNDS):
             # 1.18: the median length of a two-vector of unit normal components.
-            near = known & (size <= settings.outlier_reading * max(1.0, float(np.median(size[good])) / 1.18))
+            near = known & (size <= _OUTLIER * max(1.0, float(np.median(size[good])) / 1.18))
             if np.array_equal(near, good):
                 break
             # An outlier pulls the surface, and its neighbours seem to be outliers until it is left out.

@@ -8,9 +8,9 @@ import numpy as np
 
 from wlr_render.captures.session import SessionPlan
 from wlr_render.diagnosis.cause import Cause, Role
-from wlr_render.diagnosis.fit import Fit, choices, fit, off_prior, times_between_captures
+from wlr_render.diagnosis.fit import Fit, choices, fit, times_between_captures
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis
-from wlr_render.diagnosis.weighed_readings import FixedColumns, WeighedReadings
+from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.scatter import Scatter, ScatterSums, cost
 from wlr_render.numerics.scatter_search import best_scatter, one_by_one
@@ -31,7 +31,7 @@ class ScreenedHypothesis:
         gain: by how much -2 log evidence would fall.
         parameters: how many numbers that takes.
         scatter: sizes of what is random with it.
-        sums, mean: sums over the columns of the fit and then its own, and what is expected of their coefficients.
+        sums: over the columns of the fit and then its own.
         columns: its own among the columns of the signatures; None where it has none there.
     """
 
@@ -41,7 +41,6 @@ class ScreenedHypothesis:
     parameters: int
     scatter: Scatter
     sums: ScatterSums
-    mean: FloatArray
     columns: IntArray | None = None
 
 
@@ -63,7 +62,7 @@ class Signatures:
     """
 
     readings: WeighedReadings
-    fixed: FixedColumns
+    fixed: ScatterSums
     of_hypothesis: dict[tuple[str, str], list[tuple[FloatArray, IntArray, IntArray]]]
 
     @classmethod
@@ -109,7 +108,7 @@ def screen(
         sums: over the signatures' columns and then those of the fit, if they are known.
     """
     if sums is None:
-        sums = signatures.readings.sums(current.at.residual, current.at.jacobian, signatures.fixed)
+        sums = signatures.readings.sums_at(current.at, signatures.fixed)
     screening = _Screening(signatures, current, sums)
     found = [screened for each in hypotheses if (screened := screening.of(each)) is not None]
     found.sort(key=lambda each: -each.gain)
@@ -150,19 +149,18 @@ class _Screening:
         is_timed = any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters)
         if screened.gain < HOPELESS and not (is_timed and moved.any()):
             return screened
-        scatter, least = best_scatter(screened.sums, screened.scatter, screened.mean)
-        scatter, least = one_by_one(screened.sums, scatter, least, np.flatnonzero(moved), screened.mean)
+        scatter, least = best_scatter(screened.sums, screened.scatter)
+        scatter, least = one_by_one(screened.sums, scatter, least, np.flatnonzero(moved))
         least += 2.0 * float(np.log(choices(Explanation().plus(hypothesis), self.signatures.readings.observations)))
         return replace(screened, gain=self._base - least, scatter=scatter)
 
     @cached_property
     def _causes(self) -> IntArray:
-        return np.asarray(self.signatures.fixed.count + np.arange(self.current.at.free.size))
+        return np.asarray(len(self.signatures.fixed.mean) + np.arange(self.current.at.free.size))
 
     @cached_property
     def _base(self) -> float:
-        mean = -off_prior(self.current.explanation)[self.current.at.free]
-        return cost(self.sums.of_columns(self._causes), self.current.scatter, mean)
+        return cost(self.sums.of_columns(self._causes), self.current.scatter)
 
     def _at(self, hypothesis: Hypothesis, start: FloatArray, free: IntArray, columns: IntArray) -> ScreenedHypothesis:
         sums = self.sums.of_columns(np.concatenate([self._causes, columns]))
@@ -186,15 +184,16 @@ class _Screening:
     ) -> ScreenedHypothesis:
         explanation = self.current.explanation.plus(hypothesis, start)
         place = len(self.current.explanation.vector()) + free
-        mean = -off_prior(explanation)[np.concatenate([self.current.at.free, place])]
+        mean = -explanation.off_prior[np.concatenate([self.current.at.free, place])]
+        sums = sums.of_columns(np.arange(len(mean)), mean)
         # What a cause does to a few captures, those that seem to have moved do, too; then they hide its moment.
         is_timed = any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters)
         at_rest, scatter = self.current.scatter.at_rest(), self.current.scatter
         scatters = [at_rest] if is_timed or not scatter.moved.any() else [scatter, at_rest]
-        costs = [cost(sums, each, mean) for each in scatters]
+        costs = [cost(sums, each) for each in scatters]
         best = int(np.argmin(costs))
         gain = self._base - costs[best] if free.size else 0.0
-        return ScreenedHypothesis(hypothesis, start, gain, free.size, scatters[best], sums, mean, columns)
+        return ScreenedHypothesis(hypothesis, start, gain, free.size, scatters[best], sums, columns)
 
 
 def _with_better_time(

@@ -1,12 +1,13 @@
 """Errors of a stage that repeat with its screws: a shift along an axis that is periodic in the axis' reading."""
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
-from wlr_render.diagnosis.field_terms import StationField, scaled
+from wlr_render.diagnosis.field_terms import StationField, Terms, field_of
 from wlr_render.diagnosis.observations import RUN_TIME
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
@@ -38,7 +39,8 @@ def screw_fields(
     names, rows = rows_by_label(observations.group[still])
     first = np.flatnonzero(still)[[mine[0] for mine in rows]]
     place, part = stage[first], observations.part[first]
-    smooth = _smooth(place, part)
+    # Linear functions of the stage's readings, and a constant of each part.
+    smooth = np.column_stack([Box.around(place).scaled(place), *(part == each for each in np.unique(part))])
     shift, variance = _shifts(readings, names)
     for axis, name in enumerate("xyz"):
         reading = place[:, axis]
@@ -46,33 +48,17 @@ def screw_fields(
         if not periods.size:
             continue
         likeliest = _likeliest(reading, periods, partial(_gains, reading, smooth, shift[:, axis], variance[:, axis]))
-        period_mm = periods_mm.get(along := _ALONG.format(name), 1e3 * likeliest)
-        phase = 2e3 * np.pi * stage[:, [axis]] / period_mm
+        period_mm = periods_mm.get(start := _ALONG.format(name), 1e3 * likeliest)
+        along = stage[still][:, [axis]]
+        phase = 2e3 * np.pi * along / period_mm
         waves = np.concatenate([np.sin(phase), np.cos(phase)], axis=1)
         # A shift that is the same everywhere is the camera's.
-        mean = waves[still].mean(axis=0)
-        waves = still[:, None] * (waves - mean)
-        yield scaled(
-            StationField(
-                "stage",
-                "stage readings",
-                f"{along} with a period of {period_mm:.3g} mm",
-                readings.camera_motions[:, :, [axis]] * waves[:, None, :],
-                np.ones(2, dtype=np.int64),
-                (1,),
-                1e3 * stage[:, [axis]],
-                still,
-                "um",
-                partial(_shift, waves),
-                partial(_in_bench, axis, period_mm, mean),
-                period=period_mm,
-                alternatives=len(periods),
-            )
-        )
-
-
-def _shift(waves: FloatArray, values: FloatArray) -> FloatArray:
-    return np.asarray(waves @ values)[:, None]
+        mean = waves.mean(axis=0)
+        terms = Terms("stage readings", 1e3 * along, waves - mean, np.ones(2, dtype=np.int64), (1,))
+        terms = replace(terms, in_bench=partial(_in_bench, axis, period_mm, mean))
+        form = f"{start} with a period of {period_mm:.3g} mm"
+        field = field_of("stage", form, "um", terms, readings.camera_motions[still][:, :, [axis]], still)
+        yield replace(field, period=period_mm, alternatives=len(periods))
 
 
 def _in_bench(axis: int, period_mm: float, mean: FloatArray, values: FloatArray) -> tuple[BenchEffect, ...]:
@@ -92,11 +78,6 @@ def _periods(over: float) -> FloatArray:
         return np.zeros(0)
     low, high = 1.0 / _PERIODS_M[1], 1.0 / _PERIODS_M[0]
     return np.asarray(1.0 / np.arange(max(low, 2.0 / over), high, 1.0 / (_PER_RANGE * over)))
-
-
-def _smooth(place: FloatArray, part: IntArray) -> FloatArray:
-    """Return linear functions (g, k) of the stage's readings (g, 3), and a constant of each part."""
-    return np.column_stack([Box.around(place).scaled(place), *(part == each for each in np.unique(part))])
 
 
 def _shifts(readings: WeighedReadings, captures: IntArray) -> tuple[FloatArray, FloatArray]:

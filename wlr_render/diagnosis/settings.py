@@ -11,15 +11,8 @@ class Settings:
     """Thresholds and limits of a diagnosis.
 
     Attributes:
-        significant_se: standard errors from which two variances differ: chance exceeds 3 in one of 700 comparisons.
-        material_variance: share of a variance below which a difference changes neither verdict nor error bars by much.
         material_excess: share by which the variance of a residual without structure must exceed that of the noise to be
             an effect: how noise is shared by neighbours is not known better.
-        fewest_readings: of a photograph that tell noise from what is smooth over it.
-        outlier_reading: residual of a single reading over the noise of its photograph from which it is an outlier;
-            neither noise nor a smooth effect is so far off.
-        same_noise: relative change of sigma, or change of the share that neighbours have in common, below which the
-            causes are not selected again with the new noise.
         subsample: readings on which candidates are compared first; all readings are used for the few that remain.
         max_causes: causes that are searched for; more than five are not told apart by one session.
         least_log10_odds: for a cause, or for an effect at a station, below which it is not said to be there, and for a
@@ -44,12 +37,7 @@ class Settings:
         detection_limit_se: standard errors that make a detection limit.
     """
 
-    significant_se: float = 3.0
-    material_variance: float = 0.1
     material_excess: float = 0.25
-    fewest_readings: int = 30
-    outlier_reading: float = 6.0
-    same_noise: float = 0.1
     subsample: int = 6000
     max_causes: int = 5
     least_log10_odds: float = 2.0

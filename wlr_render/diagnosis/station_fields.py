@@ -18,9 +18,9 @@ from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simu
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.combiner_fields import combiner_fields
-from wlr_render.diagnosis.field_terms import StationField, Terms, field_of, lever_of, over_rows, smooth_terms
+from wlr_render.diagnosis.field_terms import StationField, Terms, field_of, lever_of, smooth_terms
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.screw_fields import screw_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
@@ -72,9 +72,8 @@ def _predicted(readings: WeighedReadings) -> Readings:
 
 
 def _panel_lever(observations: Observations) -> FloatArray:
-    """Change (n, 2, 2) of the readings by a panel pixel along u and v."""
-    rows = observations.part == DISPLAY
-    return over_rows(rows, observations.camera_from_panel / observations.sigma_of(DISPLAY)[:, :, None])
+    """Change (n_display, 2, 2) of the display's readings by a panel pixel along u and v."""
+    return np.asarray(observations.camera_from_panel / observations.sigma_of(DISPLAY)[:, :, None])
 
 
 def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
@@ -87,21 +86,19 @@ def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
     smooth_at = _predicted(readings).panel_pixel
     assert smooth_at is not None
     smooth = smooth_terms("panel pixels", smooth_at, 1, 2, 4, 6, 8)
-    yield field_of("panel", "shift", "panel px", smooth.over(rows), lever, "shift")
+    yield field_of("panel", "shift", "panel px", smooth, lever, rows, "shift")
     phase = np.mod(pixel, _CODE_PERIOD_PX).astype(int)
     for axis, name in enumerate(("columns", "rows")):
         stripes = np.eye(_CODE_PERIOD_PX)[phase[:, axis]]
         terms = Terms("panel pixels", pixel, stripes, np.zeros(_CODE_PERIOD_PX, dtype=np.int64), (0,))
-        yield field_of(
-            "panel", f"shift that repeats every {_CODE_PERIOD_PX} {name}", "panel px", terms.over(rows), lever
-        )
+        yield field_of("panel", f"shift that repeats every {_CODE_PERIOD_PX} {name}", "panel px", terms, lever, rows)
     places = np.concatenate([smooth_at, 1e3 * camera_positions(observations.nominal, plan)], axis=1)
     orders = np.concatenate([_with_viewpoint(8), *(_with_viewpoint(6, axis) for axis in range(3))])
     swimming = smooth_terms("panel pixels and viewpoint", places, 3, 5, 8, orders=orders)
-    yield field_of("panel", "shift", "panel px", swimming.over(rows), lever, "shift by viewpoint")
+    yield field_of("panel", "shift", "panel px", swimming, lever, rows, "shift by viewpoint")
     if len(np.unique(plan.channel)) > 1:
         of_colours = smooth_terms("panel pixels and colour", smooth_at, 1, 2, 4).for_each("channel", plan.channel)
-        yield field_of("panel", "shift of each colour", "panel px", of_colours.over(rows), lever, "shift")
+        yield field_of("panel", "shift of each colour", "panel px", of_colours, lever, rows, "shift")
 
 
 def _with_viewpoint(degree: int, axis: int | None = None) -> IntArray:
@@ -131,8 +128,8 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
         still = still & (observations.part != SEE_THROUGH)
     sign = np.where(observations.part == DISPLAY, -1.0, 1.0) * still / observations.sigma_px
     lever = sign[:, None, None] * np.eye(2)
-    yield field_of("camera", "shift of the image", "px", terms, lever, "shift")
-    time = _of_captures(observations, "time_s", 1)
+    yield field_of("camera", "shift of the image", "px", terms, lever, np.ones(len(place), dtype=bool), "shift")
+    time = observations.of_captures("time_s", 1)
     if len(np.unique(time[still])) < _FEWEST_TIMES:
         return
     # An image that shifts as a whole in the course of time turns, as far as a session shows.
@@ -140,30 +137,24 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     slides = smooth_terms(
         "camera pixels and time", np.concatenate([place, time], axis=1)[still], 2, 3, 5, orders=orders
     )
-    yield field_of("camera", "shift of the image", "px", slides.over(still), lever, "shift by time")
+    yield field_of("camera", "shift of the image", "px", slides, lever[still], still, "shift by time")
 
 
 def _stage_fields(readings: WeighedReadings, like: Sequence[StationField]) -> Iterator[StationField]:
     """Poses of the camera as functions of the stage's readings, the same in both parts."""
     observations, motions = readings.observations, readings.camera_motions
-    stage, still = _of_captures(observations, "stage", 3), observations.part != RUN_TIME
-    yield field_of(
-        "stage",
-        "pose of the camera",
-        _POSE_UNIT,
-        smooth_terms("stage readings", 1e3 * stage[still], 1, 2, 3, 4).varying().over(still),
-        motions,
-        "pose",
-    )
+    stage, still = observations.of_captures("stage", 3), observations.part != RUN_TIME
+    terms = smooth_terms("stage readings", 1e3 * stage[still], 1, 2, 3, 4).varying()
+    yield field_of("stage", "pose of the camera", _POSE_UNIT, terms, motions[still], still, "pose")
     yield from screw_fields(readings, stage, like)
-    travel = _of_captures(observations, "travel", 1)
+    travel = observations.of_captures("travel", 1)
     if len(np.unique(travel[still])) > 1:
         orders = np.eye(4, dtype=np.int64)
         orders[:, 0] = 1
         places = np.concatenate([travel, 1e3 * stage], axis=1)[still]
-        terms = smooth_terms("direction of travel", places, 0, 1, orders=orders).over(still)
-        terms = replace(terms, place=travel, order=terms.order - 1)
-        yield field_of("stage", "pose of the camera", _POSE_UNIT, terms, motions, "pose by travel")
+        terms = smooth_terms("direction of travel", places, 0, 1, orders=orders)
+        terms = replace(terms, place=travel[still], order=terms.order - 1)
+        yield field_of("stage", "pose of the camera", _POSE_UNIT, terms, motions[still], still, "pose by travel")
 
 
 _POSE_UNIT = "um, urad"  # three shifts, then three turns
@@ -171,24 +162,15 @@ _POSE_UNIT = "um, urad"  # three shifts, then three turns
 
 def _time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     observations, motions = readings.observations, readings.camera_motions
-    time, still = _of_captures(observations, "time_s", 1), observations.part != RUN_TIME
+    time, still = observations.of_captures("time_s", 1), observations.part != RUN_TIME
     if len(np.unique(time[still])) < _FEWEST_TIMES:
         return
     panel = observations.part == DISPLAY
     if panel.any() and len(np.unique(time[panel])) >= _FEWEST_TIMES:
-        terms = smooth_terms("time", time[panel], 2, 5, 10, 16).varying().over(panel)
-        yield field_of("time", "shift of the panel", "panel px", terms, _panel_lever(observations), "shift")
-    terms = smooth_terms("time", time[still], 1, 2, 5, 8, 12).varying().over(still)
-    yield field_of("time", "pose of the camera", _POSE_UNIT, terms, motions, "pose")
-
-
-def _of_captures(observations: Observations, name: str, width: int) -> FloatArray:
-    """Return a column of the tables, (n, width); zero at run time."""
-    plan, values = observations.session.plan, np.zeros((len(observations), width))
-    for part, table in ((DISPLAY, plan.display), (SEE_THROUGH, plan.see_through)):
-        if table is not None:
-            values[observations.part == part] = getattr(table, name).reshape(len(table), width)
-    return values
+        terms = smooth_terms("time", time[panel], 2, 5, 10, 16).varying()
+        yield field_of("time", "shift of the panel", "panel px", terms, _panel_lever(observations), panel, "shift")
+    terms = smooth_terms("time", time[still], 1, 2, 5, 8, 12).varying()
+    yield field_of("time", "pose of the camera", _POSE_UNIT, terms, motions[still], still, "pose")
 
 
 def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
@@ -197,14 +179,14 @@ def _target_fields(readings: WeighedReadings) -> Iterator[StationField]:
     plan = observations.session.plan.see_through
     assert plan is not None
     rows, poses = observations.part == SEE_THROUGH, np.unique(plan.target_pose)
-    lever = over_rows(rows, dot_lever(readings.predictor, plan))
+    lever = dot_lever(readings.predictor, plan)
     pitches = plan.dot / observations.nominal.target.pitch[plan.target_pose][:, None]
     shared = smooth_terms("place on the target", pitches, 1, 2, 4, 6, 8, 10)
-    yield field_of("target", "displacement, the same at each pose", "mm", shared.over(rows), lever, "shift")
+    yield field_of("target", "displacement, the same at each pose", "mm", shared, lever, rows, "shift")
     # A pose to each capture leaves nothing to hold out.
     if 1 < len(poses) <= len(np.unique(plan.capture)) / 2:
         terms = smooth_terms("place on the target", pitches, 1, 2, 4, 6).for_each("target_pose", plan.target_pose)
-        yield field_of("target", "displacement of its own at each pose", "mm", terms.over(rows), lever, "shift")
+        yield field_of("target", "displacement of its own at each pose", "mm", terms, lever, rows, "shift")
 
 
 def dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
@@ -228,40 +210,33 @@ def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     plan, seen = observations.session.plan.run_time, _predicted(readings).run_time_pixel
     assert plan is not None
     assert seen is not None
-    rows = observations.part == RUN_TIME
-    shift = over_rows(rows, np.broadcast_to(np.eye(2), (len(plan), 2, 2)) / observations.sigma_of(RUN_TIME)[:, :, None])
-    delay, pupil = (
-        over_rows(rows, lever_of(predictor, Hypothesis(cause, next(iter(cause.variants))))[rows])
-        for cause in (CAUSES["latency"], CAUSES["eye_position_bias"])
-    )
+    rows, sigma = observations.part == RUN_TIME, observations.sigma_of(RUN_TIME)[:, :, None]
+    shift, turn = np.eye(2) / sigma, _picture_turned(observations, seen[:, :2]) / sigma
+    delay, pupil = (lever_of(predictor, CAUSES[cause])[rows] for cause in ("latency", "eye_position_bias"))
     gravity, rate = gravity_and_rate(plan)
     panel = RunTimeViews(observations.nominal, plan).drawn_at
-    gaze = tangents_of_dir(plan.gaze)
-
-    def over(coordinates: str, variables: FloatArray, *degrees: int) -> Terms:
-        return smooth_terms(coordinates, variables, *degrees).over(rows)
-
     for station, form, pixel in (("camera", "shift of the image", seen[:, 2:]), ("panel", "shift", panel)):
-        coordinates = f"{station} pixels"
-        yield field_of(station, form, "px", over(coordinates, pixel, 1, 2, 4, 6), shift, "picture")
+        terms = smooth_terms(f"{station} pixels", pixel, 1, 2, 4, 6)
+        yield field_of(station, form, "px", terms, shift, rows, "picture")
         for axis, lines in enumerate(("columns", "rows")):
             orders = np.arange(_LINE_DEGREES[-1] + 1)[:, None] * np.eye(2, dtype=np.int64)[axis]
-            one_by_one = smooth_terms(coordinates, pixel, *_LINE_DEGREES, orders=orders).over(rows)
-            yield field_of(station, f"delay of its {lines}", "ms", one_by_one, delay, "delay")
-    by_gravity, by_rate = over("direction of gravity", gravity, 1, 2, 3), over("rate of the head", rate, 1, 2)
-    by_pupil, by_gaze = (
-        over("tracked pupil", plan.viewpoint, 1, 2, 3),
-        over("direction of gaze", gaze, 1, 2, 3, 4, 6, 8),
-    )
-    turn = over_rows(rows, _picture_turned(observations, seen[:, :2]) / observations.sigma_of(RUN_TIME)[:, :, None])
-    yield field_of("head motion", "turn of the picture", "mrad", by_gravity, turn, "picture by gravity")
-    yield field_of("head motion", "turn of the picture", "mrad", by_rate, turn, "picture by rate")
-    yield field_of("head motion", "delay", "ms", by_rate, delay, "delay by rate")
-    yield field_of("eye tracking", "shift of the picture", "px", by_pupil, shift, "picture by pupil")
-    yield field_of("eye tracking", "place of the pupil", "mm", by_pupil, pupil, "pupil by pupil")
-    yield field_of("eye tracking", "place of the pupil", "mm", by_gaze, pupil, "pupil by gaze")
-    in_time = over("time", plan.time_s[:, None], 2, 5, 10, 16, 24)
-    yield field_of("time", "turn of the picture", "mrad", in_time, turn, "picture")
+            terms = smooth_terms(f"{station} pixels", pixel, *_LINE_DEGREES, orders=orders)
+            yield field_of(station, f"delay of its {lines}", "ms", terms, delay, rows, "delay")
+    by_gravity = smooth_terms("direction of gravity", gravity, 1, 2, 3)
+    by_rate = smooth_terms("rate of the head", rate, 1, 2)
+    by_pupil = smooth_terms("tracked pupil", plan.viewpoint, 1, 2, 3)
+    by_gaze = smooth_terms("direction of gaze", tangents_of_dir(plan.gaze), 1, 2, 3, 4, 6, 8)
+    in_time = smooth_terms("time", plan.time_s[:, None], 2, 5, 10, 16, 24)
+    for station, form, unit, terms, lever, displaces in (
+        ("head motion", "turn of the picture", "mrad", by_gravity, turn, "picture by gravity"),
+        ("head motion", "turn of the picture", "mrad", by_rate, turn, "picture by rate"),
+        ("head motion", "delay", "ms", by_rate, delay, "delay by rate"),
+        ("eye tracking", "shift of the picture", "px", by_pupil, shift, "picture by pupil"),
+        ("eye tracking", "place of the pupil", "mm", by_pupil, pupil, "pupil by pupil"),
+        ("eye tracking", "place of the pupil", "mm", by_gaze, pupil, "pupil by gaze"),
+        ("time", "turn of the picture", "mrad", in_time, turn, "picture"),
+    ):
+        yield field_of(station, form, unit, terms, lever, rows, displaces)
 
 
 def _picture_turned(observations: Observations, virtual: FloatArray) -> FloatArray:

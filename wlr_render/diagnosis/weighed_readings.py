@@ -6,15 +6,15 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.diagnosis.field_terms import lever_of
 from wlr_render.diagnosis.noise import Noise
 from wlr_render.diagnosis.observations import RUN_TIME, Observations
-from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
+from wlr_render.diagnosis.prediction import Linearisation, Predictor
 from wlr_render.diagnosis.whitening import Whitening, shared_noise_whitening
 from wlr_render.numerics.arrays import BoolArray, FloatArray, rows_by_label
 from wlr_render.numerics.scatter import Scatter, ScatterSums
 
-_POSE = ("camera_pupil_offset", "camera_rotation")
-_MICRO = {"mm": 1e3, "deg": float(np.radians(1e6))}
+_PER_MOTION = {"camera_pupil_offset": 1e3, "camera_rotation": float(np.radians(1e6))}  # um, urad in a cause's unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,6 @@ class WeighedReadings:
         none = np.zeros((len(observations), 2, 0))
         return cls(predictor, noise, shared, motions, shared(motions), none, np.zeros(0))
 
-    def with_effects(self, effects: FloatArray, sizes: FloatArray) -> "WeighedReadings":
-        """Return the readings with the functions (n, 2, k) of effects, of sizes (k,) of their coefficients, at work."""
-        return replace(self, effects=effects, effect_sizes=sizes)
-
     @property
     def observations(self) -> Observations:
         """What was read."""
@@ -66,11 +62,9 @@ class WeighedReadings:
         """Return the map that makes errors independent and of unit size, given the sizes of what is random."""
         group, part = self.observations.group, self.observations.part
         names, rows = rows_by_label(group)
-        part_of = np.zeros(len(self.observations.captures), dtype=np.int64)
-        part_of[names] = [part[mine[0]] for mine in rows]
-        sizes = scatter.sizes(part_of)[names]
+        sizes = scatter.sizes(self.observations.part_of_capture)[names]
         white = self.shared.then(rows, (self.motions[mine] * size for mine, size in zip(rows, sizes, strict=True)))
-        white = Whitening(white.scale / scatter.noise[part], white.by_axis, white.by_reading)
+        white = replace(white, scale=white.scale / scatter.noise[part])
         if not self.effect_sizes.size:
             return white
         return white.then([np.arange(len(part))], [white(self.effects) * self.effect_sizes])
@@ -85,51 +79,39 @@ class WeighedReadings:
         """
         group = self.observations.group
         rows = (self.observations.part == part) & captures[group]
-        part_of = np.array([name.part for name in self.observations.captures])
-        size = scatter.noise[part] * scatter.sizes(part_of)[group[rows]]
+        size = scatter.noise[part] * scatter.sizes(self.observations.part_of_capture)[group[rows]]
         moved = np.sum((self.motions[rows] * size[:, None, :]) ** 2, axis=(1, 2))
         return float(scatter.noise[part] ** 2 - 1.0) + 0.5 * float(np.mean(moved) if rows.any() else 0.0)
 
-    def sums(self, residual: FloatArray, columns: FloatArray, fixed: "FixedColumns | None" = None) -> ScatterSums:
-        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma, after those that are fixed."""
-        observed, count = self.observations, columns.shape[2]
-        y, x = self.shared(residual), self.shared(columns)
-        sums = ScatterSums.over(y, self.motions, x, observed.group, observed.part, len(observed.captures))
-        if self.effect_sizes.size:
-            effects = self._fixed_effects
-            both = effects.sums.joined(sums, effects.white, y, x, observed.part)
-            last = np.r_[effects.count : effects.count + count, : effects.count]
-            sums = replace(both.of_columns(last), carried=self.effect_sizes)
-            x = np.concatenate([x, effects.white], axis=2)
-        return sums if fixed is None else fixed.sums.joined(sums, fixed.white, y, x, observed.part)
+    def sums_at(self, at: Linearisation, fixed: ScatterSums | None = None) -> ScatterSums:
+        """Return the sums of a linearisation, with the priors of its free parameters, after columns that are fixed."""
+        sums = self.sums(at.residual, at.jacobian, -at.off_prior)
+        return sums if fixed is None else fixed.joined(sums)
+
+    def sums(
+        self, residual: FloatArray, columns: FloatArray, mean: FloatArray | float = 0.0, sigma: FloatArray | float = 1.0
+    ) -> ScatterSums:
+        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma, with the priors of their coefficients."""
+        sums, last = self._sums(residual, columns, mean, sigma), len(self.effect_sizes)
+        if not last:
+            return sums
+        both = self._sums_of_effects.joined(sums)
+        return replace(both.of_columns(np.r_[last : len(both.mean), :last]), carried=last)
 
     @cached_property
-    def _fixed_effects(self) -> "FixedColumns":
-        return self.fixed(self.effects)
+    def _sums_of_effects(self) -> ScatterSums:
+        return self.fixed(self.effects, self.effect_sizes)
 
-    def fixed(self, columns: FloatArray) -> "FixedColumns":
-        """Return columns (n, 2, m), in units of sigma, of which sums are asked for again and again."""
-        observed, white = self.observations, self.shared(columns)
-        zero, captures = np.zeros(white.shape[:2]), len(observed.captures)
-        return FixedColumns(white, ScatterSums.over(zero, self.motions, white, observed.group, observed.part, captures))
+    def fixed(self, columns: FloatArray, sigma: FloatArray | float = 1.0) -> ScatterSums:
+        """Return the sums over columns (n, 2, m) alone, to which those of a residual and others are joined."""
+        return self._sums(np.zeros(columns.shape[:2]), columns, 0.0, sigma)
 
-
-@dataclass(frozen=True, eq=False)
-class FixedColumns:
-    """Columns of which sums are asked for again and again.
-
-    Attributes:
-        white: (n, 2, m) columns whose errors do not go together.
-        sums: of them, with no residual.
-    """
-
-    white: FloatArray
-    sums: ScatterSums
-
-    @property
-    def count(self) -> int:
-        """How many."""
-        return int(self.white.shape[2])
+    def _sums(
+        self, residual: FloatArray, columns: FloatArray, mean: FloatArray | float, sigma: FloatArray | float
+    ) -> ScatterSums:
+        y, x, observed = self.shared(residual), self.shared(columns), self.observations
+        captures = len(observed.captures)
+        return ScatterSums.over(y, self.motions, x, observed.group, observed.part, captures, mean, sigma)
 
 
 def camera_motions(predictor: Predictor) -> FloatArray:
@@ -138,15 +120,8 @@ def camera_motions(predictor: Predictor) -> FloatArray:
     Where dots are placed by a photograph without the headset, it is a motion between the two photographs.
     """
     predictor = _of_placed_dots(predictor)
-    nothing = Explanation()
-    state, columns = predictor.state(nothing), []
-    for name in _POSE:
-        hypothesis = Hypothesis(CAUSES[name], next(iter(CAUSES[name].variants)))
-        at = predictor.added(state, nothing.plus(hypothesis))
-        full = np.zeros((*at.residual.shape, 3))
-        full[:, :, at.free] = at.jacobian
-        columns.append(full / [each.prior_sigma * _MICRO[each.unit] for each in hypothesis.cause.parameters])
-    motions = np.concatenate(columns, axis=-1)
+    per_unit = [lever_of(predictor, CAUSES[name]) / per for name, per in _PER_MOTION.items()]
+    motions = np.concatenate(per_unit, axis=-1)
     motions[predictor.observations.part == RUN_TIME] = 0.0
     return np.asarray(motions)
 

@@ -20,7 +20,13 @@ _NEGLIGIBLE = 1e-4  # variance over that of white noise
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Some readings (m,) with axes (m, q) of their common errors, and the share (q,) of each axis to be taken off."""
+    """Readings that have common errors.
+
+    Attributes:
+        rows: (m,) of the readings.
+        axes: (m, q) of errors that are alike and independent in both axes of the image, or (2 m, q) of joint ones.
+        taken: (q,) share of each axis to be taken off.
+    """
 
     rows: IntArray
     axes: FloatArray
@@ -33,23 +39,20 @@ class Whitening:
 
     Attributes:
         scale: (n,) factor of each reading.
-        by_axis: groups whose common errors are alike and independent in both axes of the image.
-        by_reading: groups whose common errors join both axes: their axes are (2 m, q).
+        groups: readings with common errors, which are taken off one after the other.
     """
 
     scale: FloatArray
-    by_axis: tuple[_Group, ...] = ()
-    by_reading: tuple[_Group, ...] = ()
+    groups: tuple[_Group, ...] = ()
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """Values (n, 2) or (n, 2, p) in units of sigma, with independent errors of unit size."""
         white = values * self.scale.reshape(-1, *(1,) * (values.ndim - 1))
-        for group in self.by_axis:
-            mine = white[group.rows].reshape(len(group.rows), int(np.prod(values.shape[1:])))
-            white[group.rows] -= _common(group, mine).reshape(len(group.rows), *values.shape[1:])
-        for group in self.by_reading:
-            mine = white[group.rows].reshape(2 * len(group.rows), int(np.prod(values.shape[2:])))
-            white[group.rows] -= _common(group, mine).reshape(len(group.rows), *values.shape[1:])
+        for group in self.groups:
+            mine = white[group.rows]
+            flat = mine.reshape(len(group.axes), mine.size // len(group.axes))
+            common = group.axes @ (group.taken[:, None] * (group.axes.T @ flat))
+            white[group.rows] -= common.reshape(mine.shape)
         return white
 
     def then(self, rows: Iterable[IntArray], effects: Iterable[FloatArray]) -> "Whitening":
@@ -60,11 +63,7 @@ class Whitening:
             effects: (m, 2, q) of each group's random numbers of unit size, on white readings.
         """
         groups = [_group(mine, effect.reshape(2 * len(mine), -1)) for mine, effect in zip(rows, effects, strict=True)]
-        return Whitening(self.scale, self.by_axis, (*self.by_reading, *(each for each in groups if each is not None)))
-
-
-def _common(group: _Group, values: FloatArray) -> FloatArray:
-    return np.asarray(group.axes @ (group.taken[:, None] * (group.axes.T @ values)))
+        return Whitening(self.scale, (*self.groups, *(each for each in groups if each is not None)))
 
 
 def _group(rows: IntArray, effects: FloatArray) -> _Group | None:

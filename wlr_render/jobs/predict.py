@@ -15,9 +15,9 @@ from wlr_render.bench.measurements import load_measurements
 from wlr_render.bench.session_folder import bench_for_session, load_session
 from wlr_render.diagnosis.bench_prediction import BenchPrediction, PredictedGroup, PredictedPart, predict_session
 from wlr_render.diagnosis.diagnosis_plots import captures_plot
+from wlr_render.diagnosis.noise import MATERIAL_VARIANCE
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.report import CORRECTED
-from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.job import job
@@ -133,7 +133,7 @@ def _part_sentence(part: PredictedPart, session: str) -> str:
     text += f" ({part.whitened:.3g} with measured noise and repeatability)" if part.is_noise else ""
     if part.by_own_bench is None:
         return f"{text}."
-    is_worse = part.reduced_chi_squared > (1.0 + DEFAULT.material_variance) * part.by_own_bench
+    is_worse = part.reduced_chi_squared > (1.0 + MATERIAL_VARIANCE) * part.by_own_bench
     compared = "better" if _is_better(part) else "worse" if is_worse else "no better"
     return f"{text}, {compared} than {session}'s own bench ({part.by_own_bench:.4g})."
 
@@ -141,7 +141,7 @@ def _part_sentence(part: PredictedPart, session: str) -> str:
 def _is_better(part: PredictedPart) -> bool:
     """Return whether a part is clearly better predicted than by the session's own bench."""
     own = part.by_own_bench
-    return own is not None and own > (1.0 + DEFAULT.material_variance) * part.reduced_chi_squared
+    return own is not None and own > (1.0 + MATERIAL_VARIANCE) * part.reduced_chi_squared
 
 
 def _advice(found: BenchPrediction, bench: Path, session: Path, folder: Path) -> str:

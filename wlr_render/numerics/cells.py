@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box
 
 
@@ -25,8 +25,7 @@ class Cells:
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Return the values (n, outputs) at inputs (n, variables); zero where these are NaN."""
         known = np.isfinite(inputs).all(axis=1)
-        places = np.floor(np.concatenate([self.middles, inputs[known]]) / self.size)
-        cell = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
+        cell = cells_of(np.concatenate([self.middles, inputs[known]]), self.size)[1]
         count, value = len(self.middles), np.zeros((len(inputs), self.coefficients.shape[1]))
         table = np.zeros((int(cell.max(initial=-1)) + 1, self.coefficients.shape[1]))
         table[cell[:count]] = self.coefficients
@@ -42,4 +41,10 @@ class Cells:
     @property
     def are_distinct(self) -> bool:
         """Whether no two middles lie in one cell."""
-        return len(np.unique(np.floor(self.middles / self.size), axis=0)) == len(self.middles)
+        return len(cells_of(self.middles, self.size)[0]) == len(self.middles)
+
+
+def cells_of(places: FloatArray, size: float) -> tuple[FloatArray, IntArray]:
+    """Return the middles (c, variables) of the cells in which places (n, variables) lie, and the cell (n,) of each."""
+    cells, cell = np.unique(np.floor(places / size), axis=0, return_inverse=True)
+    return size * (cells + 0.5), cell.reshape(-1)

@@ -11,14 +11,16 @@ in S and S-PLUS" (2000), chapter 2.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import lapack
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
 
-LOG10_ODDS = 0.5 / np.log(10.0)
+LOG10_ODDS = float(0.5 / np.log(10.0))
 """Log10 odds for each unit of -2 log evidence."""
 USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
@@ -85,8 +87,9 @@ class ScatterSums:
         part_of: (g,) of each capture. used: (g,) whether it has readings. count: (parts,) values.
         square: (parts,) of y. ee: (g, 6, 6), ey: (g, 6), ex: (g, 6, m) of motions E, y and columns J.
         xx: (parts, m, m), xy: (parts, m).
-        carried: (k,) prior sigmas of the coefficients of the last k columns, of located effects: they are integrated
-            out like the motions.
+        y, columns, part: white readings (n, 2), their columns (n, 2, m), and the part (n,) of each reading.
+        mean, sigma: (m,) of the priors of the columns' coefficients.
+        carried: number of the last columns, of located effects: their coefficients are integrated out like motions.
     """
 
     part_of: IntArray
@@ -98,7 +101,12 @@ class ScatterSums:
     ex: FloatArray
     xx: FloatArray
     xy: FloatArray
-    carried: FloatArray = field(default_factory=lambda: np.zeros(0))
+    y: FloatArray
+    columns: FloatArray
+    part: IntArray
+    mean: FloatArray
+    sigma: FloatArray
+    carried: int = 0
 
     @classmethod
     def over(
@@ -109,7 +117,8 @@ class ScatterSums:
         group: IntArray,
         part: IntArray,
         captures: int,
-        carried: FloatArray | None = None,
+        mean: FloatArray | float = 0.0,
+        sigma: FloatArray | float = 1.0,
     ) -> "ScatterSums":
         """Over white readings.
 
@@ -119,7 +128,7 @@ class ScatterSums:
             columns: (n, 2, m).
             group, part: (n,) of each reading.
             captures: number of groups.
-            carried: as in the class; none if not given.
+            mean, sigma: as in the class, of each column or of all.
         """
         m = columns.shape[-1]
         part_of, used = np.zeros(captures, dtype=np.int64), np.zeros(captures, dtype=bool)
@@ -134,65 +143,125 @@ class ScatterSums:
             square[at] += float(mine @ mine)
             xx[at] += x.T @ x
             xy[at] += x.T @ mine
-        return cls(part_of, used, count, square, ee, ey, ex, xx, xy, np.zeros(0) if carried is None else carried)
+        mean, sigma = (np.broadcast_to(each, m) for each in (mean, sigma))
+        return cls(part_of, used, count, square, ee, ey, ex, xx, xy, y, columns, part, mean, sigma)
 
-    def of_columns(self, which: IntArray) -> "ScatterSums":
-        """Return the sums for some of the columns, and for the carried ones."""
-        last = self.xy.shape[1] - len(self.carried)
-        which = np.concatenate([which, np.arange(last, self.xy.shape[1])])
-        return replace(self, ex=self.ex[:, :, which], xx=self.xx[:, which][:, :, which], xy=self.xy[:, which])
+    def of_columns(self, which: IntArray, mean: FloatArray | None = None, sigma: FloatArray | None = None) -> Self:
+        """Return the sums for some of the columns, with other priors if given, and for the carried ones."""
+        last = len(self.mean) - self.carried
+        whole = np.r_[which, last : len(self.mean)]
+        mean, sigma = (
+            np.r_[old[which] if new is None else new, old[last:]]
+            for new, old in ((mean, self.mean), (sigma, self.sigma))
+        )
+        ex, xx, xy = self.ex[:, :, whole], self.xx[:, whole][:, :, whole], self.xy[:, whole]
+        columns = self.columns[:, :, whole]
+        return replace(self, ex=ex, xx=xx, xy=xy, columns=columns, mean=mean, sigma=sigma)
 
-    def joined(
-        self, more: "ScatterSums", white: FloatArray, y: FloatArray, columns: FloatArray, part: IntArray
-    ) -> "ScatterSums":
-        """Return the sums for these columns and then those of other sums, whose residual counts.
-
-        Args:
-            more: the other sums, over the same readings.
-            white: (n, 2, m) columns of these sums.
-            y, columns: (n, 2) and (n, 2, q) of the other sums.
-            part: (n,) of each reading.
-        """
-        m, q = white.shape[2], columns.shape[2]
+    def joined(self, more: "ScatterSums") -> "ScatterSums":
+        """Return the sums for these columns and then those of other sums, over the same readings, whose y counts."""
+        m, q = len(self.mean), len(more.mean)
         xx, xy = np.zeros((PARTS, m + q, m + q)), np.zeros((PARTS, m + q))
         xx[:, :m, :m], xx[:, m:, m:], xy[:, m:] = self.xx, more.xx, more.xy
-        for each in np.unique(part):
-            rows = np.flatnonzero(part == each)
-            flat, x = white[rows].reshape(2 * len(rows), m), columns[rows].reshape(2 * len(rows), q)
+        for each, rows in zip(*rows_by_label(self.part), strict=True):
+            flat, x = self.columns[rows].reshape(2 * len(rows), m), more.columns[rows].reshape(2 * len(rows), q)
             xx[each, :m, m:] = flat.T @ x
             xx[each, m:, :m] = xx[each, :m, m:].T
-            xy[each, :m] = flat.T @ y[rows].ravel()
-        return replace(more, ex=np.concatenate([self.ex, more.ex], axis=2), xx=xx, xy=xy)
+            xy[each, :m] = flat.T @ more.y[rows].ravel()
+        ex, columns = (np.concatenate(each, axis=2) for each in ((self.ex, more.ex), (self.columns, more.columns)))
+        mean, sigma = np.r_[self.mean, more.mean], np.r_[self.sigma, more.sigma]
+        return replace(more, ex=ex, xx=xx, xy=xy, columns=columns, mean=mean, sigma=sigma)
+
+
+_NO_COLUMNS, _NO_VALUES = np.zeros(0, dtype=np.int64), np.zeros(0)
+
+
+class Known(NamedTuple):
+    """Columns that are integrated out.
+
+    Attributes:
+        columns: of them.
+        sigma: of the priors of their coefficients.
+        moved, by: other columns whose effect at these values is taken off the readings.
+    """
+
+    columns: IntArray
+    sigma: FloatArray
+    moved: IntArray = _NO_COLUMNS
+    by: FloatArray = _NO_VALUES
 
 
 @dataclass(frozen=True, eq=False)
 class Marginal:
-    """The readings with all motions integrated out: a quadratic form in the causes' values.
+    """The readings with all motions integrated out: a quadratic form in the coefficients of columns.
 
     Attributes:
-        minus_two_log: of the probability density of the readings at values of zero, up to a constant.
-        information: (m, m), gradient: (m,): y's dependence on the values.
+        minus_two_log: of the probability density of the readings at coefficients of zero, up to a constant.
+        information: (m, m), gradient: (m,): y's dependence on the coefficients.
+        mean, sigma: (m,) of the coefficients' normal priors.
     """
 
     minus_two_log: float
     information: FloatArray
     gradient: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
 
-    def moved(self, columns: IntArray | None, by: FloatArray | None) -> "Marginal":
-        """Return the same readings, less the effect of some columns at values `by`; None for no change."""
-        if columns is None or by is None or not columns.size:
-            return self
-        across = self.information[:, columns] @ by
-        value = self.minus_two_log - 2.0 * float(by @ self.gradient[columns]) + float(by @ across[columns])
-        return Marginal(value, self.information, self.gradient - across)
+    def of_columns(self, known: Known) -> "Marginal":
+        """Return the part that some of the columns have in it."""
+        columns, sigma, moved, by = known
+        across = self.information[:, moved] @ by
+        value = self.minus_two_log - 2.0 * float(by @ self.gradient[moved]) + float(by @ across[moved])
+        information, gradient = self.information[np.ix_(columns, columns)], (self.gradient - across)[columns]
+        return Marginal(value, information, gradient, self.mean[columns], sigma)
+
+    def folded(self, known: Known, columns: IntArray) -> "Marginal":
+        """Return what the readings say of some columns where known ones are integrated out."""
+        beside, some = (
+            self.of_columns(known),
+            self.of_columns(known._replace(columns=columns, sigma=self.sigma[columns])),
+        )
+        across = self.information[np.ix_(columns, known.columns)]
+        pull = beside.gradient + beside.mean / beside.sigma**2
+        solved = np.linalg.solve(beside.precision, np.column_stack([pull, across.T]))
+        return replace(
+            some,
+            minus_two_log=beside.minus_two_log_evidence,
+            information=some.information - across @ solved[:, 1:],
+            gradient=some.gradient - across @ solved[:, 0],
+        )
+
+    @property
+    def precision(self) -> FloatArray:
+        """(m, m) inverse of `covariance`."""
+        return np.asarray(self.information + np.diag(self.sigma**-2.0))
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(m, m) of the coefficients."""
+        return np.asarray(np.linalg.inv(self.precision), np.float64)
+
+    @property
+    def values(self) -> FloatArray:
+        """(m,) most probable coefficients."""
+        return np.asarray(self.covariance @ (self.gradient + self.mean / self.sigma**2))
+
+    @property
+    def minus_two_log_evidence(self) -> float:
+        """-2 log evidence of the readings: with the coefficients integrated out, too."""
+        # The unknown is the distance from the mean over sigma.
+        gradient = self.sigma * (self.gradient - self.information @ self.mean)
+        normal = self.sigma[:, None] * self.information * self.sigma + np.eye(len(gradient))
+        at_mean = self.minus_two_log - 2.0 * float(self.gradient @ self.mean)
+        at_mean += float(self.mean @ self.information @ self.mean)
+        _, determinant = np.linalg.slogdet(normal)
+        return float(at_mean + determinant - gradient @ np.linalg.solve(normal, gradient))
 
 
 def marginal(sums: ScatterSums, scatter: Scatter) -> Marginal:
     """Integrate the motions out, and the effects that are carried."""
-    every, count = without_motions(sums, scatter), len(sums.carried)
-    causes = np.arange(len(every.gradient) - count)
-    carried = np.arange(count) + len(causes)
-    return folded(every, (carried, np.zeros(count), sums.carried), causes)
+    every, count = without_motions(sums, scatter), len(sums.mean) - sums.carried
+    return every.folded(Known(np.arange(count, len(sums.mean)), sums.sigma[count:]), np.arange(count))
 
 
 def without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
@@ -214,33 +283,7 @@ def without_motions(sums: ScatterSums, scatter: Scatter) -> Marginal:
     flat = half_x.reshape(half_y.size, half_x.shape[2])
     information = np.einsum("pij,p->ij", sums.xx, 1.0 / variance) - weighted.reshape(flat.shape).T @ flat
     gradient = np.einsum("pi,p->i", sums.xy, 1.0 / variance) - weighted.reshape(flat.shape).T @ half_y.ravel()
-    return Marginal(total, information, gradient)
-
-
-Known = tuple[IntArray, FloatArray, FloatArray]
-"""Columns that are integrated out, with the means and sigmas of their coefficients."""
-
-
-def of_columns(sums: Marginal, columns: IntArray) -> Marginal:
-    """Return the part that some of the columns have in it."""
-    return Marginal(sums.minus_two_log, sums.information[np.ix_(columns, columns)], sums.gradient[columns])
-
-
-def folded(sums: Marginal, known: Known, columns: IntArray) -> Marginal:
-    """Return what the readings say of some columns where known ones are integrated out."""
-    beside, mean, sigma = known
-    some = of_columns(sums, columns)
-    if not beside.size:
-        return some
-    base = of_columns(sums, beside)
-    normal = base.information + np.diag(sigma**-2.0)
-    across = sums.information[np.ix_(columns, beside)]
-    solved = np.linalg.solve(normal, np.column_stack([base.gradient + mean / sigma**2, across.T]))
-    return Marginal(
-        minus_two_log_evidence(base, mean, sigma),
-        some.information - across @ solved[:, 1:],
-        some.gradient - across @ solved[:, 0],
-    )
+    return Marginal(total, information, gradient, sums.mean, sums.sigma)
 
 
 def tridiagonal(information: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -283,19 +326,6 @@ def costs_of_sizes(tridiagonals: Sequence[tuple[FloatArray, FloatArray]], sizes:
     return np.asarray(determinant + np.log(pivot) - square * beside[:, 0] ** 2 / pivot)
 
 
-def minus_two_log_evidence(found: Marginal, mean: FloatArray, sigma: FloatArray | float = 1.0) -> float:
-    """With the causes' values integrated out, too, over normal priors of mean (m,) and sigma (m,)."""
-    if len(found.gradient) == 0:
-        return found.minus_two_log
-    sigma = np.broadcast_to(sigma, mean.shape)
-    # The unknown is the distance from the mean over sigma.
-    gradient = sigma * (found.gradient - found.information @ mean)
-    normal = sigma[:, None] * found.information * sigma + np.eye(len(mean))
-    at_mean = found.minus_two_log - 2.0 * float(found.gradient @ mean) + float(mean @ found.information @ mean)
-    _, determinant = np.linalg.slogdet(normal)
-    return float(at_mean + determinant - gradient @ np.linalg.solve(normal, gradient))
-
-
 def surprise(scatter: Scatter, sums: ScatterSums) -> float:
     """Twice the negative logarithm of how usual the sizes are."""
     parts = [part for part in range(PARTS) if np.any(sums.used & (sums.part_of == part))]
@@ -307,38 +337,20 @@ def surprise(scatter: Scatter, sums: ScatterSums) -> float:
     return float(np.sum(np.square(off))) + 2.0 * _COST_OF_MOVING * int(scatter.moved.sum())
 
 
-def cost(sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0) -> float:
-    """-2 log evidence, weighed with how usual the sizes are.
-
-    Args:
-        sums: over the readings.
-        scatter: sizes of what is random.
-        mean: (m,) of the values' priors less the values at which the sums were made, in prior sigmas.
-        sigma: (m,) of the priors.
-    """
-    every = without_motions(sums, scatter)
-    return minus_two_log_evidence(every, *_priors(sums, mean, sigma)) + surprise(scatter, sums)
+def cost(sums: ScatterSums, scatter: Scatter) -> float:
+    """-2 log evidence, weighed with how usual the sizes are."""
+    return without_motions(sums, scatter).minus_two_log_evidence + surprise(scatter, sums)
 
 
-def _priors(sums: ScatterSums, mean: FloatArray, sigma: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-    """Means and sigmas of the coefficients of all columns, those that are carried included."""
-    sigmas = np.concatenate([np.broadcast_to(sigma, mean.shape), sums.carried])
-    return np.concatenate([mean, np.zeros(len(sums.carried))]), sigmas
-
-
-def cost_and_slopes(
-    sums: ScatterSums, scatter: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
-) -> tuple[float, FloatArray]:
+def cost_and_slopes(sums: ScatterSums, scatter: Scatter) -> tuple[float, FloatArray]:
     """Return `cost` and its derivatives (3, parts) by the logarithms of noise, shifts and turns.
 
     The derivative of -2 log N(y; 0, C) is tr(C^-1 C') - y' C^-1 C' C^-1 y: what each size explains of the readings
     against how far the readings determine it.
     """
-    means, sigmas = _priors(sums, mean, sigma)
     every, variance = without_motions(sums, scatter), scatter.noise[sums.part_of] ** 2
-    value = minus_two_log_evidence(every, means, sigmas) + surprise(scatter, sums)
-    covariance = np.linalg.inv(every.information + np.diag(sigmas**-2.0))
-    values = covariance @ (every.gradient + means / sigmas**2)
+    value = every.minus_two_log_evidence + surprise(scatter, sums)
+    covariance, values = every.covariance, every.values
     sizes = scatter.sizes(sums.part_of)
     inverse = np.linalg.inv(sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6))
     pull = sums.ey - sums.ex @ values

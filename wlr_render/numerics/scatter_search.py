@@ -27,9 +27,7 @@ FEWEST_TO_STAND_OUT = 4
 """Captures of a part among which one may stand out."""
 
 
-def best_scatter(
-    sums: ScatterSums, start: Scatter, mean: FloatArray, sigma: FloatArray | float = 1.0
-) -> tuple[Scatter, float]:
+def best_scatter(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
     """Return the sizes of highest evidence and -2 log of it, from a start on; the captures that moved are given."""
     moving = np.array([bool(np.any(sums.ee[sums.part_of == part])) for part in range(PARTS)])
     present = sums.count > 0
@@ -41,7 +39,7 @@ def best_scatter(
     def with_slopes(inner: FloatArray) -> tuple[float, FloatArray]:
         vector = first.copy()
         vector[free] = inner
-        value, slopes = cost_and_slopes(sums, start.at(vector), mean, sigma)
+        value, slopes = cost_and_slopes(sums, start.at(vector))
         return value, slopes.ravel()[free]
 
     low = np.concatenate([np.zeros(PARTS), np.full(2 * PARTS, _LOWEST)])[free]
@@ -60,29 +58,29 @@ def best_scatter(
     return start.at(vector), float(found.fun)
 
 
-def with_moved_captures(sums: ScatterSums, start: Scatter, mean: FloatArray) -> tuple[Scatter, float]:
+def with_moved_captures(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
     """Return the sizes of highest evidence, and -2 log of it, where some captures may have moved far more than others.
 
     Captures of a part are taken in the order of what a motion of their own would gain, up to half of them; the number
     of highest evidence is kept, and each is tried once more by itself.
     """
-    best, least = best_scatter(sums, replace(start, moved=np.zeros_like(start.moved)), mean)
+    best, least = best_scatter(sums, start.at_rest())
     if start.moved.any():
-        best, least = min((best, least), best_scatter(sums, start, mean), key=lambda each: each[1])
+        best, least = min((best, least), best_scatter(sums, start), key=lambda each: each[1])
     for part in range(PARTS):
         own = np.flatnonzero(sums.used & (sums.part_of == part))
         if len(own) < FEWEST_TO_STAND_OUT or not np.any(sums.ee[own]):
             continue
         for _ in range(2):  # captures that are known to have moved no longer hide others
-            gain = _own_gain(sums, best, mean)[own]
+            gain = _own_gain(sums, best)[own]
             if np.max(gain) < _STANDS_OUT:
                 break
-            best, least = _prefix(sums, best, least, own[np.argsort(-gain)], mean)
-        best, least = one_by_one(sums, best, least, own[best.moved[own]], mean)
+            best, least = _prefix(sums, best, least, own[np.argsort(-gain)])
+        best, least = one_by_one(sums, best, least, own[best.moved[own]])
     return best, least
 
 
-def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray, mean: FloatArray) -> tuple[Scatter, float]:
+def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray) -> tuple[Scatter, float]:
     """Return the best number of captures that moved, taken in an order."""
     most = len(order) // 2
     tried: dict[int, tuple[Scatter, float]] = {}
@@ -92,7 +90,7 @@ def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray, mea
             moved = best.moved.copy()
             moved[order] = False
             moved[order[:count]] = True
-            tried[count] = best_scatter(sums, replace(best, moved=moved), mean)
+            tried[count] = best_scatter(sums, replace(best, moved=moved))
         return tried[count][1]
 
     coarse = sorted({round(each) for each in np.geomspace(1, most, 8)})
@@ -104,25 +102,23 @@ def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray, mea
     return tried[count] if at(count) < least else (best, least)
 
 
-def one_by_one(
-    sums: ScatterSums, best: Scatter, least: float, captures: IntArray, mean: FloatArray
-) -> tuple[Scatter, float]:
+def one_by_one(sums: ScatterSums, best: Scatter, least: float, captures: IntArray) -> tuple[Scatter, float]:
     """Take each of some captures out of, or into, those that moved, if that has the higher evidence."""
     for number in captures:
         moved = best.moved.copy()
         moved[number] = not moved[number]
         at = replace(best, moved=moved)
-        if cost(sums, at, mean) < least:
-            best, least = best_scatter(sums, at, mean)
+        if cost(sums, at) < least:
+            best, least = best_scatter(sums, at)
     return best, least
 
 
-def scatter_errors(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+def scatter_errors(sums: ScatterSums, scatter: Scatter) -> FloatArray:
     """Return standard errors (3, parts) of the logarithms of noise, shifts and turns by the evidence's curvature."""
     first, step = scatter.vector(), 0.1
 
     def at(vector: FloatArray) -> float:
-        return cost(sums, scatter.at(vector), mean)
+        return cost(sums, scatter.at(vector))
 
     at_best = at(first)
     curvature = np.array([(at(first + step * u) - 2 * at_best + at(first - step * u)) / step**2 for u in np.eye(9)])
@@ -136,16 +132,16 @@ def one_at_rest(scatter: Scatter, number: int) -> Scatter:
     return replace(scatter, moved=moved)
 
 
-def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+def _own_gain(sums: ScatterSums, scatter: Scatter) -> FloatArray:
     """Twice the log likelihood that a wide motion of its own gains each capture (g,)."""
-    pull = _pull(sums, scatter, mean)
+    pull = _pull(sums, scatter)
     noise = scatter.noise[sums.part_of][:, None]
     # Several captures that moved raise the size that is found for all, behind which they would hide.
     shift, turn = (
         np.minimum(size, _RAISED * usual)
         for size, usual in ((scatter.shift_um, USUAL_SHIFT), (scatter.turn_urad, USUAL_TURN))
     )
-    at_rest = replace(scatter, shift_um=shift, turn_urad=turn, moved=np.zeros_like(scatter.moved))
+    at_rest = replace(scatter.at_rest(), shift_um=shift, turn_urad=turn)
     usual = at_rest.sizes(sums.part_of)
     wide = np.hypot(usual, MOVED / noise)
 
@@ -158,20 +154,14 @@ def _own_gain(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArr
     return likelihood(wide) - likelihood(usual)
 
 
-def _pull(sums: ScatterSums, scatter: Scatter, mean: FloatArray) -> FloatArray:
+def _pull(sums: ScatterSums, scatter: Scatter) -> FloatArray:
     """Return the sums (g, 6) of motions and readings, less the most probable effect of all columns."""
-    every = without_motions(sums, scatter)
-    precision = np.concatenate([np.ones(len(mean)), sums.carried**-2.0])
-    means = np.concatenate([mean, np.zeros(len(sums.carried))])
-    if not len(means):
-        return sums.ey
-    values = np.linalg.solve(every.information + np.diag(precision), every.gradient + precision * means)
-    return np.asarray(sums.ey - sums.ex @ values)
+    return np.asarray(sums.ey - sums.ex @ without_motions(sums, scatter).values)
 
 
 def motions_of(sums: ScatterSums, scatter: Scatter) -> FloatArray:
     """Most probable motion of each capture (g, 6), micrometres and microradians, the causes' values being fitted."""
     sizes = scatter.sizes(sums.part_of)
     normal = sizes[:, :, None] * sums.ee * sizes[:, None, :] + np.eye(6)
-    pull = _pull(sums.of_columns(np.zeros(0, dtype=np.int64)), scatter, np.zeros(0))
+    pull = _pull(sums.of_columns(np.zeros(0, dtype=np.int64)), scatter)
     return np.asarray(sizes * np.linalg.solve(normal, (sizes * pull)[:, :, None])[:, :, 0])

@@ -100,6 +100,12 @@ class Contrasts:
     across: FloatArray
     square: FloatArray
 
+    @classmethod
+    def of(cls, place: FloatArray, across: FloatArray, values: FloatArray) -> "Contrasts":
+        """Contrasts (n, c) of values (n, k) of readings at places (n, 2)."""
+        seen = across.T @ values
+        return cls(cdist(place, place), across, seen @ seen.T)
+
     def likelihood_terms(self, field: SharedNoise, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return terms of the restricted likelihood of noise of unit variance, of which a field has shares (k,).
 
@@ -137,9 +143,8 @@ def find_shared_noise(
     patches = []
     for each in chosen:
         rows = _patch(places[each], rng)
-        place, across = places[each][rows], _across(places[each][rows])
-        seen = across.T @ np.hstack([residuals[each][rows], np.sqrt(2.0) * unsure(each, rows)])
-        patches.append(Contrasts(cdist(place, place), across, seen @ seen.T))
+        values = np.hstack([residuals[each][rows], np.sqrt(2.0) * unsure(each, rows)])
+        patches.append(Contrasts.of(places[each][rows], _across(places[each][rows]), values))
 
     @cache
     def minus_two(row: int) -> FloatArray:
