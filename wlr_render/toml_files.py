@@ -295,6 +295,11 @@ def write_toml(path: str | Path, table: Mapping[str, Any], comment: str = "") ->
     return write_text(path, f"{head}\n{toml_text(table)}".lstrip("\n"))
 
 
+def stated(**keys: Any) -> dict[str, Any]:
+    """Return the keys, except keys whose value is None."""
+    return {key: value for key, value in keys.items() if value is not None}
+
+
 def toml_text(table: Mapping[str, Any]) -> str:
     """Return the text that `write_toml` writes.
 

@@ -24,7 +24,7 @@ from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
-from wlr_render.input_files import require_length
+from wlr_render.input_files import prefix_errors, require_length
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.toml_files import read_toml
 
@@ -216,7 +216,8 @@ def _check_against_bench(folder: Path, bench: Bench, plans: dict[str, Any], read
             )
     if "panel_pixel" in readings:
         size = bench.optics.panel.pixels.size_px
-        require_on_panel(f"{folder}: {bench.device.name}, display table", readings["panel_pixel"], size)
+        with prefix_errors(f"{folder}: {bench.device.name}, display table"):
+            require_on_panel(readings["panel_pixel"], size)
     pictures: dict[str, FloatArray] = {
         name: readings[name] for name in ("dot_pixel", "run_time_pixel") if name in readings
     }

@@ -253,7 +253,7 @@ def _of_targets(
 
 def _of_primary(session: PhotoSession, entry: CodeSet, samples: DecodedSamples) -> DecodedSamples:
     """Return samples at the places on the panel where the primary that was shown lies in its pixels."""
-    offset = session.primary_offsets.get(entry.channel or "")
+    offset = session.panels[entry.eye].primary_offsets.get(entry.channel or "")
     return samples if offset is None else replace(samples, panel_pixel=samples.panel_pixel + offset)
 
 

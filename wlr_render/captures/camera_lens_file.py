@@ -17,7 +17,7 @@ from wlr_render.captures.plain_data import read_mapping
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.geometry.splined_lens import SplinedLens
-from wlr_render.input_files import as_bad_input, read_text, require_pixels, shown
+from wlr_render.input_files import as_bad_input, prefix_errors, read_text, require_pixels, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _MRCAL_MODELS = {  # number of distortion terms, and the kind of lens
@@ -94,7 +94,8 @@ def load_lens(path: str | Path) -> LensCamera | SplinedLens:
     file = Path(path)
     text = read_text(file, "a file of a lens", remedy=_REMEDY)
     check_nesting(file, text)
-    lens = _mrcal_lens(file, text) if file.suffix == ".cameramodel" else _lens_of_keys(file, text)
+    with prefix_errors(file):
+        lens = _mrcal_lens(file, text) if file.suffix == ".cameramodel" else _lens_of_keys(file, text)
     require_plausible_lens(str(file), lens)
     return lens
 
@@ -161,31 +162,28 @@ def _mrcal_lens(file: Path, text: str) -> LensCamera | SplinedLens:
         intrinsics = np.array(content["intrinsics"], dtype=np.float64)
         width, height = (int(length) for length in content["imagersize"])
     if intrinsics.ndim != 1:
-        raise BadInputError(f"{file}: 'intrinsics' must be a list of numbers; {_REMEDY}.")
+        raise BadInputError(f"'intrinsics' must be a list of numbers; {_REMEDY}.")
     splined = _SPLINED.fullmatch(model)
     if splined is None and model not in _MRCAL_MODELS:
         raise BadInputError(
-            f"{file}: lens model {shown(model)} is not supported; convert it with mrcal-convert-lensmodel to one of "
+            f"lens model {shown(model)} is not supported; convert it with mrcal-convert-lensmodel to one of "
             f"{', '.join(_MRCAL_MODELS)} or LENSMODEL_SPLINED_STEREOGRAPHIC_..."
         )
     if splined is not None:
         order, columns, rows = (int(splined[key]) for key in ("order", "nx", "ny"))
-        _check_values(file, intrinsics, 4 + 2 * columns * rows, model)
+        _check_values(intrinsics, 4 + 2 * columns * rows, model)
         control = intrinsics[4:].reshape(rows, columns, 2)
         centre = intrinsics[2:4] - OPENCV_PIXEL_SHIFT
-        try:
-            return SplinedLens((width, height), intrinsics[:2], centre, control, order, float(splined["fov"]))
-        except BadInputError as fault:
-            raise BadInputError(f"{file}: {fault}") from fault
+        return SplinedLens((width, height), intrinsics[:2], centre, control, order, float(splined["fov"]))
     count, kind = _MRCAL_MODELS[model]
-    _check_values(file, intrinsics, 4 + count, model)
+    _check_values(intrinsics, 4 + count, model)
     return _lens_camera((width, height), intrinsics[:4], intrinsics[4:], kind)
 
 
-def _check_values(file: Path, values: FloatArray, count: int, model: str) -> None:
+def _check_values(values: FloatArray, count: int, model: str) -> None:
     if values.shape != (count,) or not np.isfinite(values).all() or np.any(values[:2] <= 0):
         raise BadInputError(
-            f"{file}: 'intrinsics' must be {count} finite numbers for {model}, the first two (focal lengths) above 0; "
+            f"'intrinsics' must be {count} finite numbers for {model}, the first two (focal lengths) above 0; "
             f"it has {values.size}: {_REMEDY}."
         )
 
@@ -198,47 +196,46 @@ def _lens_camera(size_px: tuple[int, int], core: FloatArray, terms: FloatArray, 
 
 
 def _lens_of_keys(file: Path, text: str) -> LensCamera:
-    _refuse_other_programs(file, text)
+    _refuse_other_programs(text)
     if text.lstrip().startswith(_OPENCV_MARKS[0]) or any(mark in text for mark in _OPENCV_MARKS[1:]):
         content = _opencv_content(file, text)
     else:
-        content = _camera_of(file, read_mapping(file, text, "a file of a lens", "save it again, or correct it"))
+        content = _camera_of(read_mapping(file, text, "a file of a lens", "save it again, or correct it"))
     with as_bad_input(file, "a file of a lens", _REMEDY):
-        matrix, terms = (_values(file, content, keys) for keys in (_MATRIX_KEYS, _TERM_KEYS))
-        width, height = _values(file, content, _WIDTH_KEYS), _values(file, content, _HEIGHT_KEYS)
-        size = _values(file, content, _SIZE_KEYS) if width.size + height.size == 0 else np.concatenate([width, height])
+        matrix, terms = (_values(content, keys) for keys in (_MATRIX_KEYS, _TERM_KEYS))
+        width, height = _values(content, _WIDTH_KEYS), _values(content, _HEIGHT_KEYS)
+        size = _values(content, _SIZE_KEYS) if width.size + height.size == 0 else np.concatenate([width, height])
     unread = [key for key in content if _UNREAD_TERMS.fullmatch(key)]
     if unread and _first(content, _TERM_KEYS) is None:
         raise BadInputError(
-            f"{file}: {shown(unread[0])} is not read; write the distortion terms as the list {_TERM_KEYS[0]}, in "
+            f"{shown(unread[0])} is not read; write the distortion terms as the list {_TERM_KEYS[0]}, in "
             "OpenCV's order."
         )
-    return _lens_of_matrix(file, matrix, terms, size, _kind(file, content, terms))
+    return _lens_of_matrix(matrix, terms, size, _kind(content, terms))
 
 
-def _camera_of(file: Path, content: dict[str, Any]) -> dict[str, Any]:
+def _camera_of(content: dict[str, Any]) -> dict[str, Any]:
     """Return the camera's keys in a file of ROS, Kalibr or another program with a camera matrix."""
     program = next((program for key, program in _OTHER_PROGRAMS.items() if key in content), None)
     if program is not None:
-        raise BadInputError(f"{file}: is a file of {program}, which is not read; {_AS_ROS}.")
+        raise BadInputError(f"is a file of {program}, which is not read; {_AS_ROS}.")
     cameras = [key for key, value in content.items() if _KALIBR_CAMERA.fullmatch(key) and isinstance(value, dict)]
     if len(cameras) > 1:
         raise BadInputError(
-            f"{file}: has the cameras {', '.join(cameras)}; copy the one that took the photographs into a "
-            "separate file."
+            f"has the cameras {', '.join(cameras)}; copy the one that took the photographs into a separate file."
         )
     content = content[cameras[0]] if cameras else content
-    _refuse_cropped(file, content)
-    return _kalibr_camera(file, content) if {"intrinsics", "camera_model"} <= content.keys() else content
+    _refuse_cropped(content)
+    return _kalibr_camera(content) if {"intrinsics", "camera_model"} <= content.keys() else content
 
 
-def _refuse_other_programs(file: Path, text: str) -> None:
+def _refuse_other_programs(text: str) -> None:
     """Refuse a file without keys, by the program that writes such files."""
     lines = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     if lines[:1] == ["[image]"]:
-        raise BadInputError(f"{file}: is the ost.txt of ROS' camera calibrator, which is not read; give its ost.yaml.")
+        raise BadInputError("is the ost.txt of ROS' camera calibrator, which is not read; give its ost.yaml.")
     if lines and _COLMAP.fullmatch(lines[0]):
-        raise BadInputError(f"{file}: is a file of COLMAP, which is not read; {_AS_ROS}, with cx and cy less by 0.5.")
+        raise BadInputError(f"is a file of COLMAP, which is not read; {_AS_ROS}, with cx and cy less by 0.5.")
 
 
 def _opencv_content(file: Path, text: str) -> dict[str, Any]:
@@ -261,24 +258,21 @@ def _plain(node: Any) -> Any:
     return node.real() if node.isReal() or node.isInt() else node.string()
 
 
-def _kalibr_camera(file: Path, content: dict[str, Any]) -> dict[str, Any]:
+def _kalibr_camera(content: dict[str, Any]) -> dict[str, Any]:
     """Return a camera of Kalibr with a camera matrix from its intrinsics."""
     model = content["camera_model"]
     if model != "pinhole":
         raise BadInputError(
-            f"{file}: camera model {shown(model)} of Kalibr is not supported; calibrate with pinhole-radtan or "
-            "pinhole-equi."
+            f"camera model {shown(model)} of Kalibr is not supported; calibrate with pinhole-radtan or pinhole-equi."
         )
-    core = _values(file, content, ("intrinsics",))
+    core = _values(content, ("intrinsics",))
     if len(core) != 4:
-        raise BadInputError(
-            f"{file}: 'intrinsics' must be the 4 numbers fu, fv, pu, pv of a pinhole camera; {_REMEDY}."
-        )
+        raise BadInputError(f"'intrinsics' must be the 4 numbers fu, fv, pu, pv of a pinhole camera; {_REMEDY}.")
     fx, fy, cx, cy = core
     return {"distortion_model": "none", **content, "camera_matrix": [fx, 0, cx, 0, fy, cy, 0, 0, 1]}
 
 
-def _refuse_cropped(file: Path, content: Mapping[str, Any]) -> None:
+def _refuse_cropped(content: Mapping[str, Any]) -> None:
     """Refuse a camera of ROS whose photographs are a part of the picture that its camera matrix describes."""
     binning = [content.get(f"binning_{axis}") or 1 for axis in "xy"]
     region = content.get("roi")
@@ -287,60 +281,55 @@ def _refuse_cropped(file: Path, content: Mapping[str, Any]) -> None:
     whole = ([0, 0, 0, 0], [0, 0, content.get("width"), content.get("height")], [None] * 4)
     if binning != [1, 1] or part not in whole:
         raise BadInputError(
-            f"{file}: states binning or a region of interest (roi), and its camera matrix describes the whole sensor; "
+            "states binning or a region of interest (roi), and its camera matrix describes the whole sensor; "
             "give the CameraInfo of whole pictures."
         )
 
 
-def _lens_of_matrix(file: Path, matrix: FloatArray, terms: FloatArray, size: FloatArray, kind: str) -> LensCamera:
+def _lens_of_matrix(matrix: FloatArray, terms: FloatArray, size: FloatArray, kind: str) -> LensCamera:
     if matrix.size != 9:
-        raise BadInputError(f"{file}: needs a camera matrix of 9 numbers under one of {', '.join(_MATRIX_KEYS)}.")
+        raise BadInputError(f"needs a camera matrix of 9 numbers under one of {', '.join(_MATRIX_KEYS)}.")
     if size.size != 2 or not np.all((size >= 1) & np.isfinite(size)):
-        raise BadInputError(f"{file}: needs the size of the image; add image_width and image_height in pixels.")
+        raise BadInputError("needs the size of the image; add image_width and image_height in pixels.")
     if not matrix.any():
-        raise BadInputError(
-            f"{file}: is of a camera that was not calibrated (its camera matrix is zero); calibrate it."
-        )
+        raise BadInputError("is of a camera that was not calibrated (its camera matrix is zero); calibrate it.")
     (fx, skew, cx), (below, fy, cy), last = matrix.reshape(3, 3)
     if below != 0 or not np.array_equal(last, (0, 0, 1)):
-        raise BadInputError(f"{file}: its camera matrix must be fx 0 cx, 0 fy cy, 0 0 1, row by row; {_REMEDY}.")
+        raise BadInputError(f"its camera matrix must be fx 0 cx, 0 fy cy, 0 0 1, row by row; {_REMEDY}.")
     core = np.array([fx, fy, cx, cy])
     if not np.isfinite(np.concatenate([core, terms])).all() or min(fx, fy) <= 0:
         raise BadInputError(
-            f"{file}: needs finite numbers, and focal lengths above 0, in camera matrix and distortion terms: "
-            f"{_REMEDY}."
+            f"needs finite numbers, and focal lengths above 0, in camera matrix and distortion terms: {_REMEDY}."
         )
     if abs(skew) > _SKEW * fx:
         raise BadInputError(
-            f"{file}: has a skew of {skew:g} pixels in its camera matrix, which lenses here lack; fit without it."
+            f"has a skew of {skew:g} pixels in its camera matrix, which lenses here lack; fit without it."
         )
     return _lens_camera((int(size[0]), int(size[1])), core, terms[: len(LENS_KINDS[kind])], kind)
 
 
-def _kind(file: Path, content: Mapping[str, Any], terms: FloatArray) -> str:
+def _kind(content: Mapping[str, Any], terms: FloatArray) -> str:
     """Return the kind of lens, from the names in the file and the number of its terms."""
     stated = _first(content, _MODEL_KEYS)
     model = re.sub(r"[ -]", "_", stated.lower()) if isinstance(stated, str) else ""
-    flag = _values(file, content, _FISHEYE_KEYS)
+    flag = _values(content, _FISHEYE_KEYS)
     if model and model not in (*_FISHEYE_NAMES, *_PERSPECTIVE_NAMES):
         kinds = ", ".join((*_PERSPECTIVE_NAMES, *_FISHEYE_NAMES))
-        raise BadInputError(f"{file}: distortion model {shown(stated)} is not supported; it must be one of {kinds}.")
+        raise BadInputError(f"distortion model {shown(stated)} is not supported; it must be one of {kinds}.")
     if flag.any() or model in _FISHEYE_NAMES:
         if terms.size != len(LENS_KINDS["fisheye"]):
-            raise BadInputError(
-                f"{file}: has {terms.size} distortion terms; a fisheye lens of OpenCV has 4: fit it again."
-            )
+            raise BadInputError(f"has {terms.size} distortion terms; a fisheye lens of OpenCV has 4: fit it again.")
         return "fisheye"
     if terms.size == len(LENS_KINDS["fisheye"]) and not model and not flag.size:
         raise BadInputError(
-            f"{file}: has 4 distortion terms, which may come from cv2.fisheye (k1 k2 k3 k4) or "
+            "has 4 distortion terms, which may come from cv2.fisheye (k1 k2 k3 k4) or "
             "cv2.calibrateCamera (k1 k2 p1 p2); add distortion_model: equidistant or distortion_model: plumb_bob."
         )
     if terms.size == _TILTED and not terms[-2:].any():
         return "thin-prism"
     if terms.size not in _KIND_OF_COUNT:
         raise BadInputError(
-            f"{file}: has {terms.size} distortion terms; lenses here have 0, 4, 5, 8 or 12, and no tilt of the sensor: "
+            f"has {terms.size} distortion terms; lenses here have 0, 4, 5, 8 or 12, and no tilt of the sensor: "
             "fit one of these."
         )
     return _KIND_OF_COUNT[terms.size]
@@ -351,12 +340,12 @@ def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:
     return next((content[key] for key in keys if content.get(key) is not None), None)
 
 
-def _values(file: Path, content: Mapping[str, Any], keys: Sequence[str]) -> FloatArray:
+def _values(content: Mapping[str, Any], keys: Sequence[str]) -> FloatArray:
     """Return the numbers (n,) under the first key that the file has."""
     value = _first(content, keys)
     numbers = [] if value is None else _numbers(value)
     if len(numbers) > _LONGEST_LIST:
-        raise BadInputError(f"{file}: has a list of more than {_LONGEST_LIST} numbers as {keys[0]}; {_REMEDY}.")
+        raise BadInputError(f"has a list of more than {_LONGEST_LIST} numbers as {keys[0]}; {_REMEDY}.")
     return np.array(numbers, dtype=np.float64)
 
 

@@ -1,7 +1,6 @@
 """Checks of the values in a capture file: implausible ones, such as lengths in millimetres, are refused."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,122 +37,119 @@ _PLAUSIBLE = {
 _SMALL_PART = 0.2  # least share of the eye box that positions span: less looks like a wrong unit
 
 
-def check_plausible(
-    path: str | Path, captures: Captures, columns: Mapping[str, NDArray[Any]], boxes: Mapping[str, EyeBox]
-) -> None:
+def check_plausible(captures: Captures, columns: Mapping[str, NDArray[Any]], boxes: Mapping[str, EyeBox]) -> None:
     """Refuse implausible measurements, such as lengths in millimetres.
 
     Args:
-        path: the file.
-        captures: its captures.
+        captures: captures of a file.
         columns: its columns by their names, in the order of its rows.
         boxes: its eye boxes by their names.
 
     Raises:
-        BadInputError: the sentence names the column, a value or a row, and the remedy.
+        BadInputError: the sentence names the column, a value or a row, and the remedy; it lacks the file.
     """
     for name, box in boxes.items():
-        require_eye_box(f"{path}: '{name}'", box.size)
-        require_length(f"{path}: '{name}'", box.centre, _DEVICE_M)
+        require_eye_box(f"'{name}'", box.size)
+        require_length(f"'{name}'", box.centre, _DEVICE_M)
     if captures.panel is not None:
         size = (captures.panel.width_px, captures.panel.height_px)
-        require_pixels(f"{path}: 'panel'", size, "correct it")
-        require_on_panel(path, columns["feature"][columns["kind"] == PANEL_PIXEL, :2], size)
+        require_pixels("'panel'", size, "correct it")
+        require_on_panel(columns["feature"][columns["kind"] == PANEL_PIXEL, :2], size)
     viewpoint, is_real = columns["viewpoint"], columns["kind"] == REAL_POINT
-    require_length(f"{path}: 'viewpoint', from the centre of the eye box,", viewpoint - boxes["eye_box"].centre, 0.5)
+    require_length("'viewpoint', from the centre of the eye box,", viewpoint - boxes["eye_box"].centre, 0.5)
     point = columns["feature"][is_real]
-    require_length(f"{path}: 'feature' of real points", point, _WORLD_M)
+    require_length("'feature' of real points", point, _WORLD_M)
     distance = np.linalg.norm(point - viewpoint[is_real], axis=1)
     if distance.min(initial=np.inf) < _NEAREST_M:
         raise BadInputError(
-            f"{path}: 'feature' has a real point {1e3 * distance.min():.3g} mm from its viewpoint, nearer than "
+            f"'feature' has a real point {1e3 * distance.min():.3g} mm from its viewpoint, nearer than "
             f"{1e3 * _NEAREST_M:g} mm; is it in kilometres? Convert it to metres."
         )
-    _require(path, "target_pose", columns["target_pose"][is_real], 0, LIMITS.index)
-    _require_sigma(path, columns["sigma_arcmin"])
-    _require_places(path, columns["capture"], viewpoint, boxes["eye_box"].size)
+    _require("target_pose", columns["target_pose"][is_real], 0, LIMITS.index)
+    _require_sigma(columns["sigma_arcmin"])
+    _require_places(columns["capture"], viewpoint, boxes["eye_box"].size)
     for name, limits in _PLAUSIBLE.items():
         if name in columns:
-            _require(path, name, columns[name], *limits)
+            _require(name, columns[name], *limits)
     travel = columns.get("travel", np.zeros(0))
     if not np.isin(travel[np.isfinite(travel)], (-1, 0, 1)).all():
-        raise BadInputError(f"{path}: 'travel' has values other than -1, 0 and 1; write how the stage moved in x.")
+        raise BadInputError("'travel' has values other than -1, 0 and 1; write how the stage moved in x.")
     turn = columns.get("device_from_camera", np.zeros((0, 3, 3)))
     turn = turn[~np.isnan(turn).all(axis=(1, 2))]
     if not np.all(np.abs(turn @ turn.mT - np.eye(3)) < 1e-6) or np.any(np.linalg.det(turn) < 0):
-        raise BadInputError(f"{path}: 'device_from_camera' has matrices that are not rotations; write them again.")
-    _check_bench(path, captures)
-    _refuse_repeated(path, columns)
+        raise BadInputError("'device_from_camera' has matrices that are not rotations; write them again.")
+    _check_bench(captures)
+    _refuse_repeated(columns)
 
 
-def _check_bench(path: str | Path, captures: Captures) -> None:
+def _check_bench(captures: Captures) -> None:
     """Refuse implausible motions and common errors."""
     for side in captures.parts:
         name = side.side.replace("-", "_")
         if (motion := side.motion) is not None:
-            _require(path, f"{name}_motion_capture", motion.capture, 0, LIMITS.index)
-            _require(path, f"{name}_motion_size", motion.size, 0, 1)
-            _require(path, f"{name}_motion_log_sigma", np.array(motion.log_sigma), 0, 10)
+            _require(f"{name}_motion_capture", motion.capture, 0, LIMITS.index)
+            _require(f"{name}_motion_size", motion.size, 0, 1)
+            _require(f"{name}_motion_log_sigma", np.array(motion.log_sigma), 0, 10)
         if (common := side.common) is not None:
-            _require(path, f"{name}_common_capture", common.capture, 0, LIMITS.index)
+            _require(f"{name}_common_capture", common.capture, 0, LIMITS.index)
             for part in ("motion", "focus"):
-                _require(path, f"{name}_common_{part}", getattr(common, part), -1, 1)
-            _require(path, f"{name}_common_target", common.target, -10, 10)
+                _require(f"{name}_common_{part}", getattr(common, part), -1, 1)
+            _require(f"{name}_common_target", common.target, -10, 10)
 
 
-def _require(path: str | Path, name: str, values: NDArray[Any], low: float, high: float) -> None:
+def _require(name: str, values: NDArray[Any], low: float, high: float) -> None:
     """Refuse values outside a range; NaN means not recorded, and is allowed."""
     bad = (values < low) | (values > high)
     if bad.any():
         raise BadInputError(
-            f"{path}: '{name}' has the value {values[bad].flat[0]:g}; it should be between {low:g} and {high:g}: "
+            f"'{name}' has the value {values[bad].flat[0]:g}; it should be between {low:g} and {high:g}: "
             "correct it, or its unit."
         )
 
 
-def _require_sigma(path: str | Path, sigma: FloatArray) -> None:
+def _require_sigma(sigma: FloatArray) -> None:
     """Refuse implausible standard deviations; zero means exact data."""
-    _require(path, "sigma_arcmin", sigma, 0, _SIGMA_ARCMIN)
+    _require("sigma_arcmin", sigma, 0, _SIGMA_ARCMIN)
     if (least := sigma[sigma > 0].min(initial=np.inf)) < _LEAST_SIGMA_ARCMIN:
         raise BadInputError(
-            f"{path}: 'sigma_arcmin' has the value {least:g}, less than {_LEAST_SIGMA_ARCMIN:g}; give the standard "
+            f"'sigma_arcmin' has the value {least:g}, less than {_LEAST_SIGMA_ARCMIN:g}; give the standard "
             "deviation in arcmin, or 0 in all rows of exact data."
         )
     if sigma.max(initial=0.0) > _SIGMAS_DIFFER * least:
         raise BadInputError(
-            f"{path}: 'sigma_arcmin' is {least:g} in row {np.argmax(sigma == least)} and {sigma.max():g} in row "
+            f"'sigma_arcmin' is {least:g} in row {np.argmax(sigma == least)} and {sigma.max():g} in row "
             f"{np.argmax(sigma)}; it may differ by {_SIGMAS_DIFFER:g} times at most: correct the smaller one."
         )
 
 
-def _require_places(path: str | Path, capture: IntArray, viewpoint: FloatArray, box_m: FloatArray) -> None:
+def _require_places(capture: IntArray, viewpoint: FloatArray, box_m: FloatArray) -> None:
     """Refuse captures without numbers of camera positions, and an eye box much smaller than these positions."""
     count = len(np.unique(capture))
     if count > LIMITS.captures:
         raise BadInputError(
-            f"{path}: 'capture' has {count} different numbers, more than the {LIMITS.captures} that are read; give all "
+            f"'capture' has {count} different numbers, more than the {LIMITS.captures} that are read; give all "
             "rows of one camera place the same number."
         )
     apart = float(np.linalg.norm(np.ptp(viewpoint, axis=0)))
     if count == 1 and apart > _ONE_PLACE_M:
         raise BadInputError(
-            f"{path}: 'capture' is {capture[0]} in all rows, and their viewpoints are {1e3 * apart:.3g} mm "
+            f"'capture' is {capture[0]} in all rows, and their viewpoints are {1e3 * apart:.3g} mm "
             "apart; give each camera position a different number."
         )
     if np.linalg.norm(box_m) < _BOX_OF_PLACES * apart:
         raise BadInputError(
-            f"{path}: 'eye_box' has the size {box_m.tolist()} m, and the viewpoints are {apart:.3g} m "
+            f"'eye_box' has the size {box_m.tolist()} m, and the viewpoints are {apart:.3g} m "
             "apart; state the eye box in metres."
         )
 
 
-def require_on_panel(path: str | Path, pixel: FloatArray, size_px: ArrayLike) -> None:
+def require_on_panel(pixel: FloatArray, size_px: ArrayLike) -> None:
     """Refuse panel pixels (n, 2) of another panel or unit: many outside the panel, or one far outside.
 
     Noise puts pixels decoded at the edge a little beyond it; a few decoded wrongly are left to the fit, as outliers.
 
     Raises:
-        BadInputError: the sentence has the share outside, and a row.
+        BadInputError: the sentence has the share outside, and a row; it lacks the file.
     """
     size = np.asarray(size_px, dtype=np.float64)
     margin = _PANEL_MARGIN[0] + _PANEL_MARGIN[1] * size
@@ -162,13 +158,13 @@ def require_on_panel(path: str | Path, pixel: FloatArray, size_px: ArrayLike) ->
     if far.any() or np.sum(outside) > _MOST_OUTSIDE * len(pixel):
         row = int(np.argmax(far if far.any() else outside))
         raise BadInputError(
-            f"{path}: {np.mean(outside):.1%} of the panel pixels are outside the panel of {size[0]:g} x {size[1]:g} "
+            f"{np.mean(outside):.1%} of the panel pixels are outside the panel of {size[0]:g} x {size[1]:g} "
             f"pixels, {np.sum(outside)} of {len(pixel)}, such as {pixel[row].tolist()}; decode in the pixels of this "
             "panel, name the device that was measured, or leave these rows out."
         )
 
 
-def _refuse_repeated(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> None:
+def _refuse_repeated(columns: Mapping[str, NDArray[Any]]) -> None:
     """Refuse two rows that are equal in every column."""
     count = len(columns["kind"])
     rows = np.column_stack([np.asarray(each, np.float64).reshape(count, -1) for each in columns.values()])
@@ -179,7 +175,7 @@ def _refuse_repeated(path: str | Path, columns: Mapping[str, NDArray[Any]]) -> N
     same[same] = np.all(rows[order[1:][same]].view(np.uint64) == rows[order[:-1][same]].view(np.uint64), axis=1)
     if same.any():
         first, second = order[:-1][same][0], order[1:][same][0]
-        raise BadInputError(f"{path}: row {second} repeats row {first} in every column; remove one.")
+        raise BadInputError(f"row {second} repeats row {first} in every column; remove one.")
 
 
 def place_warnings(captures: Captures) -> list[str]:

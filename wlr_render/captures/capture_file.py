@@ -106,31 +106,36 @@ def load_observations(path: str | Path) -> Captures:
         BadInputError: the file cannot be read, is cut short, has another format or version, or holds implausible
             values.
     """
-    arrays = read_arrays(path, "a capture file (.npz)")
-    header = _header(arrays, path)
-    _check_sizes(path, arrays)
-    boxes = {name: _box(header.table(name)) for name in _BOXES if name == "eye_box" or header.has(name)}
     with prefix_errors(path):
-        columns = {} if header.whole("version", 1) == 1 else _columns(arrays, path)
-        sides = _sides(columns) if columns else _sides_of_version_1(arrays, path)
-        captures = _captures(header, boxes, sides, arrays, path)
-    columns = columns or _table(captures)
-    check_plausible(path, captures, columns, boxes)
+        arrays = _Arrays(read_arrays(path, "a capture file (.npz)"))
+        header = _header(arrays, path)
+        _check_sizes(arrays)
+        boxes = {name: _box(header.table(name)) for name in _BOXES if name == "eye_box" or header.has(name)}
+        columns = {} if header.whole("version", 1) == 1 else _columns(arrays)
+        captures = _captures(header, boxes, _sides(columns) if columns else _sides_of_version_1(arrays), arrays)
+        check_plausible(captures, columns or _table(captures), boxes)
     return captures
 
 
-def _columns(arrays: Mapping[str, NDArray[Any]], path: str | Path) -> dict[str, NDArray[Any]]:
+class _Arrays(dict[str, NDArray[Any]]):
+    """Arrays of a file by their names; refuses a name that the file lacks."""
+
+    def __missing__(self, name: str) -> NDArray[Any]:
+        raise BadInputError(f"the array '{name}' is missing; write the file again.")
+
+
+def _columns(arrays: _Arrays) -> dict[str, NDArray[Any]]:
     """Return the columns that a file has, all with the same number of rows."""
-    kind = _array(arrays, "kind", path)
+    kind = arrays["kind"]
     count = np.size(kind)
     if not count:
-        raise BadInputError(f"{path}: the table is empty; write at least one reading.")
+        raise BadInputError("the table is empty; write at least one reading.")
     if not np.isin(rows_of("kind", kind, (count,)), (PANEL_PIXEL, REAL_POINT)).all():
         raise BadInputError(f"captures: 'kind' must be {PANEL_PIXEL} (panel pixel) or {REAL_POINT} (real point).")
-    columns = {"kind": kind, "feature": rows_of("feature", _array(arrays, "feature", path), (count, 3), finite=False)}
+    columns = {"kind": kind, "feature": rows_of("feature", arrays["feature"], (count, 3), finite=False)}
     for name in _ROWS:
         if name not in _OPTIONAL or name in arrays:
-            columns[name] = column_of(FeatureCaptures, name, _array(arrays, name, path), count)
+            columns[name] = column_of(FeatureCaptures, name, arrays[name], count)
     return columns
 
 
@@ -144,11 +149,11 @@ def _sides(columns: Mapping[str, NDArray[Any]]) -> _Sides:
     return {side: of_side for side, of_side in sides.items() if len(of_side["capture"])}
 
 
-def _sides_of_version_1(arrays: Mapping[str, NDArray[Any]], path: str | Path) -> _Sides:
+def _sides_of_version_1(arrays: _Arrays) -> _Sides:
     """Return the columns of the captures of each side in a file of version 1, which has a table for each."""
     names = {"display": ["pixel"], "see_through": ["point", "target_pose"]}
     return {
-        side: {name: _array(arrays, f"{side}_{name}", path) for name in (*_OF_VERSION_1, *names[side])}
+        side: {name: arrays[f"{side}_{name}"] for name in (*_OF_VERSION_1, *names[side])}
         for side in _SIDES
         if side == "display" or f"{side}_viewpoint" in arrays
     }
@@ -158,15 +163,14 @@ def _captures(
     header: Table,
     boxes: Mapping[str, EyeBox],
     sides: _Sides,
-    arrays: Mapping[str, NDArray[Any]],
-    path: str | Path,
+    arrays: _Arrays,
 ) -> Captures:
     """Return captures from the columns of each side, the header and the arrays of motions and common errors."""
     eye: dict[str, Any] = {"device": header.text("device"), "eye": header.text("eye")}
     size = header.table("panel") if header.has("panel") else None
     panel = None if size is None else Panel(size.whole("width_px", 1), size.whole("height_px", 1))
     sources = tuple(header.texts("common_sources")) if header.has("common_sources") else ()
-    bench = {side: _bench(arrays, side, sources, path) for side in _SIDES}
+    bench = {side: _bench(arrays, side, sources) for side in _SIDES}
     display = see_through = None
     if "display" in sides:
         if panel is None:
@@ -180,14 +184,14 @@ def _captures(
     return Captures(display, see_through, panel)
 
 
-def _bench(arrays: Mapping[str, NDArray[Any]], side: str, sources: tuple[str, ...], path: str | Path) -> dict[str, Any]:
+def _bench(arrays: _Arrays, side: str, sources: tuple[str, ...]) -> dict[str, Any]:
     """Return the prior of motions and the common errors of a side; missing ones are left out."""
     known: dict[str, Any] = {}
     if any(f"{side}_motion_{part}" in arrays for part in _MOTION):
-        motion: dict[str, Any] = {part: _array(arrays, f"{side}_motion_{part}", path) for part in _MOTION}
+        motion: dict[str, Any] = {part: arrays[f"{side}_motion_{part}"] for part in _MOTION}
         known["motion"] = CaptureMotionPrior(**motion)
     if sources and f"{side}_common_motion" in arrays:
-        known["common"] = _common(arrays, f"{side}_common", sources, path)
+        known["common"] = _common(arrays, f"{side}_common", sources)
     return known
 
 
@@ -201,21 +205,21 @@ def _common_arrays(common: CommonErrors) -> list[tuple[str, NDArray[Any]]]:
     return arrays
 
 
-def _common(arrays: Mapping[str, NDArray[Any]], name: str, sources: tuple[str, ...], path: str | Path) -> CommonErrors:
+def _common(arrays: _Arrays, name: str, sources: tuple[str, ...]) -> CommonErrors:
     lens = None
     if f"{name}_lens_coefficients" in arrays:
-        orders, low, high, coefficients = (_array(arrays, f"{name}_{part}", path) for part in _LENS)
+        orders, low, high, coefficients = (arrays[f"{name}_{part}"] for part in _LENS)
         shapes = (orders.shape, low.shape, high.shape, coefficients.shape)
         if shapes != ((len(coefficients), 2), (2,), (2,), (len(coefficients), 2 * len(sources))):
-            raise BadInputError(f"{path}: '{name}_lens_...' have shapes that do not fit; write the file again.")
+            raise BadInputError(f"'{name}_lens_...' have shapes that do not fit; write the file again.")
         if orders.dtype.kind not in "iu" or orders.min(initial=0) < 0 or orders.max(initial=0) > HIGHEST_ORDER:
-            raise BadInputError(f"{path}: '{name}_lens_orders' must be whole numbers from 0 to {HIGHEST_ORDER}.")
+            raise BadInputError(f"'{name}_lens_orders' must be whole numbers from 0 to {HIGHEST_ORDER}.")
         if not (np.isfinite([low, high]).all() and np.all(low < high) and np.isfinite(coefficients).all()):
-            raise BadInputError(f"{path}: '{name}_lens_...' must be finite, with 'low' below 'high'; correct them.")
+            raise BadInputError(f"'{name}_lens_...' must be finite, with 'low' below 'high'; correct them.")
         lens = Polynomial(orders.astype(np.int64), Box(low, high), np.asarray(coefficients, np.float64))
-    given: dict[str, Any] = {part: _array(arrays, f"{name}_{part}", path) for part in ("capture", "motion")}
+    given: dict[str, Any] = {part: arrays[f"{name}_{part}"] for part in ("capture", "motion")}
     if f"{name}_target_pose" in arrays:
-        given |= {part: _array(arrays, f"{name}_{part}", path) for part in _OF_TARGETS}
+        given |= {part: arrays[f"{name}_{part}"] for part in _OF_TARGETS}
     return CommonErrors(sources, **given, lens=lens)
 
 
@@ -231,30 +235,24 @@ def _box(table: Table) -> EyeBox:
     return EyeBox(table.vector("centre_m", 3), table.vector("size_m", 3))
 
 
-def _array(arrays: Mapping[str, NDArray[Any]], name: str, path: str | Path) -> NDArray[Any]:
-    if name not in arrays:
-        raise BadInputError(f"{path}: the array '{name}' is missing; write the file again.")
-    return arrays[name]
-
-
-def _check_sizes(path: str | Path, arrays: dict[str, NDArray[Any]]) -> None:
+def _check_sizes(arrays: _Arrays) -> None:
     """Refuse arrays of anything but numbers, and too many rows, before any of them is converted."""
     for name, values in arrays.items():
         if name != "header" and values.dtype.kind not in "iuf":
-            raise BadInputError(f"{path}: '{name}' holds {values.dtype} values, not numbers; write the file again.")
+            raise BadInputError(f"'{name}' holds {values.dtype} values, not numbers; write the file again.")
         if len(np.atleast_1d(values)) > LIMITS.rows or values.size > _MOST_COLUMNS * LIMITS.rows:
             raise BadInputError(
-                f"{path}: '{name}' has the shape {values.shape}; at most {LIMITS.rows} rows of {_MOST_COLUMNS} numbers "
+                f"'{name}' has the shape {values.shape}; at most {LIMITS.rows} rows of {_MOST_COLUMNS} numbers "
                 "are read: leave some out."
             )
         if name == "stage" and values.ndim and values.shape[-1] > _MOST_COLUMNS:
             raise BadInputError(
-                f"{path}: 'stage' has {values.shape[-1]} axes; a stage has at most {_MOST_COLUMNS}: leave some out."
+                f"'stage' has {values.shape[-1]} axes; a stage has at most {_MOST_COLUMNS}: leave some out."
             )
 
 
-def _header(arrays: dict[str, NDArray[Any]], path: str | Path) -> Table:
-    text = str(_array(arrays, "header", path))
+def _header(arrays: _Arrays, path: str | Path) -> Table:
+    text = str(arrays["header"])
     content = parse_json(path, text, "a capture file with a JSON 'header'", "write it again")
     header = Table({key: value for key, value in content.items() if value is not None}, str(path))
     header.text("format", choices=[FORMAT])

@@ -28,35 +28,25 @@ _MAD = 1.4826  # median absolute deviation to standard deviation
 
 
 class Rejection(IntEnum):
-    """Reason for rejecting a camera pixel."""
+    """Reason for rejecting a camera pixel, with its `sentence`."""
 
-    ACCEPTED = 0
-    DARK = 1
-    SATURATED = 2
-    UNSURE_BIT = 3
-    WEAK_FRINGE = 4
-    CONTRADICTION = 5
-    OUTSIDE_PANEL = 6
-    ISOLATED = 7
-    PARTLY_LIT = 8
+    ACCEPTED = 0, "the pixel shows a panel position"
+    DARK = 1, "the panel's light is too weak there to be distinguished from noise"
+    SATURATED = 2, "a photograph is at the end of its scale there"
+    UNSURE_BIT = 3, "a bit of the code is too faint to be read"
+    WEAK_FRINGE = 4, "the fringes are too faint for their phase"
+    CONTRADICTION = 5, "code and fringes contradict each other"
+    OUTSIDE_PANEL = 6, "the decoded position lies outside the panel"
+    ISOLATED = 7, "the decoded position does not fit its neighbours"
+    PARTLY_LIT = 8, "most of the light that its neighbour gets is missing: the pixel sees past an edge"
 
-    @property
-    def sentence(self) -> str:
-        """The reason in words."""
-        return _SENTENCES[self]
+    sentence: str
 
-
-_SENTENCES = {
-    Rejection.ACCEPTED: "the pixel shows a panel position",
-    Rejection.DARK: "the panel's light is too weak there to be distinguished from noise",
-    Rejection.SATURATED: "a photograph is at the end of its scale there",
-    Rejection.UNSURE_BIT: "a bit of the code is too faint to be read",
-    Rejection.WEAK_FRINGE: "the fringes are too faint for their phase",
-    Rejection.CONTRADICTION: "code and fringes contradict each other",
-    Rejection.OUTSIDE_PANEL: "the decoded position lies outside the panel",
-    Rejection.ISOLATED: "the decoded position does not fit its neighbours",
-    Rejection.PARTLY_LIT: "most of the light that its neighbour gets is missing: the pixel sees past an edge",
-}
+    def __new__(cls, number: int, sentence: str = "") -> "Rejection":
+        """Return a reason with this number."""
+        reason = int.__new__(cls, number)
+        reason._value_, reason.sentence = number, sentence
+        return reason
 
 
 @dataclass(frozen=True, eq=False)

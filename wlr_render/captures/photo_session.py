@@ -48,11 +48,6 @@ class SessionCamera:
     calibrated_sigma: FloatArray | None = None
     lens_file: Path | None = None
 
-    @property
-    def full_scale(self) -> int:
-        """Value of a saturated pixel."""
-        return self.format.full_scale
-
 
 @dataclass(frozen=True, eq=False)
 class StageAxis:
@@ -261,17 +256,8 @@ class PhotoSession:
     @property
     def pattern(self) -> Pattern:
         """Pattern of the panel; ValueError if the two eyes' panels differ."""
-        return self._panel.pattern
-
-    @property
-    def primary_offsets(self) -> Mapping[str, FloatArray]:
-        """Positions of the panel's primaries, see `SessionPanel`; ValueError if the two eyes' panels differ."""
-        return self._panel.primary_offsets
-
-    @property
-    def _panel(self) -> SessionPanel:
         (panel,) = {id(each): each for each in self.panels.values()}.values()
-        return panel
+        return panel.pattern
 
     @property
     def gauge_target(self) -> int | None:

@@ -12,7 +12,7 @@ from wlr_render.captures.photographs import photographs_in
 from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
 from wlr_render.input_files import require_pixels
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table
+from wlr_render.toml_files import Table, stated
 
 _MOST_SIGMA = 1e6
 _SOURCES = ("intrinsics", "focal_px", "lens_file")
@@ -101,21 +101,19 @@ def _sigma(table: Table, count: int) -> FloatArray | None:
 
 def written_camera(camera: SessionCamera, folder: Path) -> dict[str, Any]:
     """Return the keys of a camera that `read_camera` reads back."""
-    keys: dict[str, Any] = {"width_px": camera.size_px[0], "height_px": camera.size_px[1]}
-    keys |= camera.format.keys()
-    if camera.calibrated_sigma is not None:
-        keys["sigma"] = camera.calibrated_sigma.tolist()
+    keys = {"width_px": camera.size_px[0], "height_px": camera.size_px[1]} | camera.format.keys()
+    keys |= stated(sigma=None if camera.calibrated_sigma is None else camera.calibrated_sigma.tolist())
     if camera.lens_file is not None:
         return keys | {"lens_file": str(camera.lens_file.relative_to(folder))}
-    calibrated = camera.calibrated
-    if calibrated is None:
-        kind = {} if camera.lens == "auto" else {"lens": camera.lens}
-        return keys | kind | {"intrinsics": str(camera.intrinsics[0].parent.relative_to(folder))}
-    if not isinstance(calibrated, LensCamera):
-        raise TypeError(f"a {type(calibrated).__name__} is written as its 'lens_file' only")
-    return keys | {
-        **({} if calibrated.kind == "brown" else {"lens": calibrated.kind}),
-        "focal_px": calibrated.focal_px.tolist(),
-        "opencv_centre_px": (calibrated.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
-        "distortion": calibrated.distortion.tolist(),
-    }
+    lens = camera.calibrated
+    if lens is None:
+        pictures = str(camera.intrinsics[0].parent.relative_to(folder))
+        return keys | stated(lens=None if camera.lens == "auto" else camera.lens, intrinsics=pictures)
+    if not isinstance(lens, LensCamera):
+        raise TypeError(f"a {type(lens).__name__} is written as its 'lens_file' only")
+    return keys | stated(
+        lens=None if lens.kind == "brown" else lens.kind,
+        focal_px=lens.focal_px.tolist(),
+        opencv_centre_px=(lens.centre_px + OPENCV_PIXEL_SHIFT).tolist(),
+        distortion=lens.distortion.tolist(),
+    )

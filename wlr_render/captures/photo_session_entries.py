@@ -25,7 +25,7 @@ from wlr_render.captures.photo_session import (
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.toml_files import Table
+from wlr_render.toml_files import Table, stated
 
 EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
 
@@ -110,14 +110,13 @@ def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
 
 
 def _written_axis(axis: StageAxis, axes: FloatArray) -> dict[str, Any]:
-    keys: dict[str, Any] = {"kind": axis.kind}
-    if axis.direction is not None:
-        keys["direction"] = (axes.T @ axis.direction + 0.0).tolist()
-    if axis.direction_sigma is not None:
-        keys["direction_sigma_deg"] = rounded(np.degrees(axis.direction_sigma))
-    if axis.pivot is not None:
-        keys["pivot_mm"] = rounded(1e3 * axes.T @ axis.pivot)
-    return keys
+    sigma, pivot = axis.direction_sigma, axis.pivot
+    return stated(
+        kind=axis.kind,
+        direction=None if axis.direction is None else (axes.T @ axis.direction + 0.0).tolist(),
+        direction_sigma_deg=None if sigma is None else rounded(np.degrees(sigma)),
+        pivot_mm=None if pivot is None else rounded(1e3 * axes.T @ pivot),
+    )
 
 
 def _is_plain(stage: StageDescription) -> bool:
@@ -133,23 +132,22 @@ class EntryFormat:
         folder: folder of the session.
         eyes: eyes of the session.
         stage: stage of the eyeball camera, or None.
-        turn: (m, m) matrix from readings in the file to readings along the axes of the stage.
+        axes: (3, 3) rotation from the file's device axes to the device frame's.
     """
 
     folder: Path
     eyes: tuple[str, ...]
     stage: StageDescription | None
-    turn: FloatArray
+    axes: FloatArray
 
-    @staticmethod
-    def of_axes(folder: Path, eyes: tuple[str, ...], stage: StageDescription | None, axes: FloatArray) -> "EntryFormat":
-        """Return the format of a file whose device axes are `axes`, (3, 3) rotation to the device frame's.
+    @property
+    def turn(self) -> FloatArray:
+        """Matrix (m, m) from readings in the file to readings along the axes of the stage.
 
         Readings of three linear axes are along the file's x, y and z; their signs are free while their directions are
         unknown.
         """
-        turn = axes if stage is None or _is_plain(stage) else np.eye(len(stage.axes))
-        return EntryFormat(folder, eyes, stage, turn)
+        return self.axes if self.stage is None or _is_plain(self.stage) else np.eye(len(self.stage.axes))
 
     def photograph(self, table: Table, on_stage: bool = True) -> BoardPhotograph:
         """Read a photograph of the board; `on_stage` for the eyeball camera.
@@ -164,11 +162,9 @@ class EntryFormat:
 
     def beside(self, table: Table) -> BoardPhotograph:
         """Read a photograph past the optics; raises like `photograph`."""
-        regions = None
-        if table.has("region_px"):
-            regions = table.vectors("region_px", 4)
-            if np.any(regions[:, :2] >= regions[:, 2:]):
-                raise table.fail("'region_px' must hold [u0, v0, u1, v1] with u0 below u1 and v0 below v1.")
+        regions = table.vectors("region_px", 4) if table.has("region_px") else None
+        if regions is not None and np.any(regions[:, :2] >= regions[:, 2:]):
+            raise table.fail("'region_px' must hold [u0, v0, u1, v1] with u0 below u1 and v0 below v1.")
         return replace(self.photograph(table), regions=regions)
 
     def through(self, table: Table) -> BoardPhotograph:
@@ -225,25 +221,23 @@ class EntryFormat:
     def written(self, entry: SessionEntry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
         """Serialise an entry that `photograph` or `code_set` reads back, with `place` if given; `on_stage` as there."""
         if isinstance(entry, BoardPhotograph):
-            keys: dict[str, Any] = {"photograph": entry.name, "target_pose": entry.target_pose}
-            if entry.regions is not None:
-                keys["region_px"] = entry.regions.tolist()
+            regions = None if entry.regions is None else entry.regions.tolist()
+            keys = stated(photograph=entry.name, target_pose=entry.target_pose, region_px=regions)
         else:
             near = entry.folder.is_relative_to(self.folder)
             keys = {"photographs": str(entry.folder.relative_to(self.folder) if near else entry.folder)}
-        if isinstance(entry, CodeSet) and entry.channel is not None:
-            keys["channel"] = entry.channel
+        if isinstance(entry, CodeSet):
+            keys |= stated(channel=entry.channel)
         if entry.stage is not None and self.stage is not None:
             key = "stage_mm" if _is_plain(self.stage) else "stage"
             keys[key] = rounded(self.turn.T @ (entry.stage / self.stage.units))
-        if place:
-            keys["place"] = place
-        if entry.orientation:
-            keys["orientation"] = entry.orientation
-        if len(self.eyes) > 1 and on_stage:
-            keys["eye"] = entry.eye
-        times = {"time_s": entry.time_s, "temperature_c": entry.temperature_c}
-        return keys | {key: value for key, value in times.items() if value is not None}
+        return keys | stated(
+            place=place or None,
+            orientation=entry.orientation or None,
+            eye=entry.eye if len(self.eyes) > 1 and on_stage else None,
+            time_s=entry.time_s,
+            temperature_c=entry.temperature_c,
+        )
 
 
 def stage_lists(session: PhotoSession) -> dict[str, Sequence[SessionEntry]]:
@@ -258,7 +252,7 @@ def with_places(session: PhotoSession, form: EntryFormat | None = None) -> Photo
         session: its entries have a reading, or a place.
         form: format of the file that the names follow; by default the format of a saved session.
     """
-    form = form or EntryFormat.of_axes(session.folder, session.eyes, session.stage, FRAMES["opencv"])
+    form = form or EntryFormat(session.folder, session.eyes, session.stage, FRAMES["opencv"])
     lists = stage_lists(session)
     names = iter(place_names([each for entries in lists.values() for each in entries], form, session.place_tolerance))
     placed: dict[str, Any] = {

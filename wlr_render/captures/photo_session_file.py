@@ -33,10 +33,10 @@ from wlr_render.captures.photo_session_entries import (
 )
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
-from wlr_render.input_files import LIMITS, require_eye_box, require_pixels, shown
+from wlr_render.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels, shown
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table, read_toml, write_toml
+from wlr_render.toml_files import Table, read_toml, stated, write_toml
 
 FILE = "session.toml"
 FORMAT = "photo-session"
@@ -78,14 +78,14 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     eyeball_table.finish()
     tracking, device_from_tracking, tracking_sigma = _tracking_camera(file, root, axes)
     stage, tolerance = read_stage(file, axes)
-    form = EntryFormat.of_axes(root, eyes, stage, axes)
+    form = EntryFormat(root, eyes, stage, axes)
     session = PhotoSession(
         folder=root,
         device=device,
         eyes=eyes,
         eye_boxes=_of_each_eye(file, "eye_box", eyes, lambda table: _eye_box(table, axes), alike=False),
         panels=panels,
-        decoding=DecodeOptions(full_scale=eyeball.full_scale, **decoding_keys),
+        decoding=DecodeOptions(full_scale=eyeball.format.full_scale, **decoding_keys),
         board=load_board(file.path("board", root)),
         eyeball_camera=eyeball,
         see_through=tuple(form.through(table) for table in file.tables("see_through", required=False)),
@@ -149,10 +149,8 @@ def _panels(
     order = table.text("order", CODE_ORDERS[0], CODE_ORDERS)
     manifest = table.path("manifest", root) if table.has("manifest") else None
     table.finish()
-    try:
+    with prefix_errors(table.where):
         made = {id(size): SessionPanel(make_pattern(name, size[0], **numbers), size[1]) for size in sizes.values()}
-    except BadInputError as error:
-        raise table.fail(str(error)) from error
     return {eye: made[id(size)] for eye, size in sizes.items()}, decoding, order, manifest
 
 
@@ -237,43 +235,46 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
         code: content of the table [code]: `pattern` and its parameters.
         board: name of the board's file in the folder.
     """
-    axes = FRAMES["opencv"]
-    form = EntryFormat.of_axes(session.folder, session.eyes, session.stage, axes)
-    boxes = {eye: _written_eye_box(box, axes) for eye, box in session.eye_boxes.items()}
+    axes, is_one_eye = FRAMES["opencv"], len(session.eyes) == 1
+    boxes = {
+        eye: {"centre_mm": rounded(axes.T @ box.centre / _MM), "size_mm": rounded(box.size / _MM)}
+        for eye, box in session.eye_boxes.items()
+    }
     panels = {eye: _written_panel(panel) for eye, panel in session.panels.items()}
     one_panel = len({id(panel) for panel in session.panels.values()}) == 1
-    content: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "unit": "mm",
-        "frame": "opencv",
-        "device": session.device,
-        **({"eye": session.eye} if len(session.eyes) == 1 else {"eyes": list(session.eyes)}),
-        "board": board,
-        **({} if session.gauge is None else {"gauge": session.gauge}),
-        "panel": panels[session.eyes[0]] if one_panel else panels,
-        "code": code | _written_code(session),
-        "eye_box": boxes if len(boxes) > 1 else boxes[session.eye],
-        "eyeball_camera": written_camera(session.eyeball_camera, session.folder),
-    }
+    order = None if session.code_order == CODE_ORDERS[0] else session.code_order
+    manifest = None if session.code_manifest is None else session.name_of(session.code_manifest)
+    tracking = None
     if session.tracking_camera is not None and session.device_from_tracking is not None:
-        content["tracking_camera"] = written_camera(session.tracking_camera, session.folder) | _written_pose(
-            session.device_from_tracking, session.tracking_sigma, axes
-        )
-    if stage := written_stage(session, axes):
-        content["stage"] = stage
+        pose = _written_pose(session.device_from_tracking, session.tracking_sigma, axes)
+        tracking = written_camera(session.tracking_camera, session.folder) | pose
     targets = [
-        {"pose": pose}
-        | _written_pose(each.device_from, each.sigma, axes)
-        | ({} if each.board_file is None else {"board": each.board_file})
+        {"pose": pose} | _written_pose(each.device_from, each.sigma, axes) | stated(board=each.board_file)
         for pose, each in session.targets.items()
     ]
-    lists = {"target": targets} | _written_entries(session, form)
-    content |= {name: written for name, written in lists.items() if written}
+    content = stated(
+        format=FORMAT,
+        version=VERSION,
+        unit="mm",
+        frame="opencv",
+        device=session.device,
+        eye=session.eye if is_one_eye else None,
+        eyes=None if is_one_eye else list(session.eyes),
+        board=board,
+        gauge=session.gauge,
+        panel=panels[session.eyes[0]] if one_panel else panels,
+        code=code | stated(order=order, manifest=manifest),
+        eye_box=boxes[session.eye] if is_one_eye else boxes,
+        eyeball_camera=written_camera(session.eyeball_camera, session.folder),
+        tracking_camera=tracking,
+        stage=written_stage(session, axes) or None,
+        target=targets or None,
+        **_written_entries(session, EntryFormat(session.folder, session.eyes, session.stage, axes)),
+    )
     return write_toml(session.folder / FILE, content, "docs/photo-session.md has the format")
 
 
-def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, list[dict[str, Any]]]:
+def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, Any]:
     """Return the lists of photographs, with only those position names that stage readings do not imply."""
     entries = [(name, entry) for name, listed in stage_lists(session).items() for entry in listed]
     unnamed = [entry if session.stage is None else replace(entry, place="") for _, entry in entries]
@@ -281,30 +282,20 @@ def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, list
     for (name, entry), derived in zip(entries, place_names(unnamed, form, session.place_tolerance), strict=True):
         place = entry.place if session.stage is None or entry.place != derived else None
         written[name].append(form.written(entry, place))
-    return written | {"tracking": [form.written(entry, None, on_stage=False) for entry in session.tracking]}
-
-
-def _written_code(session: PhotoSession) -> dict[str, str]:
-    keys = {} if session.code_order == CODE_ORDERS[0] else {"order": session.code_order}
-    return keys if session.code_manifest is None else keys | {"manifest": session.name_of(session.code_manifest)}
+    written["tracking"] = [form.written(entry, None, on_stage=False) for entry in session.tracking]
+    return {name: listed for name, listed in written.items() if listed}
 
 
 def _written_panel(panel: SessionPanel) -> dict[str, Any]:
     size = panel.pattern.panel
     offsets = {channel: offset.tolist() for channel, offset in panel.primary_offsets.items()}
-    keys: dict[str, Any] = {"width_px": size.width_px, "height_px": size.height_px}
-    return keys | ({"primary_offsets_px": offsets} if offsets else {})
-
-
-def _written_eye_box(box: EyeBox, axes: FloatArray) -> dict[str, Any]:
-    return {"centre_mm": rounded(axes.T @ box.centre / _MM), "size_mm": rounded(box.size / _MM)}
+    return stated(width_px=size.width_px, height_px=size.height_px, primary_offsets_px=offsets or None)
 
 
 def _written_pose(pose: FloatArray, sigma: tuple[float, float] | None, axes: FloatArray) -> dict[str, Any]:
-    keys: dict[str, Any] = {
-        "rotation": (axes.T @ pose[:3, :3]).tolist(),
-        "translation_mm": rounded(axes.T @ pose[:3, 3] / _MM),
-    }
-    if sigma is None:
-        return keys
-    return keys | {"sigma_deg": rounded(np.degrees(sigma[0])), "sigma_mm": rounded(sigma[1] / _MM)}
+    return stated(
+        rotation=(axes.T @ pose[:3, :3]).tolist(),
+        translation_mm=rounded(axes.T @ pose[:3, 3] / _MM),
+        sigma_deg=None if sigma is None else rounded(np.degrees(sigma[0])),
+        sigma_mm=None if sigma is None else rounded(sigma[1] / _MM),
+    )

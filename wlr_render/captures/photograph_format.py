@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wlr_render.delimited_text import with_commas
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import as_bad_input, read_text
-from wlr_render.toml_files import Table
+from wlr_render.toml_files import Table, stated
 
 StoredValues = NDArray[np.unsignedinteger[Any]]
 
@@ -120,14 +120,13 @@ class PhotographFormat:
 
     def keys(self) -> dict[str, Any]:
         """Return the keys from which `from_table` reads the same format; defaults are left out."""
-        written: dict[str, Any] = {"bits": self.bits}
-        default = PhotographFormat(bits=self.bits)
-        for name in ("saturation", "left_justified", "black_level", "gamma", "channel", "mosaic", "interpolate"):
-            if getattr(self, name) != getattr(default, name):
-                written[name] = getattr(self, name)
-        if self.linearisation_file:
-            written["linearisation"] = self.linearisation_file
-        return written | ({"synthetic": True} if self.synthetic else {})
+        names = ("saturation", "left_justified", "black_level", "gamma", "channel", "mosaic", "interpolate")
+        changed = {name: value for name in names if (value := getattr(self, name)) != getattr(PhotographFormat, name)}
+        return (
+            {"bits": self.bits}
+            | changed
+            | stated(linearisation=self.linearisation_file or None, synthetic=self.synthetic or None)
+        )
 
     def convert(self, stored: StoredValues, name: str) -> StoredValues:
         """Convert stored values to linear values of one channel.

@@ -29,7 +29,7 @@ from wlr_render.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress
 
-_VERSION = 6  # version of the reader: results of another version are read again
+_VERSION = 7  # version of the reader: results of another version are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept for a decoded set
 _MOST_WORKERS = 3  # most workers by default: decoding 1280 x 1024 pixels takes half a gigabyte in each process
 
@@ -129,20 +129,17 @@ def read_session(
     order = {task.name: number for number, task in enumerate(tasks)}
     return Reading(
         {task.path: task.result(kept) for task in boards if (kept := _kept(task, folder))},
-        {task.folder: task.result(kept) for task in panels if (kept := _kept(task, folder))},
+        {task.path: task.result(kept) for task in panels if (kept := _kept(task, folder))},
         tuple(sorted((each for each in outcomes if each), key=lambda each: order[each.name])),
         len(tasks) - len(waiting),
     )
 
 
 def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
+    camera, order, manifest = session.eyeball_camera, session.code_order, session.code_manifest
     for code_set in session.display:
-        camera, pattern = session.eyeball_camera, session.panels[code_set.eye].pattern
-        name = session.name_of(code_set.folder)
-        order, manifest = session.code_order, session.code_manifest
-        yield _PanelTask(
-            name, code_set.folder, order, manifest, pattern, session.decoding, camera.size_px, camera.format
-        )
+        name, pattern = session.name_of(code_set.path), session.panels[code_set.eye].pattern
+        yield _PanelTask(name, code_set.path, order, manifest, pattern, session.decoding, camera.size_px, camera.format)
 
 
 def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
@@ -175,21 +172,14 @@ class _BoardTask:
         image = read_photograph(self.path, self.kind)
         check_photograph(image, self.size_px, self.kind, self.name)
         observation = self.board.find(image, self.name)
-        counts = np.array([observation.unidentified, observation.disagreeing, observation.ambiguous_half_turn])
-        arrays = {
-            "index": observation.index,
-            "pixel": observation.pixel,
-            "sigma_px": observation.sigma_px,
-            "counts": counts,
-        }
         discs = observation.discs
-        return arrays if discs is None else arrays | {"centroid": discs.centroid, "radius_m": discs.radius_m}
+        arrays = {name: np.asarray(value) for name, value in vars(observation).items() if name != "discs"}
+        return arrays if discs is None else arrays | vars(discs)
 
     def result(self, kept: dict[str, NDArray[Any]]) -> BoardObservation:
-        unidentified, disagreeing, half_turn = (int(number) for number in kept["counts"])
-        features = kept["index"], kept["pixel"], kept["sigma_px"]
         discs = Discs(kept["centroid"], kept["radius_m"]) if "centroid" in kept else None
-        return BoardObservation(*features, unidentified, disagreeing, bool(half_turn), discs)
+        half_turn = bool(kept["ambiguous_half_turn"])
+        return BoardObservation(kept["index"], kept["pixel"], kept["sigma_px"], half_turn, discs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,17 +187,13 @@ class _PanelTask:
     """Task: decode one set of code photographs."""
 
     name: str
-    folder: Path
+    path: Path
     order: str
     manifest: Path | None
     pattern: Pattern
     decoding: DecodeOptions
     size_px: tuple[int, int]
     kind: PhotographFormat
-
-    @property
-    def path(self) -> Path:
-        return self.folder
 
     def fingerprint(self) -> str:
         files = self._files()
@@ -216,7 +202,7 @@ class _PanelTask:
         return _fingerprint(files.paths, how)
 
     def _files(self) -> CodeFiles:
-        return find_code_files(self.folder, self.pattern.names(), self.order, self.manifest)
+        return find_code_files(self.path, self.pattern.names(), self.order, self.manifest)
 
     def read(self) -> dict[str, NDArray[Any]]:
         files = self._files()
@@ -226,7 +212,12 @@ class _PanelTask:
         samples = sample(decoded)
         if len(samples) == 0:
             raise BadInputError(_why_nothing(decoded))
-        return _arrays(decoded, samples) | {
+        step = max(1, decoded.rejection.shape[1] // _THUMBNAIL_PX)
+        accepted = decoded.pixel[decoded.accepted].astype(np.float64)
+        return vars(samples) | {
+            "counts": np.bincount(decoded.rejection.ravel(), minlength=len(Rejection)),
+            "fates": decoded.rejection[::step, ::step],
+            "extent": np.stack([accepted.min(axis=0), accepted.max(axis=0)]),
             "missing": np.array(files.missing, dtype=np.int64),
             "file_note": np.array(file_note(files.paths[0], self.kind)),
         }
@@ -309,13 +300,3 @@ def _why_nothing(decoded: Decoded) -> str:
     finer = " (stripes finer than a camera pixel? the code gray-fringes has wider ones)"
     hint = finer if most == Rejection.UNSURE_BIT else ""
     return f"no camera pixel could be decoded; most were rejected because {most.sentence}{hint}."
-
-
-def _arrays(decoded: Decoded, samples: DecodedSamples) -> dict[str, NDArray[Any]]:
-    step = max(1, decoded.rejection.shape[1] // _THUMBNAIL_PX)
-    accepted = decoded.pixel[decoded.accepted].astype(np.float64)
-    return vars(samples) | {
-        "counts": np.bincount(decoded.rejection.ravel(), minlength=len(Rejection)),
-        "fates": decoded.rejection[::step, ::step],
-        "extent": np.stack([accepted.min(axis=0), accepted.max(axis=0)]),
-    }

@@ -211,15 +211,14 @@ def _pixel(name: str, meaning: str, group: str = "") -> tuple[Column, ...]:
     return tuple(Column(f"{name}_{axis}", "px", f"{meaning}, {axis}", group=group) for axis in "uv")
 
 
-def _index(name: str, meaning: str, kind: Kind = Kind.INDEX) -> Field:
-    return Field(name, _WHOLE, (Column(name, "", meaning, kind),))
+def _single(name: str, unit: str, meaning: str, kind: Kind = Kind.NUMBER, **rules: Any) -> Field:
+    """Return the field of one column of the same name."""
+    quantity = _WHOLE if kind in (Kind.INDEX, Kind.CHANNEL) else _NUMBER
+    return Field(name, quantity, (Column(name, unit, meaning, kind, **rules),))
 
 
-_TIME = Field("time_s", _NUMBER, (Column("time_s", "s", "time since the start of the session"),))
-_SESSION_TIME = Field(
-    "time_s",
-    _NUMBER,
-    (Column("time_s", "s", "time since the start of the session (default: not recorded)", group="time", absent=0.0),),
+_SESSION_TIME = _single(
+    "time_s", "s", "time since the start of the session (default: not recorded)", group="time", absent=0.0
 )
 _STAGE = Field(
     "stage",
@@ -230,20 +229,14 @@ _STAGE_NAMES = tuple(f"stage_{axis}_mm" for axis in "xyz")
 _ORIENTATION = Field(
     "orientation", _ROTATION, _quaternion("camera", "camera rotation device_from_camera (default: none)", "camera_q")
 )
-_SIGMA = Field(
+_SIGMA = _single(
     "sigma_px",
-    _NUMBER,
-    (
-        Column(
-            "sigma_px",
-            "px",
-            "standard deviation of the reading per axis, camera pixels (default: `point_sigma_px` of `[camera]`)",
-            Kind.POSITIVE,
-            "sigma",
-            most=100.0,
-            least=1e-6,
-        ),
-    ),
+    "px",
+    "standard deviation of the reading per axis, camera pixels (default: `point_sigma_px` of `[camera]`)",
+    Kind.POSITIVE,
+    group="sigma",
+    most=100.0,
+    least=1e-6,
 )
 _CAMERA_QUATERNION = tuple(f"camera_q{axis}" for axis in "xyzw")
 _HEAD_QUATERNION = tuple(f"head_q{axis}" for axis in "xyzw")
@@ -256,11 +249,11 @@ DISPLAY = Schema(
     DisplayPlan,
     "panel_pixel",
     (
-        _index("capture", "index of the photograph"),
+        _single("capture", "", "index of the photograph", Kind.INDEX),
         _SESSION_TIME,
-        Field("travel", _NUMBER, (Column("travel", "", "direction of the stage's last move in x", Kind.SIGN),)),
+        _single("travel", "", "direction of the stage's last move in x", Kind.SIGN),
         _STAGE,
-        _index("channel", "0 red, 1 green, 2 blue", Kind.CHANNEL),
+        _single("channel", "", "0 red, 1 green, 2 blue", Kind.CHANNEL),
         Field("camera_pixel", CAMERA_PIXEL, _pixel("camera", "camera pixel")),
         Field("panel_pixel", Quantity(), _pixel("pixel", "decoded panel position")),
         _ORIENTATION,
@@ -278,8 +271,8 @@ SEE_THROUGH = Schema(
     SeeThroughPlan,
     "dot_pixel",
     (
-        _index("target_pose", "index of the [[target_pose]] in bench.toml"),
-        _index("capture", "index of the photograph, counted from 0 at every target pose"),
+        _single("target_pose", "", "index of the [[target_pose]] in bench.toml", Kind.INDEX),
+        _single("capture", "", "index of the photograph, counted from 0 at every target pose", Kind.INDEX),
         _SESSION_TIME,
         _STAGE,
         Field(
@@ -288,10 +281,8 @@ SEE_THROUGH = Schema(
             _axes("target", "mm", "_mm", "position of the dot on the printed target", "xy", _MOST_IN_DEVICE_MM),
         ),
         Field("dot_pixel", CAMERA_PIXEL, _pixel("camera", "position of the dot in the photograph, through the optics")),
-        Field(
-            "travel",
-            _NUMBER,
-            (Column("travel", "", "direction of the stage's last move in x (default: +1)", Kind.SIGN, "travel", 1.0),),
+        _single(
+            "travel", "", "direction of the stage's last move in x (default: +1)", Kind.SIGN, group="travel", absent=1.0
         ),
         _ORIENTATION,
         Field(
@@ -322,8 +313,8 @@ RUN_TIME = Schema(
     RunTimePlan,
     "run_time_pixel",
     (
-        _index("capture", "index of the recording; a recording has many rows"),
-        _TIME,
+        _single("capture", "", "index of the recording; a recording has many rows", Kind.INDEX),
+        _single("time_s", "s", "time since the start of the session"),
         Field(
             "world_from_device",
             _POSE,

@@ -4,8 +4,9 @@ import difflib
 import gzip
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,7 +145,7 @@ def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence
         value = columns[column.name]
         demands = (
             (~np.isfinite(value), f"finite; {_REMEDY}"),
-            (~_allowed(value, column.kind), column.kind),
+            (~_ALLOWED[column.kind](value), column.kind),
             (value < column.least, f"{column.least:g} {column.unit} or more: check its unit"),
             (np.abs(value) > column.largest, f"{column.largest:g} {column.unit}".strip() + " at most: check its unit"),
         )
@@ -166,17 +167,13 @@ def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence
             )
 
 
-def _allowed(value: FloatArray, kind: Kind) -> NDArray[np.bool_]:
-    match kind:
-        case Kind.INDEX:
-            return np.asarray((value >= 0) & (value == np.round(value)))
-        case Kind.SIGN:
-            return np.asarray(np.abs(value) == 1)
-        case Kind.CHANNEL:
-            return np.isin(value, (0, 1, 2))
-        case Kind.POSITIVE:
-            return np.asarray(value > 0)
-    return np.isfinite(value)
+_ALLOWED: dict[Kind, Callable[[FloatArray], Any]] = {
+    Kind.NUMBER: np.isfinite,
+    Kind.INDEX: lambda value: (value >= 0) & (value == np.round(value)),
+    Kind.SIGN: lambda value: np.abs(value) == 1,
+    Kind.CHANNEL: lambda value: np.isin(value, (0, 1, 2)),
+    Kind.POSITIVE: lambda value: value > 0,
+}
 
 
 def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Sequence[int]) -> None:

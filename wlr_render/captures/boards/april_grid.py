@@ -120,16 +120,11 @@ class AprilGrid(CellBoard):
             black.append(dark)
         return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
 
-    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """Find the board; any part of it with two tags or more is enough.
-
-        Raises:
-            BoardNotFoundError: fewer tags of the board are in the picture, or their order differs from this board's.
-        """
+    def _find(self, image: Photograph) -> BoardObservation:
+        """Find the board; any part of it with two tags or more is enough."""
         grey = as_bytes(image)
         corners, numbers = self._detect(grey)
         on_board = self._has(numbers)
-        foreign = int((~on_board).sum())
         fault = self._other_design(grey, numbers)
         if fault is None and on_board.sum() < _LEAST_TAGS:
             fault = self._why_nothing(grey, numbers)
@@ -139,13 +134,13 @@ class AprilGrid(CellBoard):
             turn, error = self._turned(numbers, corners)
             fault = self._other_layout(numbers, corners, error) or self._further_tags(others, numbers, corners, turn)
         if fault is not None:
-            raise BoardNotFoundError(f"{name}: {fault}")
+            raise BoardNotFoundError(fault)
         index, place = self._corner_indices(numbers, turn), self._places(numbers, turn)
         reach = 0.9 * min(self.border_bits / self._bits, self.spacing)
-        observation = observe_corners(image, index, place, _starts(grey, corners, reach), reach, name=name)
+        observation = observe_corners(image, index, place, _starts(grey, corners, reach), reach)
         if fault := self._other_spacing(observation):
-            raise BoardNotFoundError(f"{name}: {fault}")
-        return replace(observation, unidentified=4 * foreign)
+            raise BoardNotFoundError(fault)
+        return observation
 
     def _has(self, numbers: IntArray) -> BoolArray:
         """Return which tags (n,) belong to this board, by number."""

@@ -56,8 +56,6 @@ class BoardObservation:
         pixel: (n, 2) positions of the features, camera pixels from the outer corner of the top-left pixel; for a dot
             its *centre*, without the bias of a perspective view of a disc.
         sigma_px: (n,) estimated standard deviation of `pixel` per axis.
-        unidentified: number of features that were detected but not identified.
-        disagreeing: number of features that differ from the board's, e.g. dots of another size.
         ambiguous_half_turn: True if the board looks the same after a half turn, so that the indices may belong to the
             turned board; `half_turned` has the others.
         discs: discs of dots, from which `pixel` is computed again once the lens is known; None for corners.
@@ -66,8 +64,6 @@ class BoardObservation:
     index: IntArray
     pixel: FloatArray
     sigma_px: FloatArray
-    unidentified: int = 0
-    disagreeing: int = 0
     ambiguous_half_turn: bool = False
     discs: Discs | None = None
 
@@ -159,7 +155,6 @@ class Board(ABC):
     def svg_shapes(self) -> list[str]:
         """Return the SVG elements of the black shapes, in millimetres from the board's top left corner."""
 
-    @abstractmethod
     def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
         """Find and identify the board's features in a photograph.
 
@@ -168,8 +163,17 @@ class Board(ABC):
             name: name of the photograph, for the error.
 
         Raises:
-            BoardNotFoundError: the board is not in the picture or too little of it, or another board is.
+            BoardNotFoundError: the board is not in the picture or too little of it, another board is, the picture is
+                mirrored, or it is too dark or too bright to show anything.
         """
+        try:
+            return self._find(image)
+        except BoardNotFoundError as error:
+            raise BoardNotFoundError(f"{name}: {error}") from error
+
+    @abstractmethod
+    def _find(self, image: Photograph) -> BoardObservation:
+        """Return what `find` returns; its errors lack the photograph's name."""
 
 
 def grid_indices(columns: int, rows: int) -> IntArray:

@@ -19,8 +19,7 @@ from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.boards.markers import DICTIONARIES, dictionary_of
 from wlr_render.captures.plain_data import read_mapping
 from wlr_render.delimited_text import is_number
-from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, read_text
+from wlr_render.input_files import LIMITS, prefix_errors, read_text
 from wlr_render.numerics.arrays import BoolArray
 from wlr_render.toml_files import Table, read_toml, write_toml
 
@@ -243,10 +242,8 @@ def _dot_board(table: Table, lengths: _Lengths, tolerances: BoardTolerances) -> 
     for key, number in (("columns", large.shape[1]), ("rows", large.shape[0])):
         if table.number(key) != number:
             raise table.fail(f"'{key}' is {table.number(key):g}, but 'sizes' has {number} {key}; one is wrong.")
-    try:
+    with prefix_errors(table.where):
         check_sizes(pitch_m, large_m, small_m, margin_m)
-    except BadInputError as error:
-        raise table.fail(str(error)) from error
     return DotBoard(pitch_m, large_m, small_m, margin_m, large, tolerances)
 
 

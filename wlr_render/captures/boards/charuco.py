@@ -88,21 +88,16 @@ class CharucoBoard(CellBoard):
             black.append(dark)
         return CellPattern.of_black(self.size_m, np.concatenate(painted), np.concatenate(black))
 
-    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """Find the board; any part of it with two markers or more is enough.
-
-        Raises:
-            BoardNotFoundError: no marker of the board is in the picture, or their order differs from this board's; the
-                sentence states whether it is the order of the other pattern.
-        """
+    def _find(self, image: Photograph) -> BoardObservation:
+        """Find the board; any part of it with two markers or more is enough."""
         grey = as_bytes(image)
         detected = self._detect(grey)
         fault = self._other_sizes(detected) if len(detected.index) else self._why_nothing(grey, detected.numbers)
         if fault is not None:
-            raise BoardNotFoundError(f"{name}: {fault}")
+            raise BoardNotFoundError(fault)
         margin = 0.5 * (1.0 - self.marker_m / self.square_m)
         place = detected.index.astype(np.float64)
-        return observe_corners(image, detected.index, place, [detected.pixel], white_margin=margin, name=name)
+        return observe_corners(image, detected.index, place, [detected.pixel], white_margin=margin)
 
     def _detect(self, grey: NDArray[np.uint8]) -> "_Detected":
         board = self._opencv

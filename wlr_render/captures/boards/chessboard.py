@@ -73,13 +73,9 @@ class Chessboard(CellBoard):
             self.size_m, np.concatenate([low, low + self.square_m], axis=1), square.sum(axis=1) % 2 == 0
         )
 
-    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """Find the board; all inner corners must be in the picture.
-
-        Raises:
-            BoardNotFoundError: no such chessboard is in the picture, or one of more squares.
-        """
-        grid = self._grid(image, name)
+    def _find(self, image: Photograph) -> BoardObservation:
+        """Find the board; all inner corners must be in the picture."""
+        grid = self._grid(image)
         if _cross(grid) < 0:
             grid = grid[:, ::-1]
         if not self.half_turn_symmetric and _first_is_light(image, grid):
@@ -88,21 +84,21 @@ class Chessboard(CellBoard):
         sides = _sides_with_more(image, grid)
         if sides:
             raise BoardNotFoundError(
-                f"{name}: the chessboard seen has more squares than board.toml says ({self.columns} x {self.rows} "
+                f"the chessboard seen has more squares than board.toml says ({self.columns} x {self.rows} "
                 f"inner corners): they go on at its {' and '.join(sides)}; count the inner corners of the whole board."
             )
         index = self.indices()
         start = grid[index[:, 1], index[:, 0]]
-        observation = observe_corners(image, index, index.astype(np.float64), [start], name=name)
+        observation = observe_corners(image, index, index.astype(np.float64), [start])
         if not np.array_equal(np.ptp(observation.index, axis=0), np.ptp(index, axis=0)):
             raise BoardNotFoundError(
-                f"{name}: of {self.columns} x {self.rows} inner corners a whole outer line does not look like corners; "
+                f"of {self.columns} x {self.rows} inner corners a whole outer line does not look like corners; "
                 "the chessboard has fewer squares than board.toml says, or its edge is not seen: count the inner "
                 "corners of the whole board."
             )
         return replace(observation, ambiguous_half_turn=self.half_turn_symmetric)
 
-    def _grid(self, image: Photograph, name: str) -> FloatArray:
+    def _grid(self, image: Photograph) -> FloatArray:
         """Return the pixels (rows, columns, 2), in OpenCV's order.
 
         Raises:
@@ -115,12 +111,12 @@ class Chessboard(CellBoard):
             skipping = True
         if skipping:
             raise BoardNotFoundError(
-                f"{name}: {self.columns} x {self.rows} inner corners were only found by leaving out others "
+                f"{self.columns} x {self.rows} inner corners were only found by leaving out others "
                 "between them; the chessboard has more squares than board.toml says: count the inner "
                 "corners of the whole board."
             )
         raise BoardNotFoundError(
-            f"{name}: no chessboard of {self.columns} x {self.rows} inner corners is in the picture; show all of its "
+            f"no chessboard of {self.columns} x {self.rows} inner corners is in the picture; show all of its "
             "squares with some white around them, and check the numbers in board.toml."
         )
 

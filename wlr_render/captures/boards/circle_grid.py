@@ -111,17 +111,13 @@ class CircleGrid(Board):
         centre_mm = 1e3 * (self.point_of(self.indices())[:, :2] + 0.5 * self.size_m)
         return [f'<circle cx="{x:.4f}" cy="{y:.4f}" r="{500.0 * self.diameter_m:.4f}"/>' for x, y in centre_mm]
 
-    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
-        """Find the board; all circles must be in the picture.
-
-        Raises:
-            BoardNotFoundError: no such grid is in the picture, or one of more circles.
-        """
+    def _find(self, image: Photograph) -> BoardObservation:
+        """Find the board; all circles must be in the picture."""
         dots = find_dots(image)
         most = 0
         for lattice in link_lattices(dots)[:_TRIES]:
             most = max(most, len(lattice))
-            placed = self._placed(lattice.index, name)
+            placed = self._placed(lattice.index)
             if placed is None:
                 continue
             index, dot = placed[0], lattice.dot[placed[1]]
@@ -142,7 +138,7 @@ class CircleGrid(Board):
             )
             if least_m > _OTHER_DIAMETER * self.diameter_m or most_m < self.diameter_m / _OTHER_DIAMETER:
                 raise BoardNotFoundError(
-                    f"{name}: the circles seen have diameters of {1e3 * least_m:.2g} to {1e3 * most_m:.2g} mm, where "
+                    f"the circles seen have diameters of {1e3 * least_m:.2g} to {1e3 * most_m:.2g} mm, where "
                     f"board.toml has {1e3 * self.diameter_m:g}; correct the diameter or the pitch."
                 )
             discs = Discs(measured.dots.centre[dot[keep]], np.full(len(keep), 0.5 * self.diameter_m))
@@ -152,17 +148,15 @@ class CircleGrid(Board):
                 index[keep][order],
                 pixel[order],
                 measured.sigma_px[dot[keep]][order],
-                unidentified=len(lattice) - len(index),
-                disagreeing=len(index) - len(keep),
                 ambiguous_half_turn=self.half_turn_symmetric,
                 discs=discs.only(order),
             )
         raise BoardNotFoundError(
-            f"{name}: no {self.title} is in the picture: {len(dots)} dark spots were seen, {most} of them "
+            f"no {self.title} is in the picture: {len(dots)} dark spots were seen, {most} of them "
             "on one lattice; show all of its circles, and check the numbers in board.toml."
         )
 
-    def _placed(self, lattice: IntArray, name: str) -> tuple[IntArray, IntArray] | None:
+    def _placed(self, lattice: IntArray) -> tuple[IntArray, IntArray] | None:
         """Return the index (n, 2) and the lattice's dot (n,) of each circle; None if the grid does not fit.
 
         Raises:
@@ -181,7 +175,7 @@ class CircleGrid(Board):
             extra = len(turned) - len(shifted)
             if len(fits) > 1 or (len(fits) == 1 and extra >= 0.5 * min(self.columns, self.rows)):
                 raise BoardNotFoundError(
-                    f"{name}: the grid seen has more circles than board.toml says ({self.columns} x {self.rows}): "
+                    f"the grid seen has more circles than board.toml says ({self.columns} x {self.rows}): "
                     f"{len(turned)} lie on its lattice; count them."
                 )
             if len(fits) == 1:

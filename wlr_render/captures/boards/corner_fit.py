@@ -30,29 +30,13 @@ _QUANTUM_VARIANCE = 1.0 / 12.0  # variance of rounding to whole grey values
 _MODEL_ERROR_PX = 0.005  # error without noise, from square pixels and curved edges
 
 
-@dataclass(frozen=True, eq=False)
-class FittedCorners:
-    """Corners by fit; NaN where there is no corner, or the window lies outside the picture.
-
-    Attributes:
-        pixel: (n, 2) positions from the outer corner of the top-left pixel.
-        sigma_px: (n,) standard deviation per axis.
-        contrast: (n,) half the grey step from black to white, positive if the quadrant between the two positive axes of
-            the slope is light.
-    """
-
-    pixel: FloatArray
-    sigma_px: FloatArray
-    contrast: FloatArray
-
-
 def fit_corners(
     image: NDArray[np.generic],
     start: FloatArray,
     slope: FloatArray,
     reach: float = 1.0,
     white_margin: float | None = None,
-) -> FittedCorners:
+) -> tuple[FloatArray, FloatArray]:
     """Fit corners from positions that are accurate to about a pixel.
 
     Args:
@@ -62,16 +46,19 @@ def fit_corners(
         reach: distance in cells around a corner within which only its two edges are visible.
         white_margin: distance in cells from the edges into the light quadrants to another shape (the marker of a
             ChArUco board); None without one.
+
+    Returns:
+        Positions (n, 2), pixels from the outer corner of the top-left pixel, and their standard deviations per axis
+        (n,); NaN where there is no corner, or the window lies outside the picture.
     """
     grey = np.ascontiguousarray(image, dtype=np.float32)
     number = len(start)
-    pixel, sigma, contrast = np.full((number, 2), np.nan), np.full(number, np.nan), np.full(number, np.nan)
+    pixel, sigma = np.full((number, 2), np.nan), np.full(number, np.nan)
     usable = np.abs(np.linalg.det(slope)) > 1e-3
     usable[usable] &= np.isfinite(start[usable]).all(axis=-1)
     across = np.zeros(number)
-    across[usable] = 1.0 / np.linalg.norm(np.linalg.inv(slope[usable]), axis=2).max(
-        axis=1
-    )  # px between edges' parallels
+    # Distance of the parallels of an edge, pixels.
+    across[usable] = 1.0 / np.linalg.norm(np.linalg.inv(slope[usable]), axis=2).max(axis=1)
     reach_px = np.minimum(
         np.maximum(_REACH_PART * across, np.minimum(_LEAST_REACH_PX, _LEAST_REACH_PART * across)), _MOST_REACH_PX
     )
@@ -80,8 +67,8 @@ def fit_corners(
     for size in np.unique(half[usable]):
         of = np.nonzero(usable & (half == size))[0]
         window = _Window.around(grey, start[of], slope[of], reach_px[of] / across[of], int(size), white_margin)
-        pixel[of], sigma[of], contrast[of] = _fit(window, start[of], slope[of], reach_px[of])
-    return FittedCorners(pixel, sigma, contrast)
+        pixel[of], sigma[of] = _fit(window, start[of], slope[of], reach_px[of])
+    return pixel, sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +114,8 @@ class _Window:
         return cls(padded[v + half, u + half].astype(np.float64), x, y, read, near, margin)
 
 
-def _fit(
-    window: _Window, start: FloatArray, slope: FloatArray, reach_px: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit positions, sigmas and contrasts of m corners by damped Gauss-Newton steps that solve for the light."""
+def _fit(window: _Window, start: FloatArray, slope: FloatArray, reach_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Fit positions and sigmas of m corners by damped Gauss-Newton steps that solve for the light."""
     count = len(start)
     # place x, y; angles of the edges along the slope's columns; log of the blur
     state = np.zeros((count, 5))
@@ -166,7 +151,7 @@ def _fit(
     converged &= np.abs(now.contrast) > _LEAST_CONTRAST * np.sqrt(variance)
     converged &= (sigma < 0.25 * reach_px) & (damping < 1e6)
     place = np.where(converged[:, None], start + state[:, :2], np.nan)
-    return place, np.where(converged, sigma, np.nan), np.where(converged, now.contrast, np.nan)
+    return place, np.where(converged, sigma, np.nan)
 
 
 def _readable(window: _Window, blur_px: FloatArray) -> BoolArray:
@@ -231,9 +216,5 @@ class _Linearised:
         return cls((left**2).sum(axis=1), turned @ slopes, (turned @ left[..., None])[..., 0], solved[:, 3, 0])
 
     def where(self, better: BoolArray, other: "_Linearised") -> "_Linearised":
-        return _Linearised(
-            np.where(better, self.cost, other.cost),
-            np.where(better[:, None, None], self.normal, other.normal),
-            np.where(better[:, None], self.gradient, other.gradient),
-            np.where(better, self.contrast, other.contrast),
-        )
+        both = zip(vars(self).values(), vars(other).values(), strict=True)
+        return _Linearised(*(np.where(better.reshape(-1, *[1] * (one.ndim - 1)), one, two) for one, two in both))

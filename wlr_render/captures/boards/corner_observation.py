@@ -23,7 +23,6 @@ def observe_corners(
     starts: Sequence[FloatArray],
     reach: float = 1.0,
     white_margin: float | None = None,
-    name: str = "photograph",
 ) -> BoardObservation:
     """Return the observation of corners from positions accurate to about a pixel; other shapes are rejected.
 
@@ -33,32 +32,29 @@ def observe_corners(
         place: (n, 2) positions on the board in cells, x right and y down.
         starts: guesses (n, 2), pixels from the outer corner of the top-left pixel; where one fails, the next is tried.
         reach, white_margin: see `corner_fit.fit_corners`.
-        name: name of the photograph, for the error.
 
     Raises:
         BoardNotFoundError: too few corners are left, or their arrangement differs from the board's.
     """
     if len(index) < LEAST_CORNERS:
-        raise _too_few(name, len(index))
+        raise _too_few(len(index))
     slope = lattice_shape(place, starts[0]).slope
     pixel, sigma = np.full((len(index), 2), np.nan), np.full(len(index), np.nan)
     for start in starts:
         missing = np.nonzero(~np.isfinite(sigma))[0]
-        fitted = fit_corners(image, start[missing], slope[missing], reach, white_margin)
-        pixel[missing], sigma[missing] = fitted.pixel, fitted.sigma_px
+        pixel[missing], sigma[missing] = fit_corners(image, start[missing], slope[missing], reach, white_margin)
     rows = np.nonzero(np.isfinite(sigma))[0]
     if len(rows) >= _LEAST_FOR_OUTLIERS:
         rows = rows[_smooth(place[rows], pixel[rows])]
     if len(rows) < LEAST_CORNERS:
-        raise _too_few(name, len(rows))
+        raise _too_few(len(rows))
     if _departure(place[rows], pixel[rows]) > _MOST_DEPARTURE:
         raise BoardNotFoundError(
-            f"{name}: the detected corners do not lie on a plane as the board's do; correct the numbers of columns "
+            "the detected corners do not lie on a plane as the board's do; correct the numbers of columns "
             "and rows in board.toml, or is it another board?"
         )
     rows = rows[np.lexsort(index[rows].T)]
-    left_out = len(index) - len(rows)
-    return BoardObservation(index[rows], pixel[rows], sigma[rows], disagreeing=left_out)
+    return BoardObservation(index[rows], pixel[rows], sigma[rows])
 
 
 def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
@@ -95,5 +91,5 @@ def _departure(place: FloatArray, pixel: FloatArray) -> float:
     return float(np.median(off)) / cell
 
 
-def _too_few(name: str, corners: int) -> BoardNotFoundError:
-    return BoardNotFoundError(f"{name}: only {corners} corners of the board were seen; show more of it.")
+def _too_few(corners: int) -> BoardNotFoundError:
+    return BoardNotFoundError(f"only {corners} corners of the board were seen; show more of it.")

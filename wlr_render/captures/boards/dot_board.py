@@ -79,12 +79,7 @@ class DotBoard(Board):
         return np.where(self.large[index[..., 1], index[..., 0]], self.large_m, self.small_m)
 
     def reflectance(self, in_board: RealArray, softness_m: RealArray | float = 0.0) -> RealArray:
-        """Return the reflectance at positions (..., 2), x and y: 1 white, 0 dot, NaN beyond the board's edge.
-
-        Args:
-            in_board: (..., 2) metres, board frame.
-            softness_m: (...) width of the ramp by which a dot's edge is blurred, e.g. a camera pixel's footprint.
-        """
+        """Return the reflectance; see `Board.reflectance`."""
         x, y = in_board[..., 0], in_board[..., 1]
         column, row = x / self.pitch_m + 0.5 * (self.columns - 1), y / self.pitch_m + 0.5 * (self.rows - 1)
         # Both turn NaN into a number, so that it can be an index.
@@ -109,40 +104,27 @@ class DotBoard(Board):
             for (x, y), diameter in zip(centre_mm, self.diameter_of(index), strict=True)
         ]
 
-    def find(self, image: Photograph, name: str = "photograph") -> BoardObservation:
+    def _find(self, image: Photograph) -> BoardObservation:
         """Find and identify the dots in a photograph.
 
-        Dots of another size than printed, or off the lattice of their neighbours, are left out and counted.
-
-        Args:
-            image: (h, w) grey, of any exposure.
-            name: name of the photograph, for the error.
-
-        Raises:
-            BoardNotFoundError: the board is not in the picture or too little of it, another board is, the picture is
-                mirrored, or it is too dark or too bright to show anything.
+        Dots of another size than printed, or off the lattice of their neighbours, are left out.
         """
         dots = find_dots(image)
         lattices = link_lattices(dots)
         if not lattices:
-            raise BoardNotFoundError(f"{name}: {_why_nothing(image, len(dots))}")
-        complaint: BoardNotFoundError | None = None
-        lattices = lattices[:_TRIES]
+            raise BoardNotFoundError(_why_nothing(image, len(dots)))
+        lattices, complaints = lattices[:_TRIES], []
         measured = measure_dots(image, dots, np.concatenate([lattice.dot for lattice in lattices]))
         for lattice in lattices:
             try:
                 return _identified(lattice, measured, self)
             except BoardNotFoundError as error:
-                complaint = complaint or error
-        raise BoardNotFoundError(f"{name}: {complaint}")
+                complaints.append(error)
+        raise complaints[0]
 
 
 def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) -> BoardObservation:
-    """Identify one lattice.
-
-    Raises:
-        BoardNotFoundError: the sentence lacks the photograph's name.
-    """
+    """Identify one lattice; errors lack the photograph's name."""
     smooth, shape = _smooth_part(lattice, measured)
     dot = smooth.dot
     is_large = _large(measured, dot, shape, board)
@@ -155,14 +137,7 @@ def _identified(lattice: DotLattice, measured: MeasuredDots, board: DotBoard) ->
     pixel = discs.centroid - shape.centroid_shift(discs.radius_m / board.pitch_m)
     order = np.nonzero(agreeing)[0]
     order = order[np.lexsort(index[order].T)]
-    return BoardObservation(
-        index[order],
-        pixel[order],
-        measured.sigma_px[dot][order],
-        unidentified=len(lattice) - int(on_board.sum()),
-        disagreeing=int((on_board & ~agreeing).sum()),
-        discs=discs.only(order),
-    )
+    return BoardObservation(index[order], pixel[order], measured.sigma_px[dot][order], discs=discs.only(order))
 
 
 def _smooth_part(lattice: DotLattice, measured: MeasuredDots) -> tuple[DotLattice, LatticeShape]:

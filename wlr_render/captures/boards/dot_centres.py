@@ -137,22 +137,6 @@ class _Regions:
     ring: BoolArray
 
 
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """Plane of light fitted to each ring.
-
-    Attributes:
-        level: (m,) light at the dot's centre.
-        deficit: (m, p) missing fraction of the ground's light at a pixel: uneven light on a dot does not shift its
-            centre.
-        covariance: (m, 3, 3) of the plane's 1, x, y for pixels of unit noise.
-    """
-
-    level: FloatArray
-    deficit: FloatArray
-    covariance: FloatArray
-
-
 def measure_dots(image: NDArray[np.generic], dots: Dots, which: IntArray) -> MeasuredDots:
     """Measure the centres, areas and their noise, for dots whose positions are accurate to about a pixel.
 
@@ -206,24 +190,24 @@ def _ring_width(dots: Dots) -> FloatArray:
 def _moments(patches: _Patches, dots: Dots, band: FloatArray) -> tuple[FloatArray, ...]:
     """Return centre, spread, darkness, contrast, sigma and blur of m dots; NaN if cut off or without ground."""
     regions = _regions(patches, dots, band)
-    ground = _ground(patches, regions.ring)
-    x, y, deficit = patches.x, patches.y, ground.deficit
+    ground_level, deficit, covariance = _ground(patches, regions.ring)
+    x, y = patches.x, patches.y
     depth = _mean(deficit, regions.middle)
     whole = ~(patches.outside & (regions.edge | regions.inside)).any(axis=1)
-    usable = whole & (regions.ring.sum(axis=1) >= _LEAST_GROUND_PX) & (ground.level > 0) & (depth > 0)
+    usable = whole & (regions.ring.sum(axis=1) >= _LEAST_GROUND_PX) & (ground_level > 0) & (depth > 0)
 
     taken = np.where(regions.edge, deficit, 0.0)
     taken += np.where(regions.inside, _mean(deficit, regions.inside)[:, None], 0.0)
     area = taken.sum(axis=1)
     usable &= area > 0
-    area, depth, level = (np.where(usable, each, 1.0) for each in (area, depth, ground.level))
+    area, depth, level = (np.where(usable, each, 1.0) for each in (area, depth, ground_level))
     shift = np.stack([_dot(taken, x), _dot(taken, y)], axis=-1) / area[:, None]
     second = _symmetric(*(_dot(taken, product) / area for product in (x * x, x * y, y * y)))
     spread = second - shift[:, :, None] * shift[:, None, :]
     usable &= (_determinant(spread) > 0) & (spread[:, 0, 0] > 0)
 
     variance = np.maximum(_noise_variance(deficit, regions), _QUANTUM_VARIANCE / level**2)
-    sigma = np.sqrt(variance * _lever(patches, regions.edge, ground.covariance)) / area
+    sigma = np.sqrt(variance * _lever(patches, regions.edge, covariance)) / area
     blur = _blur(deficit / depth[:, None], regions.edge, variance / depth**2, dots)
     results = dots.centre + shift, spread, area, depth, np.hypot(sigma, _SAMPLING_ERROR_PX), blur
     return tuple(np.where(usable.reshape(-1, *[1] * (each.ndim - 1)), each, np.nan) for each in results)
@@ -247,7 +231,13 @@ def _beyond_edge(patches: _Patches, spread: FloatArray) -> FloatArray:
     return np.asarray((height - 2.0) * np.maximum(height, 1e-6) / np.maximum(np.hypot(steep_x, steep_y), 1e-9))
 
 
-def _ground(patches: _Patches, ring: BoolArray) -> _Ground:
+def _ground(patches: _Patches, ring: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit a plane of light to each ring.
+
+    Returns:
+        The light (m,) at the dot's centre, the missing fraction (m, p) of the ground's light at a pixel, so that uneven
+        light on a dot does not shift its centre, and the covariance (m, 3, 3) of 1, x, y for pixels of unit noise.
+    """
     basis = np.stack([np.ones_like(patches.x), patches.x, patches.y], axis=-1)
     of_ring = np.swapaxes(np.where(ring[..., None], basis, 0.0), 1, 2)
     # A ring without pixels gives a plane of zero, which is refused.
@@ -255,7 +245,7 @@ def _ground(patches: _Patches, ring: BoolArray) -> _Ground:
     plane = covariance @ (of_ring @ patches.grey[..., None])
     light = (basis @ plane)[..., 0]
     deficit = 1.0 - patches.grey / np.where(light > 0, light, np.inf)
-    return _Ground(plane[:, 0, 0], deficit, np.asarray(covariance))
+    return plane[:, 0, 0], deficit, np.asarray(covariance)
 
 
 def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatArray:

@@ -1,7 +1,6 @@
 """Identification of the part of a board that a lattice fragment shows, over all positions and rotations."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import correlate
@@ -17,21 +16,6 @@ _WAYS = [mirror @ np.linalg.matrix_power(_QUARTER, q) for mirror in (np.eye(2, d
 _PROPER = 4  # number of orientations that are not mirror images
 
 
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """A fragment laid on the board in one orientation, at every position.
-
-    Attributes:
-        way: (2, 2) matrix; a dot's index times it, plus a shift, is its column and row.
-        disagreeing: (row shifts, column shifts) number of dots that differ from the board's, or are off the board.
-        first_shift: (2,) first shift in columns and rows.
-    """
-
-    way: IntArray
-    disagreeing: IntArray
-    first_shift: IntArray
-
-
 def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> IntArray:
     """Return the (column, row) on the board of each dot of a fragment, (k, 2); some may lie beyond the board.
 
@@ -44,9 +28,9 @@ def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> In
         BoardNotFoundError: no position fits better than chance, or two fit about equally, or only the mirror image
             fits.
     """
-    placed = [_placed(index, is_large, board_large, way) for way in _WAYS]
-    best = min(range(len(placed)), key=lambda way: placed[way].disagreeing.min())
-    first, second = np.partition(np.concatenate([each.disagreeing.ravel() for each in placed]), 1)[:2]
+    disagreeing = [_disagreeing(index @ way, is_large, board_large) for way in _WAYS]
+    best = min(range(len(_WAYS)), key=lambda way: disagreeing[way].min())
+    first, second = np.partition(np.concatenate([each.ravel() for each in disagreeing]), 1)[:2]
     count = len(index)
     places = len(_WAYS) * board_large.size
     if places * _share_as_good(int(first), count) > _CHANCE:
@@ -58,13 +42,16 @@ def identify(index: IntArray, is_large: BoolArray, board_large: BoolArray) -> In
         )
     if best >= _PROPER:
         raise BoardNotFoundError("the picture is mirrored: only the mirror image of its dots is on the board.")
-    position = placed[best]
-    row, column = np.unravel_index(int(position.disagreeing.argmin()), position.disagreeing.shape)
-    return np.asarray(index @ position.way + position.first_shift + np.array([column, row]))
+    turned = index @ _WAYS[best]
+    row, column = np.unravel_index(int(disagreeing[best].argmin()), disagreeing[best].shape)
+    return np.asarray(turned - turned.max(axis=0) + np.array([column, row]))
 
 
-def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: IntArray) -> _Placed:
-    turned = index @ way
+def _disagreeing(turned: IntArray, is_large: BoolArray, board_large: BoolArray) -> IntArray:
+    """Return the number (row shifts, column shifts) of dots that differ from the board's, or are off the board.
+
+    The first shift brings the dot of the highest column and row to the board's first.
+    """
     low = turned.min(axis=0)
     columns, rows = turned.max(axis=0) - low + 1
     fragment = np.zeros((rows, columns))  # +1 large, -1 small, 0 no dot
@@ -77,8 +64,7 @@ def _placed(index: IntArray, is_large: BoolArray, board_large: BoolArray, way: I
     # Dots on the board that agree minus dots that do not; and the number of dots on the board.
     balance = over_all_places(board, fragment)
     on_board = over_all_places(np.ones_like(board), np.abs(fragment))
-    disagreeing = len(index) - (balance + on_board) // 2
-    return _Placed(way, disagreeing, -low - np.array([columns - 1, rows - 1]))
+    return np.asarray(len(turned) - (balance + on_board) // 2)
 
 
 def _share_as_good(disagreeing: int, count: int) -> float:

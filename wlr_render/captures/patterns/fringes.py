@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.patterns.pattern import AxisCode, Pattern
-from wlr_render.captures.patterns.phase_steps import (
-    FringeAxis,
-    check_agreement,
-    check_fringe,
-    nearest,
-    noise_gain,
-    read_fringe,
-)
+from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, read_fringe
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 
@@ -68,23 +61,18 @@ class _Hierarchy:
         return self.fringes[number].line(step)
 
     def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
-        longest = self.fringes[0]
-        reading = read_fringe(longest, reader, light)
+        middle = np.full(light.lit.shape, 0.5 * self.fringes[0].length_px)
+        reading = read_fringe(self.fringes[0], reader, light, middle, far=np.inf)
         noise.add(reading.steady, light.lit)
-        position = nearest(longest, reading, np.full(light.lit.shape, 0.5 * longest.length_px))
-        evidence, contradiction = reading.evidence, np.zeros(light.lit.shape, dtype=np.bool_)
+        evidence, contradiction = reading.evidence, reading.is_far
         for fringe in self.fringes[1:]:
-            first = reader.taken
-            reading = read_fringe(fringe, reader, light)
+            reading = read_fringe(fringe, reader, light, reading.position, _FAR)
             noise.add(reading.steady, light.lit)
-            about, position = position, nearest(fringe, reading, position)
-            apart = np.abs(position - about) > _FAR * fringe.period_px
-            check_agreement(apart & (reading.evidence > 0), light.lit, reader, first)
-            contradiction |= apart
+            contradiction |= reading.is_far
             evidence = np.minimum(evidence, reading.evidence)
         return AxisReading(
-            position=position,
-            noise_gain=noise_gain(self.fringes[-1], reading),
+            position=reading.position,
+            noise_gain=reading.noise_gain,
             evidence=evidence,
             weak=np.full(light.lit.shape, Rejection.WEAK_FRINGE, dtype=np.uint8),
             contradiction=contradiction,

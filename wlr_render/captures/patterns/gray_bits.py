@@ -159,7 +159,7 @@ def read_gray(
             )
             best = _better(reading, best)
     if not unread:
-        check_photograph_order(cell, light.lit, usual, axis.cells, reader)
+        _check_photograph_order(cell, light.lit, usual, axis.cells, reader)
     if not axis.bits:
         ones = np.ones(shape, dtype=np.float32)
         return GrayReading(cell, 0.5 * ones, np.ones(shape, dtype=np.uint8), ones, 0.5 * ones, 0 * ones)
@@ -205,14 +205,7 @@ def _better(reading: GrayReading, best: GrayReading) -> GrayReading:
     finer = (reading.evidence >= _READABLE) | (reading.evidence > best.evidence)
     if finer.all():
         return reading
-    return GrayReading(
-        reading.cell,
-        np.where(finer, reading.position, best.position),
-        np.where(finer, reading.cell_size, best.cell_size),
-        np.where(finer, reading.evidence, best.evidence),
-        np.where(finer, reading.noise_gain, best.noise_gain),
-        np.where(finer, reading.blur, best.blur),
-    )
+    return GrayReading(**{name: np.where(finer, value, getattr(best, name)) for name, value in vars(reading).items()})
 
 
 def _resolved(borders: Grey, lit: NDArray[np.bool_]) -> Grey:
@@ -255,7 +248,7 @@ def _check_pair(steady: Grey, light: PanelContrast, reader: PhotographReader) ->
 Codes = NDArray[np.int64]
 
 
-def check_photograph_order(
+def _check_photograph_order(
     cell: NDArray[np.int32], lit: NDArray[np.bool_], strengths: Sequence[float], cells: int, reader: PhotographReader
 ) -> None:
     """Refuse photographs that decode to a clearly smoother picture in another order.

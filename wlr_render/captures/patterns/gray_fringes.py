@@ -8,14 +8,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.patterns.gray_bits import GrayAxis, read_gray
 from wlr_render.captures.patterns.pattern import AxisCode, Pattern
-from wlr_render.captures.patterns.phase_steps import (
-    FringeAxis,
-    check_agreement,
-    check_fringe,
-    nearest,
-    noise_gain,
-    read_fringe,
-)
+from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe, read_fringe
 from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader
 from wlr_render.captures.patterns.pixel_rejection import AxisReading
 from wlr_render.errors import BadInputError
@@ -75,19 +68,15 @@ class _NumberedFringes:
 
     def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
         code = read_gray(self.gray, reader, light, noise)
-        first = reader.taken
-        phase = read_fringe(self.fringe, reader, light)
         middle = np.asarray((code.cell + 0.5) * self._cell_px, dtype=np.float64)
-        position = nearest(self.fringe, phase, middle)
-        apart = np.abs(position - middle) > _FAR * self.fringe.period_px
-        check_agreement(apart & (phase.evidence > 0), light.lit, reader, first)
+        phase = read_fringe(self.fringe, reader, light, middle, _FAR)
         bits_are_weaker = code.evidence < phase.evidence
         return AxisReading(
-            position=position,
-            noise_gain=noise_gain(self.fringe, phase),
+            position=phase.position,
+            noise_gain=phase.noise_gain,
             evidence=np.minimum(code.evidence, phase.evidence),
             weak=np.where(bits_are_weaker, Rejection.UNSURE_BIT, Rejection.WEAK_FRINGE).astype(np.uint8),
-            contradiction=apart,
+            contradiction=phase.is_far,
             cell_px=np.ones(light.lit.shape, dtype=np.uint8),
             blur_px=code.blur * np.float32(self._cell_px),
             is_counted=False,

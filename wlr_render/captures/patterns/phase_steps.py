@@ -58,20 +58,22 @@ class FringeAxis:
 
 @dataclass(frozen=True, eq=False)
 class FringeReading:
-    """Decoded phase of one fringe, all (h, w).
+    """Decoded positions of one fringe, all (h, w).
 
     Attributes:
-        turns: float64, 0 to 1: position of the pixel in its period.
+        position: position with the fringe's phase that is nearest to an approximate one, panel pixels.
+        is_far: mask of positions that contradict the approximate ones.
         evidence: amplitude relative to full contrast; 0 where it is so faint that blur may have reversed it.
         steady: grey values that would be equal for all fringes without noise, with the variance of a difference of two
             photographs.
-        noise: variance of the phase relative to all steps; more than 1 where a step is missing.
+        noise_gain: as in `AxisReading`.
     """
 
-    turns: NDArray[np.float64]
+    position: FloatArray
+    is_far: NDArray[np.bool_]
     evidence: Grey
     steady: Grey
-    noise: float
+    noise_gain: Grey
 
 
 def check_fringe(period_px: float, steps: int) -> None:
@@ -86,16 +88,21 @@ def check_fringe(period_px: float, steps: int) -> None:
         raise BadInputError(f"'steps' is {steps}; a phase needs at least {_MIN_STEPS}, and 6 to be immune to gamma.")
 
 
-def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelContrast) -> FringeReading:
+def read_fringe(
+    axis: FringeAxis, reader: PhotographReader, light: PanelContrast, about: FloatArray, far: float
+) -> FringeReading:
     """Decode the photographs of one fringe.
 
     Args:
         axis: the fringe.
         reader: reader at the first photograph of the fringe.
         light: light of the set.
+        about: (h, w) approximate positions, panel pixels.
+        far: distance from them, in periods, beyond which a position contradicts the photographs before.
 
     Raises:
-        BadInputError: a photograph is missing, or the steps are not in order.
+        BadInputError: a photograph is missing, the steps are not in order, or too many pixels contradict the
+            photographs before.
     """
     first = reader.taken
     real, imaginary, steady, alternating = (np.zeros(light.contrast.shape, dtype=np.float32) for _ in range(4))
@@ -126,11 +133,18 @@ def read_fringe(axis: FringeAxis, reader: PhotographReader, light: PanelContrast
         # Without the harmonic of order steps / 2, the sum of all steps with alternating signs is zero.
         add(missing, np.float32(-((-1) ** missing)) * alternating)
         noise = _GAP_NOISE
-    check_step_order(asked, reader, first)
+    _check_step_order(asked, reader, first)
     turns = np.arctan2(imaginary, real).astype(np.float64) / (2 * np.pi) % 1
     evidence = np.float32(4 / axis.steps) * np.hypot(real, imaginary) * light.per_contrast
     evidence[evidence < _REVERSED] = 0.0
-    return FringeReading(turns, evidence, np.float32(np.sqrt(2 / axis.steps)) * steady, noise)
+    position = about + axis.period_px * ((turns - about / axis.period_px + 0.5) % 1 - 0.5)
+    is_far = np.abs(position - about) > far * axis.period_px
+    _check_agreement(is_far & (evidence > 0), light, reader, first)
+    # The variance of an N-step phase is 2 / N of a photograph's variance over the amplitude squared; the amplitude is
+    # half of the contrast at full evidence, and a photograph has half the variance of a difference.
+    gain = (axis.period_px / (2 * np.pi)) ** 2 * (4 / axis.steps * noise / np.maximum(evidence, 1e-3) ** 2)
+    steady *= np.float32(np.sqrt(2 / axis.steps))
+    return FringeReading(position, is_far, evidence, steady, np.asarray(gain, dtype=np.float32))
 
 
 def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: PhotographReader, first: int) -> None:
@@ -147,34 +161,11 @@ def _check_gap(axis: FringeAxis, missing: int | None, step: int, reader: Photogr
         )
 
 
-def noise_gain(axis: FringeAxis, reading: FringeReading) -> Grey:
-    """Return the noise gain (h, w) of `AxisReading`.
+def _check_step_order(values: NDArray[np.float32], reader: PhotographReader, first: int) -> None:
+    """Refuse steps, grey values (steps, n) of some lit pixels, that are not a fringe from photograph `first` on.
 
-    The variance of an N-step phase is 2 / N of a photograph's variance over the amplitude squared; the amplitude is
-    half of the contrast at full evidence, and a photograph has half the variance of a difference.
-    """
-    of_phase = 4 / axis.steps * reading.noise / np.maximum(reading.evidence, 1e-3) ** 2
-    return np.asarray((axis.period_px / (2 * np.pi)) ** 2 * of_phase, dtype=np.float32)
-
-
-def nearest(axis: FringeAxis, reading: FringeReading, about: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the position (h, w) with the fringe's phase that is nearest to another position, panel pixels."""
-    return about + axis.period_px * ((reading.turns - about / axis.period_px + 0.5) % 1 - 0.5)
-
-
-def check_step_order(values: NDArray[np.float32], reader: PhotographReader, first: int) -> None:
-    """Refuse steps that make a clearly better fringe with two of them exchanged.
-
-    Three steps make a fringe in any order and are not tested.
-
-    Args:
-        values: (steps, n) grey values of some lit pixels.
-        reader: reader that names the photographs.
-        first: number of the first step's photograph.
-
-    Raises:
-        BadInputError: an exchange gives a better fringe, a step does not belong to the others, or the photographs show
-            no fringe.
+    Either an exchange of two steps gives a clearly better fringe, a step does not belong to the others, or the
+    photographs show another code. Three steps make a fringe in any order and are not tested.
     """
     steps = len(values)
     varying = values.astype(np.float64) - values.mean(axis=0)
@@ -202,21 +193,11 @@ def check_step_order(values: NDArray[np.float32], reader: PhotographReader, firs
         )
 
 
-def check_agreement(
-    contradicting: NDArray[np.bool_], lit: NDArray[np.bool_], reader: PhotographReader, first: int
+def _check_agreement(
+    contradicting: NDArray[np.bool_], light: PanelContrast, reader: PhotographReader, first: int
 ) -> None:
-    """Refuse fringes that contradict the photographs before them.
-
-    Args:
-        contradicting: (h, w) mask of contradictions.
-        lit: (h, w) mask of the pixels to test.
-        reader: reader that names the photographs; the last one is the fringe's last.
-        first: number of the fringe's first photograph.
-
-    Raises:
-        BadInputError: too many pixels contradict.
-    """
-    share = float(np.mean(contradicting[lit])) if lit.any() else 0.0
+    """Refuse a fringe from photograph `first` on that contradicts (h, w) the photographs before it."""
+    share = float(np.mean(contradicting[light.lit])) if light.lit.any() else 0.0
     if share > _MAX_CONTRADICTING:
         raise BadInputError(
             f"{reader.label(first)} to {reader.label(reader.taken - 1)} contradict those before them in {share:.0%} of "

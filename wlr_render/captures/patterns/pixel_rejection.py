@@ -37,11 +37,8 @@ _SURE = 2.0  # least evidence, in noises of a difference
 _EDGE = 0.5  # contrast relative to the brightest neighbour below which a pixel sees past an edge,
 _BESIDE_EDGE = 0.3  # as does a pixel whose darkest neighbour has less than this share of its contrast
 _OVERHANG_PX = 0.5  # largest distance outside the panel, for noise
-_OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = (
-    0.75,
-    0.5,
-    4.0,
-)  # an outlier is farther from its neighbours than all of these
+# Distances from its neighbours that an outlier exceeds: panel pixels, steps and standard deviations.
+_OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = 0.75, 0.5, 4.0
 _VAGUE_PX = 0.25  # largest standard deviation; a larger one could be wrong by a panel pixel
 _PIXEL_HARMONICS = (1, 2)
 BORDER_WIDTH = 1.596

@@ -267,7 +267,7 @@ def planned_session(
         eyes=(bench.eye,),
         eye_boxes={bench.eye: bench.optics.eye_box},
         panels={bench.eye: SessionPanel(pattern)},
-        decoding=DecodeOptions(full_scale=eyeball.full_scale),
+        decoding=DecodeOptions(full_scale=eyeball.format.full_scale),
         board=bench.board,
         eyeball_camera=eyeball,
         tracking_camera=tracking,
