@@ -49,6 +49,13 @@ def misread_stripes(bench, plan):
     return replace(read, panel_pixel=read.panel_pixel + beside(off))
 
 
+def fringes(bench, plan):
+    """Fringes of 37 pixels whose profile is no sine: decoded positions swing once and twice a fringe."""
+    read = simulate(bench, plan)
+    off = 0.8 * wave(read.panel_pixel + 11, 37) + 0.2 * wave(read.panel_pixel, 18.5)
+    return replace(read, panel_pixel=read.panel_pixel + off)
+
+
 def magnified_red(bench, plan):
     read = simulate(bench, plan)
     off = 0.6 * (plan.display.channel == 0) * (read.panel_pixel[:, 0] - 700) / 500
@@ -111,6 +118,7 @@ def dent(bench, plan):
 EFFECTS = [
     (bent_panel, "panel", "panel pixels"),
     (misread_stripes, "panel", "panel pixels"),
+    (fringes, "panel", "panel pixels"),
     (magnified_red, "panel", "panel pixels and colour"),
     (lens, "camera", "camera pixels"),
     (screw, "stage", "stage readings"),
@@ -173,6 +181,20 @@ def test_the_period_of_a_screw_is_found_between_those_that_are_tried_first(bench
     readings = weighed(noisy(bench, places, read))
     (along_x,) = (each for each in station_fields(readings) if each.form.startswith("shift along x"))
     assert along_x.period == pytest.approx(1.6, rel=3e-3)
+
+
+@pytest.mark.slow
+def test_the_period_of_fringes_is_found_and_a_bench_has_their_wave(bench, plan):
+    won = contest(bench, plan, fringes(bench, plan))
+    effects = won.located(2.0)
+    assert [each.field.period for each in effects[:2]] == pytest.approx([37.0, 37.0], rel=2e-3)
+    stated = [
+        effect.in_bench(*each)
+        for effect, each in zip(effects, won.values_and_covariances(effects, won.found.scatter), strict=True)
+    ]
+    changed = simulate(replace(bench, effects=tuple(sum(stated, ()))), plan).panel_pixel
+    truth = fringes(bench, plan).panel_pixel
+    assert np.std(changed - truth) < 0.35 * np.std(truth - simulate(bench, plan).panel_pixel)
 
 
 @pytest.mark.slow

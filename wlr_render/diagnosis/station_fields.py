@@ -18,17 +18,16 @@ from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simu
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.diagnosis.combiner_fields import combiner_fields
-from wlr_render.diagnosis.field_terms import StationField, Terms, field_of, lever_of, smooth_terms
+from wlr_render.diagnosis.field_terms import StationField, field_of, lever_of, smooth_terms
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME, SEE_THROUGH, Observations
+from wlr_render.diagnosis.periodic_fields import screw_fields, stripe_fields
 from wlr_render.diagnosis.prediction import Explanation, Predictor
-from wlr_render.diagnosis.screw_fields import screw_fields
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, total_degree
 
-_CODE_PERIOD_PX = 64  # of the finest stripes of a Gray code that are looked for
 _LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # of functions of the row or of the column
 _FEWEST_TIMES = 4  # of which a drift is told
 _STEP_M = 1e-5  # of a dot on the target, for the differences
@@ -47,7 +46,7 @@ def station_fields(
     plan = readings.observations.session.plan
     makers: list[tuple[str, Callable[[WeighedReadings], Iterator[StationField]]]] = []
     if plan.display is not None:
-        makers.append(("panel", _panel_fields))
+        makers.append(("panel", partial(_panel_fields, like=like or ())))
     if plan.display is not None or plan.see_through is not None:
         makers += [("combiner", partial(combiner_fields, spot=spot)), ("camera", _camera_fields)]
         makers += [("stage", partial(_stage_fields, like=like or ())), ("time", _time_fields)]
@@ -76,22 +75,17 @@ def _panel_lever(observations: Observations) -> FloatArray:
     return np.asarray(observations.camera_from_panel / observations.sigma_of(DISPLAY)[:, :, None])
 
 
-def _panel_fields(readings: WeighedReadings) -> Iterator[StationField]:
+def _panel_fields(readings: WeighedReadings, like: Sequence[StationField]) -> Iterator[StationField]:
     observations = readings.observations
-    plan, pixel = observations.session.plan.display, observations.session.readings.panel_pixel
+    plan = observations.session.plan.display
     assert plan is not None
-    assert pixel is not None
     rows, lever = observations.part == DISPLAY, _panel_lever(observations)
     # Where a smooth function is taken at a reading, it has the reading's noise in it, and may imitate that noise.
     smooth_at = _predicted(readings).panel_pixel
     assert smooth_at is not None
     smooth = smooth_terms("panel pixels", smooth_at, 1, 2, 4, 6, 8)
     yield field_of("panel", "shift", "panel px", smooth, lever, rows, "shift")
-    phase = np.mod(pixel, _CODE_PERIOD_PX).astype(int)
-    for axis, name in enumerate(("columns", "rows")):
-        stripes = np.eye(_CODE_PERIOD_PX)[phase[:, axis]]
-        terms = Terms("panel pixels", pixel, stripes, np.zeros(_CODE_PERIOD_PX, dtype=np.int64), (0,))
-        yield field_of("panel", f"shift that repeats every {_CODE_PERIOD_PX} {name}", "panel px", terms, lever, rows)
+    yield from stripe_fields(readings, smooth_at, lever, like)
     places = np.concatenate([smooth_at, 1e3 * camera_positions(observations.nominal, plan)], axis=1)
     orders = np.concatenate([_with_viewpoint(8), *(_with_viewpoint(6, axis) for axis in range(3))])
     swimming = smooth_terms("panel pixels and viewpoint", places, 3, 5, 8, orders=orders)
