@@ -166,7 +166,7 @@ def test_tags_of_another_family_are_named(monkeypatch):
 
 def test_corners_that_lie_on_no_plane_are_refused(monkeypatch):
     """Also where no other order of the tags is found, for example of tags numbered by columns."""
-    monkeypatch.setattr(AprilGrid, "_other_layout", lambda *_: None)
+    monkeypatch.setattr(AprilGrid, "_refuse_other_layout", lambda *_: None)
     with pytest.raises(BoardNotFoundError, match=r"do not lie on a plane as the board's do; correct the numbers"):
         replace(APRIL, tag_columns=3, tag_rows=4).find(whole_picture(APRIL))
 

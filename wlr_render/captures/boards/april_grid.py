@@ -125,21 +125,18 @@ class AprilGrid(CellBoard):
         grey = as_bytes(image)
         corners, numbers = self._detect(grey)
         on_board = self._has(numbers)
-        fault = self._other_design(grey, numbers)
-        if fault is None and on_board.sum() < _LEAST_TAGS:
-            fault = self._why_nothing(grey, numbers)
-        if fault is None:
-            others = corners[~on_board], numbers[~on_board]
-            corners, numbers = corners[on_board], numbers[on_board]
-            turn, error = self._turned(numbers, corners)
-            fault = self._other_layout(numbers, corners, error) or self._further_tags(others, numbers, corners, turn)
-        if fault is not None:
-            raise BoardNotFoundError(fault)
+        self._refuse_other_design(grey, numbers)
+        if on_board.sum() < _LEAST_TAGS:
+            raise BoardNotFoundError(self._why_nothing(grey, numbers))
+        others = corners[~on_board], numbers[~on_board]
+        corners, numbers = corners[on_board], numbers[on_board]
+        turn, error = self._turned(numbers, corners)
+        self._refuse_other_layout(numbers, corners, error)
+        self._refuse_further_tags(others, numbers, corners, turn)
         index, place = self._corner_indices(numbers, turn), self._places(numbers, turn)
         reach = 0.9 * min(self.border_bits / self._bits, self.spacing)
         observation = observe_corners(image, index, place, _starts(grey, corners, reach), reach)
-        if fault := self._other_spacing(observation):
-            raise BoardNotFoundError(fault)
+        self._refuse_other_spacing(observation)
         return observation
 
     def _has(self, numbers: IntArray) -> BoolArray:
@@ -185,29 +182,28 @@ class AprilGrid(CellBoard):
         error, turn = min(tried)
         return turn, error
 
-    def _other_design(self, grey: NDArray[np.uint8], numbers: IntArray) -> str | None:
-        """Describe another border or other numbers of the detected tags; None if they match this board."""
+    def _refuse_other_design(self, grey: NDArray[np.uint8], numbers: IntArray) -> None:
+        """Refuse another border or other numbers of the detected tags."""
         on_board = self._has(numbers)
         count, foreign = int(on_board.sum()), numbers[~on_board]
         if len(foreign) > count:
-            return (
+            raise BoardNotFoundError(
                 f"tag {foreign.max()} is in the picture, but a board of {self.tag_columns} x {self.tag_rows} tags has "
                 f"{self.first_id} to {self._last_id}; is it another board, or 'first_id' another number?"
             )
         if count == self.tag_columns * self.tag_rows:
-            return None
+            return
         for bits in set(_USUAL_BORDERS) - {self.border_bits}:
             other = replace(self, border_bits=bits)
             with_other = int(other._has(other._detect(grey)[1]).sum())
             if with_other >= max(_LEAST_TAGS, _MANY_MORE * count):
-                return (
+                raise BoardNotFoundError(
                     f"{with_other} tags of the board are found if their borders are {bits} bits wide, {count} with "
                     f"border_bits = {self.border_bits}; set border_bits = {bits} in board.toml."
                 )
-        return None
 
-    def _other_layout(self, numbers: IntArray, corners: FloatArray, error: float) -> str | None:
-        """Describe an arrangement that fits the tags clearly better than this board's; None if no such one exists.
+    def _refuse_other_layout(self, numbers: IntArray, corners: FloatArray, error: float) -> None:
+        """Refuse an arrangement that fits the tags clearly better than this board's.
 
         Args:
             numbers, corners: (n,) and (n, 4, 2), of the detected tags.
@@ -215,7 +211,7 @@ class AprilGrid(CellBoard):
         """
         side = float(np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners])))
         if error < _FITTING * side or self.tag_columns * self.tag_rows == 1:
-            return None
+            return
         orders = [
             replace(self, tag_columns=columns, first_at_bottom=at_bottom)
             for columns in range(1, min(int(numbers.max()) + 1, _MOST_COLUMNS) + 1)
@@ -225,24 +221,26 @@ class AprilGrid(CellBoard):
         errors = [other._turned(numbers, corners)[1] for other in tried]
         best = int(np.argmin(errors))
         if _CLEARLY * errors[best] >= error:
-            return None
+            return
         other = tried[best]
         if other.first_id != self.first_id:
-            return "the tags lie as on a board whose first tag has another number; correct first_id in board.toml."
+            raise BoardNotFoundError(
+                "the tags lie as on a board whose first tag has another number; correct first_id in board.toml."
+            )
         where = f'set first_tag = "{_FIRST_TAGS[other.first_at_bottom]}" in board.toml'
         if other.tag_columns == self.tag_columns:
-            return f"the AprilGrid is numbered from another corner; {where}."
+            raise BoardNotFoundError(f"the AprilGrid is numbered from another corner; {where}.")
         remedy = "exchange" if other.tag_columns == self.tag_rows else "correct"
-        return (
+        raise BoardNotFoundError(
             f"the tags lie as on a board of {other.tag_columns} columns, where board.toml has {self.tag_columns}; "
             f"{remedy} tag_columns and tag_rows"
             + (f", and {where}." if other.first_at_bottom != self.first_at_bottom else ".")
         )
 
-    def _further_tags(
+    def _refuse_further_tags(
         self, foreign: tuple[FloatArray, IntArray], numbers: IntArray, corners: FloatArray, turn: int
-    ) -> str | None:
-        """Describe tags with foreign numbers that continue the board's order; None without such tags.
+    ) -> None:
+        """Refuse tags with foreign numbers that continue the board's order.
 
         Args:
             foreign: corners (m, 4, 2) and numbers (m,) of tags that this board lacks.
@@ -250,27 +248,27 @@ class AprilGrid(CellBoard):
         """
         homography, _ = cv2.findHomography(self._places(numbers, turn), corners.reshape(-1, 2))
         if not len(foreign[1]) or homography is None:
-            return None
+            return
         expected = cv2.perspectiveTransform(self._places(foreign[1], turn)[:, None, :], homography).reshape(-1, 4, 2)
         side = np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners]))
         if np.median(np.linalg.norm(expected - foreign[0], axis=-1)) > 0.5 * side:
-            return None
-        return (
+            return
+        raise BoardNotFoundError(
             f"tag {foreign[1].max()} continues the board, which has {self.first_id} to {self._last_id} by board.toml; "
             "correct tag_rows or first_id."
         )
 
-    def _other_spacing(self, observation: BoardObservation) -> str | None:
-        """Describe gaps between the tags that clearly differ from `spacing`; None if they fit."""
+    def _refuse_other_spacing(self, observation: BoardObservation) -> None:
+        """Refuse gaps between the tags that clearly differ from `spacing`."""
         measured = _measured_spacings(observation)
         if len(measured) < _LEAST_SPACINGS:
-            return None
+            return
         spacing = float(np.median(measured))
         off_m = 0.5 * self.tag_m * abs(1 - (1 + spacing) / (1 + self.spacing))
         print_error_m = max(self.tolerances.print_error_m, USUAL_TOLERANCES.print_error_m)
         if off_m < _MOST_PRINT_ERRORS * print_error_m or abs(spacing - self.spacing) < _SPACING_ERROR:
-            return None
-        return (
+            return
+        raise BoardNotFoundError(
             f"the gaps between tags are {spacing:.3f} of a tag's side, where board.toml has spacing = "
             f"{self.spacing:g}: corners lie {1e6 * off_m:.0f} um from their places, with print_error_um = "
             f"{1e6 * self.tolerances.print_error_m:g}; measure tag_mm and spacing again."
