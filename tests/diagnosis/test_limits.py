@@ -35,6 +35,13 @@ def test_every_cause_that_the_session_can_show_has_a_limit(noisy):
     assert {(cause, parameter.split(" (")[0]) for cause, parameter in found} <= units
 
 
+def test_a_cause_that_a_recording_cannot_show_has_no_limit(bench, run_time):
+    """The frame is drawn with the headset's own optics: an error of theirs moves the dot and its drawing alike."""
+    found = limits_of(measured(bench, run_time, SIGMA_PX, seed=11))
+    at_run_time = {name for name, cause in CAUSES.items() if cause.part in ("eye tracking", "clock")}
+    assert {cause for cause, _ in found} - {"camera_distortion", "camera_focal_length"} == at_run_time
+
+
 @pytest.mark.slow
 def test_an_effect_of_that_size_is_five_standard_errors_when_it_is_there(bench, plan, noisy):
     for name in ("panel_scale", "camera_focal_length", "stage_backlash"):

@@ -46,24 +46,13 @@ def spread_of(
     else:
         design = (readings.multiplier[rows] * weight[:, None])[:, :, None] * sample[:, None]
         design = design.reshape(len(rows), -1)
-        own = readings.coefficients
-        root = _root(found.alone[:own, :own])
+        root = _root(found.alone[: readings.coefficients, : readings.coefficients])
         apart_root = root @ principal(design @ root)
         own_factors = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
         own_factors = _with_constant(own_factors, orders, beyond)
         apart = own_factors.reshape(len(orders), blocks * own_factors.shape[2])
-        # What the coefficients do with the side unknowns, the trend's parameters among them.
-        trend = readings.trend
-        parameters = trend.parameters if trend else 0
-        follow = found.by_side[:, :, :own].transpose(0, 2, 1)  # (2, columns, side)
-        by_axis = follow.reshape(2, blocks, len(orders), follow.shape[2]).transpose(2, 1, 0, 3)
-        by_term = by_axis.reshape(len(orders), outputs, follow.shape[2])
-        side = Polynomial(orders, box, by_axis.reshape(len(orders), outputs * follow.shape[2]))
-        if trend:
-            by_parameter = trend.by_parameter.coefficients.reshape(len(trend.by_parameter.orders), outputs, -1)
-            padded = np.zeros((*by_parameter.shape[:2], by_term.shape[2]))
-            padded[..., :parameters] = by_parameter
-            side = side.plus(Polynomial(trend.by_parameter.orders, box, padded.reshape(len(padded), -1)))
+        parameters = readings.trend.parameters if readings.trend else 0
+        side = _by_side(readings, found)
         joint_orders = side.orders
         joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ lower_root(found.side_covariance)
         sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(inputs)
@@ -82,6 +71,21 @@ def spread_of(
         Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
         sources,
     )
+
+
+def _by_side(readings: FitReadings, found: Posterior) -> Polynomial:
+    """Return what a fitted polynomial does with the side unknowns, the trend's parameters first: outputs * side."""
+    orders, trend, outputs = readings.orders, readings.trend, 2 * readings.blocks
+    follow = found.by_side[:, :, : readings.coefficients].transpose(0, 2, 1)  # (2, columns, side)
+    unknowns = follow.shape[2]
+    by_axis = follow.reshape(2, readings.blocks, len(orders), unknowns).transpose(2, 1, 0, 3)
+    side = Polynomial(orders, readings.box, by_axis.reshape(len(orders), outputs * unknowns))
+    if trend is None:
+        return side
+    by_parameter = trend.by_parameter.coefficients.reshape(len(trend.by_parameter.orders), outputs, -1)
+    padded = np.zeros((*by_parameter.shape[:2], unknowns))
+    padded[..., : trend.parameters] = by_parameter
+    return side.plus(Polynomial(trend.by_parameter.orders, readings.box, padded.reshape(len(padded), -1)))
 
 
 def _with_constant(factors: FloatArray, orders: IntArray, beyond: FloatArray | None) -> FloatArray:
