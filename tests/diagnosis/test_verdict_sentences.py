@@ -82,7 +82,11 @@ def test_an_effect_is_stated_with_its_place_its_rival_station_and_what_it_leaves
     assert "less than half" not in verdict_sentence(located)
 
 
-def test_noise_far_above_the_stated_one_is_never_called_the_benchs(nothing):
+def test_noise_far_above_the_stated_one_is_said_before_the_residuals(nothing, explained):
+    noisier = [replace(each, measured_px=2.0 * each.stated_px) for each in explained.noise_floors]
+    head, noise, *_ = verdict_sentence(replace(explained, noise_floors=tuple(noisier))).split(". ")
+    assert explained.causes[0].title in head.lower()
+    assert noise == "The readings are 2 times as noisy as the bench states"
     first, *others = nothing.noise_floors
     unmeasured = replace(first, measured_px=float("nan"))
     noisy = [replace(each, measured_px=2.0 * each.stated_px) for each in others]

@@ -162,9 +162,9 @@ SCREW = re.findall(
 
 @pytest.fixture(scope="module")
 def screwed(tmp_path_factory):
-    """Folder of a session whose stage has a lead screw of 1 mm that errs by 100 um, and the file of that cause."""
+    """Folder of a session whose stage has a lead screw of 1 mm that errs by 30 um, and the file of that cause."""
     folder = tmp_path_factory.mktemp("screw")
-    effect, plan = Effect("stage_screw_error", {"swing_mm": 0.1}), Plan(grid=(7, 6), dots=(7, 5), off_plane=6)
+    effect, plan = Effect("stage_screw_error", {"swing_mm": 0.03}), Plan(grid=(7, 6), dots=(7, 5), off_plane=6)
     write_session(folder / "session", plan, [effect], np.random.default_rng(2))
     causes = folder / "causes.py"
     causes.write_text(SCREW.replace("PITCH_MM = 2.0", "PITCH_MM = 1.0").replace("8.0", "5.5"))
@@ -188,7 +188,7 @@ def test_a_cause_of_your_own_at_a_station_is_named_and_written(screwed, few_caus
     assert status == 0
     (cause,) = json.loads((tmp_path / "diagnosis.json").read_text())["causes"]
     sine, cosine = (cause["parameters"][name] for name in ("sine", "cosine"))
-    assert sine["value"] == pytest.approx(100.0, abs=4 * sine["sigma"])
+    assert sine["value"] == pytest.approx(30.0, abs=4 * sine["sigma"])
     assert cosine["value"] == pytest.approx(0.0, abs=4 * cosine["sigma"])
     corrected, measured = load_session(tmp_path / "corrected")
     (effect,) = corrected.effects

@@ -62,27 +62,29 @@ FRAME_NOTE = f'Vectors and rotations are in frame = "{WRITTEN_FRAME}".'
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict with its causes and effects, the residuals, and any unexplained rest."""
+    noise = _larger_noise(diagnosis)
     if diagnosis.verdict == NO_EFFECT:
-        return f"{_nothing_found(diagnosis)}. {capitalised(_changes(diagnosis))}."
+        to_its_noise = ": the bench as described predicts the session to its noise and repeatability"
+        return f"No effect found{f', but {noise}' if noise else to_its_noise}. {capitalised(_changes(diagnosis))}."
     named = [f"{cause.title} ({cause.name}: {_clearest(cause)})" for cause in diagnosis.causes]
     named += [effect_sentence(effect) for effect in diagnosis.effects]
     if not named and diagnosis.too_many_moved and not diagnosis.unexplained_parts:
         named = ["the captures contradict each other"]
     named = named or ["no cause, and no effect at any station, explains the residual"]
-    sentences = [f"{diagnosis.verdict}: {'; '.join(named)}", _changes(diagnosis), *_left_over(diagnosis)]
-    return " ".join(f"{capitalised(sentence)}." for sentence in sentences)
+    sentences = [f"{diagnosis.verdict}: {'; '.join(named)}", *filter(None, [noise])]
+    return " ".join(f"{capitalised(each)}." for each in (*sentences, _changes(diagnosis), *_left_over(diagnosis)))
 
 
-def _nothing_found(diagnosis: Diagnosis) -> str:
-    """Return the head of a verdict without an effect; the noise is in it where it is much larger than stated."""
+def _larger_noise(diagnosis: Diagnosis) -> str:
+    """Return a sentence on noise that is much larger than stated; empty where it is not, or not measured."""
     floors = {floor.part: floor.measured_px / floor.stated_px for floor in diagnosis.noise_floors}
     noise = {part: ratio for part, ratio in floors.items() if ratio > _MUCH_NOISE}  # NaN where not measured
     if not noise:
-        return "No effect found: the bench as described predicts the session to its noise and repeatability"
-    head = f"No effect found, but the readings are {cell_text(max(noise.values()))} times as noisy as the bench states"
+        return ""
+    said = f"the readings are {cell_text(max(noise.values()))} times as noisy as the bench states"
     if PART_NAMES[RUN_TIME] in noise:
-        head += " (at run time, by anything that changes from one reading to the next, as the eye tracker's jitter)"
-    return head
+        said += " (at run time, by anything that changes from one reading to the next, as the eye tracker's jitter)"
+    return said
 
 
 def _left_over(diagnosis: Diagnosis) -> list[str]:
