@@ -140,6 +140,8 @@ def test_a_budget_from_the_model_file_names_what_the_labels_do(tmp_path):
     ):
         (named,) = [each.in_model_arcmin for each in side.labels if each.label == label]
         assert rms[name] == pytest.approx(named, rel=0.2)
+    more = [side.with_positions(viewpoint[:2]) for side in fit.both]
+    assert more[0].spread.sources == more[1].spread.sources == models.display.spread.sources
 
 
 def test_an_error_of_the_readings_is_propagated_to_the_model():

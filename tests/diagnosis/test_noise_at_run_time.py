@@ -19,7 +19,7 @@ def test_noise_of_another_size_is_measured_and_said_first(bench, run_time):
     assert said.verdict == NO_EFFECT
     assert floor.measured_px / floor.stated_px == pytest.approx(LARGER, abs=4.0 * floor.error_px / floor.stated_px)
     assert not floor.is_believable
-    assert str(said).startswith("No effect found, but the readings are")
+    assert str(said).startswith("No effect found, but the run-time readings are")
     assert said.after.run_time_rms_arcmin == pytest.approx(said.expected.run_time_rms_arcmin, rel=0.05)
 
 

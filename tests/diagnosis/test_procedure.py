@@ -2,14 +2,19 @@
 
 import numpy as np
 import pytest
+from oracle.captures import Plan
+from oracle.effects import Effect
+from oracle.session_writer import write_session
 from small_session import SIGMA_PX, diagnosed, fitted, measured, with_jitter, with_noise
 
 from wlr_render.bench.session_folder import load_session
 from wlr_render.diagnosis import prediction
 from wlr_render.diagnosis.diagnosis import EXPLAINED, LOCATED, NO_EFFECT
 from wlr_render.diagnosis.fit import few_captures_factor
+from wlr_render.diagnosis.observations import DISPLAY
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.procedure import diagnose
+from wlr_render.diagnosis.settings import Settings
 
 
 def test_the_record_of_an_explained_session_holds_the_truth(explained):
@@ -88,6 +93,17 @@ def test_the_corrected_bench_has_the_effect_and_a_diagnosis_of_it_finds_nothing(
     assert (again.verdict, again.effects) == (NO_EFFECT, ())
 
 
+@pytest.mark.slow
+def test_what_stripes_do_is_not_called_noise(tmp_path):
+    """Stripes are finer than the spacing of the readings in a photograph, where they look like noise."""
+    stripes, plan = Effect("code_stripes", {"bias_px": 1.1, "period_px": 41.9}), Plan(grid=(12, 9), dots=(5, 4))
+    write_session(tmp_path, plan, [stripes], np.random.default_rng(5))
+    found = diagnose(*load_session(tmp_path), causes={}, settings=Settings(subsample=1200))
+    (floor,) = [each for each in found.noise_floors if each.part == "display"]
+    assert [effect.station for effect in found.effects[:2]] == ["panel", "panel"]
+    assert floor.used_px == pytest.approx(floor.stated_px, rel=0.1)
+
+
 def test_a_clean_session_has_detection_limits(nothing):
     assert (nothing.verdict, nothing.causes, nothing.effects, nothing.unexplained_parts) == (NO_EFFECT, (), (), ())
     assert {limit.cause for limit in nothing.detection_limits} == {"target_scale", "combiner_tilt"}
@@ -150,7 +166,10 @@ def test_where_more_than_noise_is_left_the_error_bars_are_wider(bench, plan):
     assert (said.verdict, said.effects[0].station) == (LOCATED, "panel")
     (cause,) = said.causes
     sigmas = np.array([[each.sigma for each in one.parameters] for one in (alone, cause)])
-    noise = said.fit.scatter.noise[0] * said.noise_floors[0].used_px / SIGMA_PX
+    # By the sigma of the fit: the noise that is stated is that of the corrected bench.
+    observations = said.readings.observations
+    sigma_px = np.sqrt(np.mean(observations.sigma_px[observations.part == DISPLAY] ** 2))
+    noise = said.fit.scatter.noise[0] * sigma_px / SIGMA_PX
     assert noise > 1.2
     assert np.all(sigmas[1] > 0.8 * noise * sigmas[0])
     factor = few_captures_factor(said.fit, said.readings.observations)

@@ -53,6 +53,8 @@ def test_other_verdicts_have_their_own_sentences(located, nothing, explained):
     assert re.search(r"panel pixels, 2\.\d+ \+- 0\.0\d+ panel px rms \(log10 odds > 20\)", sentence)
     assert any("often come from a panel warped by its bonding" in step for step in advice(located))
     assert any("render with models fitted to the session" in step for step in advice(located))
+    twice = replace(located, effects=(*located.effects, replace(located.effects[0], size=0.1)))
+    assert advice(twice) == advice(located)
     left = (Unexplained("display", 0.5, 1.3), Unexplained("see-through", 0.4, 1.2))
     partly = replace(explained, verdict="partly explained", unexplained_parts=left)
     assert verdict_sentence(partly).startswith("Partly explained: combiner tilted")
@@ -86,12 +88,15 @@ def test_noise_far_above_the_stated_one_is_said_before_the_residuals(nothing, ex
     noisier = [replace(each, measured_px=2.0 * each.stated_px) for each in explained.noise_floors]
     head, noise, *_ = verdict_sentence(replace(explained, noise_floors=tuple(noisier))).split(". ")
     assert explained.causes[0].title in head.lower()
-    assert noise == "The readings are 2 times as noisy as the bench states"
+    assert (
+        noise
+        == "The display readings are 2 times and the see-through readings are 2 times as noisy as the bench states"
+    )
     first, *others = nothing.noise_floors
     unmeasured = replace(first, measured_px=float("nan"))
     noisy = [replace(each, measured_px=2.0 * each.stated_px) for each in others]
     said = verdict_sentence(replace(nothing, noise_floors=(unmeasured, *noisy)))
-    assert said.startswith("No effect found, but the readings are 2 times as noisy as the bench states")
+    assert said.startswith("No effect found, but the see-through readings are 2 times as noisy as the bench states")
 
 
 def test_repeatability_that_no_stage_has_and_parts_that_differ_are_warned_of(nothing):

@@ -363,15 +363,15 @@ def _without_display(
 
 
 def _with_same_sources(shown: ModelFit[FittedDisplay], seen: ModelFit[FittedSeeThrough]) -> _Both:
-    """Return both fits with the sources of either one's covariance: what is the other's alone changes nothing."""
-    of_display, of_see_through = shown.mapping.spread, seen.mapping.spread
-    assert of_display is not None
-    assert of_see_through is not None
-    own = [() if each.smooth.of_labels is None else each.smooth.of_labels.sources for each in (shown, seen)]
-    common = of_display.shared - len(own[0])
+    """Return both fits with the errors by label of either one: those of the other change nothing."""
+    of_display, of_see_through = (
+        () if each.smooth.of_labels is None else each.smooth.of_labels.sources for each in (shown, seen)
+    )
+    if not of_display + of_see_through:
+        return shown, seen
     return (
-        replace(shown, mapping=shown.mapping.with_spread(of_display.with_sources(own[1], of_display.shared))),
-        replace(seen, mapping=seen.mapping.with_spread(of_see_through.with_sources(own[0], common))),
+        shown.of_smooth(shown.smooth.with_sources((), of_see_through)),
+        seen.of_smooth(seen.smooth.with_sources(of_display, ())),
     )
 
 

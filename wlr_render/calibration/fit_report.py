@@ -199,8 +199,11 @@ class ModelFit(Generic[AnyModel]):
     def with_label_errors(self) -> Self:
         """Return the fit whose covariance has the errors that the readings of a label share, see `label_errors`."""
         labels, of_labels = label_errors(self.smooth, self.captures)
-        smooth = replace(self.smooth, of_labels=of_labels)
-        return replace(self, smooth=smooth, mapping=self.mapping.with_spread(smooth.spread), labels=labels)
+        return replace(self.of_smooth(replace(self.smooth, of_labels=of_labels)), labels=labels)
+
+    def of_smooth(self, smooth: SmoothFit) -> Self:
+        """Return the fit with the covariance of another fit of the same polynomial."""
+        return replace(self, smooth=smooth, mapping=self.mapping.with_spread(smooth.spread))
 
     def predicted_arcmin(self, model: AnyModel) -> float:
         """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""

@@ -235,7 +235,7 @@ def _cells(place: FloatArray, count: int) -> IntArray:
 def _score(smooth: SmoothFit, labels: list[_Label]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return u = Z' K^-1 y (k,) and A = Z' K^-1 Z for the columns Z of all labels, and how the fit follows them.
 
-    That are changes (2, columns, k) of the coefficients of an output and (side, k) of the unknowns that both share.
+    The last two are the changes (2, columns, k) of an output's coefficients and (side, k) of the unknowns of both.
     """
     readings, posterior, residual = smooth.readings, smooth.posterior, smooth.residual
     width = sum(each.width for each in labels)

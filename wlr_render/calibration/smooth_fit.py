@@ -218,6 +218,16 @@ class SmoothFit:
         lacking = ~_among(widest.orders, self.readings.orders)
         return np.asarray(prior_squares(widest, self.posterior.hyper)[:, lacking].sum(axis=1))
 
+    def with_sources(self, before: tuple[str, ...], after: tuple[str, ...]) -> "SmoothFit":
+        """Return the fit with errors that change nothing here, of the eye's other model, before and after its own."""
+
+        def idle(sources: tuple[str, ...]) -> Response:
+            coefficients = np.zeros((len(sources), 2, self.readings.coefficients))
+            return Response(sources, coefficients, np.zeros((len(sources), self.posterior.mixed_mean.size)))
+
+        own = idle(()) if self.of_labels is None else self.of_labels
+        return replace(self, of_labels=idle(after).beside(own.beside(idle(before))))
+
     @cached_property
     def spread(self) -> Covariance:
         """Low-rank factors of the covariance of `polynomial`."""

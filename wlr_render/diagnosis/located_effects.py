@@ -67,6 +67,8 @@ class LocatedEffect:
             covariance: (c, c) of them.
         """
         units = self.field.unit.split(", ")
+        if self.field.period:  # the constant beside a wave is not the wave's
+            values, covariance = values * (self.order > 0), covariance * np.outer(self.order > 0, self.order > 0)
 
         def by_unit(coefficients: FloatArray) -> FloatArray:
             """Return the displacement (units, n, k)."""

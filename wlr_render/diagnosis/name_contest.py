@@ -12,7 +12,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.scatter import LOG10_ODDS, Known
 
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
-_MEAN_OF_DRIFT = 4.0  # a drift is on average as far off as this, over the size of its other terms
+_MEAN_OF_DRIFT = 4.0  # size of the constant of a drift over that of its other terms; of a random walk about 2
 _NEARLY_ALL = 0.95  # of the evidence for cause and field, from which a cause stands by itself
 
 
@@ -73,8 +73,11 @@ class NameContest(FieldContest):
         named, unnamed = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station)
         means = (1.0, _MEAN_OF_DRIFT) if station in ELSEWHERE else (1.0,)
-        without = min(self._least_of(columns, unnamed, mean=mean)[0] for columns in tried for mean in means)
-        return LOG10_ODDS * (without - self._least_of_any(tried, named))
+        without, with_name = (
+            min(self._least_of(columns, known, mean=mean)[0] for columns in tried for mean in means)
+            for known in (unnamed, named)
+        )
+        return LOG10_ODDS * (without - with_name)
 
     def _odds_against(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
         """Log10 odds for causes against the fields of a station in their place.

@@ -25,8 +25,8 @@ _CODE_DEGREE = 6  # of smooth shifts on the panel beside which stripes are looke
 _ANYWHERE = 1e6  # bound of what does not depend on the place
 _PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
 _ROUNDS, _CLOSER = 2, 21
-"""Rounds of periods closer and closer to the best of these, and the number in a round, from its neighbour on one side
-to the one on the other."""
+"""Rounds of periods ever closer to the best one, and their number in a round. A round reaches from one neighbour of the
+best period in the round before to the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def _fields(kind: _Kind, axis: _Axis, rows: BoolArray, like: Sequence[StationFie
     period = known[0] if known else _likeliest(periods, axis)
     phase = 2.0 * np.pi * axis.place / period
     waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
-    # At the few places of an axis a wave may be nearly constant, as what another station does is: `ELSEWHERE`.
+    # At few places a wave is nearly constant; a constant of the stage is the camera's, and no shape of the wave.
     mean = waves.mean(axis=0)
     functions, order = np.column_stack([np.ones(len(waves)), waves - mean]), np.array([0, 1, 1])
     in_bench = partial(_in_bench, kind, axis.number, period, mean)

@@ -102,6 +102,8 @@ def diagnose(
     noise = _with_run_time(prepared.noise, located, stated.observations)
     left = _unexplained(located, prepared, noise, fine, settings)
     corrected, effects = _corrected(located, fine, stated, settings)
+    if effects:
+        noise = _with_run_time(_noise_beside(corrected, stated, noise), located, stated.observations)
     structure = located.structure(effects)
     named = tuple(
         found_cause(search, found, number, ranking, odds)
@@ -299,6 +301,15 @@ def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None)
         return [first]
     rests = [found.explanation.without(number) for number in range(len(found.explanation.hypotheses))]
     return [search.rank(search.refitted(rest, found.scatter)) for rest in rests]
+
+
+def _noise_beside(corrected: Bench, as_stated: Predictor, noise: Noise) -> Noise:
+    """Return the noise with a corrected bench at work, with the same outliers.
+
+    What a surface through a photograph does not follow of an effect was counted as noise before.
+    """
+    residual = np.nan_to_num(as_stated.residual_of_bench(corrected))
+    return replace(noise_of(as_stated.observations, residual), outlier=noise.outlier)
 
 
 def _with_run_time(noise: Noise, located: Located, observations: Observations) -> Noise:

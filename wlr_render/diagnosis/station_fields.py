@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from wlr_render.bench.simulate_run_time import RunTimeViews, gravity_and_rate
+from wlr_render.bench.simulate_run_time import gravity_and_rate
 from wlr_render.bench.simulate_session import camera_positions, dot_pixels, simulate_to_first_order
 from wlr_render.captures.session import Readings, SeeThroughPlan, SessionPlan
 from wlr_render.diagnosis.causes import CAUSES
@@ -201,14 +201,15 @@ def dot_lever(predictor: Predictor, plan: SeeThroughPlan) -> FloatArray:
 def _run_time_fields(readings: WeighedReadings) -> Iterator[StationField]:
     """Return the fields of a recording of head motion: shifts of the virtual dot, and delays, by all variables."""
     observations, predictor = readings.observations, readings.predictor
-    plan, seen = observations.session.plan.run_time, _predicted(readings).run_time_pixel
+    plan, views = observations.session.plan.run_time, predictor.state(Explanation()).views.run_time
     assert plan is not None
-    assert seen is not None
+    assert views is not None
+    seen = views.pixel
     rows, sigma = observations.part == RUN_TIME, observations.sigma_of(RUN_TIME)[:, :, None]
     shift, turn = np.eye(2) / sigma, _picture_turned(observations, seen[:, :2]) / sigma
     delay, pupil = (lever_of(predictor, CAUSES[cause])[rows] for cause in ("latency", "eye_position_bias"))
     gravity, rate = gravity_and_rate(plan)
-    panel = RunTimeViews(observations.nominal, plan).drawn_at
+    panel = views.drawn_at
     for station, form, pixel in (("camera", "shift of the image", seen[:, 2:]), ("panel", "shift", panel)):
         terms = smooth_terms(f"{station} pixels", pixel, 1, 2, 4, 6)
         yield field_of(station, form, "px", terms, shift, rows, "picture")

@@ -76,12 +76,13 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 
 def _larger_noise(diagnosis: Diagnosis) -> str:
-    """Return a sentence on noise that is much larger than stated; empty where it is not, or not measured."""
+    """Return a clause on noise that is much larger than stated; empty where it is not, or not measured."""
     floors = {floor.part: floor.measured_px / floor.stated_px for floor in diagnosis.noise_floors}
     noise = {part: ratio for part, ratio in floors.items() if ratio > _MUCH_NOISE}  # NaN where not measured
     if not noise:
         return ""
-    said = f"the readings are {cell_text(max(noise.values()))} times as noisy as the bench states"
+    parts = " and ".join(f"the {part} readings are {cell_text(ratio)} times" for part, ratio in noise.items())
+    said = f"{parts} as noisy as the bench states"
     if PART_NAMES[RUN_TIME] in noise:
         said += " (at run time, by anything that changes from one reading to the next, as the eye tracker's jitter)"
     return said
@@ -241,7 +242,9 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     settings = diagnosis.settings
     steps = [_before_acting(cause, other) for cause in diagnosis.causes for other in undecided(cause, settings)]
     steps += [*_remedies(diagnosis), *_corrected_values(diagnosis)]
-    steps += [step for effect in diagnosis.effects for step in _about_effect(effect)]
+    clearest = {effect.station: effect for effect in reversed(diagnosis.effects)}
+    of_stations = [effect for effect in diagnosis.effects if clearest[effect.station] is effect]
+    steps += dict.fromkeys(step for effect in of_stations for step in _about_effect(effect))
     if diagnosis.unexplained_parts:
         parts = " and of the ".join(f"{each.part} part" for each in diagnosis.unexplained_parts)
         steps.append(f"Look for what differs from one capture of the {parts} to the next.")

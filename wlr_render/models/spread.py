@@ -7,7 +7,7 @@ a_k and j are independent and standard normal. The uncertainty that noise causes
 first of j, one for each of `sources`, are the same variables in the display and the see-through model of an eye.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,8 +27,8 @@ class Covariance:
         outputs: number of outputs of the polynomial: block 0 along x and y, then block 1.
         apart: inputs -> (blocks * rank) factors of the independent part of both axes; empty if there is none.
         joint: inputs -> (outputs * rank) factors that couple the axes.
-        sources: source of error, e.g. "prescription", of each joint variable that the eye's other model has, too, be
-            it as zeros. These variables come first.
+        sources: source of error, e.g. "prescription", of each joint variable that is one of the eye's other model, too;
+            it may change one of them alone. These variables come first.
     """
 
     outputs: int
@@ -40,20 +40,6 @@ class Covariance:
     def shared(self) -> int:
         """Number of joint variables that the eye's other model shares."""
         return len(self.sources)
-
-    def with_sources(self, sources: tuple[str, ...], before: int) -> "Covariance":
-        """Return the covariance with shared variables that change the eye's other model alone.
-
-        Args:
-            sources: of these variables.
-            before: number of the shared variable that comes next.
-        """
-        terms = len(self.joint.orders)
-        by_variable = self.joint.coefficients.reshape(terms, self.outputs, -1)
-        nothing = np.zeros((terms, self.outputs, len(sources)))
-        parts = (by_variable[..., :before], nothing, by_variable[..., before:])
-        joint = Polynomial(self.joint.orders, self.joint.box, np.concatenate(parts, axis=-1).reshape(terms, -1))
-        return replace(self, joint=joint, sources=self.sources[:before] + sources + self.sources[before:])
 
     def covariance(self, inputs: FloatArray) -> FloatArray:
         """Return covariance (n, outputs, outputs) of the values at inputs (n, variables), in their units squared."""
