@@ -28,7 +28,7 @@ from wlr_render.numerics.evidence import weight_values
 STANDS_OUT, MATTERS = 2.0, 0.3
 """Log10 odds from which the captures have the errors of a label, and their least effect on the model, over the error
 that its fit expects, from which a report names them: 4 % more error."""
-_SOURCES = {
+SOURCES = {
     "dot and pose": (
         "shape of the board at each pose",
         "Hold the board flat at all poses, and let the camera's focus alone.",
@@ -96,7 +96,7 @@ class LabelError:
 
     @property
     def _said(self) -> tuple[str, str]:
-        return next(said for start, said in _SOURCES.items() if self.label.startswith(start))
+        return next(said for start, said in SOURCES.items() if self.label.startswith(start))
 
 
 @dataclass(frozen=True)
