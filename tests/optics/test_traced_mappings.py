@@ -104,6 +104,14 @@ def test_more_queries_than_a_block_and_a_useless_warm_start(mappings):
     np.testing.assert_allclose(seen.value, normalised(panel.point_of_pixel(pixel) - viewpoint), atol=1e-12)
 
 
+def test_a_warm_start_that_is_far_off_loses_no_answer(mappings):
+    eye = mappings["birdbath28"]
+    pixel, viewpoint = queries(eye)
+    seen = eye.display.view_dir_of_pixel(pixel, viewpoint)
+    again = eye.display.view_dir_of_pixel(pixel, viewpoint, seen.warm_start + 0.6)
+    np.testing.assert_allclose(again.value, seen.value, atol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["flat_mirror", "plane_plate", "tilted_plate"])
 def test_flat_mirror_shows_the_panels_mirror_image(mappings, name):
     """All three show the panel in a mirror through (0, 0, -40 mm) with its normal half-way between up and back."""

@@ -44,7 +44,7 @@ class RunTimeViews:
     Attributes:
         bench: the bench.
         plan: its readings at run time.
-        near: views on a neighbouring bench with the same plan; they speed up the solve and do not change its result.
+        near: views on a neighbouring bench with the same plan, from which the solve starts.
     """
 
     bench: Bench

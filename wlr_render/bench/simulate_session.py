@@ -83,7 +83,7 @@ def simulate(bench: Bench, plan: SessionPlan, views: Views | None = None) -> Rea
     Args:
         bench: the bench.
         plan: setup of each row.
-        views: views of its dots on this bench, if they were begun.
+        views: views of the dots of all its parts on this bench, if they were begun.
 
     Returns:
         The readings; NaN where the panel or a dot cannot be seen.

@@ -362,19 +362,6 @@ def _without_display(
     return covariance @ pull, np.linalg.cholesky(covariance)
 
 
-def _with_same_sources(shown: ModelFit[FittedDisplay], seen: ModelFit[FittedSeeThrough]) -> _Both:
-    """Return both fits with the errors by label of either one: those of the other change nothing."""
-    of_display, of_see_through = (
-        () if each.smooth.of_labels is None else each.smooth.of_labels.sources for each in (shown, seen)
-    )
-    if not of_display + of_see_through:
-        return shown, seen
-    return (
-        shown.of_smooth(shown.smooth.with_sources((), of_see_through)),
-        seen.of_smooth(seen.smooth.with_sources(of_display, ())),
-    )
-
-
 def _log_evidence(fitted: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]) -> float:
     return fitted.smooth.posterior.log_evidence
 
@@ -386,9 +373,9 @@ def _eye_fit(
     log_evidence: float,
 ) -> Calibration:
     source = captures.source
-    shown, seen = shown and shown.with_label_errors(), seen and seen.with_label_errors()
-    if shown is not None and seen is not None:
-        shown, seen = _with_same_sources(shown, seen)
+    of_display, of_see_through = (() if each is None else each.sources_by_label for each in (shown, seen))
+    shown = shown and shown.with_label_errors(after=of_see_through)
+    seen = seen and seen.with_label_errors(before=of_display)
     kind = next(each.kind for each in (shown, seen) if each is not None)
     mappings = Eye(
         f"{source.device} ({kind})",

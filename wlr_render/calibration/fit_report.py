@@ -9,6 +9,7 @@ import numpy as np
 
 from wlr_render.calibration.label_errors import LabelError, label_errors
 from wlr_render.calibration.moved_captures import CaptureMotion
+from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.calibration.smooth_fit import MotionAgreement, SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select, with_copies
@@ -196,14 +197,25 @@ class ModelFit(Generic[AnyModel]):
             labels=self.labels,
         )
 
-    def with_label_errors(self) -> Self:
-        """Return the fit whose covariance has the errors that the readings of a label share, see `label_errors`."""
-        labels, of_labels = label_errors(self.smooth, self.captures)
-        return replace(self.of_smooth(replace(self.smooth, of_labels=of_labels)), labels=labels)
+    @cached_property
+    def _by_label(self) -> tuple[tuple[LabelError, ...], Response]:
+        return label_errors(self.smooth, self.captures)
 
-    def of_smooth(self, smooth: SmoothFit) -> Self:
-        """Return the fit with the covariance of another fit of the same polynomial."""
-        return replace(self, smooth=smooth, mapping=self.mapping.with_spread(smooth.spread))
+    @property
+    def sources_by_label(self) -> tuple[str, ...]:
+        """Sources of the errors by label that `with_label_errors` puts into the covariance."""
+        return self._by_label[1].sources
+
+    def with_label_errors(self, before: tuple[str, ...] = (), after: tuple[str, ...] = ()) -> Self:
+        """Return the fit whose covariance has the errors that the readings of a label share, see `label_errors`.
+
+        Args:
+            before, after: sources of errors of the eye's other model, which change nothing here; their variables come
+                before and after those of this one, so that both models have the same.
+        """
+        labels, response = self._by_label
+        smooth = replace(self.smooth, of_labels=response.between(before, after))
+        return replace(self, smooth=smooth, mapping=self.mapping.with_spread(smooth.spread), labels=labels)
 
     def predicted_arcmin(self, model: AnyModel) -> float:
         """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""

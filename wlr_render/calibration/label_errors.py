@@ -28,7 +28,7 @@ from wlr_render.numerics.evidence import weight_values
 STANDS_OUT, MATTERS = 2.0, 0.3
 """Log10 odds from which the captures have the errors of a label, and their least effect on the model, over the error
 that its fit expects, from which a report names them: 4 % more error."""
-SOURCES = {
+SOURCES_BY_LABEL = {
     "dot and pose": (
         "shape of the board at each pose",
         "Hold the board flat at all poses, and let the camera's focus alone.",
@@ -96,7 +96,7 @@ class LabelError:
 
     @property
     def _said(self) -> tuple[str, str]:
-        return next(said for start, said in SOURCES.items() if self.label.startswith(start))
+        return next(said for start, said in SOURCES_BY_LABEL.items() if self.label.startswith(start))
 
 
 @dataclass(frozen=True)
@@ -126,16 +126,17 @@ class _Label:
 
 def label_errors(
     smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures
-) -> tuple[tuple[LabelError, ...], Response | None]:
+) -> tuple[tuple[LabelError, ...], Response]:
     """Return the errors of all labels of the captures of a fit, and how it follows those that stand out.
 
     Those that stand out come first, each judged with the ones before it as part of the model; the others with all.
     Exact data have none.
     """
-    readings = smooth.readings
+    readings, mixed = smooth.readings, smooth.posterior.mixed_mean.size
+    response = Response((), np.zeros((0, 2, readings.coefficients)), np.zeros((0, mixed)))
     labels = list(_labels(smooth, captures)) if np.any(readings.sigma > 0) else []
     if not labels:
-        return (), None
+        return (), response
     common = np.zeros((len(readings), 2, 0))  # errors of the bench that the captures state
     if readings.common is not None:
         common = readings.common.columns(readings.slopes(smooth.polynomial))
@@ -146,7 +147,6 @@ def label_errors(
     effect = _effect(smooth, follow, of_side)
     noise, own = smooth.noise * float(np.median(readings.sigma)), smooth.own_arcmin(_sample(smooth))
     named: list[LabelError] = []
-    response: Response | None = None
     left = list(zip(labels, parts, strict=True))
     while left:
         judged = []
@@ -162,10 +162,9 @@ def label_errors(
         named.append(judged[best])
         part, size = left.pop(best)[1], judged[best].size_arcmin / np.sqrt(2.0)
         few = size * principal(effect[:, :, part].reshape(-1, part.stop - part.start))
-        if few.size:  # the model may follow none of them
-            sources, mixed = (judged[best].source,) * few.shape[1], smooth.posterior.mixed_mean.size
-            of_axes = (follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
-            response = Response(sources, of_axes, (of_side[:mixed, part] @ few).T).beside(response)
+        of_axes = (follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
+        sources = (judged[best].source,) * few.shape[1]
+        response = Response(sources, of_axes, (of_side[:mixed, part] @ few).T).beside(response)
         score, information = _absorbed(score, information, part, size)
     return tuple(named), response
 

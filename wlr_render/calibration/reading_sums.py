@@ -33,6 +33,12 @@ class Response:
         of_axes, mixed = (other.coefficients, self.coefficients), (other.mixed, self.mixed)
         return Response(other.sources + self.sources, np.concatenate(of_axes), np.concatenate(mixed))
 
+    def between(self, before: tuple[str, ...], after: tuple[str, ...]) -> "Response":
+        """Return these errors between others, of the sources named, which the fit does not follow."""
+        pad = (len(before), len(after))
+        coefficients, mixed = np.pad(self.coefficients, (pad, (0, 0), (0, 0))), np.pad(self.mixed, (pad, (0, 0)))
+        return Response(before + self.sources + after, coefficients, mixed)
+
 
 class UndeterminedModelError(BadInputError):
     """The readings do not determine an unknown that no prior holds."""

@@ -69,7 +69,7 @@ class SmoothFit:
         moved: captures that moved by far more than the others; their weights are zero.
         beyond: (blocks,) variance of each output of a block that is expected of terms beyond those of the fit; None for
             limits that the user states.
-        of_labels: errors that the readings of a label share; None where none were looked for, or for exact data.
+        of_labels: errors that the readings of a label share; None where none were looked for.
         prior: of coefficients and motions.
         columns: (n, 2, 6) change of the readings by the motions; None where none are modelled.
         start: the free part, which the sums lack.
@@ -217,16 +217,6 @@ class SmoothFit:
         """(blocks,) variance of an output that is expected of the terms of `widest` that the fit lacks."""
         lacking = ~_among(widest.orders, self.readings.orders)
         return np.asarray(prior_squares(widest, self.posterior.hyper)[:, lacking].sum(axis=1))
-
-    def with_sources(self, before: tuple[str, ...], after: tuple[str, ...]) -> "SmoothFit":
-        """Return the fit with errors that change nothing here, of the eye's other model, before and after its own."""
-
-        def idle(sources: tuple[str, ...]) -> Response:
-            coefficients = np.zeros((len(sources), 2, self.readings.coefficients))
-            return Response(sources, coefficients, np.zeros((len(sources), self.posterior.mixed_mean.size)))
-
-        own = idle(()) if self.of_labels is None else self.of_labels
-        return replace(self, of_labels=idle(after).beside(own.beside(idle(before))))
 
     @cached_property
     def spread(self) -> Covariance:

@@ -114,7 +114,7 @@ def _standing(search: Search, found: Fit, most: int) -> Located:
         weakest_odds, rival = min(min(odds), together)
         cause = found.explanation.hypotheses[weakest].cause
         dropped.append(
-            f"{cause.name} would explain part of it, but an effect of another shape ({rival}) explains as much: log10 "
+            f"{cause.name} would explain part of it, but a field of the {rival} explains as much: log10 "
             f"odds for the name are {weakest_odds:.1f}, and it is not named"
         )
         found = search.refitted(found.explanation.without(weakest), found.scatter)

@@ -19,9 +19,7 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
 from wlr_render.numerics.waves import Wave
 
-_SCREWS_MM = 0.25, 4.0  # leads of screws and their fractions
-_STRIPES_PX = 8.0, 160.0  # periods of fringes and of the stripes of a code that are misread
-_CODE_DEGREE = 6  # of smooth shifts on the panel beside which stripes are looked for
+_CODE_DEGREE = 6  # degree of the smooth shifts on the panel that are taken off before stripes are looked for
 _ANYWHERE = 1e6  # bound of what does not depend on the place
 _PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
 _ROUNDS, _CLOSER = 2, 21
@@ -63,8 +61,26 @@ class _Kind:
     periods: tuple[float, float]
 
 
-_SCREW = _Kind("stage", "stage readings", "pose", 3, 6, "um", "mm", _SCREWS_MM)
-_STRIPES = _Kind("panel", "panel pixels", "shift", 2, 2, "panel px", "px", _STRIPES_PX)
+_SCREW = _Kind(
+    station="stage",
+    coordinates="stage readings",
+    displaces="pose",
+    variables=3,
+    components=6,
+    unit="um",
+    unit_of_period="mm",
+    periods=(0.25, 4.0),  # leads of screws and their fractions
+)
+_STRIPES = _Kind(
+    station="panel",
+    coordinates="panel pixels",
+    displaces="shift",
+    variables=2,
+    components=2,
+    unit="panel px",
+    unit_of_period="px",
+    periods=(8.0, 160.0),  # fringes, and stripes of a code that are misread
+)
 
 
 def screw_fields(
@@ -120,7 +136,7 @@ def _fields(kind: _Kind, axis: _Axis, rows: BoolArray, like: Sequence[StationFie
     period = known[0] if known else _likeliest(periods, axis)
     phase = 2.0 * np.pi * axis.place / period
     waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
-    # At few places a wave is nearly constant; a constant of the stage is the camera's, and no shape of the wave.
+    # A wave that few places sample may be nearly constant there. A constant rivals no cause of another station.
     mean = waves.mean(axis=0)
     functions, order = np.column_stack([np.ones(len(waves)), waves - mean]), np.array([0, 1, 1])
     in_bench = partial(_in_bench, kind, axis.number, period, mean)

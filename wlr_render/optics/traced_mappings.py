@@ -174,6 +174,8 @@ class TracedDisplay(_Traced):
         if warm_start is None or cold.any():
             start[cold] = _guessed(self._guess, wanted[cold], eyes[cold])
         tangents = self._solve(wanted, eyes, start)
+        if warm_start is not None and (lost := ~outside & ~cold & ~_found(tangents)).any():
+            tangents[lost] = self._solve(wanted[lost], eyes[lost], _guessed(self._guess, wanted[lost], eyes[lost]))
         view_dir = dir_of_tangents(tangents)
         status = np.where(_found(tangents), self.plane_pixel(view_dir, eyes)[1], Status.NOT_CONVERGED)
         status = np.where(outside, Status.CLIPPED, status)
@@ -247,6 +249,8 @@ class TracedSeeThrough(_Traced):
             warm = warm_start.reshape(cold.shape)
             start = np.where(_found(warm + cold)[:, None], warm, cold)
         tangents = _shoot(miss, start, _ANGLE_TOLERANCE)
+        if warm_start is not None and (lost := ahead & ~_found(tangents)).any():
+            tangents[lost] = self.view_dir_of_real_point(wanted[lost], eyes[lost]).warm_start
         view_dir = dir_of_tangents(tangents)
         _, along, status = self._passing(view_dir, eyes, wanted)
         status = np.where((status == Status.OK) & ~(along > 0.0), Status.MISS, status)
