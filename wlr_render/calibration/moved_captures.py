@@ -8,6 +8,7 @@ import numpy as np
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.calibration.smooth_prior import SHIFT, TURN, motion_scale, motion_sizes
 from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.usual import STAGE_REPEATABILITY_M, STAGE_TURN_RAD
 
 _TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of the shift, and of the turn, of a camera that moved
 _SHARE_THAT_MOVES = 0.03  # share of captures, before the readings
@@ -15,7 +16,6 @@ _SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # odds from which a capture i
 _MEDIAN_OF_THREE = 1.538  # median length of three standard normal numbers
 _MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # a motion below both is an ordinary stage's
 _PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # a camera on a stage does not move by more
-_ORDINARY_SHIFT_M, _ORDINARY_TURN_RAD = 5e-6, 2e-5  # per axis, of a good stage
 _BAD_STAGE_M, _BAD_STAGE_RAD, _TIMES_STATED = 1e-4, 3e-4, 2.0  # likewise, of a bad one, or as often as stated
 
 
@@ -59,7 +59,7 @@ def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray,
     """
     stated = motion_sizes(readings)
     usual = stated * factors
-    parts = (SHIFT, _ORDINARY_SHIFT_M, _BAD_STAGE_M), (TURN, _ORDINARY_TURN_RAD, _BAD_STAGE_RAD)
+    parts = (SHIFT, STAGE_REPEATABILITY_M.value, _BAD_STAGE_M), (TURN, STAGE_TURN_RAD.value, _BAD_STAGE_RAD)
     for (part, least, bad), scale in zip(parts, motion_scale(readings), strict=True):
         relative = np.linalg.norm(motion[others, part] / usual[others, part], axis=1)
         most = float(np.max(factors[part]) * np.median(relative)) / _MEDIAN_OF_THREE

@@ -16,12 +16,9 @@ from wlr_render.geometry.directions import ARCMIN
 from wlr_render.geometry.lens import Lens, radians_per_pixel
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.usual import CAMERA_SYSTEMATIC_PX
 
 _BEYOND_FIELD = 0.05  # margin on each side of the panel's field: solves start and interpolate there
-_SYSTEMATIC_PX = 0.01
-"""Camera pixels that the lens model and the optics' own blur leave, of which the noise of a reading knows nothing:
-without them a fit would follow a few readings of very little noise. In
-simulated sessions fits find 0.008 to 0.017 px."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +152,7 @@ def _rows(
         "eye_box": headset.eye_box,
         "viewpoint": pose[:3, 3],
         "view_dir": direction[sound],
-        "sigma_arcmin": (np.hypot(sigma_px, _SYSTEMATIC_PX) * arcmin_per_px)[sound],
+        "sigma_arcmin": (np.hypot(sigma_px, CAMERA_SYSTEMATIC_PX.value) * arcmin_per_px)[sound],
         "device_from_camera": pose[:3, :3] @ transforms.OPENXR_FROM_OPENCV,
     }
     return rows, sound

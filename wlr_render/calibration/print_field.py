@@ -6,8 +6,6 @@ import numpy as np
 
 from wlr_render.numerics.arrays import FloatArray
 
-USUAL_PRINT_M, PRINTS_DIFFER = 5e-5, 1.0
-"""Rms printing error of a dot per axis, of boards on paper or aluminium, and the sigma of its logarithm."""
 USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
 """Fall of the logarithm of a wave's size with its frequency, per radian in `_UNIT_M`, and its sigma."""
 _UNIT_M = 0.1

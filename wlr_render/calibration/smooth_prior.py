@@ -11,21 +11,18 @@ from itertools import product
 import numpy as np
 from scipy.special import binom
 
-from wlr_render.calibration.print_field import FALLS_DIFFER, PRINTS_DIFFER, USUAL_FALL, USUAL_PRINT_M
+from wlr_render.calibration.print_field import FALLS_DIFFER, USUAL_FALL
 from wlr_render.calibration.reading_sums import sums_of
 from wlr_render.calibration.readings import FitReadings, flat_places
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Prior, Sums, posterior
 from wlr_render.numerics.polynomial import Polynomial
+from wlr_render.usual import BOARD_PRINT_M, STAGE_REPEATABILITY_M, STAGE_TURN_RAD
 
 NOISE_FLOOR_ARCMIN = 1e-3
 """Least noise of a reading that states more or nothing: exact data would send it to zero, where rounding decides."""
 LARGEST_SHIFT_M, LARGEST_TURN_RAD = 1e-3, 3e-3
 """Bounds of a stage's repeatability; beyond, it is not a stage that is wrong."""
-USUAL_SHIFT_M, USUAL_TURN_RAD = 2e-6, 1e-5
-"""Repeatability of good motorised stages, for captures that state none; where positions are many, the readings overrule
-it."""
-_STAGES_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
 SHIFT, TURN = slice(0, 3), slice(3, 6)
 LEAST_MOTION = 1e-9  # metres, radians
 _MOST_TIMES = 10.0  # the sizes known before may be wrong by
@@ -103,10 +100,11 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     if footprint:
         expected[names.index(_FOOTPRINT)] = _USUAL_FOOTPRINT
     if print_names:
-        expected[names.index("print")] = np.log(USUAL_PRINT_M), PRINTS_DIFFER
+        expected[names.index("print")] = np.log(BOARD_PRINT_M.value), BOARD_PRINT_M.log_sigma
         expected[names.index("fall")] = USUAL_FALL, FALLS_DIFFER
     if moving:
-        expected[-2:, 1] = _STAGES_DIFFER if readings.motion_prior is None else readings.motion_prior.log_sigma
+        stated = readings.motion_prior
+        expected[-2:, 1] = STAGE_REPEATABILITY_M.log_sigma if stated is None else stated.log_sigma
         if factors is not None:
             expected[-2:] = np.stack([factors.mean, factors.sigma], axis=-1)
     return Prior(names, np.array(bounds), expected, shared, mixed, own, offset, of_columns)
@@ -145,7 +143,7 @@ def _log_ways(readings: FitReadings) -> FloatArray:
 def motion_sizes(readings: FitReadings) -> FloatArray:
     """Prior sizes (captures, 6) of the camera's shift (metres) and turn (radians), up to a common factor of each."""
     if readings.motion_prior is None:
-        usual = np.repeat([USUAL_SHIFT_M, USUAL_TURN_RAD], 3)
+        usual = np.repeat([STAGE_REPEATABILITY_M.value, STAGE_TURN_RAD.value], 3)
         return np.tile(usual, (int(readings.capture.max()) + 1, 1))
     return np.maximum(np.roll(readings.motion_prior.size, 3, axis=1), LEAST_MOTION)
 
@@ -198,7 +196,7 @@ def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise
         "mu": by_place,
         _FOOTPRINT: _USUAL_FOOTPRINT[0],
         "noise": float(np.log(noise)),
-        "print": float(np.log(USUAL_PRINT_M)),
+        "print": float(np.log(BOARD_PRINT_M.value)),
         "fall": USUAL_FALL,
     }
     return {name: values[name.split()[0]] for name in prior.names}

@@ -6,15 +6,15 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render import usual
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, EyeTracker, HeadTracker, PerAxis, Truncation
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import Eyes, Options, described, flag_of, option_group
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M
 
-_GAZE_SCATTER_DEG, _GAZE_MEDIAN_DEG, _MEDIAN_OF_RAYLEIGH = 0.20, 0.84, 1.177
+_MEDIAN_OF_RAYLEIGH = 1.177  # median length of a pair of standard normal numbers
 _PUPIL_MM_PER_DEG = 1e3 * PUPIL_DISTANCE_M * np.pi / 180
-_HEAD_DEG_S = 15.0
 
 PerAxisMm = tuple[float, ...]
 _EYE = option_group("Eye tracking", 1)
@@ -38,7 +38,7 @@ class BudgetOptions(Options):
             group=_EYE,
         ),
         limits.TRACKING_MM,
-    ] = (round(_GAZE_SCATTER_DEG * _PUPIL_MM_PER_DEG, 2),)
+    ] = (round(usual.EYE_NOISE_DEG.value * _PUPIL_MM_PER_DEG, 2),)
     eye_bias_mm: Annotated[
         PerAxisMm,
         described(
@@ -48,34 +48,34 @@ class BudgetOptions(Options):
             group=_EYE,
         ),
         limits.TRACKING_MM,
-    ] = (round(_GAZE_MEDIAN_DEG / _MEDIAN_OF_RAYLEIGH * _PUPIL_MM_PER_DEG, 2),)
+    ] = (round(usual.EYE_BIAS_DEG.value / _MEDIAN_OF_RAYLEIGH * _PUPIL_MM_PER_DEG, 2),)
     eye_latency_ms: Annotated[
         float,
         described("Latency of eye tracking in ms that remains after prediction.", group=_EYE),
         limits.LATENCY_MS,
-    ] = 45.0
+    ] = usual.EYE_LATENCY_S.milli
     eye_speed_mm_s: Annotated[
         float, described("Speed of the pupil in mm/s, rms per axis, x and y.", group=_EYE), limits.PUPIL_MM_S
-    ] = round(_HEAD_DEG_S * _PUPIL_MM_PER_DEG, 1)
+    ] = round(usual.HEAD_SPEED_DEG_S.value * _PUPIL_MM_PER_DEG, 1)
     head_noise_deg: Annotated[
         float,
         described("Noise of the head's rotation in degrees, one sigma per axis.", group=_HEAD),
         limits.TRACKING_DEG,
-    ] = 0.02
+    ] = usual.HEAD_NOISE_DEG.value
     head_noise_mm: Annotated[
         float, described("Noise of the head's position in mm, one sigma per axis.", group=_HEAD), limits.TRACKING_MM
-    ] = 0.5
+    ] = usual.HEAD_NOISE_M.milli
     head_latency_ms: Annotated[
         float,
         described("Latency of head tracking in ms that remains after prediction and late warp.", group=_HEAD),
         limits.LATENCY_MS,
-    ] = 2.0
+    ] = usual.HEAD_LATENCY_S.milli
     head_speed_deg_s: Annotated[
         float, described("Angular speed of the head in degrees/s, rms per axis.", group=_HEAD), limits.HEAD_DEG_S
-    ] = _HEAD_DEG_S
+    ] = usual.HEAD_SPEED_DEG_S.value
     head_speed_m_s: Annotated[
         float, described("Speed of the head in m/s, rms per axis.", group=_HEAD), limits.HEAD_M_S
-    ] = 0.1
+    ] = usual.HEAD_SPEED_M_S.value
     raster_arcmin: Annotated[
         float,
         described("Error of a raster frame against a ray-traced one, in arcmin.", group=_DRAWING),

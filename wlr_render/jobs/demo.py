@@ -74,11 +74,11 @@ from wlr_render.report.plots import curves, small_heat_maps
 from wlr_render.report.save import save_report
 from wlr_render.simulation import viewpoints as stage
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.usual import CAMERA_NOISE_ARCMIN
 
 METHODS = ("naive", "static", "raster + warp", "ray traced")
 """Methods without OpenGL: all except the third."""
 CAMERA_POSITIONS = 49
-CAMERA_NOISE_ARCMIN = 0.25
 HEAD_POSE = np.eye(4)
 CAPTION = "The real object and, in green, its virtual twin by each method."
 _GRID = (48, 54)
@@ -216,7 +216,7 @@ def _planar_of(methods: Collection[str]) -> str:
 def simulated_captures(truth: Eye, seed: int) -> Captures:
     """Simulate a planar calibration with camera noise, plus one position at the centre for the static map."""
     rng = np.random.default_rng(seed_of(seed, truth.eye))
-    setup = CaptureSetup(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN)
+    setup = CaptureSetup(truth, camera_noise_arcmin=CAMERA_NOISE_ARCMIN.value)
     planar = stage.planar(truth.eye_box, setup.field.reach, CAMERA_POSITIONS)
     positions = np.concatenate([planar, stage.nominal(truth.eye_box)])
     return Captures(simulate_display(setup, positions, rng), simulate_see_through(setup, positions, rng))

@@ -19,14 +19,15 @@ import numpy as np
 from scipy.linalg import lapack
 
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
+from wlr_render.usual import SESSION_REPEATABILITY_M, SESSION_TURN_RAD
 
 LOG10_ODDS = float(0.5 / np.log(10.0))
 """Log10 odds for each unit of -2 log evidence."""
-USUAL_SHIFT, USUAL_TURN = 8.0, 25.0
+USUAL_SHIFT, USUAL_TURN = SESSION_REPEATABILITY_M.micro, SESSION_TURN_RAD.micro
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
 UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
 """Beyond what stages repeat to."""
-_USUAL_RANGE = 1.2  # standard deviation of their logarithms: a factor of 3.3
+_USUAL_RANGE = SESSION_REPEATABILITY_M.log_sigma  # standard deviation of their logarithms
 MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
 _COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
 PARTS = 3

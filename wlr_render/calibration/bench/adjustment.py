@@ -115,7 +115,7 @@ def adjust(start: BenchState) -> Adjustment:
     """
     state, layout = start, layout_of(start)
     prior = prior_of(layout)
-    hyper = np.array([*(np.log(USUAL_SIZES[name]) for name in HYPER[:-1]), 0.0])
+    hyper = np.array([*(np.log(size.value) for size in USUAL_SIZES.values()), 0.0])
     sizes = _sizes(
         hyper,
         {name: start.observations.tolerances[name].print_error_m for name in state.shape},

@@ -13,7 +13,7 @@ from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
 from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.state import Key
-from wlr_render.calibration.bench.unknowns import USUAL_DIFFER, USUAL_SIZES
+from wlr_render.calibration.bench.unknowns import USUAL_SIZES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
@@ -227,7 +227,7 @@ def _stage_checks(adjustment: Adjustment) -> list[Check]:
         ("smooth error in rotation", "smooth turn", 1e6 * sizes.smooth_turn, "urad", False),
     )
     for quantity, name, value, unit, refused in rows:
-        limit = 1e6 * USUAL_SIZES[name] * float(np.exp(2.5 * USUAL_DIFFER))
+        limit = 1e6 * USUAL_SIZES[name].value * float(np.exp(2.5 * USUAL_SIZES[name].log_sigma))
         relative = 1.0 / np.sqrt(6.0 * len(adjustment.state.offsets))
         ok = value <= limit
         sentence = f"the stage's {quantity} is {value:.2g} {unit} per axis"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wlr_render import usual
 from wlr_render.calibration.bench.board_views import TRACKING, CameraSetup, KnownPose
 from wlr_render.calibration.bench.state import AXIS_PARTS, BenchState, Key, smooth_orders, stated_twist
 from wlr_render.captures.photo_session import StageAxis
@@ -14,13 +15,15 @@ from wlr_render.numerics.evidence import Prior
 
 FLAT, EXACT = 10.0, 1e-9
 """Prior sizes of what is not known beforehand, and of what counts as exact: radians, metres, per unit."""
-USUAL_SIZES = {"turn": 1e-5, "shift": 3e-6, "smooth turn": 5e-5, "smooth shift": 3e-6, "stretch": 1e-4}  # ordinary
-USUAL_DIFFER = 1.2  # standard deviation of the logarithms: by a factor of 3.3
+USUAL_SIZES = {
+    "turn": usual.STAGE_TURN_RAD,
+    "shift": usual.STAGE_REPEATABILITY_M,
+    "smooth turn": usual.STAGE_SMOOTH_TURN_RAD,
+    "smooth shift": usual.STAGE_SMOOTH_SHIFT_M,
+    "stretch": usual.BOARD_STRETCH,
+}
+"""Sizes of ordinary benches by hyperparameter."""
 _LEAST, _MOST = 1e-9, 1e-2
-_FOCUS_CHANGES = 2e-4  # standard deviation of a focal length, relative, from one target distance to the other
-_DIRECTION_RAD = np.radians(0.2)  # standard deviation of a stated direction, about what dowel pins and squares give
-_SCALE = 1e-3  # sigma of an axis' travel over its reading: half of the ordinary error in the checks
-_PIVOT_M = 1e-3  # standard deviation of a stated pivot, about as a rule measures it
 _DECAY = 0.5  # factor of the smooth error's size from one degree to the next
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
@@ -77,7 +80,7 @@ class Layout:
         return {key: vector[where] for key, where in self.where.items()}
 
 
-HYPER = ("turn", "shift", "smooth turn", "smooth shift", "stretch", "noise")
+HYPER = (*USUAL_SIZES, "noise")
 _STRETCH = HYPER.index("stretch")
 
 
@@ -100,7 +103,7 @@ def layout_of(state: BenchState) -> Layout:
         board = seen.tolerances[name]
         add(("shape", name), np.array([board.flatness_m] * 3 + [board.scale_sigma] * 2))
     for number in state.focus:
-        add(("focus", number), np.array([_FOCUS_CHANGES]))
+        add(("focus", number), np.array([usual.CAMERA_FOCUS_BREATHING.value]))
     for number in state.targets:
         add(("target", number), _pose_sizes(seen.targets.get(number)))
     if seen.device_from_tracking is not None:
@@ -141,10 +144,10 @@ def _axis_sizes(axis: StageAxis, stated: FloatArray) -> FloatArray:
         sizes[:3] = EXACT
     if axis.direction is not None:
         along = stated[AXIS_PARTS[axis.kind]] ** 2
-        sigma = _DIRECTION_RAD if axis.direction_sigma is None else axis.direction_sigma
-        sizes[AXIS_PARTS[axis.kind]] = np.sqrt(_SCALE**2 * along + sigma**2 * (1.0 - along))
+        sigma = usual.STAGE_DIRECTION_RAD.value if axis.direction_sigma is None else axis.direction_sigma
+        sizes[AXIS_PARTS[axis.kind]] = np.sqrt(usual.STAGE_SCALE.value**2 * along + sigma**2 * (1.0 - along))
     if axis.direction is not None and axis.pivot is not None:
-        sizes[3:] = _PIVOT_M
+        sizes[3:] = usual.STAGE_PIVOT_M.value
     return sizes
 
 
@@ -163,6 +166,6 @@ def prior_of(layout: Layout) -> Prior:
     rows = np.flatnonzero(layout.hyper >= 0)
     features[rows, layout.hyper[rows]] = 1.0
     bounds = [(np.log(_LEAST), np.log(_MOST))] * 5 + [(-2.0, 2.0)]
-    expected = [(np.log(USUAL_SIZES[name]), USUAL_DIFFER) for name in HYPER[:-1]] + [(0.0, _NOISE_DIFFERS)]
+    expected = [(np.log(size.value), size.log_sigma) for size in USUAL_SIZES.values()] + [(0.0, _NOISE_DIFFERS)]
     none = np.zeros((0, len(HYPER)))
     return Prior(HYPER, np.array(bounds), np.array(expected), none, features, none)

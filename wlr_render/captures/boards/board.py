@@ -16,6 +16,7 @@ from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.usual import BOARD_DOT_M, BOARD_FLATNESS_M, BOARD_SCALE
 
 RealArray = NDArray[np.floating[Any]]
 
@@ -38,9 +39,9 @@ class BoardTolerances:
         print_error_m: standard deviation of the positions of single features, per axis.
     """
 
-    scale_sigma: float = 5e-4
-    flatness_m: float = 0.3e-3
-    print_error_m: float = 20e-6
+    scale_sigma: float = BOARD_SCALE.value
+    flatness_m: float = BOARD_FLATNESS_M.value
+    print_error_m: float = BOARD_DOT_M.value
 
 
 USUAL_TOLERANCES = BoardTolerances()

@@ -29,6 +29,7 @@ from wlr_render.jobs.options import (
 from wlr_render.models.model_file import add_eye_models, load_eye_models, remove_eye_models
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
+from wlr_render.usual import CAMERA_NOISE_ARCMIN
 
 MODEL_FILE = "model.json"
 MODELS_OF_PRIMARIES = {name: f"model-{name}.json" for name in CHANNELS}
@@ -189,7 +190,7 @@ class CalibrateOptions(SpreadOptions):
         float,
         described("Noise of a direction in arcmin, standard deviation per axis.", group=_DEVICE),
         limits.ANGLE_ARCMIN,
-    ] = 0.25
+    ] = CAMERA_NOISE_ARCMIN.value
     repeatability_um: Annotated[
         float,
         described("Repeatability of the stage in um, standard deviation per axis.", group=_DEVICE),

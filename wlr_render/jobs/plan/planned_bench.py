@@ -17,6 +17,7 @@ from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photog
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
+from wlr_render.usual import CODE_NOISE_PX, DOT_NOISE_PX
 
 GRID = (17, 13)
 """Directions of a simulated capture: fewer than are read, each with less noise, so that a capture tells as much."""
@@ -35,8 +36,8 @@ class ReadingOptions:
         panel_samples: approximate number of panel positions per panel set.
     """
 
-    dot_px: float = 0.02
-    panel_px: float = 0.03
+    dot_px: float = DOT_NOISE_PX.value
+    panel_px: float = CODE_NOISE_PX.value
     most_dots: int = 600
     panel_samples: int = 1500
 

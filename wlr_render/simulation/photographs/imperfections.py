@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Literal
 
+from wlr_render import usual
 from wlr_render.errors import BadInputError
 
 LensKind = Literal["brown", "rational", "thin-prism", "fisheye"]
@@ -40,29 +41,29 @@ class BenchImperfections:
         stray_light: fraction of the light spread over the picture (veiling glare).
     """
 
-    turn_urad: float = 100.0
-    turn_jitter_urad: float = 10.0
-    straightness_um: float = 2.0
-    arm_mm: float = 50.0
-    repeatability_um: float = 5.0
-    readback_um: float = 0.5
-    axes_skew_mrad: float = 1.0
-    creep_um: float = 3.0
-    bow_mm: float = 0.2
-    twist_mm: float = 0.05
-    anisotropy: float = 5e-4
-    scale_error: float = 2e-4
-    dot_error_um: float = 10.0
+    turn_urad: float = usual.SIMULATED_SMOOTH_TURN_RAD.micro
+    turn_jitter_urad: float = usual.STAGE_TURN_RAD.micro
+    straightness_um: float = usual.SIMULATED_SMOOTH_SHIFT_M.micro
+    arm_mm: float = usual.SIMULATED_ARM_M.milli
+    repeatability_um: float = usual.SIMULATED_REPEATABILITY_M.micro
+    readback_um: float = usual.SIMULATED_READBACK_M.micro
+    axes_skew_mrad: float = usual.SIMULATED_SKEW_RAD.milli
+    creep_um: float = usual.SIMULATED_CREEP_M.micro
+    bow_mm: float = usual.SIMULATED_BOW_M.milli
+    twist_mm: float = usual.SIMULATED_TWIST_M.milli
+    anisotropy: float = usual.BOARD_SCALE.value
+    scale_error: float = usual.SIMULATED_SCALE.value
+    dot_error_um: float = usual.SIMULATED_DOT_M.micro
     lens: LensKind = "rational"
-    lens_px: float = 0.08
-    decentring: float = 3e-4
-    focus_breathing: float = 2e-4
-    extrinsics_mm: float = 0.3
-    extrinsics_deg: float = 0.05
-    black_clip: float = 0.02
-    gamma_error: float = 0.02
-    vibration_px: float = 0.15
-    stray_light: float = 0.01
+    lens_px: float = usual.SIMULATED_LENS_PX.value
+    decentring: float = usual.SIMULATED_DECENTRING.value
+    focus_breathing: float = usual.CAMERA_FOCUS_BREATHING.value
+    extrinsics_mm: float = usual.SIMULATED_EXTRINSICS_M.milli
+    extrinsics_deg: float = usual.SIMULATED_EXTRINSICS_DEG.value
+    black_clip: float = usual.SIMULATED_BLACK_CLIP.value
+    gamma_error: float = usual.SIMULATED_GAMMA.value
+    vibration_px: float = usual.SIMULATED_VIBRATION_PX.value
+    stray_light: float = usual.SIMULATED_STRAY_LIGHT.value
 
     def __post_init__(self) -> None:
         for name, value in self._sizes().items():
