@@ -15,7 +15,8 @@ from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.mappings import Eye, FieldOfView
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.simulation import viewpoints
+from wlr_render.simulation import viewpoints, workshop_captures
+from wlr_render.simulation.workshop import Workshop
 
 SeeThroughRays = Literal["backward", "forward"]
 CaptureSampling = Literal["planar", "volumetric", "static"]
@@ -43,6 +44,8 @@ class CaptureSetup:
         see_through_rays: "backward" solves for the direction of each dot, as in a photograph of a target.
             "forward" traces a grid of camera pixels through the optics to the target planes (paper: section 4.3):
             one trace per reading and no solve.
+        workshop: errors of the second family, and a session with all that a lab records; `stage_curve` and
+            `see_through_rays` are then not used. None for no such errors.
 
     Raises:
         BadInputError: a negative error, an empty grid, target depths that do not determine a ray, or other rays.
@@ -58,6 +61,7 @@ class CaptureSetup:
     stage_turn_rad: float = 0.0
     stage_curve: Callable[[FloatArray], FloatArray] | None = None
     see_through_rays: SeeThroughRays = "backward"
+    workshop: Workshop | None = None
 
     def __post_init__(self) -> None:
         for name in ("camera_noise_arcmin", "stage_error_m", "stage_turn_rad"):
@@ -90,6 +94,7 @@ class CaptureSetup:
     def stated_sigma_arcmin(self) -> float:
         """Sigma of a measured direction that captures state; 0 only for exact ones."""
         has_stage_errors = self.stage_error_m > 0 or self.stage_turn_rad > 0 or self.stage_curve is not None
+        has_stage_errors |= self.workshop is not None and self.workshop.level > 0.0
         return self.camera_noise_arcmin or (LEAST_SIGMA_ARCMIN if has_stage_errors else 0.0)
 
     @cached_property
@@ -179,6 +184,8 @@ def simulate_display(setup: CaptureSetup, viewpoint: FloatArray, rng: np.random.
     Raises:
         BadInputError: nothing is visible from any position.
     """
+    if setup.workshop is not None:
+        return workshop_captures.display_captures(setup, setup.workshop, viewpoint, rng)
     position, pixel, view_dir = _decoded(setup, _visited(setup, viewpoint, rng))
     captures = DisplayCaptures(
         device=setup.truth.name,
@@ -254,6 +261,8 @@ def simulate_see_through(setup: CaptureSetup, viewpoint: FloatArray, rng: np.ran
     Raises:
         BadInputError: nothing is visible from any position.
     """
+    if setup.workshop is not None:
+        return workshop_captures.see_through_captures(setup, setup.workshop, viewpoint, rng)
     parts = [_one_target(setup, number, viewpoint, rng) for number in range(len(setup.target_depths_m))]
     return with_camera_noise(concatenate(parts), setup.camera_noise_arcmin, rng)
 

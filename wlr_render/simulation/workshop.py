@@ -1,0 +1,330 @@
+"""A second family of bench imperfections, independent of the function classes that models of a bench use.
+
+`BenchImperfections` draws cubic curves, Brown-like lenses and quadratic boards. A workshop draws the same physical
+errors from other classes: sawtooth screws, random walks, random fields, a radially oscillating lens residual, and noise
+that is heavy-tailed and correlated. Every error has a switch and is drawn from its own stream of random numbers, so
+that a switch changes one error alone.
+"""
+
+import zlib
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial import cKDTree
+
+from wlr_render.errors import BadInputError
+from wlr_render.numerics.arrays import FloatArray
+
+SWITCHES = (
+    "screw",
+    "hysteresis",
+    "abbe",
+    "repeatability",
+    "bumped",
+    "print",
+    "bow",
+    "lens",
+    "pupil",
+    "drift",
+    "tails",
+    "vignetting",
+    "neighbours",
+    "gross",
+)
+"""Names of the imperfections."""
+OF_NOISE = ("tails", "vignetting", "neighbours", "gross")
+"""Imperfections of the readings' noise."""
+
+# Periodic error of lead screws: 10 um for precision grade, 25 um for commercial grade (Dover Motion, Motion control
+# handbook, "Linear positioning accuracy"); here peak values of a good screw.
+_SCREW_UM, _SCREW_PERIOD_MM = (5.0, 10.0), (1.0, 2.0)
+# Bidirectional repeatability of stages with an anti-backlash nut, data sheets of 25 mm stages; total of both directions
+_HYSTERESIS_UM = 5.0
+# Pitch and yaw over 20 mm, peak to valley; data sheets of crossed-roller stages state tens of microradians
+_TURN_URAD, _TURN_TRAVEL_M, _KNOT_M = (30.0, 60.0), 0.020, 0.0025
+ARM_M = np.array([0.02, 0.08, 0.05])
+"""Arm from the carriage's guide to the pupil, which its rotations displace, metres."""
+# Unidirectional repeatability and wobble of such stages, standard deviations per axis
+SHIFT_UM, WOBBLE_URAD, _WOBBLE_CORRELATION = 5.0, 15.0, 0.7
+# Line accuracy of plotters: 0.1 % or .1 to .2 mm, whichever is larger (HP DesignJet data sheets)
+_PRINT_MM, _PRINT_LENGTH_M, _PRINT_WAVES = (0.03, 0.08), 0.08, 300
+# Swath of a print head, and error of each paper feed; printers correct the mean feed only (HP patent on linefeed error)
+_SWATH_M, _FEED_MM = 0.0216, 0.03
+_SHEET_M = 0.6  # half the side of the sheet over which print errors have their stated rms
+# Flatness of foam and aluminium composite boards, peak to valley (photogrammetric practice)
+_BOW_MM = (0.1, 0.3)
+# Systematic residuals of parametric lens models: .1 to .2 pixels (Schoeps et al., "Why having 10,000 parameters in
+# your camera model is better than twelve", CVPR 2020, figure 1)
+_LENS_PX = (0.1, 0.2)
+# Travel of the entrance pupil from axis to corner (Fasogbon and Aksu, "Calibration of fisheye camera using entrance
+# pupil", ICIP 2019, for wide lenses; normal lenses less)
+_PUPIL_MM = (0.05, 0.2)
+# Image drift of a camera that warms up (Handel, "Analyzing the influences of camera warm-up effects on image
+# acquisition", ACCV 2007), and its time constant in parts of the session
+_DRIFT_PX, _FOCAL_DRIFT, _DRIFT_TIME = (0.3, 0.5), 0.5, 1.0 / 3.0
+_TAIL_DEGREES = 4.0  # degrees of freedom of Student's t
+_CORRELATED = 0.5  # part of the noise's variance that neighbours share
+_KERNEL_SPACINGS = 2.5  # radius of the kernel, in distances of neighbouring readings
+_GROSS, _GROSS_CLUSTER, _GROSS_SIGMAS = 0.01, 5, (5.0, 20.0)
+_RIM_STEEPNESS = 6  # power of the radius by which clusters of gross readings crowd at the rim
+
+_PICTURE = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 25), np.linspace(-0.6, 0.6, 19)), axis=-1).reshape(-1, 2)
+_SQUARE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 41)] * 2), axis=-1).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Workshop:
+    """The imperfections of one bench, drawn from a seed.
+
+    Attributes:
+        seed: seed of all errors but the noise of the readings, which comes from the caller's generator.
+        level: common factor on all sizes: 1 for ordinary equipment, 0 for a perfect bench.
+        switches: names of the imperfections that are on, some of `SWITCHES`.
+        bump_um: smallest and largest displacement of a bumped visit at level 1.
+
+    Raises:
+        BadInputError: an unknown switch, or a negative level.
+    """
+
+    seed: int
+    level: float = 1.0
+    switches: frozenset[str] = field(default_factory=lambda: frozenset(SWITCHES))
+    bump_um: tuple[float, float] = (20.0, 50.0)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "switches", frozenset(self.switches))
+        if unknown := sorted(self.switches - set(SWITCHES)):
+            raise BadInputError(f"workshop: unknown imperfection '{unknown[0]}'; choose from {', '.join(SWITCHES)}.")
+        if not 0.0 <= self.level < np.inf:
+            raise BadInputError(f"workshop: 'level' is {self.level}; give 0 or more.")
+
+    def only(self, *names: str) -> "Workshop":
+        """Return the same bench with these imperfections alone."""
+        return replace(self, switches=frozenset(names))
+
+    def without(self, *names: str) -> "Workshop":
+        """Return the same bench without these imperfections."""
+        return replace(self, switches=self.switches - self.only(*names).switches)
+
+    def stage_motion(self, reading: FloatArray, travel: FloatArray) -> FloatArray:
+        """Return the repeatable error (m, 6) of the stage: rotation vector (rad) and displacement of the pupil (m).
+
+        Args:
+            reading: (m, 3) stage readings, metres.
+            travel: (m, 3) direction of the last move along each axis, +1 or -1.
+        """
+        turn = 1e-6 * self._factor("abbe") * np.sum([c(r) for c, r in zip(self._turns, reading.T, strict=True)], axis=0)
+        screw = 1e-6 * self._factor("screw") * self._screw_um(reading)
+        hysteresis = 0.5e-6 * self._factor("hysteresis") * _HYSTERESIS_UM * travel
+        return np.concatenate([turn, screw + hysteresis + np.cross(turn, ARM_M)], axis=1)
+
+    def visit_motion(self, count: int, sweep: int) -> FloatArray:
+        """Return the random motion (count, 6) of the visits of a sweep; successive rotations are correlated."""
+        rng = self._rng(f"repeatability {sweep}")
+        shock, shift = _student(rng, (count, 3)), _student(rng, (count, 3))
+        turn, kept = shock.copy(), _WOBBLE_CORRELATION
+        for visit in range(1, count):
+            turn[visit] = kept * turn[visit - 1] + np.sqrt(1.0 - kept**2) * shock[visit]
+        return 1e-6 * self._factor("repeatability") * np.concatenate([WOBBLE_URAD * turn, SHIFT_UM * shift], axis=1)
+
+    def bumps(self, count: int) -> FloatArray:
+        """Return displacements (count, 3) of one or two bumped visits, metres; 0 for the others."""
+        rng = self._rng("bumped")
+        shift, bumped = np.zeros((count, 3)), rng.permutation(count)[: rng.integers(1, 3)]
+        direction = rng.standard_normal((len(bumped), 3))
+        size = 1e-6 * self._factor("bumped") * rng.uniform(*self.bump_um, (len(bumped), 1))
+        shift[bumped] = size * direction / np.linalg.norm(direction, axis=1, keepdims=True)
+        return shift
+
+    def drift_px(self, part: FloatArray, unit: FloatArray) -> FloatArray:
+        """Return the image drift (m, n, 2) in pixels by a direction and a focal length that warm up.
+
+        It is 0 on average over the session: calibration of the bench takes the camera as it is on average.
+
+        Args:
+            part: (m,) elapsed part of the session.
+            unit: (n, 2) or (m, n, 2) image positions from the middle, in half diagonals of the picture.
+        """
+        rng = self._rng("drift")
+        size, angle, sign = rng.uniform(*_DRIFT_PX), rng.uniform(0.0, 2.0 * np.pi), rng.choice([-1.0, 1.0])
+        cold = np.exp(-1.0 / _DRIFT_TIME)
+        warm = _DRIFT_TIME - np.exp(-part / _DRIFT_TIME) / (1.0 - cold)
+        whole = np.array([np.cos(angle), np.sin(angle)]) + sign * _FOCAL_DRIFT * unit
+        return np.asarray(self._factor("drift") * size * warm[:, None, None] * whole)
+
+    def lens_px(self, unit: FloatArray) -> FloatArray:
+        """Return the lens residual (..., 2), pixels, at image positions (..., 2) in half diagonals of the picture."""
+        size = self._rng("lens").uniform(*_LENS_PX) / _rms(self._lens_shape(_PICTURE))
+        return np.asarray(self._factor("lens") * size * self._lens_shape(unit))
+
+    def pupil_m(self, unit: FloatArray) -> FloatArray:
+        """Return the travel (...) of the entrance pupil along the axis, metres, at image positions (..., 2)."""
+        rim = self._rng("pupil").uniform(*_PUPIL_MM)
+        shape = (np.cosh(2.0 * _radius(unit)) - 1.0) / (np.cosh(2.0) - 1.0)
+        return np.asarray(1e-3 * self._factor("pupil") * rim * shape)
+
+    def printed_m(self, place: FloatArray) -> FloatArray:
+        """Return displacements (..., 2) of the print, metres, at places (..., 2) on the board from its middle."""
+        if not self._factor("print"):
+            return np.zeros(np.shape(place))
+        mean, rms = self._sheet
+        smooth = (self._print_shape(place) - mean) * self._rng("print").uniform(*_PRINT_MM) / rms
+        feed = np.stack([np.zeros_like(place[..., 1]), _FEED_MM * self._feed_shape(place[..., 1])], axis=-1)
+        return np.asarray(1e-3 * self._factor("print") * (smooth + feed))
+
+    def height_m(self, unit: FloatArray) -> FloatArray:
+        """Return heights (...) of the board, metres, at places (..., 2) in half widths and half heights of the board.
+
+        The plane that fits them best is removed, because a lab measures the board's pose.
+        """
+        plane, span = self._board_plane
+        size = self._rng("bow").uniform(*_BOW_MM) / span
+        return np.asarray(1e-3 * self._factor("bow") * size * (self._board_shape(unit) - unit @ plane[:2] - plane[2]))
+
+    def noise(self, unit: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return the noise (n, 2) of the readings of one photograph, in units of its rms over the picture.
+
+        Args:
+            unit: (n, 2) image positions in half diagonals of the picture.
+            rng: source of the noise.
+        """
+        tails, count = self._factor("tails"), len(unit)
+        degrees = _TAIL_DEGREES / tails if tails else np.inf
+        noise = _student(rng, (count, 2), degrees)
+        shared = _CORRELATED * min(self._factor("neighbours"), 1.0)
+        if shared and count > 1:
+            noise = np.sqrt(1.0 - shared) * noise + np.sqrt(shared) * _neighbour_field(unit, rng, degrees)
+        rim = self._factor("vignetting")
+        size = 1.0 + rim * (1.0 / _light(unit) - 1.0)
+        noise *= (size / _rms(1.0 + rim * (1.0 / _light(_PICTURE) - 1.0)))[:, None]
+        for _ in range(rng.poisson(_GROSS * self._factor("gross") * count / _GROSS_CLUSTER)):
+            weight = _radius(unit) ** _RIM_STEEPNESS
+            centre = unit[rng.choice(count, p=weight / weight.sum())]
+            cluster = np.argsort(_radius(unit - centre))[:_GROSS_CLUSTER]
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+            noise[cluster] += rng.uniform(*_GROSS_SIGMAS) * np.array([np.cos(angle), np.sin(angle)])
+        return noise
+
+    def _factor(self, name: str) -> float:
+        return self.level if name in self.switches else 0.0
+
+    def _rng(self, name: str) -> np.random.Generator:
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
+
+    def _screw_um(self, reading: FloatArray) -> FloatArray:
+        """Return the periodic error (m, 3) along each axis."""
+        rng = self._rng("screw")
+        peak, period = rng.uniform(*_SCREW_UM, 3), rng.uniform(*_SCREW_PERIOD_MM, 3)
+        phase = rng.uniform(0.0, 2.0 * np.pi, (3, 3))
+        one_turn = np.linspace(0.0, 2.0 * np.pi, 721)[:, None]
+        shape = _screw_shape(2e3 * np.pi * reading / period, phase)
+        return np.asarray(peak * shape / np.abs(_screw_shape(one_turn, phase)).max(axis=0))
+
+    @cached_property
+    def _turns(self) -> list[PchipInterpolator]:
+        """Rotation vector (3,) in urad by the reading of each axis: a random walk of knots and a step; 0 at 0."""
+        rng, half = self._rng("abbe"), 0.5 * _TURN_TRAVEL_M
+        knots = np.arange(-4.0 * half, 4.0 * half + _KNOT_M, _KNOT_M)
+        curves = []
+        for _ in range(3):
+            step = np.tanh((knots[:, None] - rng.uniform(-half, half, 3)) / _KNOT_M) * rng.choice([-2.0, 2.0], 3)
+            walk = np.cumsum(rng.standard_normal((len(knots), 3)), axis=0) + step
+            curve = PchipInterpolator(knots, walk)
+            span = np.ptp(curve(np.linspace(-half, half, 81)), axis=0)
+            curves.append(PchipInterpolator(knots, (walk - curve(0.0)) * rng.uniform(*_TURN_URAD, 3) / span))
+        return curves
+
+    def _lens_shape(self, unit: FloatArray) -> FloatArray:
+        """Return tangential, thin-prism and radially oscillating distortion (..., 2), of equal rms over the picture."""
+        rng = self._rng("lens shape")
+        p, s, turns, phase = rng.normal(size=2), rng.normal(size=(2, 2)), rng.uniform(1.5, 2.5), rng.uniform(0, 6.28)
+
+        def parts(unit: FloatArray) -> list[FloatArray]:
+            square = np.sum(unit**2, axis=-1, keepdims=True)
+            tangential = p * square + 2.0 * unit * np.sum(p * unit, axis=-1, keepdims=True)
+            ripple = unit * np.cos(2.0 * np.pi * turns * np.sqrt(square) + phase)
+            return [tangential, s[0] * square + s[1] * square**2, ripple]
+
+        return np.asarray(sum(part / _rms(full) for part, full in zip(parts(unit), parts(_PICTURE), strict=True)))
+
+    @cached_property
+    def _sheet(self) -> tuple[FloatArray, float]:
+        """Mean (2,) and rms of the print's shape over the sheet."""
+        shape = self._print_shape(_SHEET_M * _SQUARE)
+        mean = np.asarray(shape.mean(axis=0))
+        return mean, _rms(shape - mean)
+
+    def _print_shape(self, place: FloatArray) -> FloatArray:
+        """Return a random field (..., 2) with a Matern 5/2 spectrum, by random Fourier features."""
+        rng = self._rng("print shape")
+        wave = rng.standard_normal((2, 2, _PRINT_WAVES)) / np.sqrt(rng.chisquare(5.0, (2, 1, _PRINT_WAVES)) / 5.0)
+        phase = rng.uniform(0.0, 2.0 * np.pi, (2, _PRINT_WAVES))
+        return np.stack([np.cos(place @ wave[k] / _PRINT_LENGTH_M + phase[k]).sum(axis=-1) for k in (0, 1)], axis=-1)
+
+    def _feed_shape(self, y: FloatArray) -> FloatArray:
+        """Return the error (...) of the paper feed: constant in each swath, correlated from swath to swath, rms 1."""
+        error, middle = self._rng("feed").standard_normal(401), 200
+        for swath in range(1, len(error)):
+            error[swath] += 0.8 * error[swath - 1]
+        sheet = error[middle - round(_SHEET_M / _SWATH_M) : middle + round(_SHEET_M / _SWATH_M)]
+        swath = np.clip(np.floor(y / _SWATH_M) + middle, 0, len(error) - 1).astype(np.intp)
+        return np.asarray((error[swath] - sheet.mean()) / sheet.std())
+
+    @cached_property
+    def _board_plane(self) -> tuple[FloatArray, float]:
+        """Slopes and offset (3,) of the plane that fits the board's shape, and the range of the rest."""
+        design = np.column_stack([_SQUARE, np.ones(len(_SQUARE))])
+        shape = self._board_shape(_SQUARE)
+        plane = np.linalg.lstsq(design, shape, rcond=None)[0]
+        return np.asarray(plane), float(np.ptp(shape - design @ plane))
+
+    def _board_shape(self, unit: FloatArray) -> FloatArray:
+        """Return a bow along a random direction, a curled edge and a dent (...)."""
+        rng = self._rng("bow shape")
+        angle, centre, sign = rng.uniform(0.0, 2.0 * np.pi, 2), rng.uniform(-0.6, 0.6, 2), rng.choice([-1.0, 1.0], 3)
+        across, towards = (unit @ np.array([np.cos(each), np.sin(each)]) for each in angle)
+        bow, curl = np.cosh(1.5 * across) / np.cosh(1.5), np.exp((towards - 1.0) / 0.3)
+        dent = 1.0 / (1.0 + np.sum((unit - centre) ** 2, axis=-1) / 0.3**2)
+        return np.asarray(sign[0] * bow + 0.5 * sign[1] * curl + 0.5 * sign[2] * dent)
+
+
+def _screw_shape(turned: FloatArray, phase: FloatArray) -> FloatArray:
+    """Return a sine, its second harmonic and a rounded sawtooth (m, 3) of angles (m, 3), with phases (3, 3)."""
+    saw = turned + phase[2]
+    sawtooth = np.arctan2(0.9 * np.sin(saw), 1.0 - 0.9 * np.cos(saw))
+    return np.asarray(np.sin(turned + phase[0]) + 0.35 * np.sin(2.0 * turned + phase[1]) + 0.5 * sawtooth)
+
+
+def _neighbour_field(unit: FloatArray, rng: np.random.Generator, degrees: float) -> FloatArray:
+    """Return a random field (n, 2) of rms 1 at image positions (n, 2): white noise smoothed by a compact kernel."""
+    low, high = unit.min(axis=0), unit.max(axis=0)
+    spacing = max(float(np.sqrt(np.prod(high - low) / len(unit))), 1e-3)
+    reach = _KERNEL_SPACINGS * spacing
+    axes = [np.arange(a - reach, b + reach, spacing) for a, b in zip(low, high, strict=True)]
+    node = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    near = cKDTree(unit).sparse_distance_matrix(cKDTree(node), reach, output_type="coo_matrix").tocsr()
+    near.data = 1.0 - (near.data / reach) ** 2
+    return np.asarray(near @ _student(rng, node.shape, degrees) / np.sqrt(near.multiply(near).sum(axis=1)))
+
+
+def _student(rng: np.random.Generator, shape: tuple[int, ...], degrees: float = _TAIL_DEGREES) -> FloatArray:
+    """Return numbers of variance 1 of Student's t distribution; infinite degrees of freedom give Gaussian ones."""
+    if np.isinf(degrees):
+        return rng.standard_normal(shape)
+    return np.asarray(rng.standard_t(degrees, shape) * np.sqrt((degrees - 2.0) / degrees))
+
+
+def _light(unit: FloatArray) -> FloatArray:
+    """Return the light (...) at image positions (..., 2): the fourth power of the cosine, and a shadow at the rim."""
+    radius = _radius(unit)
+    return np.asarray((1.0 + 0.36 * radius**2) ** -2 * (1.0 - 0.35 / (1.0 + np.exp((0.8 - radius) / 0.07))))
+
+
+def _radius(unit: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(unit, axis=-1))
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
