@@ -5,6 +5,7 @@ from dataclasses import KW_ONLY, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from wlr_render.errors import BadInputError
 from wlr_render.input_files import LIMITS
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
@@ -19,12 +20,16 @@ from wlr_render.jobs.options import (
     Workers,
     described,
     described_size,
+    flag_of,
     option_group,
 )
+from wlr_render.jobs.places_file import read_places
+from wlr_render.optics.device_file import load_device
+from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
-from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, Sampling
+from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, Sampling, half_travel
 from wlr_render.simulation.photographs.photo_plan import unreadable_targets
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
@@ -46,6 +51,14 @@ class SimulateOptions(SpreadOptions):
     )
     eye: Annotated[EyeName, described("Eye to photograph: a session is of one eye.")] = "right"
     viewpoints: Annotated[int, described("Number of camera positions.", group=_PLACES), limits.PLACES] = 25
+    places: Annotated[
+        Path | None,
+        described(
+            "File of camera positions that plan writes (places.csv): visit them in its order, in place of "
+            "--viewpoints.",
+            group=_PLACES,
+        ),
+    ] = None
     pattern: Annotated[Code, described("Code that the panel shows.", group=_PLACES)] = "gray-fringes"
     camera: Annotated[
         tuple[int, int], described_size("Pixels of the eyeball camera.", group=_CAMERAS), limits.CAMERA_PIXELS
@@ -125,12 +138,20 @@ class SimulateOptions(SpreadOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        for name in ("viewpoints", "sampling"):
+            if self.places is not None and getattr(self, name) != getattr(type(self), name):
+                raise BadInputError(f"{flag_of(type(self), name)} has no effect with --places; leave out one.")
         self._check_product(limits.DEPTHS, "distances", "depths_m")
         self._check_product(LIMITS.photographs, "photographs", "viewpoints", "depths_m")
 
     @property
     def recipe(self) -> SimulationRecipe:
-        """The device and the bench."""
+        """The device and the bench.
+
+        Raises:
+            BadInputError: an unknown device or eye, or a faulty file of places.
+        """
+        places = self._read_places()
         bench = PhotoBenchOptions(
             self.camera,
             self.bits,
@@ -144,8 +165,16 @@ class SimulateOptions(SpreadOptions):
             self.sampling,
             self.stated_axes_deg,
             self.tracking_camera,
+            places,
         )
-        return SimulationRecipe(self.device, self.eye, self.viewpoints, self.pattern, bench)
+        return SimulationRecipe(self.device, self.eye, len(places) or self.viewpoints, self.pattern, bench)
+
+    def _read_places(self) -> tuple[tuple[float, ...], ...]:
+        if self.places is None:
+            return ()
+        reach = half_travel(traced_eye(load_device(self.device), self.eye))
+        most = min(int(limits.PLACES.at_most), LIMITS.photographs // len(self.depths_m))
+        return tuple(map(tuple, read_places(self.places, reach, self.stage, most).tolist()))
 
     @property
     def _imperfections(self) -> BenchImperfections:

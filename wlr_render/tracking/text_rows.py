@@ -263,14 +263,18 @@ def role_of(name: str, roles: Mapping[str, str]) -> str:
 _MOST_COMMENTS = 100  # last comments before the rows that are searched for the names of columns
 
 
-def read_text_table(path: str | Path) -> TextTable:
+def read_text_table(path: str | Path, kind: str = "a trajectory") -> TextTable:
     """Read a file of rows, separated like its first row of numbers: by semicolons, tabs, commas or blanks.
+
+    Args:
+        path: the file.
+        kind: what the file is, for error messages.
 
     Raises:
         BadInputError: the file cannot be read or has no rows.
     """
     path = Path(path)
-    lines = read_text(path, "a trajectory", LIMITS.table_bytes).splitlines()
+    lines = read_text(path, kind, LIMITS.table_bytes).splitlines()
     if len(lines) > LIMITS.rows:
         raise BadInputError(f"{path}: has {len(lines)} lines, more than {LIMITS.rows}; cut it into parts.")
     stripped = [(number, line.strip()) for number, line in enumerate(lines, start=1) if line.strip()]
@@ -280,7 +284,7 @@ def read_text_table(path: str | Path) -> TextTable:
         content = content[1:]
     named = bool(content) and not is_number(cells_of(content[0][1], separator_of(content[0][1]))[0])
     if len(content) <= named:
-        raise BadInputError(f"{path}: has no rows; is the recording empty?")
+        raise BadInputError(f"{path}: has no rows; is {kind} empty?")
     separator = separator_of(content[named][1])
     count = len(_split(content[named][1], separator))
     header = _named_cells(content[0][1], separator, count) if named else None

@@ -22,8 +22,9 @@ from wlr_render.jobs.options import (
     flag_of,
     option_group,
 )
+from wlr_render.jobs.places_file import places_csv
 from wlr_render.jobs.plan.next_places import plan_next_places
-from wlr_render.jobs.plan.plan_report import places_csv, plan_report
+from wlr_render.jobs.plan.plan_report import plan_report
 from wlr_render.jobs.plan.planned_bench import PlannedBench, ReadingOptions
 from wlr_render.jobs.plan.search import LEAST_PLACES, find_design
 from wlr_render.optics.device_file import device_path, load_device

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 
 from wlr_render.evaluation.metrics import Summary
+from wlr_render.jobs.places_file import in_random_order
 from wlr_render.jobs.plan.planned_errors import DesignErrors, EyeTests, place_variance
 from wlr_render.jobs.plan.search import DesignSearch
 from wlr_render.mappings import EyeBox
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
 from wlr_render.report.plots import axis, curves
 
 _CELLS = 25  # cells of the map, across the eye box
 _FIGURES = ("median (arcmin)", "95 % (arcmin)")
-_ORDER_SEED = 1
 _WORTH = 0.05  # part of the error that a change takes away, to be named
 
 
@@ -67,17 +67,10 @@ def plan_report(search: DesignSearch, accuracy_arcmin: float, seconds: float) ->
     )
 
 
-def places_csv(places: FloatArray) -> str:
-    """Places (m, 3) from the centre of the eye box as CSV, millimetres, in random order."""
-    rows = [",".join(f"{1e3 * each:.3f}" for each in place) for place in places[_random_order(len(places))]]
-    return "\n".join(["x_mm,y_mm,z_mm", *rows]) + "\n"
-
-
 def places_table(places: FloatArray) -> ReportTable:
     """Places (m, 3) from the centre of the eye box, in random order."""
-    ordered = places[_random_order(len(places))]
     rows: list[list[Cell]] = [
-        [number, *(f"{1e3 * each:+.3f}" for each in place)] for number, place in enumerate(ordered)
+        [number, *(f"{1e3 * each:+.3f}" for each in place)] for number, place in enumerate(in_random_order(places))
     ]
     notes = (
         "From the centre of the eye box, device frame: x to the right, y up, z backward. Also in places.csv.",
@@ -123,11 +116,6 @@ def error_map(
         "Rays to viewpoints in front of and behind that plane cross it outside the eye box; places lie there, too."
     )
     return Plot("Predicted error over the eye box", data, layout, caption, height_px=560)
-
-
-def _random_order(count: int) -> IntArray:
-    """Return an order (count,) of places by which nothing that changes with time looks like optics."""
-    return np.random.default_rng(_ORDER_SEED).permutation(count)
 
 
 def _duration(seconds: float) -> str:

@@ -60,6 +60,8 @@ class PhotoBenchOptions:
         stated_axes_deg: standard deviation of the error of the stage rotation in session.toml; the bare target is then
             photographed once. 0 if session.toml does not state the rotation.
         tracking_px: width and height of the tracking camera's photographs.
+        places_mm: camera positions from the centre of the eye box, in the order to visit, in place of `sampling`; empty
+            without.
     """
 
     camera_px: tuple[int, int] = (1280, 1024)
@@ -74,6 +76,7 @@ class PhotoBenchOptions:
     sampling: Sampling = "planar"
     stated_axes_deg: float = 0.0
     tracking_px: tuple[int, int] = (1600, 1200)
+    places_mm: tuple[tuple[float, ...], ...] = ()
 
     def __post_init__(self) -> None:
         if self.sampling == "volumetric" and self.stage not in ("xyz", "hand"):
@@ -221,7 +224,7 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
         tracking_sensor=_imperfect(Sensor.with_snr(_TRACKING_SNR, 8, _EXPOSURE, vignetting=0.3), sizes, sensors),
         device_from_camera=pose,
         stage_axes=_turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]) @ _skewed(sizes.axes_skew_mrad, stage),
-        stage_errors=StageErrors.draw(sizes, _half_travel(truth), stage),
+        stage_errors=StageErrors.draw(sizes, half_travel(truth), stage),
         device_from_tracking=device_from_tracking,
         stated_device_from_tracking=_misstated(device_from_tracking, sizes, extrinsics),
         device_from_target=np.stack([_target_pose(aim, box.centre, depth) for depth in options.target_depths_m]),
@@ -246,8 +249,11 @@ def passes_optics(
     return np.asarray(through.usable)
 
 
-def _half_travel(truth: Eye) -> FloatArray:
-    """Return the largest distances (3,) of a session's readings from the middle."""
+def half_travel(truth: Eye) -> FloatArray:
+    """Return the largest distances (3,) of a session's readings from the middle, metres.
+
+    In the middle plane of the eye box they end where rays of the display through the eye box do.
+    """
     size, reach = truth.eye_box.size, CaptureSetup(truth).field.reach
     return np.asarray(0.5 * size + [*(0.5 * size[2] * reach), 0.0])
 
@@ -286,7 +292,12 @@ def target_at(bench: PhotoBench, depth_m: float, tilt_deg: float = 0.0, shift_m:
 
 
 def stage_readings(bench: PhotoBench, count: int) -> FloatArray:
-    """Return readings (count, 3) that cover the base plane or the eye box, rounded to micrometres like a stage's."""
+    """Return readings (count, 3) that cover the base plane or the eye box, rounded to micrometres like a stage's.
+
+    Places that the options state are returned in their order.
+    """
+    if bench.options.places_mm:
+        return np.round(1e-3 * np.array(bench.options.places_mm), 6)
     box = bench.optics.eye_box
     if bench.options.sampling == "volumetric":
         return np.asarray(np.round(volumetric(box, count) - box.centre, 6))

@@ -66,7 +66,7 @@ def plan_photographs(bench: PhotoBench, viewpoints: int) -> PhotoPlan:
     axes = stage_axis_count(bench)
     sweep = stage_readings(bench, viewpoints)
     sweep[:, axes:] = 0.0
-    steps = bare_steps(axes, bench.options.sampling == "volumetric")
+    steps = bare_steps(axes, bench.options.sampling == "volumetric" or bool(np.any(sweep[:, 2])))
     if bench.options.stated_axes_deg:
         steps = np.zeros((1, 3))
     reach = [*np.abs(sweep[:, :2]).max(axis=0), 0.5 * bench.optics.eye_box.size[2]]

@@ -27,6 +27,7 @@ _OWN_TYPES = (
     "sampling",
     "stated_axes_deg",
     "tracking_px",
+    "places_mm",
 )  # fields other than required numbers
 
 
@@ -56,6 +57,8 @@ class SimulationRecipe:
 def save_recipe(folder: Path, recipe: SimulationRecipe) -> Path:
     """Write simulation.toml; a device file that is not shipped is copied next to it."""
     content = asdict(recipe)
+    if not recipe.bench.places_mm:
+        del content["bench"]["places_mm"]
     if Path(recipe.device).suffix == ".toml":
         write_bytes(folder / _DEVICE_COPY, read_bytes(recipe.device, LIMITS.text_bytes))
         content["device"] = _DEVICE_COPY
@@ -82,6 +85,8 @@ def load_recipe(folder: Path) -> SimulationRecipe:
     values["stated_axes_deg"] = table.number("stated_axes_deg", PhotoBenchOptions.stated_axes_deg)
     if table.has("tracking_px"):
         values["tracking_px"] = _value(table, "tracking_px")
+    if table.has("places_mm"):
+        values["places_mm"] = tuple(map(tuple, table.vectors("places_mm", 3).tolist()))
     bench = PhotoBenchOptions(**values, imperfections=imperfections)
     table.finish()
     device = file.file_stem("device")
@@ -106,6 +111,8 @@ def _flat(recipe: SimulationRecipe) -> dict[str, Any]:
     content = asdict(recipe)
     bench = content.pop("bench")
     flat: dict[str, Any] = content | bench.pop("imperfections") | bench
+    if places := recipe.bench.places_mm:
+        flat["places_mm"] = f"{len(places)} places ({hashlib.sha256(repr(places).encode()).hexdigest()[:8]})"
     if Path(recipe.device).suffix == ".toml":
         digest = hashlib.sha256(read_bytes(recipe.device, LIMITS.text_bytes)).hexdigest()[:8]
         flat["device"] = f"a device file ({digest})"
