@@ -22,7 +22,7 @@ DISPLAY = DisplayCaptures(
     eye="left",
     eye_box=EYE_BOX,
     panel=Panel(10, 8),
-    viewpoint=RNG.normal(0, 0.01, (20, 3)),
+    viewpoint=EYE_BOX.centre + np.repeat(RNG.normal(0, 0.01, (5, 3)), 4, axis=0),
     view_dir=VIEW_DIR,
     pixel=RNG.uniform(0, 8, (20, 2)),
     capture=np.arange(20) // 4,
@@ -32,7 +32,7 @@ SEE_THROUGH = SeeThroughCaptures(
     device="toy",
     eye="left",
     eye_box=dataclasses.replace(EYE_BOX, size=EYE_BOX.size * 0.5),
-    viewpoint=np.zeros((20, 3)),
+    viewpoint=EYE_BOX.centre,
     view_dir=VIEW_DIR,
     point=VIEW_DIR * 2,
     capture=np.arange(20) // 4,
@@ -232,6 +232,36 @@ def rewritten(tmp_path, header, arrays):
         ({}, {"stage": np.zeros(1000)}, "'stage' has 1000 axes"),
         ({}, {"device_from_camera": np.zeros((40, 40))}, r"must have shape \(40, 3, 3\), not \(40, 40\)"),
         ({"see_through_eye_box": None}, {}, "there are real points, but no 'see_through_eye_box'"),
+        (
+            {},
+            {"viewpoint": np.zeros((40, 3))},
+            r"middle of the display positions lies \[-30.0, 0.0, -20.0\] mm from the",
+        ),
+        (
+            {"see_through_eye_box": {"centre_m": [0, 0, 0], "size_m": [0.01, 0.008, 0]}},
+            {},
+            r"middle of the see-through positions lies \[30.0, 0.0, 20.0\] mm",
+        ),
+        (
+            {},
+            {"visit": np.append(np.arange(20) // 8, np.full(20, -1))},
+            "'visit' 0 of the panel is at two camera positions: 'capture' is 0 in row 0 and 1 in row 4; give each",
+        ),
+        (
+            {},
+            {"visit": np.append(np.full(20, -1), np.arange(20) // 8)},
+            "'visit' 0 of target pose 0 is at two camera positions: 'capture' is 0 in row 20 and 1 in row 24",
+        ),
+        (
+            {},
+            {"visit": np.tile(np.arange(20) // 4, 2), "viewpoint": EYE_BOX.centre + 0.01 * np.eye(40, 3)},
+            r"'visit' 0 of the panel is at two camera positions: 'viewpoint' is \[0.04, 0.0, 0.02\] in row 0 and",
+        ),
+        (
+            {},
+            {"visit": np.tile(np.arange(20) // 4, 2), "time_s": np.where(np.arange(40) == 3, 50.0, np.arange(40))},
+            "'time_s' goes back: 'visit' 1 of the panel begins at 4 s, before 'visit' 0 of the panel ends at 50 s",
+        ),
     ],
 )
 def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, header, arrays, sentence):
@@ -239,6 +269,21 @@ def test_a_fault_in_a_file_is_one_sentence_with_its_name(tmp_path, header, array
     with pytest.raises(BadInputError, match=sentence) as caught:
         load_captures(path)
     assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    "arrays",
+    [
+        {"visit": np.append(np.arange(20) // 4, np.full(20, -1))},
+        {"visit": np.tile(4 - np.arange(20) // 4, 2), "time_s": 10.0 * np.tile(np.arange(20) // 4, 2)},
+        {"visit": np.tile(np.arange(20) // 4, 2), "time_s": np.zeros(40)},
+        {"visit": np.tile(np.arange(20) // 4, 2), "time_s": np.where(np.arange(40) % 3, np.nan, np.arange(40) // 4)},
+        {"time_s": np.arange(40)[::-1].astype(float)},
+    ],
+    ids=["one side", "numbered by place", "no clock", "gaps", "without visits"],
+)
+def test_visits_and_times_that_do_not_contradict_are_read(tmp_path, arrays):
+    assert len(load_captures(rewritten(tmp_path, {}, arrays)).display) == 20
 
 
 def test_points_in_kilometres_and_captures_numbered_by_row_are_refused(tmp_path):

@@ -24,6 +24,7 @@ from wlr_render.calibration.photograph_captures import (
     within_field,
 )
 from wlr_render.captures.boards.board import BoardObservation
+from wlr_render.captures.capture_checks import far_from_eye_box
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, select
 from wlr_render.captures.decoded import DecodedSamples
@@ -33,7 +34,6 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _NAMED = 3  # excluded photographs that an error message names
-_BESIDE_EYE_BOX_M = 0.015  # the middle of all camera positions lies this close to it, whatever their design
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,9 +278,7 @@ def _exclusion(name: str, moved: CaptureOutlier) -> Excluded:
 
 
 def _refuse_far_places(session: PhotoSession, viewpoint: FloatArray) -> None:
-    box = session.eye_box
-    off = np.unique(viewpoint, axis=0).mean(axis=0) - box.centre
-    if np.any(np.abs(off) > 0.5 * box.size + _BESIDE_EYE_BOX_M):
+    if (off := far_from_eye_box(viewpoint, session.eye_box)) is not None:
         x, y, z = 1e3 * off
         raise BadInputError(
             f"{session.folder}: the camera places lie ({x:.0f}, {y:.0f}, {z:.0f}) mm (x right, y up, z backward) from "

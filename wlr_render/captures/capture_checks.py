@@ -21,6 +21,7 @@ _SIGMAS_DIFFER = 1e4  # largest ratio of sigmas; a row of smaller sigma alone wo
 _PANEL_MARGIN = (2.0, 0.02)  # margin outside the panel for noise: pixels, and share of the panel's side
 _MOST_OUTSIDE = 0.05  # largest share of panel pixels outside the margin: more belong to another panel
 _ONE_PLACE_M = 5e-3  # largest error of a stage that returns to a position
+_BESIDE_EYE_BOX_M = 0.015  # the middle of all camera positions lies this close to it, whatever their design
 _BOX_OF_PLACES = 1e-2  # least size of an eye box relative to the range of camera positions
 _PLAUSIBLE = {
     "capture": (0, LIMITS.index),
@@ -68,6 +69,12 @@ def check_plausible(captures: Captures, columns: Mapping[str, NDArray[Any]], box
     _require("target_pose", columns["target_pose"][is_real], 0, LIMITS.index)
     _require_sigma(columns["sigma_arcmin"])
     _require_places(columns["capture"], viewpoint, boxes["eye_box"].size)
+    for side in captures.parts:
+        if (off := far_from_eye_box(side.viewpoint, side.eye_box)) is not None:
+            raise BadInputError(
+                f"'viewpoint': the middle of the {side.side} positions lies {np.round(1e3 * off, 1).tolist()} mm from "
+                "the centre of the eye box; give positions and eye boxes of both sides in the device frame."
+            )
     for name, limits in _PLAUSIBLE.items():
         if name in columns:
             _require(name, columns[name], *limits)
@@ -78,6 +85,8 @@ def check_plausible(captures: Captures, columns: Mapping[str, NDArray[Any]], box
     turn = turn[~np.isnan(turn).all(axis=(1, 2))]
     if not np.all(np.abs(turn @ turn.mT - np.eye(3)) < 1e-6) or np.any(np.linalg.det(turn) < 0):
         raise BadInputError("'device_from_camera' has matrices that are not rotations; write them again.")
+    if "visit" in columns:
+        _require_visits(columns)
     _check_bench(captures)
     _refuse_repeated(columns)
 
@@ -141,6 +150,59 @@ def _require_places(capture: IntArray, viewpoint: FloatArray, box_m: FloatArray)
             f"'eye_box' has the size {box_m.tolist()} m, and the viewpoints are {apart:.3g} m "
             "apart; state the eye box in metres."
         )
+
+
+def far_from_eye_box(viewpoint: FloatArray, box: EyeBox) -> FloatArray | None:
+    """Return the middle (3,) of the positions among viewpoints (n, 3), from the centre of the eye box, if it is far.
+
+    Such positions are in another frame than the eye box.
+    """
+    off = np.unique(viewpoint, axis=0).mean(axis=0) - box.centre
+    return np.asarray(off) if np.any(np.abs(off) > 0.5 * box.size + _BESIDE_EYE_BOX_M) else None
+
+
+def _require_visits(columns: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse a visit at two positions, and visits that overlap in time: the camera stands still during a visit."""
+    rows = np.flatnonzero(columns["visit"] >= 0)
+    keys = np.stack([columns[name][rows] for name in ("kind", "target_pose", "visit")], axis=1)
+    visits, first, of_row = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    of_row = of_row.reshape(-1)
+    earlier, capture, viewpoint = rows[first[of_row]], columns["capture"], columns["viewpoint"]
+    renumbered = capture[rows] != capture[earlier]
+    moved = np.linalg.norm(viewpoint[rows] - viewpoint[earlier], axis=1) > _ONE_PLACE_M
+    for bad, name in ((renumbered, "capture"), (moved, "viewpoint")):
+        if bad.any():
+            at = int(np.argmax(bad))
+            one, other = (columns[name][row].tolist() for row in (earlier[at], rows[at]))
+            raise BadInputError(
+                f"{_visit_name(visits[of_row[at]])} is at two camera positions: '{name}' is {one} in row {earlier[at]} "
+                f"and {other} in row {rows[at]}; give each visit its own number."
+            )
+    if "time_s" in columns:
+        _require_times(visits, of_row, columns["time_s"][rows])
+
+
+def _require_times(visits: IntArray, of_row: IntArray, time_s: FloatArray) -> None:
+    """Refuse visits of one side that overlap in time; NaN means not recorded."""
+    begin, end = np.full(len(visits), np.inf), np.full(len(visits), -np.inf)
+    known = np.isfinite(time_s)
+    np.minimum.at(begin, of_row[known], time_s[known])
+    np.maximum.at(end, of_row[known], time_s[known])
+    for kind in np.unique(visits[:, 0]):
+        order = np.flatnonzero((visits[:, 0] == kind) & np.isfinite(begin))
+        order = order[np.lexsort((end[order], begin[order]))]
+        late = np.flatnonzero(begin[order[1:]] < end[order[:-1]])
+        if late.size:
+            before, after = order[late[0]], order[late[0] + 1]
+            raise BadInputError(
+                f"'time_s' goes back: {_visit_name(visits[after])} begins at {begin[after]:g} s, before "
+                f"{_visit_name(visits[before])} ends at {end[before]:g} s; correct the times or the visits."
+            )
+
+
+def _visit_name(visit: IntArray) -> str:
+    kind, pose, number = visit
+    return f"'visit' {number} of " + ("the panel" if kind == PANEL_PIXEL else f"target pose {pose}")
 
 
 def require_on_panel(pixel: FloatArray, size_px: ArrayLike) -> None:
