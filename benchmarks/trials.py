@@ -169,6 +169,7 @@ class Outcome:
         readings: number of measured directions.
         seconds: process time of the fit.
         refused: reason for a missing model; empty if the fit succeeded.
+        figures: further numbers by name.
     """
 
     errors: Mapping[str, Summary]
@@ -176,6 +177,7 @@ class Outcome:
     readings: int = 0
     seconds: float = field(default=0.0, compare=False)
     refused: str = ""
+    figures: Mapping[str, float] = field(default_factory=dict)
 
     def rms(self, measure: str) -> float:
         """Root mean square error; NaN if it was not measured."""

@@ -189,10 +189,10 @@ def with_stated_lenses(session):
     return replace(session, **stated)
 
 
-def made_session(folder):
+def made_session(folder, family="polynomial"):
     """Simulate the session, calibrate it and write the report; returns all three."""
     folder.mkdir()
-    bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS)
+    bench = PhotoBenchOptions(camera_px=CAMERA_PX, imperfections=IMPERFECTIONS, family=family)
     made = SimulationRecipe(far_panel_device(folder), viewpoints=VIEWPOINTS, bench=bench)
     session = SmallSession(folder / "session", folder / "out", made)
     with pytest.MonkeyPatch.context() as patch:

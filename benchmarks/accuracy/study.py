@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
+from benchmarks.accuracy.lab_sessions import labs
 from benchmarks.accuracy.measurements import (
     camera_positions,
     display,
@@ -23,7 +24,9 @@ from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import markdown
 
-PartName = Literal["camera-positions", "display", "see-through", "stage", "tracking", "prescribed", "time", "stuck"]
+PartName = Literal[
+    "camera-positions", "display", "see-through", "stage", "tracking", "prescribed", "time", "stuck", "labs"
+]
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,12 @@ class AccuracyOptions(StudyOptions):
         Range(at_least=1, at_most=10_000),
         OnlyWith("part", ("stuck",)),
     ] = 100
+    sessions: Annotated[
+        int,
+        described("Sessions of labs of each kind."),
+        Range(at_least=1, at_most=1000),
+        OnlyWith("part", ("labs",)),
+    ] = 2
     record: Annotated[Path | None, described("Folder in which accuracy.md is kept, too.")] = None
     out: Annotated[Path, described("Output folder.")] = Path("out/benchmarks/accuracy")
 
@@ -65,6 +74,7 @@ def run(options: AccuracyOptions = AccuracyOptions(), *, progress: ProgressArgum
         "tracking": tracking,
         "prescribed": prescribed,
         "time": time,
+        "labs": partial(labs, sessions=options.sessions),
         "stuck": partial(stuck, draws=options.stuck),
     }
     chosen = {str(part): measurements[part] for part in options.part}

@@ -6,8 +6,8 @@ import pytest
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
-from wlr_render.simulation.workshop import OF_NOISE, SWITCHES, Workshop
-from wlr_render.simulation.workshop_captures import LabBoard, LabSweep, travel_of
+from wlr_render.simulation.workshop import OF_NOISE, SWITCHES, Workshop, travel_of
+from wlr_render.simulation.workshop_captures import LabBoard, LabSweep
 
 WORKSHOP = Workshop(3)
 SEEDS = range(20)

@@ -12,6 +12,7 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Code,
     EyeName,
+    OnlyWith,
     ProgressArgument,
     Range,
     Scheduler,
@@ -29,7 +30,7 @@ from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
-from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions, Sampling, half_travel
+from wlr_render.simulation.photographs.photo_bench import Family, PhotoBenchOptions, Sampling, half_travel
 from wlr_render.simulation.photographs.photo_plan import unreadable_targets
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
@@ -38,6 +39,7 @@ _PLACES = option_group("Photographs", 1)
 _CAMERAS = option_group("Cameras", 2)
 _ERRORS = option_group("Errors of the bench", 3)
 _USUAL = PhotoBenchOptions()
+_POLYNOMIAL = OnlyWith("family", ("polynomial",))
 
 
 @dataclass(frozen=True)
@@ -99,29 +101,43 @@ class SimulateOptions(SpreadOptions):
         ),
         Range(at_least=0, at_most=5),
     ] = 0.0
+    family: Annotated[
+        Family,
+        described(
+            "Errors of stage, board and lenses: smooth polynomials, or a workshop's screws, backlash, random fields "
+            "and warm-up, whose function classes no model of calibration has.",
+            group=_ERRORS,
+        ),
+    ] = "polynomial"
     perfect: Annotated[
         bool,
         described("A bench without imperfections, except the ones set by the options below.", flag=True, group=_ERRORS),
+        _POLYNOMIAL,
     ] = False
     repeatability_um: Annotated[
         float | None,
         described("Repeatability of the stage in um, standard deviation per axis.", group=_ERRORS),
         limits.REPEATABILITY_UM,
+        _POLYNOMIAL,
     ] = None
     turn_urad: Annotated[
         float | None,
         described("Pitch, yaw and roll of the stage in urad, rms along each axis.", group=_ERRORS),
         limits.ROTATION_URAD,
+        _POLYNOMIAL,
     ] = None
     bow_mm: Annotated[
-        float | None, described("Bow of the board in mm, middle to corners.", group=_ERRORS), Range(0, 100)
+        float | None, described("Bow of the board in mm, middle to corners.", group=_ERRORS), Range(0, 100), _POLYNOMIAL
     ] = None
     anisotropy: Annotated[
         float | None,
         described("Part by which the board is printed longer in y than in x.", group=_ERRORS),
         Range(0, 0.5),
+        _POLYNOMIAL,
     ] = None
-    lens: Annotated[LensKind | None, described("Distortion model of the true lenses.", group=_ERRORS)] = None
+    lens: Annotated[LensKind | None, described("Distortion model of the true lenses.", group=_ERRORS), _POLYNOMIAL] = (
+        None
+    )
     extrinsics_mm: Annotated[
         float | None,
         described("Error of the tracking camera's stated position in mm, per axis.", group=_ERRORS),
@@ -166,6 +182,7 @@ class SimulateOptions(SpreadOptions):
             self.stated_axes_deg,
             self.tracking_camera,
             places,
+            self.family,
         )
         return SimulationRecipe(self.device, self.eye, len(places) or self.viewpoints, self.pattern, bench)
 

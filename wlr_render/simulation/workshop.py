@@ -71,6 +71,7 @@ _GROSS, _GROSS_CLUSTER, _GROSS_SIGMAS = 0.01, 5, (5.0, 20.0)
 _RIM_STEEPNESS = 6  # power of the radius by which clusters of gross readings crowd at the rim
 
 _PICTURE = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 25), np.linspace(-0.6, 0.6, 19)), axis=-1).reshape(-1, 2)
+_BEYOND = 1.5  # half sizes of the board up to which its shape continues
 _SQUARE = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 41)] * 2), axis=-1).reshape(-1, 2)
 
 
@@ -177,8 +178,10 @@ class Workshop:
     def height_m(self, unit: FloatArray) -> FloatArray:
         """Return heights (...) of the board, metres, at places (..., 2) in half widths and half heights of the board.
 
-        The plane that fits them best is removed, because a lab measures the board's pose.
+        The plane that fits them best is removed, because a lab measures the board's pose. Far beyond the board the
+        height is constant.
         """
+        unit = np.clip(unit, -_BEYOND, _BEYOND)
         plane, span = self._board_plane
         size = self._rng("bow").uniform(*_BOW_MM) / span
         return np.asarray(1e-3 * self._factor("bow") * size * (self._board_shape(unit) - unit @ plane[:2] - plane[2]))
@@ -288,6 +291,14 @@ class Workshop:
         bow, curl = np.cosh(1.5 * across) / np.cosh(1.5), np.exp((towards - 1.0) / 0.3)
         dent = 1.0 / (1.0 + np.sum((unit - centre) ** 2, axis=-1) / 0.3**2)
         return np.asarray(sign[0] * bow + 0.5 * sign[1] * curl + 0.5 * sign[2] * dent)
+
+
+def travel_of(reading: FloatArray) -> FloatArray:
+    """Return the direction (m, 3) of the last move along each axis, +1 or -1; the stage comes from below."""
+    step = np.sign(np.diff(reading, axis=0, prepend=-np.ones((1, reading.shape[1]))))
+    for visit in range(1, len(step)):
+        step[visit] = np.where(step[visit] == 0.0, step[visit - 1], step[visit])
+    return np.asarray(step)
 
 
 def _screw_shape(turned: FloatArray, phase: FloatArray) -> FloatArray:

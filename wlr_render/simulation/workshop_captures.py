@@ -15,7 +15,7 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, Se
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, normalised, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.simulation.workshop import Workshop
+from wlr_render.simulation.workshop import Workshop, travel_of
 
 if TYPE_CHECKING:
     from wlr_render.simulation.simulate_captures import CaptureSetup
@@ -172,14 +172,6 @@ class LabSweep:
         radial = tangents * np.sum(tangents * noise, axis=-1, keepdims=True)
         moved = tangents + np.sqrt(1.0 + square) * (noise + radial / (1.0 + np.sqrt(1.0 + square)))
         return replace(captures, view_dir=dir_of_tangents(moved) @ self.camera.device_from_camera.T)
-
-
-def travel_of(reading: FloatArray) -> FloatArray:
-    """Return the direction (m, 3) of the last move along each axis, +1 or -1; the stage comes from below."""
-    step = np.sign(np.diff(reading, axis=0, prepend=-np.ones((1, reading.shape[1]))))
-    for visit in range(1, len(step)):
-        step[visit] = np.where(step[visit] == 0.0, step[visit - 1], step[visit])
-    return np.asarray(step)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
+from benchmarks.accuracy.lab_sessions import SIDES, LabTrial, labs
 from benchmarks.accuracy.measurements import display, see_through, stuck
 from benchmarks.trial_study import Study
 from benchmarks.trials import EvaluatedEye, FoundBench, Measure, Outcome
@@ -38,6 +39,38 @@ def test_fits_in_a_wrong_maximum_are_counted():
     (row,) = rows_of(stuck(study, 4).blocks[0])
     assert (row["draws"], row["stuck"]) == (4, 2)
     assert row["least shift found / true"] == pytest.approx(14 / 30)
+
+
+def test_sessions_of_labs_are_counted_by_kind():
+    """One of two sessions of each kind is honest."""
+
+    def run(trial):
+        if trial.level == 0.0:
+            return Outcome({}, refused="why")
+        honest = {"true": 1.0, "predicted": 1.1 - 0.6 * trial.repeat, "in 68 %": 0.7, "in 95 %": 0.9}
+        counts = {"bumped": 2.0, "found": 1.0, "accused falsely": float(trial.viewpoints == 49)}
+        figures = {f"{side} {name}": value for side in SIDES for name, value in (honest | counts).items()}
+        return Outcome({}, figures=figures, seconds=3.0)
+
+    kinds, each = labs(Study([NORTHSTAR], run, 9), 2).blocks
+    white, *other = rows_of(kinds)
+    assert (white["statement"], white["sessions"], white["refused"]) == ("white noise only", 4, 4)
+    assert len(other) == 2 * 3 * 2 * 2 + 1  # levels, statements, neighbours, sides; and white noise of the other side
+    full = [row for row in other if row["level"] == 1.0]
+    assert {row["ratio in .8 to 1.25 (%)"] for row in full} == {50.0}
+    assert {(row["sessions"], row["bumped"], row["found"], row["accused falsely"]) for row in full} == {(8, 16, 8, 4)}
+    assert full[0]["largest"] == pytest.approx(2.0)
+    assert len(rows_of(each)) == 2 * (4 + 2 * 2 * 3 * 3 * 2)
+
+
+@pytest.mark.slow
+def test_a_session_of_a_lab_is_fitted():
+    trial = LabTrial("birdbath28", "planar", None, 9, BOX, level=0.5, without=("drift",), stated=())
+    found = trial.run(1)
+    assert found.refused == ""
+    for side in SIDES:
+        assert min(found.figures[f"{side} {name}"] for name in ("true", "predicted")) > 0.0
+        assert 0.0 <= found.figures[f"{side} in 68 %"] <= found.figures[f"{side} in 95 %"] <= 1.0
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from wlr_render.geometry import rays
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.simulation.workshop import Workshop
 
 _CANDIDATES = 2000  # candidate sample sets; the most uniform one is used
 
@@ -27,6 +28,7 @@ class SimulatedLens:
         camera: projection of the rays through the middle of the pupil.
         pupil_diameter_m: diameter of the entrance pupil; 0 for a pinhole.
         focus_m: depth of the plane in focus; infinite for a lens set to infinity.
+        workshop: errors of the second family: a residual distortion, and a pupil that moves with the field angle.
 
     Raises:
         BadInputError: a negative pupil, or a focus that is not in front of the lens.
@@ -35,6 +37,7 @@ class SimulatedLens:
     camera: LensCamera
     pupil_diameter_m: float = 0.002
     focus_m: float = float("inf")
+    workshop: Workshop | None = None
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.pupil_diameter_m < np.inf and self.focus_m > 0.0):
@@ -52,9 +55,15 @@ class SimulatedLens:
             pixel: (..., 2).
             pupil_point: (2,) x and y of the point in the pupil, metres.
         """
+        origin = np.array([*pupil_point, 0.0])
+        if self.workshop is not None:
+            size = np.array(self.camera.size_px)
+            unit = (pixel - 0.5 * size) / (0.5 * np.linalg.norm(size))
+            pixel = pixel + self.workshop.lens_px(unit)
+            origin = origin + self.workshop.pupil_m(unit)[..., None] * [0.0, 0.0, 1.0]
         tangents = self.camera.tangents_of_pixel(pixel) - np.asarray(pupil_point) / self.focus_m
         forward = np.concatenate([tangents, np.ones((*tangents.shape[:-1], 1))], axis=-1)
-        return rays.pack(np.array([*pupil_point, 0.0]), normalised(forward))
+        return rays.pack(origin, normalised(forward))
 
     def samples(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the samples in the pixel and in the pupil, the same for all pixels.

@@ -1,6 +1,6 @@
 """Imperfections of a simulated photographic bench, with the sizes of ordinary equipment."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Literal
 
 from wlr_render import usual
@@ -79,6 +79,13 @@ class BenchImperfections:
     def none(cls) -> "BenchImperfections":
         """Return the perfect bench with lenses of five Brown terms."""
         return cls().scaled(0.0)
+
+    @property
+    def of_photographs(self) -> "BenchImperfections":
+        """The imperfections of photographs, extrinsics and axes alone: a `Workshop` has stage, board and lenses."""
+        stage = {"turn_urad": 0.0, "turn_jitter_urad": 0.0, "straightness_um": 0.0, "repeatability_um": 0.0}
+        board = {"bow_mm": 0.0, "twist_mm": 0.0, "anisotropy": 0.0, "scale_error": 0.0, "dot_error_um": 0.0}
+        return replace(self, **stage, **board, creep_um=0.0, lens="brown")
 
     def scaled(self, factor: float) -> "BenchImperfections":
         """Return all sizes times a factor, 0 or more; a factor of 0 makes the lens a "brown" one."""

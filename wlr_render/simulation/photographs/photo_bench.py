@@ -18,11 +18,12 @@ from wlr_render.optics.traced_mappings import TracedSeeThrough, traced_eye
 from wlr_render.simulation.photographs.camera import Sensor, SimulatedLens
 from wlr_render.simulation.photographs.camera_view import WAVELENGTH_UM
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
-from wlr_render.simulation.photographs.printed_board import PrintedBoard
+from wlr_render.simulation.photographs.printed_board import PrintedBoard, WorkshopBoard
 from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.photographs.true_lens import true_lens
 from wlr_render.simulation.simulate_captures import CaptureSetup
 from wlr_render.simulation.viewpoints import planar, volumetric
+from wlr_render.simulation.workshop import Workshop, travel_of
 
 _MARGIN = 1.08  # field of the camera over the display's field
 _BOARD_MARGIN = 1.15  # size of the board over that field at the farthest pose, if it can be printed
@@ -35,6 +36,7 @@ _STAGE, _BOARD, _LENSES, _EXTRINSICS, _SENSORS = range(101, 106)  # streams of r
 _CLEAR = np.linspace(-1.2, 1.2, 49)  # tangents that are searched for the edge of the optics
 _BEYOND_CLEAR = 1.25  # field of a hand-held camera over the clear field of the optics
 
+Family = Literal["polynomial", "workshop"]
 StageKind = Literal["xyz", "xy", "x", "hand"]
 Sampling = Literal["planar", "volumetric"]
 
@@ -62,6 +64,8 @@ class PhotoBenchOptions:
         tracking_px: width and height of the tracking camera's photographs.
         places_mm: camera positions from the centre of the eye box, in the order to visit, in place of `sampling`; empty
             without.
+        family: source of the errors of stage, board and lenses: "polynomial" for `imperfections`, "workshop" for a
+            `Workshop`; then `imperfections` keeps the errors of photographs, extrinsics and stage axes only.
     """
 
     camera_px: tuple[int, int] = (1280, 1024)
@@ -77,8 +81,11 @@ class PhotoBenchOptions:
     stated_axes_deg: float = 0.0
     tracking_px: tuple[int, int] = (1600, 1200)
     places_mm: tuple[tuple[float, ...], ...] = ()
+    family: Family = "polynomial"
 
     def __post_init__(self) -> None:
+        if self.family == "workshop":
+            object.__setattr__(self, "imperfections", self.imperfections.of_photographs)
         if self.sampling == "volumetric" and self.stage not in ("xyz", "hand"):
             raise BadInputError(
                 f"A stage with the axes {self.stage} carries no camera through the eye box: volumetric sampling needs "
@@ -106,6 +113,7 @@ class PhotoBench:
         stated_device_from_tracking: (4, 4) pose of the tracking camera in session.toml.
         device_from_target: (k, 4, 4) the target's poses.
         options: options of the design.
+        workshop: errors of the second family; None for a bench of the first.
     """
 
     device: Device
@@ -123,6 +131,31 @@ class PhotoBench:
     stated_device_from_tracking: FloatArray
     device_from_target: FloatArray
     options: PhotoBenchOptions
+    workshop: Workshop | None = None
+
+    def workshop_motion(self, commanded: FloatArray, elapsed: FloatArray, sweep: int = 0) -> FloatArray:
+        """Return the errors (n, 6) of the workshop's stage and of a camera that warms up, for `camera_at`.
+
+        They are 0 without a workshop. The focal length does not warm up.
+
+        Args:
+            commanded: (n, 3) positions of the stage.
+            elapsed: (n,) elapsed part of the session at each of them, 0 to 1; positions of the same time are visited
+                in the order of the rows.
+            sweep: number of the random errors of the visits.
+        """
+        motion = np.zeros((len(commanded), 6))
+        if self.workshop is None:
+            return motion
+        by_time = np.argsort(elapsed, kind="stable")
+        reading = commanded[by_time]
+        motion[by_time] = self.workshop.stage_motion(reading, travel_of(reading))
+        motion[by_time] += self.workshop.visit_motion(len(reading), sweep)
+        drift_px = self.workshop.drift_px(elapsed, np.zeros((1, 2)))[:, 0]
+        right, down = (drift_px / self.eyeball.camera.focal_px).T
+        in_camera = np.stack([-down, right, np.zeros_like(right)], axis=-1)
+        motion[:, :3] += in_camera @ self.device_from_camera[:3, :3].T
+        return motion
 
     @property
     def optics(self) -> EyeOptics:
@@ -211,16 +244,17 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
     tracking = _camera(options.tracking_px, np.array([0.72, 0.54]), [-0.10, 0.03, -5e-4, 2e-4, 0.0])
     board = _board(view, max(options.target_depths_m), eyeball)
     device_from_tracking = _tracking_pose(aim, box.centre)
+    errors = [_workshop(options, number) for number in (int(eye == "left"), 2)]
     return PhotoBench(
         device=device,
         eye=eye,
         board=board,
-        printed=PrintedBoard.draw(board, sizes, printing),
-        eyeball=SimulatedLens(true_lens(eyeball, sizes, lenses), 1e-3 * options.pupil_mm, options.focus_m),
+        printed=WorkshopBoard.of(board, errors[0]) if errors[0] else PrintedBoard.draw(board, sizes, printing),
+        eyeball=SimulatedLens(true_lens(eyeball, sizes, lenses), 1e-3 * options.pupil_mm, options.focus_m, errors[0]),
         eyeball_sensor=_imperfect(
             Sensor.with_snr(options.snr, options.bits, _EXPOSURE, vignetting=0.3), sizes, sensors
         ),
-        tracking=SimulatedLens(true_lens(tracking, sizes, lenses), 0.8e-3, 0.8),
+        tracking=SimulatedLens(true_lens(tracking, sizes, lenses), 0.8e-3, 0.8, errors[1]),
         tracking_sensor=_imperfect(Sensor.with_snr(_TRACKING_SNR, 8, _EXPOSURE, vignetting=0.3), sizes, sensors),
         device_from_camera=pose,
         stage_axes=_turned(0.2, -0.1, 0.3) @ np.diag([1.001, 0.9995, 1.0]) @ _skewed(sizes.axes_skew_mrad, stage),
@@ -229,7 +263,15 @@ def design_photo_bench(device: Device, eye: str, options: PhotoBenchOptions = Ph
         stated_device_from_tracking=_misstated(device_from_tracking, sizes, extrinsics),
         device_from_target=np.stack([_target_pose(aim, box.centre, depth) for depth in options.target_depths_m]),
         options=options,
+        workshop=errors[0],
     )
+
+
+def _workshop(options: PhotoBenchOptions, number: int) -> Workshop | None:
+    """Return the errors of an eye's bench (0 or 1) or of the tracking camera (2)."""
+    if options.family == "polynomial":
+        return None
+    return Workshop(3 * options.seed + number).without("bumped")
 
 
 def _past_optics(aim: _Aim, optics: EyeOptics) -> _Aim:

@@ -189,6 +189,7 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     position[drawn] += place.normal(0.0, 1e-6 * sizes.repeatability_um, commanded.shape)
     turns = turn.normal(0.0, 1e-6 * sizes.turn_jitter_urad, commanded.shape)
     error = np.concatenate([turns, np.outer(_creep(taken), _whole_creep(bench))], axis=1)
+    error += bench.workshop_motion(commanded, taken / max(1, len(taken) - 1))
     stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), _READING_DIGITS)
     visits = tuple(
         Visit(row[:axes], bench.camera_at(at, off)) for row, at, off in zip(stated, position, error, strict=True)
@@ -209,6 +210,7 @@ def later_visits(bench: PhotoBench, commanded: FloatArray, rng: np.random.Genera
     stated = commanded + np.round(sizes.readback_um * reading, _READING_DIGITS)
     creep = np.broadcast_to(_whole_creep(bench), commanded.shape)
     error = np.concatenate([sizes.turn_jitter_urad * turn, creep], axis=1)
+    error += bench.workshop_motion(commanded, np.ones(len(commanded)), sweep=1)
     return tuple(
         Visit(row[:axes], bench.camera_at(at, off)) for row, at, off in zip(stated, position, error, strict=True)
     )

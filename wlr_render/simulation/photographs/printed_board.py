@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from wlr_render.captures.boards.board import Board, RealArray
 from wlr_render.numerics.arrays import Float32Array, FloatArray, IntArray
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
+from wlr_render.simulation.workshop import Workshop
 
 _CELLS = 512  # cells across and along a board; each stores its nearest feature
 
@@ -115,3 +116,28 @@ class PrintedBoard:
         cells = np.stack(np.meshgrid(middle, middle), axis=-1) * self.design.size_m
         nearest = cKDTree(self._designed).query(cells)[1]
         return np.asarray(self.offset_m[nearest], dtype=np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class WorkshopBoard(PrintedBoard):
+    """A board with the print and the shape of the second family of errors.
+
+    Attributes:
+        workshop: the errors.
+    """
+
+    workshop: Workshop
+
+    @classmethod
+    def of(cls, design: Board, workshop: Workshop) -> "WorkshopBoard":
+        """Return the print of a design."""
+        place = design.point_of(design.indices())[:, :2]
+        return cls(design, np.ones(2), 0.0, 0.0, 0.5, workshop.printed_m(place), workshop)
+
+    @property
+    def is_flat(self) -> bool:
+        """False: no sheet is."""
+        return False
+
+    def _shape(self, unit: RealArray) -> NDArray[np.floating]:
+        return self.workshop.height_m(np.asarray(unit, dtype=np.float64)).astype(unit.dtype)

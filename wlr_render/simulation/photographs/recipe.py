@@ -11,6 +11,7 @@ from wlr_render.input_files import LIMITS, read_bytes
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
 from wlr_render.simulation.photographs.photo_bench import (
+    Family,
     PhotoBench,
     PhotoBenchOptions,
     Sampling,
@@ -28,6 +29,7 @@ _OWN_TYPES = (
     "stated_axes_deg",
     "tracking_px",
     "places_mm",
+    "family",
 )  # fields other than required numbers
 
 
@@ -82,6 +84,7 @@ def load_recipe(folder: Path) -> SimulationRecipe:
     values: dict[str, Any] = {name: _value(table, name) for name in numbers}
     values["stage"] = table.text("stage", PhotoBenchOptions.stage, get_args(StageKind))
     values["sampling"] = table.text("sampling", PhotoBenchOptions.sampling, get_args(Sampling))
+    values["family"] = table.text("family", PhotoBenchOptions.family, get_args(Family))
     values["stated_axes_deg"] = table.number("stated_axes_deg", PhotoBenchOptions.stated_axes_deg)
     if table.has("tracking_px"):
         values["tracking_px"] = _value(table, "tracking_px")
