@@ -6,11 +6,11 @@ from wlr_render.geometry.planes import BasePlane
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
 
-_FLAT = 0.1  # largest thickness of a layer of positions, of its extent, for it to count as a plane
-_SPREAD = 0.1  # least extent across the line that fits the positions best, of that along it
-_STEEPEST = np.tan(np.deg2rad(20.0))
+_FLAT = 0.1  # thickness over extent up to which positions are a plane: thicker layers are spread in depth on purpose
+_SPREAD = 0.1  # least extent across the best line over that along it: below, errors of the stage tilt the plane
+_STEEPEST = np.tan(np.deg2rad(20.0))  # steepest plane: headsets lean forward by up to some 15 degrees
 _LEAST_RISE = 1e-3  # rise over the extent: 0.06 degrees, which no camera position could show
-_SIGNIFICANT = 10.0  # rise over thickness, squared, per degree of freedom
+_SIGNIFICANT = 10.0  # F statistic of both slopes: chance exceeds it in one of 1,000 sessions of 25 positions
 
 
 def choose_base_plane(viewpoint: FloatArray, eye_box: EyeBox) -> BasePlane:

@@ -27,10 +27,12 @@ _ROWS = 150  # of a capture that take part: a motion needs no more
 _DEGREE = 4  # optics that follow a capture far off hide it
 _LEAST_ARCMIN = 2.0  # an error below it spoils no model
 
-_DOT_TOP_DEGREE = 4
-_DOTS_PER_TERM = 8
-_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3  # an outlier is off by more than both
-_DOT_SIGMA_RATIO = 5.0  # times the median standard deviation of the photograph's dots
+_DOT_TOP_DEGREE = 4  # highest degree of the field of a photograph's dots: a misread dot is off by itself
+_DOTS_PER_TERM = 8  # fewest dots for each term, so that an outlier among them bends the field little
+_DOT_SIGMAS, _DOT_LEAST_ARCMIN = 8.0, 0.3
+"""An outlier is off by more than both: by what neither noise nor a field of higher degree leaves, and by a third of a
+camera pixel of 1', below which a dot is noisy but not misread."""
+_DOT_SIGMA_RATIO = 5.0  # largest sigma over the median of the photograph's dots: dots beyond it are cut or blurred
 _ROUNDS = 10  # outliers bend the field that they are judged by: the worst go first
 _AT_ONCE = 3.0  # what is this much less off than the worst waits for the next round
 _MAD = 1.4826  # median absolute deviation to standard deviation

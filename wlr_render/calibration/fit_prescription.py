@@ -31,13 +31,14 @@ Prescription = EyeOptics
 
 _READINGS = 2500  # readings of the display, and as many of see-through: far more than twelve numbers need
 _ROUNDS = 6
-_SETTLED = 0.02  # change of the residuals' size from one round to the next
+_SETTLED = 0.02  # relative change of the residuals' size that ends the rounds: it changes weights by 4 %
 _FLOOR_ARCMIN = 1e-3  # exact captures
 _LOST = 100.0  # residual, in their size, of a reading whose ray misses the optics: it no longer counts
-_MISSING_ALLOWED = 0.2  # share of the readings
+_MISSING_ALLOWED = 0.2  # share of readings without a ray: small errors of the assembly lose rays at edges only
 IMPLAUSIBLE = 6.0
 """Plausible sizes beyond which an assembly error is none: another headset, or a surface of another shape."""
-_EXPLAINED_ARCMIN, _EXPLAINED = 1.0, 2.0  # residuals of a prescription that is of this headset; of the stated sigma
+_EXPLAINED_ARCMIN, _EXPLAINED = 1.0, 2.0
+"""Residuals up to which a prescription is of this headset: a camera pixel of 1', or twice the stated sigma."""
 _EVALUATIONS = 40  # Jacobians in a round: a prescription of this headset needs about five
 _TANGENT_STEP = 1e-6
 

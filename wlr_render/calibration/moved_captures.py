@@ -10,13 +10,14 @@ from wlr_render.calibration.smooth_prior import SHIFT, TURN, motion_scale, motio
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.usual import STAGE_REPEATABILITY_M, STAGE_TURN_RAD
 
-_TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of the shift, and of the turn, of a camera that moved
-_SHARE_THAT_MOVES = 0.03  # share of captures, before the readings
-_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # odds from which a capture is judged by the others, and is named
+_TIMES_USUAL = (1.0, 5.0, 20.0, 100.0, 500.0)  # sizes of shift and turn of a camera that moved, up to a slip of a mm
+_SHARE_THAT_MOVES = 0.03  # share of captures, before the readings: an assumption, as in a diagnosis
+_SUSPECT_LOG10_ODDS, _LEAST_LOG10_ODDS = 0.0, 2.0  # odds from which others judge a capture, 1:1, and it is named, 100:1
 _MEDIAN_OF_THREE = 1.538  # median length of three standard normal numbers
-_MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # a motion below both is an ordinary stage's
+_MOVED_M, _MOVED_RAD = 5e-5, 2e-4  # an ordinary stage's motion is below both: about 20 usual sizes, 2.5 sigmas
 _PLAUSIBLE_M, _PLAUSIBLE_RAD = 0.03, 0.1  # a camera on a stage does not move by more
-_BAD_STAGE_M, _BAD_STAGE_RAD, _TIMES_STATED = 1e-4, 3e-4, 2.0  # likewise, of a bad one, or as often as stated
+_BAD_STAGE_M, _BAD_STAGE_RAD, _TIMES_STATED = 1e-4, 3e-4, 2.0
+"""Repeatability of a bad stage, 30 usual sizes, and factor on the stated one: motions of all captures are no larger."""
 
 
 @dataclass(frozen=True)

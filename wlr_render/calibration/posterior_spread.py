@@ -9,7 +9,7 @@ from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
 
-_KEPT = 0.98  # share of the variance of predictions at the readings that the low-rank factors keep
+_KEPT = 0.98  # share of the predictions' variance that low-rank factors keep: sigmas are then 1 % too small
 _SAMPLES = 500  # readings at which that is judged
 
 

@@ -40,10 +40,10 @@ PARAMETERS = 11
 _STEPS = np.repeat([1e-5, 1e-2, 1e-5, 1e-5, 1e-2], [3, 2, 1, 3, 2])  # of central differences
 _ITERATIONS = 30
 _STILL_ARCMIN = 1e-7  # change of the predicted clicks that ends the iteration
-_SETTLED = 0.01  # of a click's scatter: the last change that leaves a result
-_NEAREST_M, _FARTHEST_M = 0.05, 100.0
-_FAR_FROM_BOX_M = 0.05
-_FARTHEST_CLICK_ARCMIN = 300.0
+_SETTLED = 0.01  # last change, in a click's scatter, that leaves a result: it adds 1 % of the error
+_NEAREST_M, _FARTHEST_M = 0.05, 100.0  # real points that a wearer clicks on; others are in another unit
+_FAR_FROM_BOX_M = 0.05  # distance of a pupil beyond the eye box, ten slips of a headset: another frame or unit
+_FARTHEST_CLICK_ARCMIN = 300.0  # largest error of a click, 5 degrees: beyond, pixel and point do not belong together
 _LEAST_SIGMA_ARCMIN = 0.05  # of clicks: less is nobody's, and would drown in rounding beside wrong clicks
 
 

@@ -18,9 +18,9 @@ from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
 from wlr_render.numerics.posterior import Posterior
 
 _ROUNDS, _HALVINGS = 15, 6
-_ROUGH, _SETTLED = 1.0, 0.05  # sigmas of the worst unknown: when sizes are worth finding, and when all is found
-_SAME = 0.01  # relative change of sizes
-_FEATURES_CHANGE = 3.0  # factor by which their size may change in one round
+_ROUGH, _SETTLED = 1.0, 0.05  # step of the worst unknown, sigmas: sizes are then worth finding; and the fit has ended
+_SAME = 0.01  # relative change of sizes that ends the rounds: their standard errors are 5 % and more
+_FEATURES_CHANGE = 3.0  # factor by which features' size may change in one round: the fixed point overshoots at first
 _ROUNDING = 1e-7  # share of the sum of squares
 
 

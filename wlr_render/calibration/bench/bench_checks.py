@@ -20,10 +20,10 @@ from wlr_render.numerics.arrays import FloatArray
 
 STEP = "photographs without the headset"
 
-REFUSED_MM, REFUSED_ARCMIN = 1.0, 10.0  # motions that make a calibration wrong
-_UNLIKELY = 1e-4  # probability below which chance explains nothing
+REFUSED_MM, REFUSED_ARCMIN = 1.0, 10.0  # motions that make a calibration wrong: 7' and 10' of a target at 0.5 m
+_UNLIKELY = 1e-4  # probability below which chance explains nothing: ten checks warn in one of 1,000 sessions
 _SCALE, _REFUSED_SCALE = 0.002, 0.02  # 1 mm and 10 mm in the distance of a target at half a metre
-_SKEW_DEG = 1.0
+_SKEW_DEG = 1.0  # largest departure of two axes from a right angle: stages screwed together keep a tenth
 _UNIT = 0.1  # distance of a factor from 1000, in powers of ten, up to which it is a mistaken unit
 _NOISE_DIFFERS = 0.7  # standard deviation of the logarithm of the stated noise: by a factor of 2
 _NAMED = 2  # photographs that fit worst

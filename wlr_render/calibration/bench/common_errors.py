@@ -37,9 +37,9 @@ _SOURCE_OF = {
     "axis": "stage",
     "smooth": "stage",
 }
-_KEPT = 0.999  # share of the variance that a source brings into the readings
-_MOST = 24  # variables of all sources
-_LEAST_ARCMIN = 1e-3  # rms in the readings of a variable that is worth keeping
+_KEPT = 0.999  # share of a source's variance in the readings: sigmas are then 0.05 % too small
+_MOST = 24  # variables of all sources, largest first: fits take time and model files space for each
+_LEAST_ARCMIN = 1e-3  # rms in the readings of a variable worth keeping: a hundredth of what models are off by
 _JITTER = 1e-10  # share of each variance that is added: some poses follow others to nearly all digits
 _LENS_DEGREE, _LENS_GRID = 7, 21
 _IMAGES_M = (0.3, 5.0)  # distances of virtual images for which shifts of a camera are judged

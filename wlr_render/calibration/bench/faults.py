@@ -26,10 +26,10 @@ _PLAUSIBLE = {  # radians, metres: standard deviations of what goes wrong on a b
     "photograph": np.repeat([3e-3, 1e-2], 3),  # another reading than the one written down
     "motion": np.repeat([3e-3, 1e-3], 3),
 }
-_SIMILAR = 5.0  # natural logarithm of the odds between explanations that the views cannot tell apart
+_SIMILAR = 5.0  # natural logarithm of the odds, 150 to 1, below which views leave both explanations open
 _CONVINCING = 9.2  # natural logarithm of the odds, 10,000 to 1, beyond the number of candidates
-_MOST = 4
-_MOST_PAIRED = 40  # photographs of which all pairs are tried
+_MOST = 4  # faults that are named: a session of more is to be taken again
+_MOST_PAIRED = 40  # photographs of which all pairs are tried: 780 pairs
 _SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # steps of stage errors, logarithms
 SINGLE = ("photograph", "exchange")
 """Kinds of faults whose photographs are rejected; the others leave a target or a mounting of its own."""

@@ -21,13 +21,15 @@ from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
 _KINDS = ("brown", "fisheye", "rational")  # kinds by number of terms; thin prisms are tried where rational terms help
-_FEWEST_VIEWS = 3
+_FEWEST_VIEWS = 3  # views of a plane that determine a camera (Zhang, IEEE PAMI 22 (2000), 1330)
 _CHOICE_FEATURES, _CHOICE_VIEWS = 100, 20  # enough to choose the kind of lens by
 _ENOUGH = 350  # features of a view: more cost time and tell little
-_OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature does not belong to the board
-_POOR_FIT = 3.0  # times the usual scatter from which a photograph is rejected
-_MISREAD, _LENS_BENDS_PX = 10.0, 2.0  # times as far from a plane's image as usual; and what lenses do to some views
-_BETTER_SIGMAS = 2.0  # standard errors by which more terms must predict held-out views better
+_OUTLIER_SIGMAS = 6.0  # robust sigmas from which a feature does not belong to the board: no noise is so large
+_POOR_FIT = 3.0  # scatter over the median photograph's from which one is rejected: it has 9 times the weight it should
+_MISREAD, _LENS_BENDS_PX = 10.0, 2.0
+"""Distance from a plane's image over the median photograph's, and pixels, whose sum only misread features exceed: a
+lens bends all views, and some by pixels more."""
+_BETTER_SIGMAS = 2.0  # standard errors by which more terms must predict held-out views better: one in 40 by chance
 
 
 class RefusedViewsError(BadInputError):

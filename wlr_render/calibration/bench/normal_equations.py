@@ -16,7 +16,7 @@ from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Sums
 
-_HUBER = 3.0  # sigmas
+_HUBER = 3.0  # sigmas from which a residual loses weight: 0.3 % of normal noise, which costs nothing
 
 
 @dataclass(frozen=True, eq=False)

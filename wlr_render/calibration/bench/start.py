@@ -31,9 +31,9 @@ _SOME = 80  # features of a view that the start takes: it need not be exact, and
 _SOME_VIEWS = 8  # views by which rough lenses are compared
 _CORNER_DEG = np.geomspace(15.0, 150.0, 12)  # angle from the axis to the picture's corner
 _LEAST_COSINE = 0.17  # cosine from the axis of features that a pose starts from: others weigh too much
-_STEPS, _CLOSE = 30, 1e-9
-_UNCLEAR = 5.0  # ratio of the residuals of the two poses of a plane below which both are refined
-_MOVED = 1e-3
+_STEPS, _CLOSE = 30, 1e-9  # steps of a pose, and the last one, radians and metres: far below any noise
+_UNCLEAR = 5.0  # ratio of the residuals of a plane's two poses below which both are refined: noise may swap them
+_MOVED = 1e-3  # travel of an axis in photographs over all its travel, below which it rests: its encoder's error
 """An axis whose readings vary by less than this part of its travel has not moved."""
 
 

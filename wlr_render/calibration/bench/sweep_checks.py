@@ -21,8 +21,8 @@ from wlr_render.geometry.lens import Lens, radians_per_pixel
 from wlr_render.numerics.arrays import FloatArray
 
 NEGLIGIBLE_ARCMIN = NEGLIGIBLE_RAD / ARCMIN
-_CERTAIN = 3.0  # sigmas by which a displacement must exceed what can be neglected
-_FOLLOWS = 0.5  # a view that moves by more than this part of what the target's motion would make has followed it
+_CERTAIN = 3.0  # sigmas by which a displacement must exceed what can be neglected: chance does in one of 700
+_FOLLOWS = 0.5  # motion of a view over what the target's would make: 1 if it followed, 0 if not, and this between
 
 
 @dataclass(frozen=True, eq=False)

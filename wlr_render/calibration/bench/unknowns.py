@@ -23,11 +23,11 @@ USUAL_SIZES = {
     "stretch": usual.BOARD_STRETCH,
 }
 """Sizes of ordinary benches by hyperparameter."""
-_LEAST, _MOST = 1e-9, 1e-2
-_DECAY = 0.5  # factor of the smooth error's size from one degree to the next
+_LEAST, _MOST = 1e-9, 1e-2  # bounds of sizes, radians, metres or ratios: exact, and no stage or board
+_DECAY = 0.5  # factor of the smooth error's size from one degree to the next: rails bend more than they wave
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
-_NOISE_DIFFERS = 0.3
+_NOISE_DIFFERS = 0.3  # sigma of the logarithm of a camera's noise over the stated one, which detection measures
 
 
 @dataclass(frozen=True)
