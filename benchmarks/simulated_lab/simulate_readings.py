@@ -67,9 +67,12 @@ def simulate_readings(
         folder: folder in the names of photographs; nothing is read or written there.
 
     Raises:
-        BadInputError: an unknown device, eye or pattern, a fault of a missing photograph, or a target that is too far
-            away to be seen past the optics by a hand-held camera.
+        BadInputError: an unknown device, eye or pattern, a bench of the family "workshop", whose lenses only
+            photographs have, a fault of a missing photograph, or a target that is too far away to be seen past the
+            optics by a hand-held camera.
     """
+    if recipe.bench.family == "workshop":
+        raise BadInputError("Readings are simulated on benches of the family 'polynomial' only; take photographs.")
     bench = recipe.build()
     off = np.deg2rad(faults.axis_off_deg)
     skew = np.array([[1.0, np.sin(off), 0.0], [0.0, np.cos(off), 0.0], [0.0, 0.0, 1.0]])

@@ -37,33 +37,38 @@ SWITCHES = (
 OF_NOISE = ("tails", "vignetting", "neighbours", "gross")
 """Imperfections of the readings' noise."""
 
-# Periodic error of lead screws: 10 um for precision grade, 25 um for commercial grade (Dover Motion, Motion control
-# handbook, "Linear positioning accuracy"); here peak values of a good screw.
+# Screw: peak of the periodic error; lead screws have 10 um (precision grade) to 25 um (commercial grade) from peak to
+# peak (Dover Motion, motion control handbook). Period: pitch of usual screws.
 _SCREW_UM, _SCREW_PERIOD_MM = (5.0, 10.0), (1.0, 2.0)
-# Bidirectional repeatability of stages with an anti-backlash nut, data sheets of 25 mm stages; total of both directions
+# Hysteresis: difference of both directions of travel; assumption: an anti-backlash nut that is worn
 _HYSTERESIS_UM = 5.0
-# Pitch and yaw over 20 mm, peak to valley; data sheets of crossed-roller stages state tens of microradians
+# Pitch, yaw and roll over 20 mm, peak to valley; assumption: data sheets of crossed-roller stages state tens of urad
 _TURN_URAD, _TURN_TRAVEL_M, _KNOT_M = (30.0, 60.0), 0.020, 0.0025
 ARM_M = np.array([0.02, 0.08, 0.05])
-"""Arm from the carriage's guide to the pupil, which its rotations displace, metres."""
-# Unidirectional repeatability and wobble of such stages, standard deviations per axis
+"""Arm (m) from the carriage's guide to the pupil, which its rotations displace; assumption: a camera on a bracket."""
+# Repeatability of a visit, standard deviations per axis. One axis alone has 1 um (data sheet of Optimal Engineering
+# Systems); assumption: three axes, a load and a cable.
 SHIFT_UM, WOBBLE_URAD, _WOBBLE_CORRELATION = 5.0, 15.0, 0.7
-# Line accuracy of plotters: 0.1 % or .1 to .2 mm, whichever is larger (HP DesignJet data sheets)
+# Print, rms per axis: assumption, a small part of the line accuracy of plotters, 0.1 % (data sheets of HP DesignJet)
 _PRINT_MM, _PRINT_LENGTH_M, _PRINT_WAVES = (0.03, 0.08), 0.08, 300
-# Swath of a print head, and error of each paper feed; printers correct the mean feed only (HP patent on linefeed error)
+# Feed: one swath of a print head of 0.85 inch, and the rms error of its place; printers correct the mean feed only
+# (United States patent on line feed error by roller diameters, Hewlett-Packard); size: assumption
 _SWATH_M, _FEED_MM = 0.0216, 0.03
 _SHEET_M = 0.6  # half the side of the sheet over which print errors have their stated rms
-# Flatness of foam and aluminium composite boards, peak to valley (photogrammetric practice)
+# Board: range of its heights; assumption. Composite plates above 0.8 x 0.6 m need a frame to stay flat (calib.io,
+# "Calibration target substrates 101").
 _BOW_MM = (0.1, 0.3)
-# Systematic residuals of parametric lens models: .1 to .2 pixels (Schoeps et al., "Why having 10,000 parameters in
-# your camera model is better than twelve", CVPR 2020, figure 1)
+# Lens: rms residual of parametric models; assumption. Its pattern is systematic and not radial (Schoeps et al., "Why
+# having 10,000 parameters in your camera model is better than twelve", CVPR 2020).
 _LENS_PX = (0.1, 0.2)
-# Travel of the entrance pupil from axis to corner (Fasogbon and Aksu, "Calibration of fisheye camera using entrance
-# pupil", ICIP 2019, for wide lenses; normal lenses less)
+# Pupil: travel along the axis from middle to corner; assumption: a tenth of a fisheye lens's ("Calibration of fisheye
+# camera using entrance pupil", arXiv 1907.01759)
 _PUPIL_MM = (0.05, 0.2)
-# Image drift of a camera that warms up (Handel, "Analyzing the influences of camera warm-up effects on image
-# acquisition", ACCV 2007), and its time constant in parts of the session
+# Drift: shift of the image from first to last photograph, change of scale at the corner in parts of it, and time
+# constant in parts of the session. Sensors of 3.45 um a pixel move by 3 um per kelvin of self-heating ("Modeling of
+# systematic errors in stereo-digital image correlation due to camera self-heating", Scientific Reports 9, 2019).
 _DRIFT_PX, _FOCAL_DRIFT, _DRIFT_TIME = (0.3, 0.5), 0.5, 1.0 / 3.0
+# Noise: assumptions
 _TAIL_DEGREES = 4.0  # degrees of freedom of Student's t
 _CORRELATED = 0.5  # part of the noise's variance that neighbours share
 _KERNEL_SPACINGS = 2.5  # radius of the kernel, in distances of neighbouring readings

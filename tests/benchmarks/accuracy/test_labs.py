@@ -4,6 +4,8 @@ import pytest
 from benchmarks.accuracy.lab_statements import SHARED
 from benchmarks.accuracy.labs import lab_captures
 from benchmarks.trials import EvaluatedEye, truth
+from wlr_render.calibration.fit_eye import calibrate
+from wlr_render.captures.capture_file import load_captures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import tangents_of_dir
 from wlr_render.simulation.workshop import SWITCHES
@@ -21,6 +23,24 @@ def test_a_session_depends_on_its_seed_and_states_the_truth():
     assert 1 <= len(true.bumped) <= 2
     assert len(true.shown.pixel) > 1000
     assert len(true.seen.point) == len(true.shown.pixel)
+
+
+def test_a_session_is_a_capture_file(tmp_path):
+    captures, _ = lab_captures("birdbath28", positions=4, stated=("lens", "bow", "abbe", "repeatability"))
+    again = load_captures(captures.save(tmp_path / "captures-right.npz"))
+    for one, other in zip(captures.both, again.both, strict=True):
+        np.testing.assert_array_equal(one.view_dir, other.view_dir)
+        np.testing.assert_array_equal(one.time_s, other.time_s)
+        assert one.common.sources == other.common.sources
+
+
+@pytest.mark.slow
+def test_a_capture_bumped_by_300_um_is_found():
+    captures, true = lab_captures("birdbath28", seed=1, bump_um=(300.0, 300.0))
+    for fit in calibrate(captures).both:
+        rows = [np.flatnonzero(fit.captures.visits[1] == each.capture)[0] for each in fit.smooth.moved]
+        assert {int(fit.captures.capture[row]) for row in rows} == set(true.bumped.tolist())
+        assert all(fit.captures.target_pose[row] <= 0 for row in rows)
 
 
 def test_the_raster_is_a_serpentine_and_planned_places_are_off_it_in_random_order():

@@ -11,6 +11,7 @@ from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.captures.decoded import sample
 from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
+from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.simulation.photographs import take_photographs
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
@@ -114,3 +115,9 @@ def test_a_camera_in_the_hand_sees_the_target_past_the_optics():
         straight = lens.pixel_of_point(transforms.apply(transforms.inverse(camera), point))
         assert rms(seen.pixel - straight) == pytest.approx(0.02, rel=0.2)
         assert np.isnan(pixel_of_real_point(truth.bench.optics, lens, camera, point)).any(axis=-1).mean() > 0.95
+
+
+def test_readings_of_a_workshop_are_refused():
+    recipe = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(family="workshop"))
+    with pytest.raises(BadInputError, match="benches of the family 'polynomial' only; take photographs"):
+        simulate_readings(recipe)
