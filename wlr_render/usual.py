@@ -59,7 +59,9 @@ STAGE_SMOOTH_TURN_RAD = Size(
 STAGE_SCREW_M = Size(
     3e-6, "m", "Dover Motion, motion control handbook: precision lead screws err by 10 um, peak to peak, a turn", _BY_E
 )
-STAGE_BACKLASH_M = Size(3e-6, "m", "assumption: a preloaded nut loses a third of its screw's error", _BY_E)
+STAGE_BACKLASH_M = Size(
+    3e-6, "m", "assumption: directions of travel differ by 5 um with an anti-backlash nut; about half of it", _BY_E
+)
 STAGE_SCALE = Size(
     1e-3, "1", "assumption: twice the lead error of commercial screws, 4e-4 (Dover Motion, motion control handbook)"
 )
@@ -69,7 +71,7 @@ SESSION_REPEATABILITY_M = Size(
     8e-6,
     "m",
     "assumption: between stages with motors (3 um) and micrometers read by eye (20 um), as sessions to diagnose have "
-    "either",
+    "either; figures of diagnoses in docs/ were made with it",
     _BY_THREE,
 )
 SESSION_TURN_RAD = Size(25e-6, "rad", "assumption: as SESSION_REPEATABILITY_M, over 0.3 m", _BY_THREE)
@@ -92,14 +94,22 @@ CODE_NOISE_PX = Size(0.03, "px", "assumption: a position decoded from fringes, i
 
 # Boards, printed on paper or on a plate.
 BOARD_PRINT_M = Size(
-    5e-5, "m", "assumption: printers drift over the width of a hand; a smooth field, rms per axis", _BY_E
+    5e-5,
+    "m",
+    "assumption: half of the line accuracy of plotters, 0.1 mm (HP DesignJet data sheets); a smooth field",
+    _BY_E,
 )
 BOARD_HEIGHT_M = Size(
-    1e-4, "m", "assumption: paper glued to a plate, or a composite panel; rms without bow and twist", _BY_E
+    1e-4,
+    "m",
+    "assumption: composite panels are flat to 0.1 to 0.3 mm, peak to valley; rms without bow and twist",
+    _BY_E,
 )
 BOARD_DOT_M = Size(2e-5, "m", "assumption: half of a printer's dot at 600 dpi")
 BOARD_FLATNESS_M = Size(3e-4, "m", "assumption: bow and twist at the edge of a plate of 4 mm that stands upright")
-BOARD_SCALE = Size(5e-4, "1", "assumption: feed of a plotter, growth of paper with humidity; x and y each")
+BOARD_SCALE = Size(
+    5e-4, "1", "assumption: half of the line accuracy of plotters, 0.1 % (HP DesignJet data sheets); x and y each"
+)
 BOARD_STRETCH = Size(
     1e-4, "1", "assumption: a board of 0.3 m that bends by 2 mm in the hand looks shorter by this", _BY_THREE
 )

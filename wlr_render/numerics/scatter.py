@@ -26,7 +26,7 @@ LOG10_ODDS = float(0.5 / np.log(10.0))
 USUAL_SHIFT, USUAL_TURN = SESSION_REPEATABILITY_M.micro, SESSION_TURN_RAD.micro
 """Usual repeatability of a stage, micrometres, and random turns of its carriage, microradians."""
 UNUSUAL_SHIFT, UNUSUAL_TURN = 200.0, 600.0
-"""Beyond what stages repeat to."""
+"""Beyond what stages repeat to: 25 usual sizes, 2.7 standard deviations of their logarithms."""
 _USUAL_RANGE = SESSION_REPEATABILITY_M.log_sigma  # standard deviation of their logarithms
 MOVED = np.array([1000.0] * 3 + [8000.0] * 3)  # standard deviations of a capture that moved, units of motions
 _COST_OF_MOVING = float(np.log(0.97 / 0.03))  # three captures of a hundred are expected to have moved
