@@ -113,19 +113,20 @@ def labs(study: Study, sessions: int) -> Findings:
     for eye, trial in _trials(study.eyes):
         where: list[Cell] = [trial.level, _statement_of(trial), "off" if "neighbours" in trial.without else "on"]
         outcomes = [study.outcome_of(replace(trial, repeat=number)) for number in range(sessions)]
-        for outcome, side in product(outcomes, SIDES):
+        for (number, outcome), side in product(enumerate(outcomes), SIDES):
             figures = {name: outcome.figures.get(f"{side} {name}", np.nan) for name in _FIGURES}
             groups[*where, side].append(figures)
-            at: list[Cell] = [str(eye), trial.viewpoints, trial.places, *where, side]
+            at: list[Cell] = [str(eye), trial.viewpoints, trial.places, *where, number, side]
             errors: list[Cell] = [figures["true"], figures["predicted"], figures["true"] / figures["predicted"]]
             rows.append([*at, *errors, *(figures[name] for name in _FIGURES[2:]), outcome.seconds])
     conditions = ["level", "statement", "neighbours", "side"]
-    columns = ["eye", "camera positions", "places", *conditions, "true rms (arcmin)", "predicted (arcmin)"]
-    columns += ["true / predicted", *_FIGURES[2:], "fit (s)"]
+    columns = ["eye", "camera positions", "places", *conditions[:3], "session", "side"]
+    columns += ["true rms (arcmin)", "predicted (arcmin)", "true / predicted", *_FIGURES[2:], "fit (s)"]
+    notes = ("The seed of a session is the study's plus the session's number.",)
     return Findings(
         (
             ReportTable("Labs: kinds of sessions", [*conditions, *_SUMMARY, *_FIGURES[2:]], _summary(groups)),
-            ReportTable("Labs: each session", columns, rows),
+            ReportTable("Labs: each session", columns, rows, notes),
         )
     )
 
