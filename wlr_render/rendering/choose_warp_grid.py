@@ -26,7 +26,7 @@ _MOST_CELLS = 256
 _JUDGED_CELLS = 10
 _JUDGED_PIXELS = 60
 _JUDGED_PLACES = np.array([[0.21, 0.21], [0.79, 0.21], [0.5, 0.5], [0.21, 0.79], [0.79, 0.79]])
-"""In a cell: where the error of a cubic of one coordinate is largest, and on the cut, where that of mixed ones is."""
+"""Positions in a cell with the largest error: of cubics in one coordinate, and on the diagonal of mixed cubics."""
 _JUDGED_VIEWPOINTS = np.array([[0, 0, 0], *itertools.product((-1, 1), repeat=3)], dtype=np.float64)
 _AIM = 0.95
 _BLOCK_PX = 4
@@ -40,7 +40,8 @@ class ChosenWarpGrid:
     Attributes:
         grid: the points.
         bound_arcmin: the largest error found, as `warp_grid_error_arcmin`; infinite if no ray was found anywhere.
-        hole_share: 0..1, the share of the judged places in a hole or a cell beside one, where no error is judged.
+        hole_share: 0..1, the share of the test points that lie in a hole or in a cell next to one; no error is computed
+            there.
     """
 
     grid: WarpGrid
@@ -61,9 +62,9 @@ def choose_warp_grid(
     """Return the coarsest warp grid of nearly square cells whose error is within the tolerance over the eye box.
 
     Judged at the eye box's centre and at its corners, at `judged_pixels`. There are at most 256 cells along an axis:
-    where that is not fine enough, the bound says what is reached. Cells are whole blocks of 4 x 4 px where such a size
-    divides the panel and is not much smaller than necessary: GPUs and software renderers shade pixels in blocks, and
-    those on the border of two triangles twice.
+    where that is not fine enough, `bound_arcmin` exceeds the tolerance. Cells are whole blocks of 4 x 4 px where such a
+    size divides the panel and is not much smaller than necessary: GPUs and software renderers shade pixels in blocks,
+    and those on the border of two triangles twice.
 
     Args:
         mappings: any pair.
@@ -132,7 +133,7 @@ def warp_grid_error_arcmin(
 
     Returns:
         (n,) arcminutes, as `ray_error_arcmin`; NaN where a ray that the comparison needs is missing, and in the cells
-        beside a hole.
+        next to a hole.
     """
     at_points = solve_pixels(mappings, device_from_camera, warp_grid.panel_pixel(), viewpoint).slope_offset
     exact = solve_pixels(mappings, device_from_camera, pixel, viewpoint).slope_offset
@@ -141,7 +142,7 @@ def warp_grid_error_arcmin(
 
 
 def _beside_hole(warp_grid: WarpGrid, at_points: FloatArray, pixel: FloatArray) -> NDArray[np.bool_]:
-    """Whether pixels (n, 2) lie beside a missing ray, where second differences are partial."""
+    """Return which pixels (n, 2) lie next to a missing ray, where second differences are partial."""
     missing = np.isnan(at_points).any(axis=-1)
     around = cv2.dilate(missing.astype(np.uint8), np.ones((3, 3), np.uint8))
     column, row = np.minimum((pixel - warp_grid.first_px) / warp_grid.step_px, np.array(warp_grid.size) - 2).T.astype(

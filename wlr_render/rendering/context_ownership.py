@@ -20,13 +20,13 @@ class ContextOwner(Protocol):
         """Return a block in which the context is current; `third_party` as in `GlState.kept`."""
 
     def odd_values(self) -> list[str]:
-        """OpenGL calls of the host that set what is not OpenGL's default now."""
+        """Return the OpenGL calls of the host that have set values other than OpenGL's defaults."""
 
     def is_same_as(self, context: Any) -> bool:
-        """Whether another ModernGL context is around the same native context."""
+        """Return whether another ModernGL context wraps the same native context."""
 
     def release(self, objects: list[Any]) -> bool:
-        """Destroy the given ModernGL objects and those that Python has dropped; whether that was possible."""
+        """Destroy the given ModernGL objects and all garbage-collected ones; return whether that was possible."""
 
 
 class OwnContext:
@@ -43,7 +43,7 @@ class OwnContext:
 
     @contextlib.contextmanager
     def entered(self, third_party: bool) -> Iterator[None]:
-        """See `ContextOwner`; makes the context current, and the previous one when the block ends.
+        """Make the context current, and the previous one when the block ends; see `ContextOwner`.
 
         Raises:
             BadInputError: another thread is inside a block, or the context cannot be made current.
@@ -66,15 +66,15 @@ class OwnContext:
             yield
 
     def odd_values(self) -> list[str]:
-        """See `ContextOwner`; there is no host."""
+        """Return an empty list: no host shares this context."""
         return []
 
     def is_same_as(self, context: Any) -> bool:
-        """See `ContextOwner`; nobody else has it."""
+        """Return False: nothing else wraps this context."""
         return False
 
     def release(self, objects: list[Any]) -> bool:
-        """See `ContextOwner`; destroys the context with all its objects, and leaves any other current."""
+        """Destroy the context with all its objects; the context that was current stays current."""
         restore = self._save()
         self._ctx.release()
         restore()
@@ -96,7 +96,7 @@ class AdoptedContext:
         """See `ContextOwner`.
 
         Raises:
-            BadInputError: it is not current, or as `GlState.kept`.
+            BadInputError: the context is not current, or as `GlState.kept`.
         """
         self._check_current()
         if self._host_is_clean and not third_party:
@@ -111,16 +111,16 @@ class AdoptedContext:
         outermost = not self._state.inside
         with self._state.kept(third_party):
             if outermost:
-                self._ctx.screen.use()  # what ModernGL takes to be bound from now on
+                self._ctx.screen.use()  # ModernGL then records the default framebuffer as bound
             yield
 
     def odd_values(self) -> list[str]:
-        """See `ContextOwner`."""
+        """Return the calls that `GlState` finds; see `ContextOwner`."""
         self._check_current()
         return self._state.odd_values()
 
     def is_same_as(self, context: Any) -> bool:
-        """See `ContextOwner`; found out with EGL only, by making the other one current once."""
+        """Return as `ContextOwner`, by making the other context current once; always False without EGL."""
         if self._current.platform != "egl":
             return False
         if context not in self._same:
@@ -134,7 +134,7 @@ class AdoptedContext:
             )
 
     def release(self, objects: list[Any]) -> bool:
-        """See `ContextOwner`; the context stays. Where it is not current nothing is destroyed, with a warning."""
+        """Destroy the objects and keep the context; if it is not current, warn and destroy nothing."""
         if not self._current.is_current():
             # No error: programs end with the context gone, and its objects with it, which nobody can ask about.
             warnings.warn(

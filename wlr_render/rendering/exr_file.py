@@ -59,7 +59,7 @@ def write_exr(path: str | Path, channels: Mapping[str, NDArray[Any]], texts: Map
     with written_whole(path) as temporary, disk_errors(path):
         try:
             file.write(str(temporary))
-        except RuntimeError as error:  # OpenEXR has no other for what the system refuses
+        except RuntimeError as error:  # OpenEXR raises it for errors of the file system, too
             raise OSError(reason_of(error)) from error
     return Path(path)
 
@@ -68,7 +68,7 @@ def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]
     """Channels (height, width) by name, and the texts of the header that `write_exr` wrote.
 
     Raises:
-        BadInputError: the file is missing, is no OpenEXR file, or is too large.
+        BadInputError: the file is missing, is not an OpenEXR file, or is too large.
         MissingExtraError: the library OpenEXR is not installed.
     """
     with installed_by("exr", str(path)):

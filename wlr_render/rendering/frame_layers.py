@@ -1,7 +1,7 @@
-"""What each panel pixel shows besides its colour: depth, position, normal, instance and albedo.
+"""Geometry layers of a frame, per panel pixel: depth, position, normal, instance and albedo.
 
-The world ray of each pixel's centre meets the scene itself, whichever method draws the frame: the layers are those of
-the exact geometry, and no value is a mean over neighbouring surfaces, supersampled or not.
+The world ray of each pixel's centre meets the scene itself, whichever method draws the frame: the layers show the exact
+geometry, and no value is a mean over neighbouring surfaces, supersampled or not.
 """
 
 from collections.abc import Collection

@@ -1,6 +1,6 @@
-"""Images of other software's framebuffers and textures: queries, and framebuffers of ours with the same images.
+"""Images of other software's framebuffers and textures: queries, and our own framebuffers with the same images.
 
-An image is one layer and level of a texture, or a renderbuffer. We attach it to a framebuffer of our own, so that the
+An image is one layer and level of a texture, or a renderbuffer. We attach it to our own framebuffer, so that the
 read buffer, draw buffers and attachments of the caller's framebuffers stay untouched.
 """
 
@@ -28,7 +28,7 @@ _CUBE_MAP, _MULTISAMPLED_ARRAY = 0x8513, 0x9102
 # 2D, 2D array, multisampled, multisampled array, rectangle, 3D; and the queries of the bindings of all targets.
 _TARGETS = 0x0DE1, 0x8C1A, 0x9100, _MULTISAMPLED_ARRAY, 0x84F5, 0x806F
 _BINDINGS = dict(zip((*_TARGETS, _CUBE_MAP), (0x8069, 0x8C1D, 0x9104, 0x9105, 0x84F6, 0x806A, 0x8514), strict=True))
-_LEVELS = 16  # of a side of 32768 pixels, the most of any driver
+_LEVELS = 16  # mip levels of a side of 32768 pixels, the longest of any driver
 _LAYERS = 0x8071  # GL_TEXTURE_DEPTH
 _WIDTH, _HEIGHT, _RENDERBUFFER_WIDTH, _RENDERBUFFER_HEIGHT = 0x1000, 0x1001, 0x8D42, 0x8D43
 _COMPLETE = 0x8CD5
@@ -72,7 +72,7 @@ class TextureLayer:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value may be the OpenGL name of an object; True is no number."""
+    """Return whether a value may be the OpenGL name of an object: an integer that is not a bool."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
@@ -93,7 +93,7 @@ class ImageFormat:
 
     Attributes:
         numbers: type of the components, an enum of OpenGL.
-        red_bits, blue_bits, depth_bits, stencil_bits: 0 where there are none.
+        red_bits, blue_bits, depth_bits, stencil_bits: 0 without that component.
         is_srgb: whether OpenGL decodes the codes of the format when it is sampled.
     """
 
@@ -113,13 +113,13 @@ class FramebufferQueries:
         self._functions: dict[str, Callable[..., Any]] = {}
 
     def gl(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
-        """As `GlContext.function`, looked up once."""
+        """Return an OpenGL function as `GlContext.function` does; each name is looked up once."""
         if name not in self._functions:
             self._functions[name] = self._context.function(name, *argument_types, result=result)
         return self._functions[name]
 
     def exists(self, kind: str, number: int) -> bool:
-        """Whether a number names a "Framebuffer" object or a "Texture"; 0, the window's, does not."""
+        """Return whether a number names a "Framebuffer" object or a "Texture"; 0, the window's, does not."""
         return 0 < number < 1 << 32 and bool(self.gl(f"glIs{kind}", _UINT, result=ctypes.c_ubyte)(number))
 
     def bind(self, number: int, target: int = BOTH) -> None:
@@ -127,7 +127,7 @@ class FramebufferQueries:
         self.gl("glBindFramebuffer", _UINT, _UINT)(target, number)
 
     def is_complete(self) -> bool:
-        """Whether the framebuffer is complete."""
+        """Return whether the framebuffer is complete."""
         return bool(self.gl("glCheckFramebufferStatus", _UINT, result=_UINT)(BOTH) == _COMPLETE)
 
     def image(self, point: int) -> Image | None:
@@ -223,7 +223,7 @@ class FramebufferQueries:
             return
 
     def _with_texture(self, target: int, name: int, read: Callable[[], _Made]) -> _Made | None:
-        """Return what is read while a texture is bound to a target; None if the texture is of another kind."""
+        """Bind a texture to a target and return the result of `read`; None if the texture has another target."""
         bind, before = self.gl("glBindTexture", _UINT, _UINT), self.integer(_BINDINGS[target])
         bind(target, name)
         if self._context.take_error():
@@ -233,7 +233,7 @@ class FramebufferQueries:
         return found
 
     def integer(self, enum: int) -> int:
-        """As glGetIntegerv."""
+        """Return the first integer of glGetIntegerv."""
         numbers = (_INT * 2)()
         self.gl("glGetIntegerv", _UINT, ctypes.c_void_p)(enum, ctypes.addressof(numbers))
         return numbers[0]
@@ -252,10 +252,10 @@ def _two(read: Callable[..., None], *enums: int) -> tuple[int, int]:
 
 
 class ImageCache(Generic[_Made]):
-    """What was made for the last few of the caller's objects.
+    """Cache of objects that were made for the caller's last few textures and framebuffers.
 
     A ModernGL object keeps its images while it lives. A number does not: another object may have it in the next frame,
-    so that what was made for a number is remembered only where the caller promises not to reuse numbers.
+    so that a number is a key only where the caller promises not to reuse numbers.
     """
 
     def __init__(self, context: gl.GlContext) -> None:
@@ -263,12 +263,12 @@ class ImageCache(Generic[_Made]):
         self._made: OrderedDict[tuple[object, ...], tuple[list[Any], int, _Made]] = OrderedDict()
 
     def get(self, objects: list[Any], key: tuple[object, ...], make: Callable[[_Made | None], _Made]) -> _Made:
-        """Return what `make` returned for the same objects and key.
+        """Return the result of `make` for the same objects and key.
 
         Args:
             objects: ModernGL objects, or numbers.
             key: further numbers that matter.
-            make: called with what was made for the same numbers before, which it may use again; what it raises is not
+            make: called with its previous result for the same numbers, which it may reuse; its exceptions are not
                 caught.
         """
         full_key = (*(each if is_number(each) else each.glo for each in objects), *key)

@@ -42,12 +42,12 @@ _VERSION = divmod(GLSL_VERSION // 10, 10)
 
 
 def is_srgb(texture: Texture) -> bool:
-    """Whether it is one of `GlContext.target` with sRGB codes."""
+    """Return whether the texture was made by `GlContext.target` with sRGB codes."""
     return bool(texture.extra == SRGB8_ALPHA8)
 
 
 def is_released(thing: Texture | TextureArray | Framebuffer) -> bool:
-    """Whether the object has been released."""
+    """Return whether the object has been released."""
     return isinstance(thing.mglo, moderngl.InvalidObject)
 
 
@@ -64,7 +64,7 @@ def read_between_texels(texture: Texture) -> None:
 def make_mip_levels(texture: Texture) -> None:
     """Allocate the mip levels of a texture and set trilinear filtering, once.
 
-    The driver fills them by a filter of its own.
+    The driver fills the levels with its own filter.
     """
     trilinear = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
     if texture.filter != trilinear:
@@ -153,7 +153,7 @@ def adopt_context(context: moderngl.Context | None = None, host_is_clean: bool =
     """Adopt the OpenGL context of another program, e.g. a viewer's or pyrender's.
 
     Each `drawing` block finds the context current and leaves its state as it was, up to what `gl_state` names. Neither
-    ModernGL's record of that state nor its settings change, because the blocks have a ModernGL context of their own.
+    ModernGL's record of that state nor its settings change, because the blocks use a separate ModernGL context.
 
     Args:
         context: ModernGL's, which is made current; None for the one that is current on this thread, whoever made it.
@@ -181,10 +181,11 @@ def adopt_context(context: moderngl.Context | None = None, host_is_clean: bool =
     state = GlState(current)
     loader: Any = current
     with state.kept(third_party=True), _default_context_kept():
-        # ModernGL asks for the size of what is bound as of a plain texture's: an error for one with samples or layers.
+        # ModernGL queries the bound framebuffer's size as if its image were a plain texture: an OpenGL error if the
+        # image has samples or layers.
         current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)(_FRAMEBUFFER, 0)
         ctx = moderngl.create_context(require=GLSL_VERSION, context=loader)
-        ErrorReader(current).take()  # what its start may leave otherwise is no fault of the host
+        ErrorReader(current).take()  # errors of ModernGL's own start are not the host's
     # ModernGL makes textures on its last unit unless told otherwise.
     ctx.default_texture_unit = UNITS - 1
     return GlContext(ctx, current, AdoptedContext(current, state, ctx, host_is_clean), context, host_is_clean)

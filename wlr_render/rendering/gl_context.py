@@ -34,7 +34,7 @@ _FRAMEBUFFER = 0x8D40
 _SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
 SRGB8_ALPHA8 = 0x8C43
 _RGB10_A2 = 0x8059
-_SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # of GL_EXT_texture_sRGB_decode, which some drivers of OpenGL ES lack
+_SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # enums of GL_EXT_texture_sRGB_decode, which some OpenGL ES drivers lack
 _TEXTURE_2D, _INTERNAL_FORMAT = 0x0DE1, 0x1003
 
 
@@ -69,7 +69,7 @@ class GlContext:
         self._errors = ErrorReader(current)
         self.host_is_clean, self.names_version = host_is_clean, 0
         self._depth, self._switched = 0, False
-        self._made_objects = False  # for a clean host errors are read in such blocks alone: the first frames
+        self._made_objects = False  # with a clean host, only blocks that make objects read errors
         self._bind = current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)
         self._set_viewport = current.function("glViewport", *[ctypes.c_int] * 4)
         self._no_vertices: dict[int, VertexArray] = {}
@@ -91,7 +91,7 @@ class GlContext:
 
     @property
     def is_software(self) -> bool:
-        """Whether it is a software renderer: work per pixel is expensive, and texture filters have exact weights."""
+        """True for a software renderer: work per pixel is expensive, and texture filters have exact weights."""
         return any(name in self.renderer.lower() for name in _SOFTWARE)
 
     @contextlib.contextmanager
@@ -139,7 +139,7 @@ class GlContext:
         return self._current.function(name, *argument_types, result=result)
 
     def has(self, thing: Texture | TextureArray | Framebuffer | Buffer) -> bool:
-        """Whether the object was made in this context, by this library or by the program that it belongs to."""
+        """Return whether the object was made in this context, by this library or by the context's program."""
         if thing.ctx is self._ctx or thing.ctx is self._caller:
             return True
         return not isinstance(thing.ctx.mglo, moderngl.InvalidObject) and self._owner.is_same_as(thing.ctx)
@@ -153,13 +153,13 @@ class GlContext:
         return self._errors.take()
 
     def check_host_is_clean(self) -> None:
-        """Check what a clean host promises; call it where the compositor would be called, e.g. in a test.
+        """Check that the host is clean; call this where the compositor would be called, e.g. in a test.
 
         Raises:
-            BadInputError: some state is not OpenGL's default; the sentence names the calls that set it. Or it is not
-                current.
+            BadInputError: some state is not OpenGL's default; the sentence names the calls that set it. Or the context
+                is not current.
         """
-        odd = self._owner.odd_values()  # in no block, which would set the defaults
+        odd = self._owner.odd_values()  # outside any drawing block, which would set the defaults
         if odd:
             raise BadInputError(
                 f"The host is not clean: {', '.join(odd)} set other values than OpenGL's defaults; reset them before "
@@ -250,11 +250,11 @@ class GlContext:
 
     @property
     def reads_srgb_codes(self) -> bool:
-        """Whether `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL decodes them all the same."""
+        """True if `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL decodes them all the same."""
         return "GL_EXT_texture_sRGB_decode" in self._ctx.extensions
 
     def has_srgb_format(self, texture: Texture) -> bool:
-        """Whether OpenGL decodes a texture's sRGB codes when it is sampled; call it in a drawing block."""
+        """Return whether OpenGL decodes a texture's sRGB codes when it is sampled; call it in a drawing block."""
         texture.use(self.texture_unit)
         found = ctypes.c_int()
         query = self.function("glGetTexLevelParameteriv", ctypes.c_uint, ctypes.c_int, ctypes.c_uint, ctypes.c_void_p)
@@ -277,7 +277,8 @@ class GlContext:
         """Draw to a framebuffer's viewport until another one is bound.
 
         As `Framebuffer.use`, which also sets draw buffers, masks and scissor test in five more calls: our framebuffers
-        keep those of their first use. ModernGL does not know of it: make no framebuffer and clear none before the draw.
+        keep the settings of their first use. ModernGL does not record this binding: make no framebuffer and clear none
+        before the draw.
         """
         if not framebuffer.glo:
             framebuffer.use()

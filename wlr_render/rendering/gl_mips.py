@@ -1,7 +1,7 @@
-"""Mip levels of textures by a filter of our own.
+"""Mip levels of textures, filtered by our own shader.
 
 Drivers filter the levels of textures with odd sides as they like: NVIDIA's leave out the last row or column, so that
-all that is shown from such a level is displaced.
+everything drawn from such a level is displaced.
 """
 
 import ctypes
@@ -26,8 +26,8 @@ class MipLevels:
         Call it in a drawing block.
 
         Args:
-            texture: of four components, "f1", "f2" or "srgb" as `GlContext.target` makes it; what a shader reads from
-                it is light, premultiplied with alpha.
+            texture: of four components, "f1", "f2" or "srgb" as `GlContext.target` makes it; a shader reads light from
+                it, premultiplied with alpha.
         """
         gl.make_mip_levels(texture)
         self.refill(texture)

@@ -22,12 +22,12 @@ _NEAREST_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Quad:
-    """A rectangle in the plane z = 0 of its own frame, x right and y up, seen from +z.
+    """A rectangle in the plane z = 0 of the quad frame, x right and y up, visible from +z.
 
     Attributes:
         pose: (4, 4), world_from_quad, or device_from_quad of one that moves with the head.
         size_m: (2,) width and height, with the frame's origin in the middle.
-        is_head_locked: which of them.
+        is_head_locked: whether `pose` is device_from_quad.
     """
 
     pose: FloatArray

@@ -15,12 +15,12 @@ _TEXTURE_KINDS = {8: "f1", 10: "rgb10", 16: "f2"}
 
 @dataclass(frozen=True, eq=False)
 class PanelEncoder:
-    """What the warp needs of a `PanelLight`.
+    """Shader constants and textures that encode light for a `PanelLight`.
 
     Attributes:
-        constants: of the shaders.
-        textures: by sampler.
-        texture_kind: of our own textures, as in `GlContext.target`.
+        constants: preprocessor constants of the shaders.
+        textures: textures by sampler name.
+        texture_kind: format of the textures that we draw to, as in `GlContext.target`.
     """
 
     constants: dict[str, int]

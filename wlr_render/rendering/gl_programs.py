@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from wlr_render import atomic_files
 
 GLSL_VERSION = 410
-"""Version of all shaders, that of OpenGL 4.1, which macOS has; it replaces the one that a file states for editors."""
+"""GLSL version of all shaders: OpenGL 4.1, the newest on macOS; it replaces the version that a shader file states."""
 
 
 def shader_source(name: str, constants: dict[str, float], functions: str = "") -> str:
@@ -20,12 +20,12 @@ def shader_source(name: str, constants: dict[str, float], functions: str = "") -
 
 
 class _Uniforms:
-    """Uniforms of a program by name, with what was written last: an unchanged value costs no OpenGL call."""
+    """Uniforms of a program by name, with their last values: an unchanged value costs no OpenGL call."""
 
     def __init__(self) -> None:
         self._handles: dict[str, Any] = {}
         self._written: dict[str, object] = {}
-        self.units: dict[str, tuple[int, int]] = {}  # of samplers: the first unit, and the one after the last
+        self.units: dict[str, tuple[int, int]] = {}  # per sampler: the first texture unit, and the one after the last
 
     @staticmethod
     def of(program: Any) -> "_Uniforms":
@@ -51,7 +51,7 @@ class _Uniforms:
 
 
 def set_uniforms(program: Any, **values: Any) -> None:
-    """Set uniforms, numbers or tuples of numbers, by name; those that the compiler found unused are skipped."""
+    """Set uniforms, numbers or tuples of numbers, by name; skip uniforms that the compiler has optimised away."""
     uniforms = _Uniforms.of(program)
     for name, value in values.items():
         uniforms.set(program, name, value)

@@ -26,7 +26,7 @@ class RayTexture:
 
     Attributes:
         warp_grid: the points, from edge to edge of the panel.
-        slope_offset: RGBA32F of the warp grid's size, (a, b, c, d) as `RayMap.slope_offset`, NaN where there is no ray.
+        slope_offset: RGBA32F of the warp grid's size, (a, b, c, d) as `RayMap.slope_offset`, NaN without a ray.
     """
 
     warp_grid: WarpGrid
@@ -110,7 +110,7 @@ class GlPlanarSolver:
             self._target = gl.RenderTargets(context).get("rays", warp_grid.size, (4, "f4"), (1, "u1"))
 
     def solve(self, viewpoint: FloatArray) -> GpuRayMap:
-        """See `RayMapSolver.solve`."""
+        """Solve a ray map in the shader; see `RayMapSolver.solve`."""
         viewpoint = checked_viewpoint(viewpoint)
         display, see_through = self._display, self._see_through
         with self._context.drawing():
@@ -153,7 +153,7 @@ class GlNodeSolver:
             self._slope_offset = context.target(plan.warp_grid.size, 4, "f4")
 
     def solve(self, viewpoint: FloatArray) -> GpuRayMap:
-        """See `RayMapSolver`."""
+        """Solve a ray map on the CPU and upload it; see `RayMapSolver.solve`."""
         solved = self._ray_maps.at(checked_viewpoint(viewpoint))
         with self._context.drawing():
             self._slope_offset.write(np.ascontiguousarray(np.moveaxis(solved.slope_offset, 0, -1)))

@@ -37,14 +37,14 @@ class _Value:
     """A state value with a getter and a setter.
 
     Attributes:
-        setter: takes `first`, then what was read.
+        setter: OpenGL function that takes `first`, then the values read.
         read: enums of the parts, in the setter's order.
         size: numbers in each part.
         kind: C type of the numbers.
         first: the setter's fixed arguments.
-        neutral: what our own drawing needs; None if it does not matter or every drawing sets it.
+        neutral: the values that our drawing needs; None if it does not matter or every drawing sets it.
         count: how many draw buffers have one each, 0 if it exists once; the setter takes the buffer's index first.
-        changed: whether our own drawing changes it; other values are restored only if they were not neutral.
+        changed: whether our drawing changes it; other values are restored only if they were not neutral.
     """
 
     setter: str
@@ -57,7 +57,7 @@ class _Value:
     changed: bool = False
 
 
-# (enum, number of them: 0 for a switch that exists once). All are off while we draw, but for those of _ON.
+# (enum, number of them: 0 for a switch that exists once). All are off while we draw, except those in _ON.
 # Our drawing switches on nothing else, and `GlContext.drawing` switches it off again.
 _SWITCHES = {
     "BLEND": (0x0BE2, _DRAW_BUFFERS),
@@ -176,7 +176,7 @@ class _Kept:
         return tuple(self._numbers)
 
     def is_odd(self) -> bool:
-        """Whether they are not what our drawing needs."""
+        """Return whether the values differ from those that our drawing needs."""
         return self.neutral is not None and self.state() != tuple(self.neutral)
 
 
@@ -212,7 +212,7 @@ class _Plan:
 class _Part:
     """Values of one context that are read together.
 
-    Hosts have the same state in most frames: what is to be set is worked out once for each state.
+    Hosts have the same state in most frames: the setter calls are prepared once for each state.
     """
 
     def __init__(
@@ -263,7 +263,7 @@ class _Part:
         self._plans: dict[bytes, _Plan] = {}
 
     def read(self) -> _Plan:
-        """Read the state; returns what is to be set."""
+        """Read the state and return the setter calls."""
         for read in self._reads:
             read()
         state = bytes(self._memory)
@@ -275,7 +275,7 @@ class _Part:
         return plan
 
     def odd_values(self) -> list[str]:
-        """OpenGL calls that set what is not the default now, but for what our own drawing leaves undefined."""
+        """Return the OpenGL calls with non-default values, except values that our drawing leaves undefined."""
         self.read()
         named = [*zip(self._names, self._kept, strict=True)]
         named += [(f"glBindSampler({unit})", sampler) for unit, (_, _, sampler) in enumerate(self._units)]
@@ -364,14 +364,14 @@ class GlState:
                 resume()
 
     def odd_values(self) -> list[str]:
-        """OpenGL calls of the host that set what is not OpenGL's default now, e.g. "glEnable(GL_BLEND)"."""
+        """Return the host's OpenGL calls with values other than OpenGL's defaults, e.g. "glEnable(GL_BLEND)"."""
         odd = self._part.odd_values()
         for activate in self._part.read().restore[-1:]:  # reading makes each unit active
             activate()
         return odd
 
     def is_same_context(self) -> bool:
-        """Whether the context that is current is the adopted one, and not another at its address."""
+        """Return whether the current context is the adopted one, and not another one at the same address."""
         return self._checks.is_same_context()
 
     def release(self) -> None:

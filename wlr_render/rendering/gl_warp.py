@@ -104,14 +104,14 @@ class GpuWarped:
 class GlWarp:
     """Warps images on the GPU; textures are reused between frames of one size.
 
-    Of each cell of the warp grid a first pass finds where its rays appear in the image and between which inverse depths
+    A first pass finds, for each cell of the warp grid, where its rays appear in the image and at which inverse depths
     they may meet it. The cells are then drawn in one call of each kind, because software renderers run both sides of a
-    branch for every pixel: those that the image's depth moves by less than DIRECT_PX, those whose pixels march, and of
-    both those that minify the image by more than SPACING_PX, which are filtered, and the others.
+    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX and cells whose pixels march; each
+    kind again with filtering, if the cell minifies the image by more than SPACING_PX, or without.
 
-    An inset, a sharper image of a part of the field, is drawn in the same way over the wider one, in which the cells
-    that it fills are left out. Its border shows what the wider one does (`PictureImport.take`), so that there is no
-    seam.
+    An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
+    image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
+    so that no seam is visible.
     """
 
     def __init__(self, context: gl.GlContext, channels: int = 1, panel: PanelEncoder = SRGB_ENCODER) -> None:
@@ -138,13 +138,13 @@ class GlWarp:
         Args:
             image: in this object's context.
             ray_maps: world rays at the points of one warp grid, one map for each channel.
-            image_from_ray_map: rigid, from the camera frame of the ray maps to that of the image, (4, 4), or
+            image_from_ray_map: rigid, from the camera frame of the ray maps to the image's, (4, 4), or
                 (height, 4, 4) with one for each row of the display.
             size_px: (width, height) of the picture, which covers the panel.
             background: sRGB for pixels that show nothing of the image.
             samples_per_axis: of the image, as in `WarpedPicture`.
             with_source: make the pull map as well, in pixels of the image.
-            overlays: what is shown over the image, MAX_OVERLAYS at most, each over those before.
+            overlays: pictures drawn over the image in this order, at most MAX_OVERLAYS.
             insets: of the image's camera frame, each within the picture before and sharper.
 
         Raises:
@@ -196,7 +196,7 @@ class GlWarp:
         _check(ray_maps, self._channels, image_from_ray_map, target.size_px)
         while len(self._cells) < len(pictures):
             self._cells.append(_GlCells(self._context, self._channels))
-        cells: list[_Cells] = []  # of the sharpest picture first: a wider one's depend on it
+        cells: list[_Cells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
         for k in reversed(range(len(pictures))):
             drawn = pictures[k].image, ray_maps, image_from_ray_map, target.size_px
             cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
@@ -259,7 +259,7 @@ class GlWarp:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """What `cells.frag` finds in a picture of (width, height), and the pyramid of the picture's depths."""
+    """Outputs of `cells.frag` for a picture of (width, height), and the pyramid of the picture's depths."""
 
     paths: gl.Texture
     bends: gl.Texture

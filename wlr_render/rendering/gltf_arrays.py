@@ -88,7 +88,7 @@ class GltfArrays:
         return np.maximum(values / float(np.iinfo(values.dtype).max), -1.0)
 
     def texture_coordinates(self, primitive: dict[str, Any]) -> FloatArray | None:
-        """(vertices, 2): those of the primitive's base texture, moved, turned and scaled; None without a texture."""
+        """Texture coordinates (vertices, 2) of the base texture, moved, turned and scaled; None without a texture."""
         material = self._document.entry("materials", primitive["material"]) if "material" in primitive else {}
         use = base_texture(material)
         if use is None:

@@ -1,6 +1,6 @@
 """The JSON of a glTF file: checks before trimesh parses it, and the content that trimesh reads.
 
-trimesh allocates what a header promises, and passes over what it cannot read; the checks refuse both.
+trimesh allocates as many bytes as a header states, and skips parts that it cannot read; the checks refuse both.
 """
 
 import base64
@@ -53,7 +53,7 @@ def coordinates_key(material: dict[str, Any]) -> str:
 
 
 def has_triangles(primitive: dict[str, Any]) -> bool:
-    """Whether a primitive has triangles; one without positions is not drawn, as glTF demands."""
+    """Return whether a primitive has triangles to draw; glTF demands that one without positions is not drawn."""
     return primitive.get("mode") not in FLAT_MODES and "POSITION" in primitive["attributes"]
 
 
@@ -87,7 +87,7 @@ class GltfDocument:
         return BadInputError(f"{self._path}: {sentence}; {remedy}.")
 
     def entry(self, kind: str, index: Any) -> dict[str, Any]:
-        """One entry of a list of the file's top level; refused where there is none."""
+        """Return one entry of a list of the file's top level; raise if it is missing."""
         entries = self.entries(kind)
         if type(index) is not int or not 0 <= index < len(entries) or not isinstance(entries[index], dict):
             raise self.fail(f"refers to number {shown(index)} of '{kind}', which has {len(entries)} entries")
@@ -197,7 +197,7 @@ class GltfDocument:
             raise self.fail(f"uses the same bytes for more than {LIMITS.mesh_bytes / 1e6:g} MB of data")
 
     def _check_view(self, stated: dict[str, Any], where: str, count: int, row: int, views: Sequence[int]) -> None:
-        """Check that `count` rows of so many bytes lie in the buffer view that an accessor states."""
+        """Check that `count` rows of `row` bytes lie in the buffer view that an accessor states."""
         view = self.entry("bufferViews", stated.get("bufferView"))
         stride = self._whole(view, "byteStride", where, row)
         end = self._whole(stated, "byteOffset", where, 0) + max(count - 1, 0) * stride + row * (count > 0)
@@ -286,7 +286,7 @@ class GltfDocument:
         return content[start : start + view["byteLength"]]
 
     def bytes_of(self, uri: object, fetch: Fetch) -> bytes:
-        """Return what a uri refers to: data of its own, as base64 or text (RFC 2397), or a file."""
+        """Return the bytes of a uri: data inside it, as base64 or text (RFC 2397), or a file."""
         if not isinstance(uri, str):
             raise self.fail(f"has the uri {shown(uri)}, which is not text")
         if not uri.startswith("data:"):
@@ -314,7 +314,7 @@ class GltfDocument:
             for index in level:
                 node = self.entry("nodes", index)
                 if index in seen:
-                    raise self.fail(f"nodes {index} is its own child, or that of two nodes")
+                    raise self.fail(f"nodes {index} is its own child, or has two parents")
                 seen.add(index)
                 self._check_node(index, node)
                 below += node.get("children", [])

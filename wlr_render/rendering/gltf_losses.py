@@ -11,7 +11,7 @@ from wlr_render.rendering.gltf_document import FLAT_MODES, LIGHTS, MOVED, GltfDo
 SPOT = "spot"
 """The kind of light that is not drawn."""
 _DRAWN = {
-    *("name", "extras", "doubleSided", "alphaCutoff"),  # without effect on what is drawn
+    *("name", "extras", "doubleSided", "alphaCutoff"),  # no effect on the picture
     *("pbrMetallicRoughness", "extensions"),  # their parts are looked at one by one
     *("baseColorFactor", "baseColorTexture"),
 }

@@ -129,14 +129,14 @@ class HostChecks:
         return self._resume
 
     def is_same_context(self) -> bool:
-        """Whether our sampler object is there, so that the context is not another one at the same address."""
+        """Return whether our sampler object exists, so that the context is not another one at the same address."""
         found = (ctypes.c_float * 4)()
         self._get_token(self._sampler, _BORDER_COLOUR, ctypes.addressof(found))
         # A context without the object reports an error and writes nothing.
         return not self._errors.take() and list(found) == self._token
 
     def take_error(self) -> int:
-        """See `ErrorReader.take`."""
+        """Return as `ErrorReader.take`."""
         return self._errors.take()
 
     def release(self) -> None:

@@ -42,7 +42,7 @@ def read_png(path: str | Path) -> NDArray[np.uint8]:
 def write_map(path: str | Path, values: NDArray[np.float32]) -> Path:
     """Write a float32 map (height, width, 3) exactly, as .tiff or .pfm by its suffix; NaN stays NaN.
 
-    Channel order in the file is that of the array: red is channel 0.
+    The file has the array's channel order: red is channel 0.
 
     Raises:
         BadInputError: an array of another type or shape, another suffix, or a file that cannot be written.
@@ -71,7 +71,7 @@ def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], frames_pe
     The frames are counted in the closed file, since OpenCV hides write errors.
 
     Raises:
-        BadInputError: this OpenCV has no encoder for it, there are no frames, a frame is of another size or type, a
+        BadInputError: this OpenCV has no VP9 encoder, `frames` is empty, a frame has another size or type, a
             rate is not from above 0 to 1000, or the file lacks some frames.
     """
     if not 0 < frames_per_second <= _FASTEST_FPS:

@@ -40,7 +40,7 @@ _GLTF = (".glb", ".gltf")
 _IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tga", ".tif", ".tiff")
 _FARTHEST = 1e6  # metres, and scale of a placement
 _BRIGHTEST = 1e6
-_LARGEST = 1e12  # of a coordinate, whose squares must fit into 32 bits
+_LARGEST = 1e12  # largest coordinate; its square must fit into a float32
 _UNDERSTOOD = {EXTENSION, "KHR_materials_unlit", GLOSSY, "EXT_texture_webp", MOVED, QUANTISED}
 
 
@@ -76,13 +76,13 @@ def lights_of_scene(path: Path, source: Any) -> tuple[LightSource, ...]:
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """Meshes, placements and lights of a file, in its own frame.
+    """Meshes, placements and lights of a file, in the file's frame.
 
-    That of glTF is x right, y up, metres; the others are as the file has them.
+    The frame of glTF is x right, y up, in metres; other formats keep the file's axes and units.
 
     Attributes:
         meshes: one per material and mesh of the file.
-        instances: one per placement in the file's scene graph; those of glTF depth first, in the order of the file.
+        instances: one per placement in the file's scene graph; for glTF depth first, in the order of the file.
         lights: directional and point lights.
         not_drawn: keys of materials that a matt and opaque surface does not have, and parts of glTF that are not drawn;
             one text per entry, with the file's name.
@@ -149,12 +149,12 @@ def _gltf_file(path: Path) -> MeshFile:
 
 
 def _is_part(geometry: Any) -> bool:
-    """Whether the geometry is one of several primitives of a glTF mesh."""
+    """Return whether the geometry is one of several primitives of a glTF mesh."""
     return bool(geometry.metadata.get("from_gltf_primitive"))
 
 
 def _instance_name(source: Any, node: str, mesh: str) -> str:
-    """Return the node's name; trimesh gives nodes of its own, with a random name, to meshes of several primitives."""
+    """Return the node's name; for a mesh of several primitives trimesh adds child nodes with random names."""
     return f"{source.graph.transforms.parents[node]}/{mesh}" if _is_part(source.geometry[mesh]) else node
 
 
@@ -164,7 +164,7 @@ class _Neighbours:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._left = LIMITS.mesh_bytes
-        self._is_gltf = path.suffix.lower() in _GLTF  # whose names are percent-encoded
+        self._is_gltf = path.suffix.lower() in _GLTF  # glTF percent-encodes file names
         self.file_name = path.name
         self.faults: list[BadInputError] = []
         self.given: dict[str, bytes] = {}
@@ -174,11 +174,11 @@ class _Neighbours:
         return self.given[name] if name in self.given else self.get(name)
 
     def find(self, names: Sequence[str]) -> str | None:
-        """Return the first of these names that a file beside the one being read has."""
+        """Return the first of these names that exists in the folder of the mesh file."""
         return next((name for name in names if name and (self._path.parent / name).is_file()), None)
 
     def _get(self, name: str) -> bytes:
-        """Return the content of a file beside the one being read."""
+        """Return the content of a file in the folder of the mesh file."""
         try:
             file = inside_folder(
                 self._path.parent, unquote(name.strip()) if self._is_gltf else name.strip(), str(self._path)
@@ -198,7 +198,7 @@ class _Neighbours:
 
 
 def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
-    """Return a glTF file as a trimesh.Scene, with everything that it refers to, and what is not drawn."""
+    """Return a glTF file as a trimesh.Scene, with all files that it refers to, and texts about parts not drawn."""
     import trimesh
 
     neighbours = _Neighbours(path)
@@ -214,7 +214,7 @@ def _loaded(path: Path) -> tuple[Any, tuple[str, ...]]:
 
 
 def _named(path: Path, materials: Iterable[tuple[str, list[str]]], parts: Sequence[str]) -> tuple[str, ...]:
-    """Texts of what is not drawn: keys of materials by name, and parts of the file."""
+    """Return a text for each part that is not drawn: keys of materials by name, and parts of the file."""
     names_of: dict[str, list[str]] = {}
     for name, keys in materials:
         if keys:

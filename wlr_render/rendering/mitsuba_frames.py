@@ -70,7 +70,7 @@ class PathTracer:
         self.scene = scene
         with _mitsuba() as mi:
             shapes = [_shape(mi, scene.mesh_of(instance), instance) for instance in scene.instances]
-            # Robust intersections are those of `SceneTracer`: no ray slips through between two triangles.
+            # Robust intersections, as in `SceneTracer`: no ray slips through between two triangles.
             parts = {f"shape{number}": shape for number, shape in enumerate(shapes)} | _lights(scene)
             self._scene = mi.load_dict({"type": "scene", "embree_use_robust_intersections": True, **parts})
             self._integrator = mi.load_dict({"type": "path", "max_depth": bounces + 2, "hide_emitters": True})
@@ -82,8 +82,8 @@ class PathTracer:
     def intersect(self, origin: Float32Array, direction: Float32Array) -> Intersections:
         """Return the nearest intersection of each ray (n, 3), as `SceneTracer.intersect` does.
 
-        These are Mitsuba's own: a frame's points are those that its paths begin at, without a second tree of the scene,
-        and a comparison with `SceneTracer` shows whether Mitsuba was given the scene as it is.
+        Mitsuba computes them: a frame's points are then exactly the starts of its paths, without a second tree of the
+        scene, and a comparison with `SceneTracer` checks the scene that Mitsuba was given.
         """
         hits = Intersections.misses(len(direction))
         with _mitsuba() as mi:
@@ -134,7 +134,7 @@ class PathTracedPainter:
         Args:
             mappings: any pair, or one each for red, green and blue.
             tracer: of the scene.
-            samples: paths per pixel, spread evenly over the pixel; geometry is always that of the pixel centre.
+            samples: paths per pixel, spread evenly over the pixel; geometry is always sampled at the pixel centre.
             seed: of the paths, one number or several; every frame has the same noise.
         """
         self._channels = channels_of(mappings)
@@ -144,7 +144,7 @@ class PathTracedPainter:
         self._seeds = np.random.SeedSequence(seed).generate_state(samples)
 
     def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
-        """See `Painter`."""
+        """Return a path-traced frame; see `Painter`."""
         ray_maps = ray_maps_of(self._channels, self._plans, viewpoint)
         colours, traced = [], []
         for mappings, plan, rays in zip(self._channels, self._plans, ray_maps, strict=True):
@@ -260,7 +260,7 @@ def _mitsuba() -> Iterator[Any]:
     """Mitsuba with the variant that we use; the caller's own variant is restored at the end.
 
     Raises:
-        MissingExtraError: Mitsuba is not installed or does not load, or there is no LLVM that it can use.
+        MissingExtraError: Mitsuba is not installed or does not load, or no usable LLVM is installed.
     """
     if find_spec("mitsuba") is not None:
         _choose_llvm()
@@ -281,7 +281,7 @@ def _choose_llvm() -> None:
     """Make Mitsuba load the LLVM that the environment variable names or, without it, the newest that is installed.
 
     Raises:
-        MissingExtraError: there is none, or it is too old.
+        MissingExtraError: no LLVM is installed, or it is too old.
     """
     named = os.environ.get(_LLVM_PATH)
     faults = []

@@ -17,7 +17,7 @@ _DEFAULTS = {"d": r"1(\.0*)?", "tr": "[0. ]+", "ke": "[0. ]+", "pm": "[0. ]+", "
 """Patterns of values with which nothing is lost."""
 _LOST_MAPS = {"map_d", "map_tr", "map_ke", "map_bump", "bump", "norm", "disp", "decal", "refl"}
 _NUMBERS = {"-o": (0.0, 0.0, 0.0), "-s": (1.0, 1.0, 1.0), "-t": (0.0, 0.0, 0.0), "-mm": (0.0, 1.0)}
-"""Options of a texture with up to so many numbers, and the numbers that change nothing."""
+"""Texture options with their neutral numbers; an option may state fewer numbers."""
 _CHOICES = {"-clamp": "off", "-cc": "off"} | dict.fromkeys(
     ("-blendu", "-blendv", "-texres", "-boost", "-bm", "-type", "-imfchan")
 )
@@ -25,13 +25,13 @@ _CHOICES = {"-clamp": "off", "-cc": "off"} | dict.fromkeys(
 
 
 class Neighbours(Protocol):
-    """Files beside the one that is read."""
+    """Files in the folder of the file being read."""
 
     def find(self, names: Sequence[str]) -> str | None:
         """Return the first name that a file has."""
 
     def get(self, name: str) -> bytes:
-        """Return the content of a file; refused where there is none."""
+        """Return the content of a file; raise if it is missing."""
 
 
 def obj_text(content: bytes) -> str:

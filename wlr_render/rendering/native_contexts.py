@@ -46,7 +46,7 @@ class CurrentContext:
         raise NoCurrentContextError("No OpenGL context is current on this thread")
 
     def is_current(self) -> bool:
-        """Whether the context is current on the calling thread."""
+        """Return whether the context is current on the calling thread."""
         return bool(self._native_current() == self._native)
 
     def version(self) -> tuple[int, int]:
@@ -58,7 +58,7 @@ class CurrentContext:
         return numbers[0], numbers[1]
 
     def has(self, version: tuple[int, int], extension: str) -> bool:
-        """Whether the context has this version or the extension.
+        """Return whether the context has this version or the extension.
 
         The address of a function tells neither: GLX and EGL return one for every name.
         """
@@ -74,7 +74,7 @@ class CurrentContext:
         return ctypes.CFUNCTYPE(result, *argument_types)(self.load_opengl_function(name))
 
     def load_opengl_function(self, name: str) -> int:
-        """Address of an OpenGL function, 0 if there is none."""
+        """Return the address of an OpenGL function, 0 if it is missing."""
         address = self._address_of(name.encode())
         if not address and hasattr(self._library, name):  # Windows: the oldest functions are the library's own
             address = ctypes.cast(getattr(self._library, name), ctypes.c_void_p).value
@@ -91,7 +91,7 @@ class CurrentContext:
 
 
 class EglBinding:
-    """Which EGL context is current on the calling thread: saves it and makes it current again.
+    """The EGL context that is current on the calling thread: saves it and makes it current again.
 
     Raises:
         OSError: libEGL is not installed.
@@ -121,7 +121,7 @@ class EglBinding:
         return restore
 
     def makes_current(self, make_current: Callable[[], object], current: CurrentContext) -> bool:
-        """Whether a function makes a certain context current; what is current now stays so."""
+        """Return whether a function makes the given context current; then restore the context that was current."""
         restore = self.save()
         if self._context():
             self._make_current(self._display(), None, None, None)
@@ -174,7 +174,7 @@ class OsMesaContext:
         return ctypes.CDLL(ctypes.util.find_library("OSMesa") or "libOSMesa.so.8")
 
     def load_opengl_function(self, name: str) -> int:
-        """Address of an OpenGL function, 0 if there is none."""
+        """Return the address of an OpenGL function, 0 if it is missing."""
         return self._library.OSMesaGetProcAddress(name.encode()) or 0
 
     def __enter__(self) -> "OsMesaContext":

@@ -1,6 +1,6 @@
 """Wavefront OBJ files: one mesh for each material. Materials are read by `mtl_file.py`.
 
-Vertex colours are sRGB. Without normals in the file, those of the triangles around a vertex are averaged.
+Vertex colours are sRGB. Without normals in the file, a vertex gets the mean normal of the triangles around it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -48,7 +48,7 @@ class ObjFile:
     """The statements of an OBJ file.
 
     Attributes:
-        not_drawn: what the file states and is not drawn, one text per entry.
+        not_drawn: statements of the file that have no effect on pictures, one text each.
 
     Raises:
         BadInputError: a statement has the wrong numbers, or an index refers to nothing; a material is missing.
@@ -169,7 +169,7 @@ class ObjFile:
                     break
                 corner = self._corner(line, word)
                 polygon.append(part.corners.setdefault(corner, len(part.corners)))
-                if "-" not in word:  # which counts from another place in another line
+                if "-" not in word:  # negative indices are relative to their line
                     part.known[word] = polygon[-1]
         if len(polygon) < 3:
             raise BadInputError(f"{self._path} line {line}: has fewer than three numbers; export it again.")
@@ -188,7 +188,9 @@ class ObjFile:
             except ValueError:
                 index = None
             if index is None or at > 2:
-                raise BadInputError(f"{self._path} line {line}: {shown(word)} is no corner of a face; export it again.")
+                raise BadInputError(
+                    f"{self._path} line {line}: {shown(word)} is not a corner of a face; export it again."
+                )
             if index == 0:
                 raise BadInputError(
                     f"{self._path} line {line}: has vertex 0, but they are counted from 1; export it again."

@@ -21,7 +21,7 @@ from wlr_render.rendering.view import GeometryImage, View
 from wlr_render.rendering.warp import SURFACE_STEP
 
 _WHITE = 255
-_SATURATED = 0.01  # of a frame's pixels: fewer are highlights
+_SATURATED = 0.01  # share of a frame's pixels; fewer saturated ones are highlights
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class Frame:
     "Of each channel" means one for all colours, or one each for red, green and blue.
 
     Attributes:
-        colour: (height, width, 3) uint8 sRGB; the scene's background where there is no ray.
+        colour: (height, width, 3) uint8 sRGB; the scene's background in pixels without a ray.
         solve_ray_maps: returns the ray map of each channel; see `ray_maps`.
         traced: of each channel (height, width, 3) float32, the world point that ray tracing found for each pixel, NaN
             where none; on request, empty for a warped frame.
@@ -80,7 +80,7 @@ class Frame:
 
 
 def is_blank(colour: NDArray[np.uint8]) -> bool:
-    """Whether all pixels of a frame (height, width, 3) have one colour: no edge of the scene is seen."""
+    """Return whether all pixels of a frame (height, width, 3) have one colour: no edge of the scene is visible."""
     flat = colour.reshape(-1)
     return bool((flat[3:] == flat[:-3]).all())  # 30 times as fast as comparison with one pixel
 
@@ -158,7 +158,7 @@ class TracedPainter:
         Args:
             mappings: any pair, or one each for red, green and blue.
             renderer: of the scene.
-            supersample: rays per pixel along each axis; geometry is always that of the pixel centre.
+            supersample: rays per pixel along each axis; geometry is always sampled at the pixel centre.
             shadows: whether surfaces cast shadows.
         """
         self._channels = channels_of(mappings)
@@ -173,7 +173,7 @@ class TracedPainter:
         world_from_device: FloatArray,
         with_geometry: bool = False,
     ) -> Frame:
-        """See `Painter`."""
+        """Return a ray-traced frame; see `Painter`."""
         ray_maps = ray_maps_of(self._channels, self._plans, viewpoint)
         colours, traced = [], []
         for mappings, rays, sample_plans in zip(self._channels, ray_maps, self._sample_plans, strict=True):
@@ -211,7 +211,7 @@ def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Flo
 
 
 def inverse_depth_at(inverse_depth: Float32Array, source: Float32Array) -> Float32Array:
-    """Return what the warp reads from an inverse depth image (height, width) at finite positions (n, 2): (n,) in 1/m.
+    """Sample an inverse depth image (height, width) at finite positions (n, 2) as the warp does: (n,) in 1/m.
 
     Bilinear within a surface, the nearest texel at its edges, as `warp.py` states.
     """
@@ -227,7 +227,7 @@ def inverse_depth_at(inverse_depth: Float32Array, source: Float32Array) -> Float
 
 
 def position_of_source(view: View, source: Float32Array) -> Float32Array:
-    """World points (height, width, 3) that a pull map with inverse depths shows; NaN where there is none."""
+    """World points (height, width, 3) that a pull map with inverse depths shows; NaN without one."""
     inverse = np.where(source[..., 2] > 0, source[..., 2], np.nan).astype(np.float64)
     tangents = view.camera.tangents_of_pixel(source[..., :2].astype(np.float64))
     in_camera = np.concatenate([tangents, -np.ones((*inverse.shape, 1))], axis=-1) / inverse[..., None]

@@ -16,18 +16,18 @@ _CODES = 1024
 
 @dataclass(frozen=True, eq=False)
 class PanelLight:
-    """How a panel turns codes into light.
+    """Response of a panel: the light that it emits for each code.
 
     Attributes:
         encoding: "srgb"; "linear", for a compositor that takes light, which is not clipped in half floats; the exponent
             of a gamma curve (light = code ^ exponent), 0.2 to 5; or a measured table (n, 3): the light of red, green
-            and blue for n codes in equal steps from 0 to the largest, 1 being that of the picture's white. Light
-            outside a primary's table becomes its first or last code.
+            and blue for n codes in equal steps from 0 to the largest, where 1 is the light of the picture's white.
+            Light outside a primary's table becomes its first or last code.
         uniformity: factors of linear light, 0 to 1, (height, width) or (height, width, 3), of the display picture's
             size, top row first: smaller where the panel is brighter.
         sub_pixel_px: (3, 2) places of the sub-pixels of red, green and blue from the pixel's centre, in display pixels,
-            x right and y down; each primary shows what the ray of its own place sees.
-        bits: of our own textures' numbers: 8 (RGBA8), 10 (RGB10_A2) or 16 (RGBA16F).
+            x right and y down; each primary is drawn along the ray of its sub-pixel.
+        bits: bits per channel of the textures that we draw to: 8 (RGBA8), 10 (RGB10_A2) or 16 (RGBA16F).
 
     Raises:
         BadInputError: another encoding or number of bits, a table that does not rise, factors outside 0 to 1, offsets
@@ -83,7 +83,7 @@ def _checked_encoding(value: Any) -> str | float | FloatArray:
         primary = ("red", "green", "blue")[column]
         raise BadInputError(
             f"the panel's table has {table[row + 1, column]:g} for {primary} in row {row + 1}: "
-            "the light must rise from row to row, from 0 or more: smooth what was measured."
+            "the light must rise from row to row, from 0 or more: smooth the measured values."
         )
     return table
 

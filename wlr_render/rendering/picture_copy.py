@@ -49,7 +49,7 @@ class _Blit:
     buffers: int
 
 
-_Blits = tuple[_Blit, ...]  # of colour, and of depth where there is one
+_Blits = tuple[_Blit, ...]  # one for colour, and one for depth if the picture has one
 
 
 class PictureCopy:
@@ -69,8 +69,8 @@ class PictureCopy:
         """Colour and depth of a framebuffer object (or its number) of (width, height), rows as they lie.
 
         Raises:
-            BadInputError: there is no such framebuffer object, it has another size or lacks colour or depth, or they
-                are of a kind that cannot be copied; or as `check_depth_format`.
+            BadInputError: the framebuffer object does not exist, has another size, lacks colour or depth, or has them
+                in a format that cannot be copied; or as `check_depth_format`.
         """
         number = int(framebuffer if is_number(framebuffer) else framebuffer.glo)
         fixed = not is_number(framebuffer) and framebuffer.color_attachments is not None
@@ -86,7 +86,7 @@ class PictureCopy:
         """Colour, and depth if there is one, of textures of (width, height), rows as they lie.
 
         Raises:
-            BadInputError: there is no such texture, layer or level, or it has another size or a format that cannot be
+            BadInputError: a texture, layer or level does not exist, or has another size or a format that cannot be
                 copied; or as `check_depth_format`.
         """
 
@@ -100,7 +100,7 @@ class PictureCopy:
         """(width, height) of a layer of a texture.
 
         Raises:
-            BadInputError: there is no such texture, layer or level.
+            BadInputError: the texture, layer or level does not exist.
         """
         self._context.take_error()
         return self._ask.size(self._image_of(layer))

@@ -52,14 +52,14 @@ class PictureImport:
         Args:
             camera: that drew it.
             colour, depth: as in `Compositor.submit`.
-            stored: what the depth means.
+            stored: encoding of the depth.
             rows: which row comes first.
-            stored_colour: what the colours mean.
+            stored_colour: encoding of the colours.
             wider: for an inset, the picture around it, of the same camera frame. Within BORDER of the inset's sides its
-                colours change to those of the wider picture, in linear light. Without a depth it has the wider one's.
+                colours blend into the wider picture's, in linear light. Without a depth it takes the wider picture's.
 
         Raises:
-            BadInputError: as the methods below, or a picture of no such kind.
+            BadInputError: as the methods below, or another type of picture.
         """
         has_depth = depth is not None
         if isinstance(colour, GpuImage) and wider is not None:
@@ -119,8 +119,8 @@ class PictureImport:
     ) -> GpuImage:
         """Return a picture in textures of the image's context; see `is_texture`. The depth may be None.
 
-        ModernGL's textures are read as they are, the depth in their first channel. Others, and those of several
-        samples, are copied on the GPU first; see `from_framebuffer`. The depth may have a depth format, or be the first
+        ModernGL's textures are read as they are, the depth in their first channel. Other textures, and multisampled
+        ones, are copied on the GPU first; see `from_framebuffer`. The depth may have a depth format, or be the first
         component of a colour format.
 
         Raises:
@@ -149,7 +149,8 @@ class PictureImport:
         """(width, height) of a texture, see `is_texture`.
 
         Raises:
-            BadInputError: it has been released or is another context's, or there is no such texture, layer or level.
+            BadInputError: the texture has been released or belongs to another context, or the texture, layer or level
+                does not exist.
         """
         layer = texture if isinstance(texture, TextureLayer) else TextureLayer(texture)
         if not is_number(layer.texture):
@@ -249,7 +250,7 @@ class PictureImport:
 
 
 def is_texture(value: Any) -> bool:
-    """Whether a value may be a texture: ModernGL's `Texture` or `TextureArray`, an OpenGL name, or a `TextureLayer`."""
+    """Return whether a value may be a texture: a ModernGL texture or array, an OpenGL name, or a `TextureLayer`."""
     return is_number(value) or isinstance(value, TextureLayer | gl.Texture | gl.TextureArray)
 
 

@@ -1,6 +1,6 @@
 """PLY files: ASCII and binary, polygons of any size, colours and texture coordinates of vertices or faces.
 
-Colours are sRGB. Without normals in the file, those of the triangles around a vertex are averaged.
+Colours are sRGB. Without normals in the file, a vertex gets the mean normal of the triangles around it.
 """
 
 import re
@@ -53,7 +53,7 @@ class _Element:
     columns: dict[str, Column] = field(default_factory=dict)
 
     def is_translucent(self) -> bool:
-        """Whether rows differ in 'alpha', or have less than the most."""
+        """Return whether any row has an 'alpha' below the largest of its type."""
         alpha = np.asarray(self.columns.get("alpha", ()), dtype=np.float64)
         return bool(alpha.size and alpha.min() not in (1.0, 255.0, 65535.0))
 
@@ -70,7 +70,7 @@ class PlyFile:
     """The elements of a PLY file.
 
     Attributes:
-        not_drawn: what the file states and is not drawn, one text per entry.
+        not_drawn: parts of the file that have no effect on pictures, one text each.
 
     Raises:
         BadInputError: the header has no end, an unknown type or no format, or promises other rows than there are; a
@@ -183,7 +183,7 @@ class PlyFile:
     def _coordinates(
         self, vertex: _Element, face: _Element, rows: NDArray[np.int64], place: NDArray[np.int64]
     ) -> FloatArray | None:
-        """Texture coordinates of each corner: the face's own, or those of its vertex; from the top left."""
+        """Return texture coordinates per corner, from the face or else from the vertex; origin at the top left."""
         own = face.columns.get("texcoord")
         if own is not None:
             uv = np.concatenate([np.asarray(own[row], np.float64) for row in rows])

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from wlr_render.numerics.arrays import FloatArray
 
 Triangles = NDArray[np.int64]
-_MOST_CORNERS = 1000  # of a concave polygon; clipping ears takes the square of this
+_MOST_CORNERS = 1000  # largest concave polygon; the time of ear clipping grows with the square
 
 
 def triangulated(position: FloatArray, polygons: Triangles) -> Triangles:
@@ -32,7 +32,7 @@ def triangulated(position: FloatArray, polygons: Triangles) -> Triangles:
 
 
 def strip_corners(count: int) -> Triangles:
-    """Triangles (count - 2, 3) of a strip of so many corners, all of one sense."""
+    """Return the triangles (count - 2, 3) of a triangle strip with `count` corners, all with the same winding."""
     first = np.arange(max(count - 2, 0))
     return np.stack([first, first + 1 + first % 2, first + 2 - first % 2], axis=1)
 
@@ -54,7 +54,7 @@ def _clipped(place: FloatArray, normal: FloatArray) -> Triangles:
 
 
 def _is_ear(flat: FloatArray, left: list[int], at: int) -> bool:
-    """Whether the corner is convex and no other corner lies in its triangle."""
+    """Return whether the corner is convex and no other corner lies in its triangle."""
     corners = [left[at - 1], left[at], left[(at + 1) % len(left)]]
     triangle = flat[corners]
     side = np.roll(triangle, -1, axis=0) - triangle
@@ -63,7 +63,7 @@ def _is_ear(flat: FloatArray, left: list[int], at: int) -> bool:
     others = flat[[each for each in left if each not in corners]]
     away = others[:, None] - triangle
     inside = (side[:, 0] * away[..., 1] - side[:, 1] * away[..., 0] >= 0).all(axis=1)
-    # A corner in the place of one of the triangle's, as where a hole is cut open, is no obstacle.
+    # A corner that coincides with a corner of the triangle, as where a hole is cut open, does not count.
     return not (inside & (np.abs(away).max(axis=2) > 0).all(axis=1)).any()
 
 

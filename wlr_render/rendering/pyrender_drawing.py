@@ -1,8 +1,8 @@
 """The intermediate image drawn by pyrender: glTF's metallic-roughness materials instead of our Lambert shading.
 
-Geometry agrees with `gl_raster.GlRaster`; colours differ by design (gloss, and a gamma of 2.2 for sRGB). pyrender has
-neither window nor context of its own here: its renderer draws inside ours or an adopted one, and
-`gl.GlContext.drawing` clears up the switches that it leaves on.
+Geometry agrees with `gl_raster.GlRaster`; colours differ by design (gloss, and a gamma of 2.2 for sRGB). pyrender opens
+neither a window nor a context here: its renderer draws in our context or an adopted one, and `gl.GlContext.drawing`
+clears up the switches that it leaves on.
 """
 
 import contextlib
@@ -28,10 +28,10 @@ from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
 from wlr_render.rendering.view import GeometryImage, View
 
-_FAR_M = 1e9  # in float32 the same as infinity
-_PLATFORMS = {"egl", "osmesa"}  # that PyOpenGL does not choose by itself
+_FAR_M = 1e9  # has the same effect as infinity in float32
+_PLATFORMS = {"egl", "osmesa"}  # platforms that PyOpenGL must be told to use
 _TEXTURE_2D = 0x0DE1
-_IN_CODES = "baseColorTexture", "emissiveTexture"  # that pyrender's shader decodes after filtering
+_IN_CODES = "baseColorTexture", "emissiveTexture"  # textures that pyrender's shader decodes after filtering
 _BRDF_NORMALISATION = np.pi  # pyrender divides albedo by pi, our shading model does not
 
 
@@ -72,7 +72,7 @@ class PyrenderDrawing:
 
 
 class PyrenderView:
-    """Draws one scene from any view with pyrender; what it loads is freed with the context.
+    """Draws one scene from any view with pyrender; its meshes and textures are freed with the context.
 
     Raises:
         BadInputError: PyOpenGL already serves another kind of context in this process.
@@ -162,7 +162,7 @@ def _renderer(pyrender: Any, loader: "_Loader") -> Any:
 
 
 class _Loader:
-    """Loads a scene's meshes and textures into the context, but for those that a caller's renderer has loaded."""
+    """Loads a scene's meshes and textures into the context, unless a caller's renderer has loaded them."""
 
     def __init__(self, context: gl.GlContext) -> None:
         self._context, self._levels = context, MipLevels(context)
@@ -192,7 +192,7 @@ class _Loader:
 def _without_multisampling(module: Any) -> Iterator[None]:
     """Make pyrender's renderer allocate its framebuffers with one sample, at the pixel's centre.
 
-    It asks for four and keeps the depth of the first, which lies (-1/8, +3/8) pixels beside the centre.
+    It asks for four and keeps the depth of the first, which lies (-1/8, +3/8) pixels off the centre.
     """
     original = module.glRenderbufferStorageMultisample
     module.glRenderbufferStorageMultisample = lambda target, samples, *rest: original(target, 0, *rest)

@@ -1,9 +1,9 @@
 """Settings of one eye that all frames share: the camera of the intermediate image, its position, warp grid and filter.
 
 The paper (section 4.2) puts the raster camera at the viewpoint. From there it does not see along the bent rays, which
-pass beside it by up to millimetres; behind an edge it misses what they meet. Most of that offset is common to all rays:
-a thick see-through element makes the eye appear elsewhere, and a camera at that place sees almost along the rays. This
-is the default, "nearest"; the paper's is "viewpoint".
+miss it by up to millimetres; behind an edge it misses the surfaces that the rays meet. Most of that offset is common to
+all rays: a thick see-through element makes the eye appear elsewhere, and a camera at that place sees almost along the
+rays. This is the default, "nearest"; the paper's is "viewpoint".
 """
 
 import functools
@@ -113,7 +113,7 @@ class RasterPosition:
     def at(self, viewpoint: FloatArray) -> FloatArray:
         """Camera positions (..., 3) for viewpoints (..., 3), both in the device frame.
 
-        Outside the eye box the shift is that of the box's nearest point, so that it neither jumps nor grows.
+        Outside the eye box the shift of the box's nearest point applies, so that it neither jumps nor grows.
         """
         return np.asarray(viewpoint + self._shift(np.clip(viewpoint, self._box.low, self._box.high)))
 

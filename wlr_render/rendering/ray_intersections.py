@@ -98,7 +98,7 @@ class SceneTracer:
         return Intersections(distance, found["geomID"], found["primID"], found["u"], found["v"])
 
     def occluded(self, origin: ArrayLike, direction: ArrayLike, distance: ArrayLike) -> NDArray[np.bool_]:
-        """Whether anything lies on the rays nearer than `distance`, on all processors.
+        """Return whether a surface lies on each ray nearer than `distance`; runs on all processors.
 
         Args:
             origin, direction: as for `intersect`.

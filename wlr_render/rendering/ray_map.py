@@ -111,8 +111,8 @@ class RayMap:
     def world_rays(self, world_from_device: FloatArray, rows: slice = slice(None)) -> tuple[Float32Array, Float32Array]:
         """Rays of some rows in the world: origins and unit directions, each (rows * width, 3) float32.
 
-        Origins lie beside the viewpoint, where the straight continuation of the bent ray passes it; NaN where the
-        ray map has no value. For renderers other than ours: these, with `status`, are the primary rays of a frame.
+        An origin is the point near the viewpoint where the straight continuation of the bent ray passes it; NaN where
+        the ray map has no value. For renderers other than ours: these, with `status`, are the primary rays of a frame.
         """
         a, b, c, d = self.slope_offset[:, rows].reshape(4, -1)
         # Named rows of the rotation keep this in float32 and free of (n, 3) temporaries.
@@ -238,12 +238,12 @@ _KNOWN_PER_TERM = 2
 
 
 class FilledRayMaps:
-    """Ray maps of one plan in bounded time: nodes without an answer are filled from the others.
+    """Ray maps of one plan in bounded time: nodes without a ray are filled from the others.
 
     A map is the exact one at the eye box's centre, solved once at every point, plus the interpolated change of the
-    nodes since then. The change is smooth: where a node has no answer, here or at the centre, it is that of a
-    polynomial of degree 4 through the other nodes' changes, and where too few have one the last map's. Points without
-    a ray at the centre have none in any map.
+    nodes since then. The change is smooth: where a node has no ray, here or at the centre, a polynomial of degree 4 is
+    fitted to the other nodes' changes; with too few nodes the last map's change is used. Points without a ray at the
+    centre have none in any map.
     """
 
     def __init__(self, mappings: Eye, plan: RayMapPlan) -> None:
@@ -373,7 +373,7 @@ def _worst_px(mappings: Eye, viewpoint: FloatArray, plan: RayMapPlan, pixel: Flo
 def required_tangents(mappings: Eye, device_from_camera: FloatArray, viewpoint: FloatArray) -> FloatArray:
     """View tangents (n, 2) of the rays' points at infinity and at the nearest depth, from one viewpoint.
 
-    What a raster camera must cover, from a grid of pixels that reaches the panel's borders; NaN where there is no ray.
+    A raster camera must cover them. The pixels are a grid that reaches the panel's borders; NaN without a ray.
     """
     panel = mappings.display.panel
     u, v = (np.linspace(0.5, size - 0.5, _GRID) for size in (panel.width_px, panel.height_px))

@@ -124,7 +124,7 @@ class RayRenderer:
     def _accumulate(self, total: Float32Array, rays_of_rows: RaysOfRows, shadows: bool) -> None:
         def add(rows: slice) -> None:
             hits, shaded = self._trace(rays_of_rows(rows), shadows)
-            # Clipped before the mean: a pixel is what the display would show of each sample.
+            # Clip before the mean: the display clips the light of each sample.
             colour = np.clip(shaded.colour, np.float32(0), np.float32(1))
             flat = _flat_rows(total, rows)
             flat += _scattered(colour, shaded.index, len(hits.distance), self.scene.background)
@@ -177,9 +177,9 @@ class EyeView:
         """Add the display's light to the picture.
 
         Args:
-            shown: (panel height, panel width, 3) uint8 sRGB, what the panel shows.
+            shown: (panel height, panel width, 3) uint8 sRGB, the panel's picture.
             gain: share of the panel's light that reaches the eye.
-            see_through: share of the world's light that does.
+            see_through: share of the world's light that reaches the eye.
 
         Returns:
             (height, width, 3) uint8 sRGB.

@@ -42,7 +42,7 @@ class Readback:
         self._forgotten = weakref.finalize(self, dropped.append, self._fence)
 
     def is_ready(self) -> bool:
-        """Whether `result` returns without waiting for the GPU."""
+        """Return whether `result` returns without waiting for the GPU."""
         if self._pixels is not None:
             return True
         with self._context.drawing():

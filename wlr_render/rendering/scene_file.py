@@ -1,4 +1,4 @@
-"""Scenes as TOML files, by name or by path, and mesh files as scenes of their own. scenes/README.md has the keys."""
+"""Scenes as TOML files, by name or by path, and mesh files used as scenes. scenes/README.md has the keys."""
 
 import inspect
 import math
@@ -28,9 +28,9 @@ _DEFAULT_LIGHTS = (
     LightSource("directional", normalised(np.array([-0.7, -0.1, -0.5])), np.array([0.2, 0.22, 0.25], np.float32)),
 )
 _DEFAULT_DISTANCE_M = 1.0
-_FAR_M = 1000.0  # of an object or light from the world's origin
+_FAR_M = 1000.0  # largest distance of an object or light from the world's origin
 _SHAPE_M = 50.0
-_MESH_ALONE_M = 30.0  # of a mesh around its own middle, 1 m ahead of the wearer
+_MESH_ALONE_M = 30.0  # largest radius of a mesh file used as a scene, around its middle 1 m ahead of the wearer
 _SCALES = 1e-6, 1e6
 _MOST_DEGREES = 3600.0
 _BRIGHTEST = 1e6
@@ -39,7 +39,7 @@ _MOST_OBJECTS = 1000
 _MOST_LIGHTS = 100
 _MOST_TRIANGLES = 20_000_000  # over all placements
 _MOST_SEGMENTS = 2000
-_MOST_QUADS = 1_000_000  # of a shape
+_MOST_QUADS = 1_000_000  # per shape
 
 Placed = tuple[tuple[Mesh, ...], tuple[Instance, ...], tuple[LightSource, ...], tuple[str, ...]]
 
@@ -48,7 +48,7 @@ def scene_path(spec: str | Path) -> Path:
     """Path of a scene file or mesh file, given a shipped scene's name or a path.
 
     Raises:
-        BadInputError: there is no such scene.
+        BadInputError: the scene does not exist.
     """
     return Path(spec) if Path(spec).suffix.lower() in SUFFIXES else atomic_files.named_or_path("scenes", spec)
 

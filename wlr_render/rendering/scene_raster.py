@@ -24,7 +24,7 @@ class SceneRaster:
 
     Attributes:
         context: OpenGL context of the pictures.
-        scene: what is drawn.
+        scene: the scene that is drawn.
     """
 
     def __init__(self, context: gl.GlContext, scene: Scene, materials: str = "own") -> None:

@@ -16,7 +16,7 @@ from wlr_render.numerics.polynomial import SCALED_LIMIT, Polynomial
 
 _COMPONENTS = "xyzw"
 _HELD = 2
-_STEP = 1.0 / 128.0  # of central differences, in scaled units: what float32 and order 8 lose is then alike
+_STEP = 1.0 / 128.0  # step of central differences, in scaled units; balances float32 rounding and the error of order 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,7 +43,7 @@ class Surfaces:
     Attributes:
         first_triangle: (instances,) number of each instance's first triangle.
         normal: (9, triangles) float32; three components at the first corner, then their change towards the second
-            and towards the third corner. The others are laid out alike.
+            and towards the third corner. The other attributes have the same layout.
         uv: (6, triangles) or None without textures.
         vertex_colour: (9, triangles) or None without vertex colours.
         base_colour: (3, instances) float32 linear.

@@ -68,7 +68,7 @@ NEAREST_M = 1e-4
 
 
 class Rows(Enum):
-    """Which row of an array or a texture comes first in memory."""
+    """The row of an array or a texture that comes first in memory."""
 
     TOP_FIRST = auto()
     BOTTOM_FIRST = auto()
@@ -109,7 +109,7 @@ class StoredDepth:
 
     @property
     def nothing(self) -> float:
-        """Stored number of background, beside NaN; for INVERSE also 0, the inverse depth of what is infinitely far."""
+        """Stored number of background, in addition to NaN; for INVERSE also 0, the inverse depth of infinity."""
         at_0, at_1 = self.inverse_of_0_and_1
         if self.kind is DepthKind.WINDOW:
             return 0.0 if at_0 < at_1 else 1.0
@@ -142,7 +142,7 @@ def check_planes(near_m: float, far_m: float) -> None:
     if not numbers or not (near_m >= NEAREST_M and far_m >= NEAREST_M and near_m != far_m):
         raise BadInputError(
             f"near_m is {shown(near_m)} and far_m is {shown(far_m)}: give two different positive distances of "
-            f"{NEAREST_M:g} m or more, those of the projection that draws the depth."
+            f"{NEAREST_M:g} m or more, from the projection that draws the depth."
         )
 
 
@@ -180,7 +180,7 @@ COLOUR_TYPES = {"uint8": "f1", "uint16": "nu2", "float16": "f2", "float32": "f4"
 
 
 def check_depth_format(stored: StoredDepth) -> None:
-    """Check what is said about a depth image of a depth format.
+    """Check the stated encoding of a depth image that has a depth format.
 
     Raises:
         BadInputError: metres, which are the default; such a format holds a depth buffer's values, from 0 to 1.

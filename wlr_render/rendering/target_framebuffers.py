@@ -28,11 +28,11 @@ class TargetFramebuffers:
         self._targets: ImageCache[gl.Framebuffer] = ImageCache(context)
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
-        """Where each eye's picture goes, upright as OpenGL shows it; see `Compositor.compose`.
+        """Return the target of each eye's picture, upright as OpenGL shows it; see `Compositor.compose`.
 
         Raises:
-            BadInputError: an eye has none, one is no framebuffer or texture of this context, or of another size or
-                kind.
+            BadInputError: an eye has no target, or a target is not a framebuffer or texture of this context or has
+                another size or kind.
         """
         if isinstance(into, Mapping):
             missing = set(eyes) - set(into)

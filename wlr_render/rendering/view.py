@@ -19,7 +19,7 @@ class View:
 
     Attributes:
         camera: looks along the -z axis of its frame, at the position.
-        position_in_device: (3,) metres; the position of a raster camera is not that of the pupil.
+        position_in_device: (3,) metres; a raster camera is not at the pupil.
         world_from_device: (4, 4) head pose.
         device_from_camera: (3, 3) rotation: how the camera is turned in the device.
     """
@@ -70,7 +70,7 @@ def image_from_ray_map(
 
 @dataclass(frozen=True, eq=False)
 class GeometryImage:
-    """A picture and, per pixel, what is seen there. Rows run down, pixel centres at +0.5.
+    """A picture with the inverse depth of each pixel. Rows run down, pixel centres at +0.5.
 
     Attributes:
         colour: (height, width, 3) uint8 sRGB.

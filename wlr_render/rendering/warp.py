@@ -12,9 +12,8 @@ surface where D(s(w)) = w. The algorithm:
 1. The path runs from the largest to the smallest inverse depth of the image along it, in equal steps of at most STEP_PX
    in the image (and at most MAX_STEPS steps). The bounds come from a pyramid whose finest texels hold the smallest and
    the largest value of TILE x TILE px: first for all paths of a cell of the warp grid, then for each pixel. Long
-   paths are divided into parts, and those in front of the first and behind the last part in which the ray may meet
-   what is shown there are left out. Most paths have one step.
-   Where the bounds are less than DIRECT_PX apart in the image for a whole cell, the
+   paths are divided into parts, and the parts in front of the first and behind the last possible intersection are left
+   out. Most paths have one step. Where the bounds differ by less than DIRECT_PX in the image for a whole cell, the
    source is s(D(s(w))) with w midway between them, and the following does not apply.
 2. A step may contain the intersection if the ray is in front at its near end and crosses one of the two surfaces seen
    at its ends (either surface may end within the step: thin objects), or if it is behind at its near end and crosses
@@ -24,9 +23,9 @@ surface where D(s(w)) = w. The algorithm:
    that position is the source, SEEN. On a surface whose inverse depth rises by g per pixel each refinement shrinks the
    error by |f c g| (about 1e-3): one refinement is usually enough.
 4. If w leaves the step and its neighbours, or does not converge in MAX_REFINEMENTS, the ray has crossed a depth edge:
-   it is now behind the near surface, or beside it. The search continues with the next steps.
-5. If there is no intersection, the ray ends behind the last depth edge that it crossed, where the image shows nothing
-   of it: DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the last two w tried.
+   it is now behind the near surface, or has passed it. The search continues with the next steps.
+5. Without an intersection the ray ends behind the last depth edge that it crossed, in a region hidden from the image:
+   DISOCCLUDED. The farther side of that edge is shown instead: s at the nearer of the last two w tried.
 6. A position outside 0..width, 0..height is OUTSIDE; a NaN in the ray map, or a ray that does not lead forwards, is
    NO_RAY.
 
@@ -41,7 +40,7 @@ sides of a display pixel in the image are differences of s(0) in blocks of 2 x 2
 grid in which the map minifies by less than SPACING_PX have one sample.
 
 With one ray map per colour channel (red, green, blue) each channel follows its own rays; the status is the worst of the
-three (the largest), the source that of green.
+three (the largest), and the source is green's.
 """
 
 from dataclasses import dataclass
@@ -58,16 +57,16 @@ SURFACE_STEP = 0.02
 TILE = 16
 DIRECT_PX = 0.05
 SPACING_PX = 1.25
-"""Bilinear samples this far apart in the image miss none of it: each reaches a pixel to either side."""
+"""Largest spacing of bilinear samples that covers every texel: each sample reaches one pixel to either side."""
 
 
 class WarpStatus(IntEnum):
-    """What a display pixel shows."""
+    """Status of a display pixel after the warp."""
 
     SEEN = 0
     """The bent ray meets a surface, or the background, that the intermediate image shows."""
     DISOCCLUDED = 1
-    """The bent ray meets what an edge hides from the intermediate image; the farther side of that edge is shown."""
+    """The bent ray meets a surface that an edge hides from the intermediate image; the edge's farther side is shown."""
     OUTSIDE = 2
     """The bent ray leads outside the intermediate image."""
     NO_RAY = 3

@@ -1,8 +1,8 @@
-"""Regular grid of points on the panel at which rays are solved, and how they are interpolated between them.
+"""Regular grid of points on the panel at which rays are solved, and the interpolation between the points.
 
 Each cell is two triangles, cut from the upper right to the lower left. Over a triangle values are interpolated
-linearly; what that misses of a quadratic is added from the second differences of the tangents between grid points,
-interpolated linearly too.
+linearly; the quadratic remainder is added from second differences of the tangents at the grid points, themselves
+interpolated linearly.
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class WarpGrid:
         return np.stack(np.meshgrid(*self.axes_px()), axis=-1)
 
     def interpolated(self, slope_offset: FloatArray, pixel: FloatArray) -> FloatArray:
-        """Rays (n, 4) at panel positions (n, 2), as the warp interpolates those of the grid (4, rows, columns).
+        """Rays (n, 4) at panel positions (n, 2), as the warp interpolates the grid's rays (4, rows, columns).
 
         NaN in a triangle with a corner whose ray is NaN.
         """
@@ -84,10 +84,10 @@ class WarpGrid:
 
 
 def _second_differences(values: FloatArray) -> dict[str, FloatArray]:
-    """Of values (k, rows, columns), in units of a grid step squared, at each point.
+    """Return second differences of values (k, rows, columns) at each point, per grid step squared.
 
-    Where a neighbour is missing, or beyond the border, the mean of those about the next points; 0 if there are none.
-    Mixed ones are the mean of those of the cells around a point.
+    Where a neighbour is missing or beyond the border, take the mean of the next points' differences, or 0 without any.
+    A mixed difference is the mean over the cells around the point.
     """
     padded = np.pad(values, ((0, 0), (2, 2), (2, 2)), constant_values=np.nan)
     found = {}
@@ -104,6 +104,6 @@ def _second_differences(values: FloatArray) -> dict[str, FloatArray]:
 
 
 def _mean_of_known(values: list[FloatArray]) -> FloatArray:
-    """Without those that are NaN; 0 where all are."""
+    """Return the mean over the first axis without NaN; 0 where all values are NaN."""
     known = np.isfinite(values)
     return np.asarray(np.sum(np.where(known, values, 0.0), axis=0) / np.maximum(known.sum(axis=0), 1))

@@ -14,10 +14,10 @@ _plan_of = lru_cache(maxsize=8)(choose_plan)  # a search of up to a second, once
 def world_rays(
     eye: Eye, viewpoint: FloatArray | None = None, world_from_device: FloatArray | None = None
 ) -> tuple[Float32Array, Float32Array, StatusArray]:
-    """Return the world ray of every panel pixel, as primary rays of your own renderer.
+    """Return the world ray of every panel pixel, as primary rays for another renderer.
 
-    A colour that the renderer finds along a pixel's ray is what that pixel must show: seen from the viewpoint through
-    the optics, it then covers the point of the world that the ray meets.
+    The pixel must show the colour that the renderer finds along its ray: from the viewpoint, through the optics, the
+    pixel then covers the point of the world that the ray meets.
 
     Args:
         eye: an eye of a headset, from `open_eye` or `calibrate`.
@@ -27,7 +27,7 @@ def world_rays(
     Returns:
         Origins and unit directions, each (height * width, 3) float32 in the world frame, row by row from the panel's
         top left pixel, metres; NaN where a pixel has no ray. Then `Status` of each pixel, (height, width) uint8. An
-        origin lies beside the viewpoint, on the straight continuation of the ray behind the optics.
+        origin lies near the viewpoint, on the straight continuation of the ray behind the optics.
 
     Raises:
         BadInputError: the viewpoint is not three finite numbers.

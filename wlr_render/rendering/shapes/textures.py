@@ -87,7 +87,7 @@ def stripes(colours: tuple[str, ...]) -> Texture:
 
 
 def screen() -> Texture:
-    """Return what a monitor shows: a window of text lines, a side bar and a chart."""
+    """Return a monitor's picture: a window of text lines, a side bar and a chart."""
     height, width = 540, 960
     u, v = texel_grid(height, width)
     colour = mixed(hex_colour("10263f"), hex_colour("1f5f78"), v)
