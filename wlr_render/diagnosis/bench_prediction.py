@@ -1,6 +1,6 @@
 """How well a bench model predicts a session that it was not fitted to: by part, target distance and capture.
 
-The noise and the repeatability are those that a diagnosis measures (`noise`, `scatter`); no cause is fitted. The errors
+Noise and repeatability are measured as in a diagnosis (`noise`, `scatter`); no cause is fitted. The errors
 of the bench's effects, as their covariances state them, are errors of all readings in common.
 """
 
@@ -26,13 +26,13 @@ from wlr_render.numerics.scatter_search import best_scatter
 
 _FEW = 400  # readings by which the principal errors are chosen
 _TELLING = 0.02  # rms change of the readings, in sigma, below which an error is left out
-_DECIMALS = 6  # of changes in sigma: directions of view are solved no better
+_DECIMALS = 6  # decimals of changes in sigma; viewing directions are solved to no more
 _NEGLIGIBLE = 1e-6  # variance of coefficients, relative to the largest of their effect, below which they have no error
 
 
 @dataclass(frozen=True)
 class PredictedGroup:
-    """How well some readings of one part are predicted. No value is fitted to them.
+    """Prediction errors of some readings of one part. No value is fitted to them.
 
     Attributes:
         name: of the readings.
@@ -41,7 +41,7 @@ class PredictedGroup:
         rms_arcmin: residual, rms per axis.
         mean_arcmin: mean residual, right and down.
         noise_arcmin: stated noise per axis.
-        effects_arcmin: standard error per axis of what is predicted, rms, by the covariances of the bench's effects.
+        effects_arcmin: standard error of the prediction per axis, rms, from the covariances of the bench's effects.
         reduced_chi_squared: mean square of the residual over the stated variance.
         whitened: mean square of the residual over the measured variance, less the motions of the camera that the
             repeatability admits, and of the errors of the bench's effects.
@@ -63,7 +63,7 @@ class PredictedGroup:
 
 @dataclass(frozen=True)
 class PredictedPart(PredictedGroup):
-    """How well a part of the session is predicted.
+    """Prediction errors of a part of the session.
 
     Attributes:
         is_noise: whether noise plus the usual repeatability of stages explains the residual; a motion common to all
@@ -79,19 +79,19 @@ class PredictedPart(PredictedGroup):
 
 @dataclass(frozen=True)
 class BenchPrediction:
-    """What a bench predicts of a session.
+    """Comparison of a session with the prediction of a bench.
 
     Attributes:
         session: its name.
         reduced_chi_squared: of all readings against the stated noise.
         by_own_bench: the same by the session's own bench; None if that is not known.
         without_slip: the same without the slip that the bench states; None without one.
-        parts, distances, captures: how well each is predicted.
+        parts, distances, captures: prediction errors of each.
         outliers: number of readings far from their neighbours in the photograph; no figure contains them.
         unseen: number of readings for which the bench predicts nothing.
         observations: the readings that are predicted.
         residual: (n, 2) measured minus predicted, in units of the stated sigma.
-        used: (n,) which are no outliers.
+        used: (n,) mask of the readings that are not outliers.
     """
 
     session: str
@@ -109,12 +109,12 @@ class BenchPrediction:
 
     @property
     def is_noise(self) -> bool:
-        """Whether every part is predicted to noise and repeatability."""
+        """True if every part is predicted to within noise and repeatability."""
         return all(part.is_noise for part in self.parts)
 
 
 def predict_session(bench: Bench, session: Session, own: Bench | None = None) -> BenchPrediction:
-    """Compare the readings of a session, from one capture on, with those that a bench predicts.
+    """Compare the readings of a session with the prediction of a bench; one capture is enough.
 
     Args:
         bench: with the target poses of the session (`session_folder.bench_for_session`).

@@ -38,9 +38,9 @@ def changed(part: str, field: str, change: Callable[[Any, FloatArray], Any]) -> 
 
 
 class Role(Enum):
-    """What a parameter does."""
+    """Role of a parameter in a cause."""
 
-    SIZE = "size"  # null value 0: without it there is no effect
+    SIZE = "size"  # null value 0: at 0 the cause has no effect
     SHAPE = "shape"  # shapes an effect whose size is not 0, and is fitted from each of its starts
     TIME = "time"  # a time between two captures, searched for
 
@@ -52,7 +52,7 @@ class Parameter:
     Attributes:
         name: within the cause.
         unit: of its values.
-        prior_sigma: standard deviation of what is met in practice, in that unit.
+        prior_sigma: standard deviation of the values met in practice, in that unit.
         role: see `Role`.
         starts: first values of a SHAPE parameter; the first one is its null value, and what is expected.
         minimum: values below are not physical.
@@ -81,7 +81,7 @@ _STATIONS = {
     "eye tracking": "eye tracking",
     "clock": "panel",
 }
-"""Station of the causes of a part, where they state none of their own."""
+"""Default station of the causes of a part."""
 
 PARTS = tuple(_STATIONS)
 """Parts of the bench that causes act on."""
@@ -122,7 +122,7 @@ class Cause:
 
     @property
     def is_shaped(self) -> bool:
-        """Whether values shape its effect, and do not only multiply it."""
+        """True if some value changes the shape of the effect, not only its size."""
         return any(parameter.role is not Role.SIZE for parameter in self.parameters)
 
     def perturb(self, bench: Bench, values: FloatArray, variant: str | None = None) -> Bench:

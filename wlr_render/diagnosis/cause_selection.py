@@ -1,9 +1,9 @@
 """Forward selection of causes by evidence: add the best candidate while the odds for it are good.
 
 Candidates are compared on a subsample of the readings first: all to first order, the best by a fit from their best
-start. Those that come close are fitted again to all readings. Every candidate finds its own sizes of what is random.
-Where a field at a station explains far more than all causes together, none is fitted beside nothing: effects are
-located first, and causes beside them.
+start. Those that come close are fitted again to all readings. Sizes of noise and motions are found for each candidate.
+Where a field at a station explains far more than all causes together, no cause is fitted alone: effects are located
+first, then causes are fitted together with these effects.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -37,7 +37,7 @@ _NOTHING_MORE = "no other cause makes the readings more probable"
 _FIELD_FIRST = "an effect of another shape than all causes explains more than they do together"
 _FAR_MORE = 1.5  # times what causes gain to first order: beyond it they may gain as much again
 _SHAPED = 2  # causes of a shape that are fitted all the same
-_NOTABLE = 1e-3  # of the noise's variance: what a cause takes off a part in which it acts at least
+_NOTABLE = 1e-3  # least reduction, as a share of the noise variance, of a part on which a cause acts
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class Candidate:
     Attributes:
         hypothesis: which cause, acting how.
         fit: with it.
-        behind: by how much its -2 log evidence for the whole session exceeds the best one's.
+        behind: its -2 log evidence for the whole session minus the best candidate's.
         fitted_to_all: whether all readings were fitted, and not only the subsample.
     """
 
@@ -64,9 +64,9 @@ class CandidateRanking:
     Attributes:
         current: the fit to which it would be added.
         screened: the gain of each hypothesis on the subsample to first order; largest first.
-        candidates: those that were fitted, best first, one per cause in the best of its variants.
-        field_gain: by how much -2 log evidence of the subsample would fall by a field that explains far more than all
-            causes together; 0 where there is none.
+        candidates: the fitted candidates, best first, one per cause in its best variant.
+        field_gain: fall of -2 log evidence of the subsample by a field that explains far more than all causes together;
+            0 without such a field.
     """
 
     current: Fit
@@ -116,14 +116,14 @@ class Search:
 
     @cached_property
     def signatures(self) -> Signatures:
-        """Of the hypotheses, with the columns of the fields."""
+        """Signatures of the hypotheses, with the columns of the fields."""
         if self.simulated is not None:
             return replace(self.simulated, readings=self.subsample)
         columns = [field.columns for field in self.fields]
         return Signatures.of(self.subsample, self.hypotheses, columns, self.progress)
 
     def contest(self, at: Fit) -> NameContest:
-        """Return the fields beside a fit to the subsample."""
+        """Return the contest of all fields against a fit to the subsample."""
         return NameContest(self.subsample, at, self.fields, self.signatures.fixed)
 
     def with_effects(self, effects: Sequence[LocatedEffect], beside: Explanation, constants: bool) -> "Search":
@@ -131,7 +131,8 @@ class Search:
 
         Args:
             effects: the effects.
-            beside: causes; at their station an effect is what these cannot do, so that their values stay determined.
+            beside: causes; at their station an effect is made orthogonal to the causes' effects, so that their values
+                stay determined.
             constants: whether an effect of the stage or of time has a constant as well, which may be a cause's.
         """
         located = [each.field for each in effects]
@@ -160,7 +161,7 @@ class Search:
         return best
 
     def on_subsample(self, found: Fit) -> Fit:
-        """Fit what is random to the subsample, at the values of a fit to all readings."""
+        """Fit noise and motions to the subsample, at the values of a fit to all readings."""
         at = found.at if self.full.predictor is self.subsample.predictor else None
         return _fitted(self.subsample, found.explanation, found.scatter, 0, at)
 
@@ -207,7 +208,7 @@ class Search:
         return self._equally_searched(CandidateRanking(current, tuple(found), tuple(candidates), field_gain))
 
     def _field_gain(self, contest: NameContest, screened: Sequence[ScreenedHypothesis]) -> float:
-        """By how much a field lowers -2 log evidence where it does far more than all causes together; else 0."""
+        """Return the fall of -2 log evidence by the best field if it far exceeds the fall by all causes, else 0."""
         worth = self.settings.least_log10_odds / LOG10_ODDS
         if not self.fields or not screened or max(each.gain for each in screened) < worth:
             return 0.0
@@ -222,7 +223,7 @@ class Search:
         if not screened or screened[0].gain < HOPELESS:
             return []
         least = min(settings.min_relative_gain * max(screened[0].gain, field_gain), screened[0].gain)
-        # What is small in the subsample may be enough in all readings; then one fit tells.
+        # A gain that is too small on the subsample may suffice on all readings; one fit decides.
         most = settings.max_fits if LOG10_ODDS * screened[0].gain > settings.least_log10_odds else 1
         kept = [each for each in screened if each.gain >= least][:most]
         if field_gain:
@@ -251,7 +252,7 @@ class Search:
         return [*_best_of_each(final), *rest] if final else []
 
     def improvement(self, before: Fit, after: Fit) -> HeldOutImprovement:
-        """By how much a fit predicts held-out captures better than another, in units of the better one's errors."""
+        """Return the improvement of held-out captures from one fit to another, in units of the latter's errors."""
         observations, whiten = self.full.observations, self.full.whitening(after.scatter)
         squares = [
             np.bincount(observations.group, np.sum(whiten(held_out_residual(each, observations)) ** 2, axis=1))
@@ -261,7 +262,7 @@ class Search:
         return held_out_improvement(*(np.asarray(each[present], dtype=np.float64) for each in squares))
 
     def _equally_searched(self, at: CandidateRanking) -> CandidateRanking:
-        """With the sizes of what is random found for the current fit from those of the best candidate, too."""
+        """Refit the current explanation from the best candidate's sizes of noise and motions; keep the better fit."""
         if not at.candidates:
             return at
         again = fit(self.full, at.current.explanation, at.candidates[0].fit.scatter, 0, at=at.current.at)
@@ -270,7 +271,7 @@ class Search:
         return replace(at, current=again)
 
     def _refusal(self, at: CandidateRanking) -> str:
-        """Why the best candidate is not worth adding; empty where it is."""
+        """Return why the best candidate is not worth adding; empty if it is."""
         if not at.candidates:
             return _FIELD_FIRST if at.field_gain else _NOTHING_MORE
         best = at.candidates[0]
@@ -290,8 +291,8 @@ class Search:
     def _share_explained(self, before: Fit, after: Fit) -> float:
         """Share of the excess over the noise that is explained, in the part where it is most; 1 where none is left.
 
-        A cause that explains little beside something unlisted is more often a spurious match than a true one. Captures
-        that moved whatever the cause do not count.
+        If an unlisted effect is present, a cause that explains little is more often a spurious match than a true one.
+        Captures that moved whatever the cause do not count.
         """
         shares, counted = [0.0], ~(before.scatter.moved & after.scatter.moved)
         for part in np.unique(self.full.observations.part):
@@ -312,14 +313,14 @@ class Search:
         return found
 
     def _loss_without(self, found: Fit, place: int) -> float:
-        """By how much -2 log evidence rises without one of the causes, to first order."""
+        """Return the rise of -2 log evidence without one of the causes, to first order."""
         rest, residual = found.owner != place, found.residual_without(place)
         sums = self.full.sums(residual, found.at.jacobian[:, :, rest], -found.at.off_prior[rest])
         return best_scatter(sums, found.scatter)[1] - best_scatter(self.full.sums_at(found.at), found.scatter)[1]
 
 
 def _beyond(effect: LocatedEffect, at: Linearisation, readings: WeighedReadings, constants: bool) -> FloatArray:
-    """Functions (n, 2, c) of an effect, less what causes of its own station do of them; see `with_effects`."""
+    """Return the functions (n, 2, c) of an effect, orthogonal to causes of the same station; see `with_effects`."""
     functions = effect.columns
     if not constants and effect.field.station in ELSEWHERE:
         functions = functions * (effect.order > 0)
@@ -351,7 +352,7 @@ def _fitted(
 
 
 def _by_evidence(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Highest evidence first, each with what it lies behind the first."""
+    """Sort candidates by evidence, highest first, and set `behind` of each."""
     ranked = sorted(candidates, key=lambda each: each.fit.minus_two_log_evidence)
     return [
         replace(each, behind=each.fit.minus_two_log_evidence - ranked[0].fit.minus_two_log_evidence) for each in ranked

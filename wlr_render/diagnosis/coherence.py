@@ -1,9 +1,8 @@
 """Effects too fine for a smooth field: residuals of different captures that agree at one place of a station.
 
-A smooth surface takes from every photograph what is smooth over its image. What it leaves is noise, independent from
-one capture to the next, unless something fine is fixed to a station: then residuals of different captures in one cell
-of that station have a mean. The station whose cells have means at the best odds is where the effect is; the means are
-its picture.
+A smooth surface is subtracted from every photograph. The residual is noise, independent from one capture to the next,
+unless a fine structure is fixed to a station: then residuals of different captures in one cell of that station have a
+mean. The station whose cells have means at the best odds is where the effect is; the means are its picture.
 """
 
 from collections import Counter
@@ -26,7 +25,7 @@ from wlr_render.numerics.cells import cells_of
 from wlr_render.numerics.polynomial import Box
 
 _CLIP, _CLIP_OF_REST = 4.0, 8.0  # sigma: a wild reading counts no more than this, and in later rounds
-_MOST_LEVERAGE = 0.8  # of a reading that its photograph's surface follows too closely to judge
+_MOST_LEVERAGE = 0.8  # leverage of a reading on its photograph's surface beyond which its residual says nothing
 _COORDINATES = {
     "combiner": ("place on the combiner", "mm"),
     "camera": ("camera pixels", "px"),
@@ -41,8 +40,8 @@ _FEWEST_CAPTURES = 4  # captures of a part in which cells are compared
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better, where the odds leave a doubt
 _SPOT, _MOSTLY = 4.0, 0.5  # widths of cells around a spot, and the share of the power that makes it one
 _BOX, _FEWEST_CELLS = 3.5, 3.0  # half a box around a spot, in its rms radii, and in cells at least
-_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the cells that may have a mean
-_SIZES = tuple(np.geomspace(0.02, 100.0, 18))  # of the means, as variances over that of the noise
+_SHARES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # shares of the cells that may have a mean
+_SIZES = tuple(np.geomspace(0.02, 100.0, 18))  # variances of the means over the noise variance
 _CELL_STANDS_OUT = 18.0  # two squares of unit normal variables exceed it in one cell of 8,000
 
 
@@ -106,7 +105,7 @@ class FineEffect:
 
     @property
     def predicts(self) -> bool:
-        """Whether captures left out are predicted better with it."""
+        """True if the effect improves the prediction of captures left out."""
         return self.improvement.significance > _PREDICTS
 
 
@@ -195,10 +194,10 @@ def _log_likelihoods(count: FloatArray, square: FloatArray, share: float, size: 
     """Return the log likelihoods that a cell has no mean, and that each has one (c,), relative to noise alone.
 
     Args:
-        count: (c,) readings of each cell.
-        square: (c,) of the sums of their residuals, over the noise's variance.
-        share: of the cells that have a mean.
-        size: variance of the means, over that of the noise.
+        count: (c,) number of readings in each cell.
+        square: (c,) squared sums of their residuals, over the noise variance.
+        share: share of the cells that have a mean.
+        size: variance of the means, over the noise variance.
     """
     none = float(np.log1p(-share)) if share < 1.0 else -np.inf
     return none, np.log(share) - np.log1p(count * size) + 0.5 * square * size / (1.0 + count * size)
@@ -255,7 +254,7 @@ def fine_effect(
         next_station=rival,
         odds_against_next=odds[ranked[0]] - odds.get(rival, 0.0),
     )
-    # Readings of one point at one pixel may err alike in neighbouring captures, without anything at a station.
+    # Readings of one point at one pixel may share an error in neighbouring captures without any effect at a station.
     is_plain = found.log10_odds > BEYOND_DOUBT or found.predicts
     return found if is_plain else None
 
@@ -295,8 +294,8 @@ def _change(
 ) -> FloatArray:
     """Return the change (n, 2) of all readings by the cells of some of them (n,).
 
-    A surface takes some of what the cells hold, and wild readings are clipped: what each round leaves is sorted into
-    the cells again.
+    A surface absorbs some of the cells' means, and wild readings are clipped: each round's residual is averaged in the
+    cells again.
     """
     change = np.zeros(residual.shape)
     for number in range(rounds):
@@ -312,7 +311,7 @@ def _change(
 def _held_out(
     observations: Observations, residual: FloatArray, parts: Sequence[_Cells], change: FloatArray, rounds: int
 ) -> tuple[HeldOutImprovement, float]:
-    """Return the improvement of captures left out, and its share of what the effect (n, 2) takes off all captures."""
+    """Return the improvement of captures left out, and its ratio to the improvement of all captures by `change`."""
     rows = np.concatenate([each.rows for each in parts])
     names, capture = np.unique(observations.group[rows], return_inverse=True)
     left, after = (

@@ -36,11 +36,11 @@ from wlr_render.optics.device import EyeOptics, Path
 from wlr_render.optics.sag_surfaces import XYPolynomial
 from wlr_render.optics.tracer import trace
 
-_OF_CAUSES = ("all surfaces", "reflecting surfaces")  # whose tilt and form are causes
+_OF_CAUSES = ("all surfaces", "reflecting surfaces")  # groups of surfaces with causes for tilt and form
 _DEGREES = (4, 6, 8, 10, 12)  # degrees of heights over the whole combiner
-_SPOT_SHARES = (1.0, 0.65)  # of the box around a spot: the smaller, the finer
+_SPOT_SHARES = (1.0, 0.65)  # sizes of the box relative to that around a spot; smaller boxes resolve more
 _SPOT_DEGREES = (3, 5, 7, 9, 11, 14)
-_SLOPE_STEP = 1e-4  # of scaled coordinates, for the slope of a height
+_SLOPE_STEP = 1e-4  # step in scaled coordinates for the slope of a height
 
 
 def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int) -> EyeOptics:
@@ -72,12 +72,12 @@ def _height(path: str, step: int) -> Cause:
 
 @dataclass(frozen=True, eq=False)
 class _Meeting:
-    """Where a path meets a surface.
+    """The intersections of a path with a surface.
 
     Attributes:
         surface: its name.
-        place: (n, 2) of each reading's line of sight, millimetres right and up of the combiner's middle; NaN where the
-            path is not that of the reading.
+        place: (n, 2) of each reading's line of sight, millimetres right and up of the combiner's middle; NaN for
+            readings of other paths.
         lever: (n, 2, 3) change of the readings by a height in micrometres and its slopes, in micrometres per
             millimetre, at that place.
     """
@@ -94,7 +94,8 @@ def _meetings(readings: WeighedReadings) -> list[_Meeting]:
         for number, step in enumerate(getattr(readings.observations.nominal.optics, path).steps):
             place = footprints(predictor, path, number)
             lever = lever_of(predictor, _height(path, number))
-            # The levers of the slopes are those of heights x and y about the middle: less the heights themselves.
+            # The levers of the slopes come from heights x and y about the middle, so the lever of a height is
+            # subtracted.
             lever[:, :, 1:] -= lever[:, :, :1] * np.nan_to_num(place)[:, None, :]
             lever[~np.isfinite(place).all(axis=1)] = 0.0
             meetings.append(_Meeting(step.surface.name, place, lever))
@@ -223,7 +224,7 @@ def _view_fields(readings: WeighedReadings) -> Iterator[StationField]:
     rows, tangents = observations.part == SEE_THROUGH, state.views.dots.tangents
     viewpoint, dot, _ = dot_geometry(state.bench, plan)
     here = dot_pixels(state.bench, plan, tangents)
-    step = 1e-4  # of tangents
+    step = 1e-4  # in tangents
     by_tangent = [(dot_pixels(state.bench, plan, tangents + step * axis) - here) / step for axis in np.eye(2)]
     turn = 1e-3 * np.stack(by_tangent, axis=-1)
     shift = turn / (viewpoint - dot)[:, 2, None, None]

@@ -85,8 +85,8 @@ class FoundCause:
         ranking: the candidates for its place, best first, itself among them.
         effect_over_noise: rms change of the readings by it, in units of sigma.
         log10_odds: for it against none, the others being as found.
-        log10_odds_against_its_station: for its name against the fields of its own station, or of another one if these
-            come closer.
+        log10_odds_against_its_station: for its name against the fields of its station, or of another station with
+            closer evidence.
         remedy: what to do about it; empty for the remedy of its part.
     """
 
@@ -349,7 +349,7 @@ class Diagnosis:
 
     @property
     def is_corrected(self) -> bool:
-        """Whether causes, or effects that a bench file can state, correct the nominal bench."""
+        """True if causes, or effects that a bench file can state, correct the nominal bench."""
         return self.corrected is not self.observations.nominal
 
     @property

@@ -17,7 +17,7 @@ from wlr_render.report.plots import arrow_map, axis, curves
 
 _BEFORE, _AFTER, _GREY = "#c4651a", "#2f7fc1", "#8c8c8c"
 _CELLS = (14, 11)  # arrows across and down
-_BINS = 12  # of each variable
+_BINS = 12  # per variable
 _COLUMNS = 3  # plots in a row
 _BAND = 2.0  # standard errors that count as noise
 _HISTOGRAM = np.linspace(-6.0, 6.0, 61)
@@ -82,7 +82,7 @@ _LABELS = {
 
 
 def effect_map(effect: StationEffect) -> Plot:
-    """Plot what a located effect displaces at its station: arrows or colours over two coordinates, curves over one."""
+    """Plot the displacement by a located effect at its station: arrows or colours over two coordinates, else curves."""
     title, unit = f"Effect {STATIONS[effect.station][0]}: {effect.displaced}", effect.map_unit
     caption = f"{effect.displaced} ({unit}) over {effect.coordinates}: {effect.form}, as the readings show it."
     place, moved = effect.map_place[:, np.ptp(effect.map_place, axis=0) > 0.0][:, :2], effect.map_displacement
@@ -193,7 +193,7 @@ def binned(variable: Variable, residual: FloatArray, part: PartView) -> BinnedRe
 
 
 def normality_plot(diagnosis: Diagnosis) -> Plot:
-    """Plot a histogram of the whitened residual, and its quantiles against those of the normal distribution."""
+    """Plot a histogram of the whitened residual, and a Q-Q plot against the normal distribution."""
     values = diagnosis.fit.residual.ravel()
     counts, _ = np.histogram(values, _HISTOGRAM)
     density = counts / len(values) / float(_HISTOGRAM[1] - _HISTOGRAM[0])

@@ -50,7 +50,7 @@ _LIKELY = {
 }
 """Usual sources of an effect, by its station and the start of its form."""
 
-_BUMP_PLACES = 4000  # at which a bump's height is looked up
+_BUMP_PLACES = 4000  # places at which a bump's height is computed
 
 STATIONS = {
     "panel": ("on the panel", "a photograph of the bare panel that shows a lit grid"),
@@ -78,7 +78,7 @@ def station_effects(
     fine: FineEffect | None,
     as_stated: Predictor,
 ) -> list[StationEffect]:
-    """Return the records of effects, largest odds first; of none that may be the rest of others.
+    """Return the records of effects, largest odds first, without effects that may be remainders of others.
 
     Args:
         contest: in which the smooth effects were located.
@@ -140,7 +140,7 @@ def _smooth(
 
 
 def _bump(effects: Sequence[BenchEffect]) -> dict[str, Any]:
-    """Return form, size and place of the bump that a field's effect in a bench is; nothing where it is none.
+    """Return form, size and place of the bump that a bench states for a field; empty if the effect is not a bump.
 
     A bump is a height in a spot of the combiner. Its size is the height where it is largest, um; its place and length
     are of the part of more than half that height, millimetres.
@@ -192,7 +192,7 @@ def _fine(fine: FineEffect, as_stated: Predictor) -> StationEffect:
 
 
 def _likely(station: str, form: str) -> tuple[str, ...]:
-    """Return the usual sources of effects of a station whose form starts alike."""
+    """Return the usual sources of effects at a station, by the longest key that starts the form."""
     fitting = [key for key in _LIKELY if key[0] == station and form.startswith(key[1])]
     key = max(fitting, key=lambda each: len(each[1]), default=None)
     return _LIKELY[key] if key else next((likely for each, likely in _LIKELY.items() if each[0] == station), ())

@@ -1,9 +1,9 @@
 """Effects that are located at a station by evidence: fields compete with each other, with causes, and with chance.
 
 All fields and the causes of a fit are columns of one linear model with random motions of the captures
-(`scatter`). The evidence of a field is that of the readings with its coefficients, whose common size is unknown,
-integrated out; what is known already (causes, effects located before) is integrated out beside it. Everything follows
-from one set of sums over the readings.
+(`scatter`). The evidence for a field is the probability of the readings with its coefficients integrated out, over an
+unknown common size; the known causes and the effects located before are integrated out, too. Everything follows from
+one set of sums over the readings.
 """
 
 from collections.abc import Iterable, Sequence
@@ -40,14 +40,14 @@ from wlr_render.numerics.scatter import (
 )
 from wlr_render.numerics.scatter_search import best_scatter
 
-_SIZES = np.geomspace(0.01, 300.0, 30)  # of a field's coefficients that are tried, in units of sigma
-_LESS_MOTION = (1.0, 0.3, 0.05)  # of what captures scatter by without the field
+_SIZES = np.geomspace(0.01, 300.0, 30)  # sizes of a field's coefficients to try, in units of sigma
+_LESS_MOTION = (1.0, 0.3, 0.05)  # sizes of the captures' motions to try, relative to those without the field
 MOST_EFFECTS = 3
 """Effects that are located in one session, and effects that these may leave."""
-_FAIR_SHARE = 0.25  # of the first effect's log odds
+_FAIR_SHARE = 0.25  # least log odds of a further effect, relative to the first effect's
 _PREDICTS = 2.0  # standard errors by which captures left out must be predicted better
 _NONE = np.zeros(0, dtype=np.int64)  # columns
-_LARGER_NOISE = 1.05  # of what was measured within photographs, from which a larger noise is tried as well
+_LARGER_NOISE = 1.05  # noise over that within photographs from which it is tried as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class FieldContest:
 
     @cached_property
     def sums(self) -> ScatterSums:
-        """Over all fixed columns, then those of the fit."""
+        """Sums over all fixed columns, then the fit's columns."""
         return self.readings.sums_at(self.found.at, self.fixed)
 
     @cached_property
@@ -79,7 +79,7 @@ class FieldContest:
 
     @cached_property
     def _order(self) -> IntArray:
-        """Order of the function of each fixed column; -1 of those that are not a field's."""
+        """Order of the function of each fixed column; -1 for columns of causes."""
         order = np.full(len(self.fixed.mean), -1)
         for first, field in zip(self._first, self.fields, strict=True):
             order[first : first + field.order.size] = field.order
@@ -92,7 +92,7 @@ class FieldContest:
 
     @cached_property
     def _scatters(self) -> list[tuple[Marginal, float]]:
-        """Sums over the readings and the surprise of each of the sizes of what is random that are tried."""
+        """Sums over the readings, with the prior cost, for each size of noise and motions to try."""
         scatter = self.found.scatter
         noises = [np.ones_like(scatter.noise)]
         if np.max(scatter.noise) > _LARGER_NOISE:
@@ -105,7 +105,7 @@ class FieldContest:
 
     @cached_property
     def _charge(self) -> FloatArray:
-        """Of each fixed column, in -2 log evidence, for the fields of which its field was chosen."""
+        """Charge in -2 log evidence of each fixed column for the number of fields from which its field was chosen."""
         charge = np.zeros(len(self.fixed.mean))
         for first, field in zip(self._first, self.fields, strict=True):
             charge[first : first + field.order.size] = 2.0 * np.log(field.alternatives)
@@ -125,11 +125,12 @@ class FieldContest:
     def located(
         self, least_log10_odds: float, most: int = MOST_EFFECTS, before: Sequence[LocatedEffect] = ()
     ) -> list[LocatedEffect]:
-        """Return the effects that the readings show beside the causes, in the order of their evidence.
+        """Return the effects that the readings show in addition to the causes, in the order of their evidence.
 
-        Each has good odds and predicts captures that are left out of its fit better than nothing does: what only
-        resembles a field of that station does not. A further one has a fair share of the first one's odds: what a field
-        describes imperfectly leaves a little everywhere. With effects that were located `before`, their rests.
+        Each has good odds and improves the prediction of captures left out of its fit; a spurious match does not.
+        Further effects need a fair share of the first effect's odds, because a field that describes an effect
+        imperfectly leaves a small residual everywhere. With effects that were located `before`, return remainders of
+        these.
         """
         effects: list[LocatedEffect] = []
         while len(effects) < most:
@@ -147,7 +148,7 @@ class FieldContest:
         return effects
 
     def with_effects(self, effects: Sequence[LocatedEffect]) -> Self:
-        """Return the contest with a residual less what is not linear in the effects' coefficients at their values."""
+        """Return the contest with the residual corrected for the nonlinear part of the effects at their values."""
         predictor, linear = self.readings.predictor, self.found.at.residual
         added, scatter = list[BenchEffect](), self.scatter_beside(effects)
         for effect, (values, covariance) in zip(effects, self.values_and_covariances(effects, scatter), strict=True):
@@ -162,7 +163,7 @@ class FieldContest:
         return replace(self, found=replace(self.found, at=at))
 
     def gain_of_best(self, shapes: Sequence[IntArray], most: int) -> float:
-        """Return by how much -2 log evidence falls by the best shapes together, taken one after the other.
+        """Return the fall of -2 log evidence by the best shapes together, chosen one after the other.
 
         Args:
             shapes: fixed columns of each, in prior sigmas.
@@ -180,13 +181,13 @@ class FieldContest:
 
     @cached_property
     def ranked(self) -> list[LocatedEffect]:
-        """Every field beside the causes, with its best degree and size, best first."""
+        """Every field, added to the causes, with its best degree and size; best first."""
         return self._ranked_beside((), further=False)
 
     def _ranked_beside(self, beside: Sequence[LocatedEffect], further: bool) -> list[LocatedEffect]:
-        """Every field beside the causes and some effects, best first; all that are tried are charged alike."""
+        """Return every field, added to the causes and some effects, best first; each bears the same charge."""
         known = self._known(beside, self._causes)
-        # Functions of a higher order than those that are located may have another size.
+        # Functions of a higher order than the located ones may have another size.
         taken = {id(each.field): each.degree for each in sorted(beside, key=lambda each: each.degree)}
         tried = [
             (number, degree)
@@ -213,13 +214,13 @@ class FieldContest:
         return ranked
 
     def _least(self, known: Known) -> float:
-        """-2 log evidence of what is known alone."""
+        """-2 log evidence of the known causes and effects alone."""
         return min(sums.of_columns(known).minus_two_log_evidence + cost for sums, cost in self._scatters)
 
     def _least_of(
         self, columns: IntArray, known: Known, added: IntArray = _NONE, mean: float = 1.0
     ) -> tuple[float, float]:
-        """-2 log evidence of a field beside what is known, over all sizes, and its most probable size.
+        """-2 log evidence of a field with the known columns, over all sizes, and its most probable size.
 
         `added` are columns of causes that the field has as well, at unit rms. The field's constants are `mean` times as
         large as its other coefficients.
@@ -241,7 +242,7 @@ class FieldContest:
         return float(least[best] + self._charge[columns[0]]), float(_SIZES[int(np.argmin(costs[best]))])
 
     def scatter_beside(self, effects: Sequence[LocatedEffect]) -> Scatter:
-        """Return the sizes of what is random with the causes and effects at work."""
+        """Return the sizes of noise and motions with the causes and effects at work."""
         known = self._known(effects, self._causes)
         return best_scatter(self.sums.of_columns(known.columns, sigma=known.sigma), self.found.scatter)[0]
 
@@ -273,8 +274,8 @@ class FieldContest:
 
         Args:
             effect: the effect.
-            scatter: sizes of what is random with all effects at work.
-            beside: effects that are at work already, as all captures show them.
+            scatter: sizes of noise and motions with all effects at work.
+            beside: effects found before, with their values from all captures.
         """
         group, residual = self.readings.observations.group, self.left(beside, scatter)
         whiten = self.readings.whitening(scatter)
@@ -290,5 +291,5 @@ class FieldContest:
 
 
 def _with_columns(known: Known, columns: IntArray) -> Known:
-    """With columns in prior sigmas."""
+    """Add columns in units of prior sigmas to the known ones."""
     return Known(np.concatenate([known.columns, columns]), np.r_[known.sigma, np.ones(len(columns))])

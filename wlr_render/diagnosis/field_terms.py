@@ -14,8 +14,8 @@ from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
-ELSEWHERE = ("stage", "time")  # stations whose constants are those of another: of the camera, or of the panel
-_NEIGHBOURS = 4  # of a reading at its station
+ELSEWHERE = ("stage", "time")  # stations at which a constant acts like one of the camera or of the panel
+_NEIGHBOURS = 4  # neighbours of a reading at its station that are compared with it
 _WILD = 4.0  # sigma; a reading counts no more than this
 _IDLE = 1e-9  # rms of a column in sigma below which it does nothing
 
@@ -25,9 +25,9 @@ class StationField:
     """A displacement at a station as a sum of smooth functions, each with an unknown coefficient.
 
     Attributes:
-        station: where it acts.
-        coordinates: of the station, on which the displacement depends.
-        form: what is displaced, and how.
+        station: station at which it acts.
+        coordinates: coordinates of the station on which the displacement depends.
+        form: kind of displacement, for reports.
         columns: (n, 2, c) change of each reading by each function, in units of sigma; rms 1 over the readings.
         order: (c,) order of each function; a field of lower degree has those up to it.
         degrees: that are tried, ascending.
@@ -35,7 +35,7 @@ class StationField:
         unit: of the displacement.
         displacement: coefficients (c,) -> (n, d) displacement in the unit.
         in_bench: coefficients (c,) -> effects of a bench that do the same; None where no bench file can state them.
-        is_in_spot: whether it is zero but for a spot of its station.
+        is_in_spot: whether it is zero outside a spot of its station.
         period: of a wave along one coordinate, in the coordinate's unit; 0 for others.
         alternatives: number of such fields of which the readings chose this one; its evidence is charged for them.
     """
@@ -57,7 +57,7 @@ class StationField:
 
     @property
     def kind(self) -> tuple[str, str, str]:
-        """Station, coordinates and form, which are those of one field of a session."""
+        """Station, coordinates and form, which identify a field of a session."""
         return self.station, self.coordinates, self.form
 
     def counting(self, degree: int, above: int = -1) -> BoolArray:
@@ -76,7 +76,7 @@ class Terms:
         degrees: that are tried, ascending.
         polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each of `copies`.
         copies: attributes of a bench's effect that limit each copy of the functions to some readings.
-        means: (t,) what was taken off each of these polynomials.
+        means: (t,) constant that was subtracted from each of these polynomials.
         in_bench: as in `StationField`, where they are not polynomials.
     """
 
@@ -104,7 +104,7 @@ class Terms:
 
 
 def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int, orders: IntArray | None = None) -> Terms:
-    """Return the polynomials of variables (n, v) up to the last of the degrees, or those of orders (t, v)."""
+    """Return the polynomials of variables (n, v) up to the last of the degrees, or of the given orders (t, v)."""
     orders = total_degree(variables.shape[1], degrees[-1]) if orders is None else orders
     box = Box.around(variables)
     values = basis(variables, orders, box)
@@ -141,7 +141,7 @@ def field_of(
         terms: at these readings (m,).
         lever: (m, 2, k) sigma per unit.
         rows: mask (n,) of these readings.
-        displaces: what an effect of a bench at that station displaces alike; empty where there is none.
+        displaces: `displaces` of the bench effect with the same action at that station; empty without one.
     """
     count, components = len(lever), lever.shape[2]
     columns = (lever[:, :, None, :] * terms.values[:, None, :, None]).reshape(count, 2, -1)
@@ -195,12 +195,12 @@ def scaled(field: StationField) -> StationField:
 
 
 def neighbours_agree(field: StationField, left: FloatArray, standard_errors: float) -> bool:
-    """Return whether what is left of readings that are near each other at a station is alike.
+    """Return whether residuals of readings that are near each other at a station correlate.
 
     Args:
-        field: its constants say how a displacement there changes each reading.
-        left: (n, 2) of the readings, in units of sigma.
-        standard_errors: beyond which a mean product of neighbours is no chance.
+        field: its constant functions give the change of each reading by a displacement.
+        left: (n, 2) residual of the readings, in units of sigma.
+        standard_errors: significance beyond which a mean product of neighbours is not chance.
     """
     rows = np.flatnonzero(field.acts)
     place = field.place[rows] / np.maximum(field.place[rows].std(axis=0), np.finfo(float).tiny)

@@ -1,4 +1,4 @@
-"""Fine effects as a bench states them: their cells, and by how much each displaces what is at its station."""
+"""Fine effects as a bench states them: cells at a station, and the displacement in each cell."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.cells import Cells, cells_of
 
-_ROUNDS = 2  # of cells
+_ROUNDS = 2  # rounds of cells, each finer than the one before
 _STATED = 0.05  # sigma; cells that move readings by less are not stated
 _DISPLACES = {"panel": "shift", "camera": "shift", "target": "shift", "combiner": "view"}
 _TO_FILE = {"panel": 1.0, "camera": 1.0, "target": 1.0, "combiner": 1e6}
@@ -24,7 +24,7 @@ UNITS = {"panel": "panel px", "camera": "px", "target": "mm", "combiner": "urad"
 
 
 def with_fine(bench: Bench, fine: FineEffect | None, as_stated: Predictor, least_log10_odds: float) -> Bench:
-    """Return a bench with a fine effect and what is found in finer cells beside it, as far as captures left out agree.
+    """Return a bench with a fine effect and with finer cells of its residual, if they improve captures left out.
 
     Args:
         bench: the bench.
@@ -90,14 +90,14 @@ def _of_part(fine: FineEffect, predictor: Predictor, part: int, mine: BoolArray)
 
 
 def _displacement(station: str, predictor: Predictor, part: int, rows: IntArray, change: FloatArray) -> FloatArray:
-    """Return what a station must displace, (m, components), to change readings of one part by (m, 2) sigma.
+    """Return the displacement (m, components) at a station that changes readings of one part by (m, 2) sigma.
 
     Panel and camera in pixels, the target in millimetres, the view in tangents.
     """
     observations = predictor.observations
     change = change * observations.sigma_px[rows, None]
     of_part = rows - int(np.flatnonzero(observations.part == part)[0])
-    image_moves = -change if part == DISPLAY else change  # what the display shows at a pixel comes from its other side
+    image_moves = -change if part == DISPLAY else change  # a panel point moves opposite to its reading
     if station == "camera":
         return image_moves
     if station == "panel":

@@ -1,6 +1,6 @@
 """Fit the values of an explanation's causes to the readings of a bench, and the evidence for the explanation.
 
-Errors of readings are those of a bench: noise, noise that neighbours share, and a random motion of the camera in each
+Readings of a bench have three errors: noise, noise that neighbours share, and a random motion of the camera in each
 capture (`whitening`, `scatter`). Gauss-Newton with Levenberg's damping (D. W. Marquardt, "An Algorithm for
 Least-Squares Estimation of Nonlinear Parameters", SIAM J. 11 (1963) 431) on readings whose errors are made independent.
 """
@@ -23,9 +23,9 @@ from wlr_render.numerics.scatter import Scatter, ScatterSums, cost, marginal
 from wlr_render.numerics.scatter_search import best_scatter
 
 _ITERATIONS = 12
-_SETTLED = 1e-2  # of chi-squared: a step that gains less ends the iteration; steps shrink quadratically
-_ROUGHLY = 0.5  # of chi-squared: likewise where fits are compared
-_AS_PROMISED = 0.1  # of the gain that derivatives promise: steps that come so close need no new ones
+_SETTLED = 1e-2  # fall of chi-squared by a step that ends the iteration; steps shrink quadratically
+_ROUGHLY = 0.5  # the same, where fits are only compared
+_AS_PROMISED = 0.1  # relative difference from the predicted gain below which derivatives are kept
 _SAME_SCATTER = 0.1  # change of a logarithm below which the values are not fitted again
 _FEWEST = 2  # captures on either side of a moment: a single one is a capture that moved
 _MOST_STEPS = 4  # whole steps from the best multiple that are counted
@@ -38,11 +38,11 @@ class Fit:
     Attributes:
         explanation: with the fitted values.
         at: the linearisation at the solution, in units of sigma.
-        scatter: sizes of what is random.
+        scatter: sizes of noise and motions.
         residual: (n, 2) measured minus predicted with independent errors of unit size.
         jacobian: (n, 2, p) of the predicted readings by the free parameters in prior sigmas, likewise.
         chi_squared: sum of squares of `residual`.
-        information: (p, p) on the free parameters in prior sigmas, with that of their priors.
+        information: (p, p) information on the free parameters in prior sigmas, with their priors' information.
         minus_two_log_evidence: of the readings, up to a constant; lower is better.
     """
 
@@ -57,18 +57,18 @@ class Fit:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Of the free parameters (p, p) in prior sigmas."""
+        """Covariance (p, p) of the free parameters in prior sigmas."""
         return np.asarray(np.linalg.inv(self.information))
 
     @cached_property
     def owner(self) -> IntArray:
-        """Which cause each free value belongs to (p,)."""
+        """Index (p,) of the cause that each free value belongs to."""
         counts = [len(each) for each in self.explanation.values]
         return np.repeat(np.arange(len(counts)), counts)[self.at.free]
 
     @cached_property
     def effects(self) -> FloatArray:
-        """Free values (p,) in prior sigmas; 0 for those that only shape an effect."""
+        """Free values (p,) in prior sigmas; 0 for parameters that only shape an effect."""
         sizes = np.array([each.role is Role.SIZE for each in self.explanation.parameters()], dtype=bool)
         values = self.explanation.vector() / self.explanation.prior_sigma
         return np.asarray(np.where(sizes, values, 0.0)[self.at.free])
@@ -79,7 +79,7 @@ class Fit:
         return np.asarray(self.at.residual + self.at.jacobian[:, :, mine] @ self.effects[mine])
 
     def sigmas(self) -> FloatArray:
-        """One standard deviation of all parameters, in their units; 0 for those that are not free."""
+        """One standard deviation of all parameters, in their units; 0 for fixed parameters."""
         prior_sigma = self.explanation.prior_sigma
         sigma = np.zeros(len(prior_sigma))
         sigma[self.at.free] = np.sqrt(np.diag(self.covariance))
@@ -98,14 +98,14 @@ def fit(
     """Fit all causes of an explanation together, from its values on; None where it cannot predict every reading.
 
     Args:
-        readings: to be fitted to.
-        start: what to fit, and from where.
-        scatter: sizes of what is random, from where they are searched for; the captures that moved stay the same.
+        readings: the readings to fit.
+        start: causes to fit, with their start values.
+        scatter: start sizes of noise and motions; the captures that moved stay the same.
         iterations: Gauss-Newton steps at most.
-        vary_scatter: False where the sizes of what is random are known.
+        vary_scatter: False if the sizes of noise and motions are known.
         at: the linearisation at the start, if it is known.
-        roughly: whether derivatives are kept while steps gain what these promise, and always those of other causes than
-            the last one: enough to compare fits.
+        roughly: whether to keep derivatives while steps gain as predicted, and always to keep the derivatives of all
+            causes but the last: accurate enough to compare fits.
     """
     at = at or readings.predictor.linearised(start)
     if not np.isfinite(at.residual).all():
@@ -151,8 +151,8 @@ def _step(
     """Return the next step; None where none helps.
 
     Returns:
-        Explanation and state after it, the fall of chi-squared, what the derivatives promise of it, and the damping to
-        go on with.
+        Explanation and state after the step, the fall of chi-squared, the fall that the derivatives predict, and the
+        damping for the next step.
     """
     rows = whiten(at.jacobian).reshape(-1, at.free.size)
     residual, off = whiten(at.residual), at.off_prior
@@ -193,7 +193,7 @@ def _evidence(
 
 
 def choices(explanation: Explanation, observations: Observations) -> float:
-    """How many ways of acting and moments the causes of an explanation were chosen from."""
+    """Return the number of combinations of variants and moments from which the causes were chosen."""
     count = 1.0
     for hypothesis in explanation.hypotheses:
         count *= len(hypothesis.cause.variants)
@@ -253,7 +253,7 @@ def reduced_chi_squared(found: Fit) -> float:
 
 
 def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
-    """Whether all values are possible: above their minimum, to three standard errors, and of a usual size."""
+    """Return whether all values are possible: above their minimum, to three standard errors, and of a usual size."""
     parameters, values, bench = found.explanation.parameters(), found.explanation.vector(), found.at.state.bench
     pairs = zip(parameters, values, strict=True)
     whole = np.array([value if each.in_bench is None else each.in_bench(bench) for each, value in pairs])
@@ -265,7 +265,7 @@ def is_physical(found: Fit, settings: Settings = DEFAULT) -> bool:
 
 
 def few_captures_factor(found: Fit, observations: Observations) -> float:
-    """By how much one standard deviation is wider, as the motions' sizes are known from few captures only.
+    """Return the factor by which one standard deviation is wider because few captures determine the motions' sizes.
 
     Student's t with the captures that the fit leaves free; 1 at run time, which has no motions.
     """
@@ -277,7 +277,7 @@ def few_captures_factor(found: Fit, observations: Observations) -> float:
 
 
 def correlation_condition(found: Fit) -> float:
-    """Condition number of the correlations between the fitted values: 1 where each is known by itself."""
+    """Condition number of the correlations between the fitted values: 1 if they are uncorrelated."""
     return float(np.linalg.cond(correlation_matrix(found))) if found.at.free.size else 1.0
 
 

@@ -1,6 +1,7 @@
 """Captures left out of a fit: how well the others predict them, and how the values change (B. Efron, C. Stein 1981).
 
-A fit without a capture is one Newton step from the fit with it, which is exact for what is left to change.
+A fit without a capture is one Newton step from the fit with it, which is exact if the readings are linear in the
+values.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ _FOLDS = 8
 
 @dataclass(frozen=True)
 class HeldOutImprovement:
-    """How much closer held-out captures are predicted.
+    """Improvement of the prediction of held-out captures.
 
     Attributes:
         percent: reduction of their rms residual.

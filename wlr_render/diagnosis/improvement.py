@@ -87,7 +87,7 @@ def _same(before: AnyCaptures, after: AnyCaptures) -> bool:
 DISTANCES_M = (0.5, 1.0, 2.0)
 """Distances of the real points that the picture is rendered onto, in front of the eye."""
 
-_VIEWPOINTS, _PIXELS = 20, (8, 8)  # of the rendered picture
+_VIEWPOINTS, _PIXELS = 20, (8, 8)  # samples of the rendered picture
 _GREEN = 1
 
 

@@ -1,4 +1,4 @@
-"""Effects that are located beside causes, and the causes that stand beside them and against all fields."""
+"""Joint search for causes and located effects: effects in addition to causes, and causes that no field explains."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,21 +13,21 @@ from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.numerics.scatter import Scatter
 
-_ROUNDS = 2  # times that causes are searched for beside located effects
+_ROUNDS = 2  # searches for causes in addition to located effects
 
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Causes that stand against the fields of their stations, and the effects located beside them.
+    """Causes with better evidence than any field, and the effects located in addition to them.
 
     Attributes:
         search: with the effects at work.
         found: the fit of the causes to all readings.
-        contest: of the fields beside these causes, on a subsample.
-        effects: smooth ones.
-        scatter: sizes of what is random with causes and effects at work.
+        contest: contest of the fields with these causes, on a subsample.
+        effects: smooth located effects.
+        scatter: sizes of noise and motions with causes and effects at work.
         tried: all fields that were judged.
-        dropped: a sentence on each cause that does not stand.
+        dropped: a sentence on each cause that a field explains as well.
         odds: log10 odds for the name of each cause of the fit against the fields.
     """
 
@@ -47,7 +47,7 @@ class Located:
         return replace(corrected, effects=(*corrected.effects, *added)) if added else corrected
 
     def about_rests(self) -> tuple[str, ...]:
-        """Return a sentence on what the located effects leave, if the bench has effects for it."""
+        """Return a sentence on remainders of the located effects, if the corrected bench has effects for them."""
         rests = [
             f"{each.field.form} by {each.field.coordinates} ({each.field.station}, log10 odds {each.log10_odds:.1f})"
             for each in self.effects
@@ -74,9 +74,9 @@ class Located:
 
 
 def locate(search: Search, found: Fit) -> Located:
-    """Locate effects beside the causes, and causes beside these effects, until there are no others.
+    """Locate effects in addition to the causes, and causes in addition to these effects, until none is added.
 
-    Causes are searched for beside the first effect alone: further fields could take what a cause does.
+    Causes are searched for with the first effect alone: further fields could absorb the effect of a cause.
     """
     located = _standing(search, found, most=1)
     for _ in range(_ROUNDS):
@@ -98,7 +98,7 @@ def locate(search: Search, found: Fit) -> Located:
 
 
 def _standing(search: Search, found: Fit, most: int) -> Located:
-    """Locate at most so many effects beside the causes; drop causes that fields rival, one at a time."""
+    """Locate at most `most` effects in addition to the causes; drop causes that fields rival, one at a time."""
     least, dropped = search.settings.least_log10_odds, list[str]()
     while True:
         contest = search.contest(search.on_subsample(found))
@@ -126,7 +126,7 @@ def _standing(search: Search, found: Fit, most: int) -> Located:
         alone, constants = search, not found.explanation.hypotheses
         search = alone.with_effects(effects, found.explanation, constants)
         found = search.refitted(found.explanation, contest.scatter_beside(effects))
-        # The effects' coefficients go with the values that the causes have beside them.
+        # The effects' coefficients belong to the values that the causes have in this joint fit.
         contest = alone.contest(alone.on_subsample(found))
     return Located(
         search,

@@ -16,13 +16,13 @@ class LocatedEffect:
 
     Attributes:
         field: where and how it acts.
-        degree: up to which its functions count.
-        above: order beyond which they do, where those up to it are an effect of a size of their own.
+        degree: highest order of its functions.
+        above: order above which its functions count; functions up to it belong to another effect. -1 for all.
         size: most probable size of its coefficients, in units of sigma.
-        log10_odds: for it against none, beside what was known.
-        next_station: the station of next best evidence; empty where there is no other.
+        log10_odds: for it against no effect, given the known causes and effects.
+        next_station: the station of next best evidence; empty without one.
         odds_against_next: log10 odds against that station.
-        is_rest: whether it may be what the effects located before it describe imperfectly.
+        is_rest: whether it may be a remainder of the effects located before it.
     """
 
     field: StationField
@@ -60,14 +60,14 @@ class LocatedEffect:
     def size_of(self, values: FloatArray, covariance: FloatArray) -> tuple[float, float, str]:
         """Return the rms displacement over the readings that feel the field, its standard error and its unit.
 
-        Of shifts and turns, those that exceed their error more.
+        Of shifts and turns, return the one with the larger ratio to its error.
 
         Args:
             values: (c,) coefficients.
             covariance: (c, c) of them.
         """
         units = self.field.unit.split(", ")
-        if self.field.period:  # the constant beside a wave is not the wave's
+        if self.field.period:  # the constant term is not part of the wave
             values, covariance = values * (self.order > 0), covariance * np.outer(self.order > 0, self.order > 0)
 
         def by_unit(coefficients: FloatArray) -> FloatArray:
@@ -92,7 +92,7 @@ class LocatedEffect:
         if self.field.in_bench is None:
             return ()
         stated = self.field.in_bench
-        # Coefficients of the bench are linear in those of the field.
+        # The bench's coefficients are linear in the field's.
         by_each = [stated(self._every(one)) for one in np.eye(len(values))]
         effects = []
         for number, effect in enumerate(stated(self._every(values))):

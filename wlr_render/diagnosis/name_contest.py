@@ -13,7 +13,7 @@ from wlr_render.numerics.scatter import LOG10_ODDS, Known
 
 _OWN_SHAPE = 0.1  # share of a cause's effect outside a field, from which the field gets the cause's shape as well
 _MEAN_OF_DRIFT = 4.0  # size of a drift's constant over its other terms'; rms 3.5 to 5.2 for walks of degree 2 to 12
-_NEARLY_ALL = 0.95  # of the evidence for cause and field, from which a cause stands by itself
+_NEARLY_ALL = 0.95  # share of the evidence for cause and field together from which a cause needs no field
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class NameContest(FieldContest):
         Args:
             number: index of the cause in the fit.
             station: its station.
-            beside: effects located beside it.
+            beside: effects located in addition to it.
         """
         located, mine = {each.field.station for each in beside}, self.found.owner == number
         odds = [(self._odds_at_its_station(mine, station, beside), station)]
@@ -46,10 +46,10 @@ class NameContest(FieldContest):
         return min(odds, default=(float("inf"), ""))
 
     def _odds_at_its_station(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
-        """Log10 odds for a cause, alone or beside a field, against the fields of its own station.
+        """Return log10 odds for a cause, alone or with a field, against the fields of its station.
 
-        Where the cause leaves something to a field beside it, the fields have the cause's span as well: otherwise they
-        could not imitate it, and its name would always win. A cause that does nearly all by itself is no such match.
+        If cause and field explain more together, the fields get the cause's shape as well: otherwise they could not
+        imitate it, and its name would always win. This does not apply to a cause that explains nearly all alone.
         """
         named, unnamed = self._with_and_without(mine, station, beside)
         tried, span = self._tried_at(station), unnamed.moved
@@ -63,8 +63,8 @@ class NameContest(FieldContest):
         spanned = min(
             self._least_of(columns, unnamed, span[self._beyond(columns, span) > _OWN_SHAPE])[0] for columns in tried
         )
-        # Beside a field of its own station a cause keeps its name only if it is the better of the two: else it is a
-        # part of that field which happens to look like it.
+        # Together with a field of its station a cause keeps its name only if it is the better of the two; otherwise it
+        # is a part of that field with a similar shape.
         with_name = min(alone, both) if alone < field else alone
         return float(LOG10_ODDS * (min(nothing, spanned + charge) - with_name))
 
@@ -80,9 +80,9 @@ class NameContest(FieldContest):
         return LOG10_ODDS * (without - with_name)
 
     def _odds_against(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> float:
-        """Log10 odds for causes against the fields of a station in their place.
+        """Return log10 odds for causes against the fields of a station that replace them.
 
-        What is constant there is that of a station which moves as a whole: it rivals no name.
+        A constant at a station in `ELSEWHERE` is a motion of another station as a whole: it rivals no name.
         """
         named, unnamed = self._with_and_without(mine, station, beside)
         tried = self._tried_at(station, constants=station not in ELSEWHERE)
@@ -110,7 +110,7 @@ class NameContest(FieldContest):
     def _with_and_without(self, mine: BoolArray, station: str, beside: Sequence[LocatedEffect]) -> tuple[Known, Known]:
         """Return the model with causes, and without them, at their null values.
 
-        `mine` is a mask of these columns among those of the fit.
+        `mine` is a mask (p,) of these causes' columns in the fit.
         """
         elsewhere = [each for each in beside if each.field.station != station]
         unnamed = self._known(elsewhere, self._causes[~mine])

@@ -26,10 +26,10 @@ _ENOUGH_IN_COMMON = 5  # photographs
 _ENOUGH_FOR_A_CUBIC = 80  # readings of a photograph
 _COMMON_DEGREE = 6  # degree of the residual common to photographs
 _SMOOTHEST = 3  # degree of effects of the bench in a photograph; finer structure may be shared noise
-_RANK = 1e-9  # of singular values
-_MOST_TAKEN = 0.9  # of the variance of a photograph's noise along one direction, that is made good
+_RANK = 1e-9  # relative singular value that counts as zero
+_MOST_TAKEN = 0.9  # largest share of a photograph's noise variance along one direction for which to correct
 _NEGLIGIBLE = 6.0  # log likelihood below the best one's from which a share is not counted
-_FEW_PHOTOGRAPHS = 8  # whose surfaces tell what they leave
+_FEW_PHOTOGRAPHS = 8  # photographs from which the variance left by surfaces is computed
 _NOT_EXCLUDED = 2.0  # log likelihood that two standard errors cost
 
 _NOTHING_SHARED = SharedNoise(0.0, float("nan"), is_smooth=True)
@@ -55,11 +55,11 @@ def neighbour_noise(
 ) -> NeighbourNoise:
     """Return the noise that neighbours share in the photographs of a part.
 
-    By the likelihood of what very smooth surfaces leave of some photographs (D. A. Harville, "Maximum likelihood
-    approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
+    By restricted maximum likelihood, from residuals of very smooth surfaces in some photographs (D. A. Harville,
+    "Maximum likelihood approaches to variance component estimation", J. Am. Stat. Assoc. 72 (1977), 320).
 
     Args:
-        observations: what was read.
+        observations: the readings.
         residual: (n, 2) in units of the stated sigma.
         own: surfaces through the part's photographs.
         shape: (n,) relative sigma of all readings.
@@ -131,7 +131,7 @@ def _kept(
     neighbours share.
 
     Args:
-        observations: what was read.
+        observations: the readings.
         own: surfaces of some photographs.
         tried: fields of shared noise, and the log likelihood of each of `_SHARES`.
     """

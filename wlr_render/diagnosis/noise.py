@@ -1,9 +1,9 @@
-"""Noise of a session: how large it is in each part, photograph and place of the image, and what neighbours share.
+"""Noise of a session: its size in each part, photograph and place of the image, and the share common to neighbours.
 
-Within one photograph every physical effect is smooth over the image; what a smooth surface leaves is noise. The noise
-of a reading is that of its part, times a factor of its photograph, times a factor that grows from the middle of the
-image to its corner. A share of it may be a smooth random field that neighbouring readings of a photograph have in
-common (an autofocus that breathes, air that moves, a code that interpolates).
+Within one photograph every physical effect is smooth over the image; the residual of a smooth surface is noise. The
+noise of a reading is the noise of its part, times a factor of its photograph, times a factor that grows from the middle
+of the image to its corner. A share of it may be a smooth random field that neighbouring readings of a photograph have
+in common (an autofocus that breathes, air that moves, a code that interpolates).
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ class Variance:
 
     @property
     def is_known(self) -> bool:
-        """Whether the variance is known."""
+        """True if the variance is known."""
         return bool(np.isfinite(self.value))
 
 
@@ -63,8 +63,8 @@ class NoiseFloor:
         repeats_px: from photographs taken twice from one place; NaN without such.
         measured_px: the best estimate from both; NaN without either.
         error_px: standard error of `measured_px`.
-        used_px: what the diagnosis uses: stated and measured noise weighted by their errors; the measured one where the
-            stated one is not believable.
+        used_px: noise that the diagnosis uses: stated and measured noise weighted by their errors; the measured one
+            where the stated one is not believable.
         is_believable: whether the stated noise does not differ significantly from the measured one.
         rim_factor: noise in the corner of the image over that in its middle; 1 where it does not clearly differ.
         photographs_differ: standard deviation of the logarithm of the photographs' noise; 0 likewise.
@@ -135,7 +135,7 @@ def noise_of(observations: Observations, residual: FloatArray) -> Noise:
 
 
 def measured_at_run_time(floor: NoiseFloor, factor: float, readings: int) -> NoiseFloor:
-    """Return the noise at run time by what is left of it: `factor` times what is used, over so many readings."""
+    """Return the noise at run time from its residual: `factor` times the noise used, by a number of readings."""
     measured = factor * floor.used_px
     variance_error = float(np.sqrt(1.0 / readings))
     is_believable = not is_significant(2.0 * float(np.log(measured / floor.stated_px)), variance_error)
@@ -205,7 +205,7 @@ def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArr
     variance = np.array([np.mean(each.squares / shape[each.rows[each.good]] ** 2) for each in own])
     if np.min(variance) <= 0.0:
         return np.ones(len(own)), 0.0
-    error = 2.0 / np.array([each.freedom for each in own])  # of the logarithm, squared
+    error = 2.0 / np.array([each.freedom for each in own])  # variance of the logarithm
     logarithm = np.log(variance) + 0.5 * error
     total = _SPREADS[:, None] ** 2 + error
     mean = np.sum(logarithm / total, axis=1) / np.sum(1.0 / total, axis=1)
@@ -221,8 +221,8 @@ def _photograph_factors(own: list[Surface], shape: FloatArray) -> tuple[FloatArr
 def _combined(within: Variance, repeats: Variance) -> Variance:
     """Return the mean weighted by inverse variance; the smaller one alone where the two contradict each other.
 
-    Repeats do not take a fixed pattern that is finer than a photograph's points for noise; and what differs between
-    two photographs by more than within each is no noise.
+    Repeats do not mistake a fixed pattern finer than a photograph's points for noise; and a difference between two
+    photographs that exceeds the variation within each is not noise.
     """
     if not (within.is_known and repeats.is_known):
         return within if within.is_known else repeats
@@ -237,7 +237,7 @@ def _combined(within: Variance, repeats: Variance) -> Variance:
 
 
 def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Variance:
-    """Return the variance over that of `shape`: the median over the photographs, so that one may be bad.
+    """Return the variance relative to `shape` squared: the median over the photographs, so that one may be bad.
 
     Args:
         own: surfaces of the part.
@@ -255,7 +255,7 @@ def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Va
     if median > 0.0 and len(variances) >= _ENOUGH_FOR_A_SPREAD:
         # 1.48: a standard deviation by the median absolute deviation; Gaussian noise scatters least.
         error = max(error, 1.48 * float(np.median(np.abs(variances - median))) / median)
-    # 1.25: the standard error of a median over that of a mean.
+    # 1.25: ratio of the standard errors of a median and a mean.
     few = 1.25 if len(variances) > 2 else 1.0
     error = few * error / float(np.sqrt(len(variances)))
     return Variance(median / shared.kept, float(np.hypot(error, shared.kept_error)))
@@ -264,7 +264,7 @@ def _within(own: list[Surface], shape: FloatArray, shared: NeighbourNoise) -> Va
 def _repeats(observations: Observations, residual: FloatArray, shape: FloatArray, shared: NeighbourNoise) -> Variance:
     """Return the variance by display points seen more than once at one camera pixel from one place.
 
-    What differs smoothly over a photograph is taken off: the bench has moved between the two, and that is no noise.
+    Smooth differences between two photographs are subtracted: the bench has moved in between, which is not noise.
     """
     plan = observations.session.plan.display
     if plan is None:

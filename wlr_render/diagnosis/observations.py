@@ -1,6 +1,6 @@
 """All readings of a session as one list of two-vectors in units of the noise, grouped by capture.
 
-A display reading is a panel position, but its noise is that of a camera pixel; it is carried there by the local
+A display reading is a panel position, but its noise arises in camera pixels; it is transformed there by the local
 Jacobian of panel position by camera pixel, so that all residuals below are camera pixels over sigma.
 """
 
@@ -27,11 +27,11 @@ _PIXEL_STEP = 0.5  # camera pixels, of the central differences for the noise
 
 @dataclass(frozen=True, order=True)
 class CaptureName:
-    """A capture: what the camera took from one place, or one recording.
+    """A capture: all photographs from one place, or one recording.
 
     Attributes:
         part: index into `PART_NAMES`.
-        target_pose: of the target; -1 where there is none.
+        target_pose: number of the target's pose; -1 without a target.
         capture: its number in the table.
     """
 
@@ -49,7 +49,7 @@ class Observations:
     """A session ready to be compared with predictions.
 
     Attributes:
-        session: what was read; only rows that the nominal bench can predict.
+        session: the readings; only rows that the nominal bench can predict.
         nominal: the bench as its makers believe it to be.
         sigma_px: (n,) standard deviation of each reading per axis, camera pixels.
         panel_from_camera: (n_display, 2, 2) panel pixels per camera pixel at each display reading; none without any.
@@ -79,7 +79,7 @@ class Observations:
 
     @np.errstate(invalid="ignore")
     def residual(self, predicted: Readings) -> FloatArray:
-        """Return measured minus predicted, (n, 2), in units of sigma; NaN where there is no prediction."""
+        """Return measured minus predicted, (n, 2), in units of sigma; NaN without a prediction."""
         measured, parts = self.session.readings, []
         if measured.panel_pixel is not None and predicted.panel_pixel is not None:
             difference = (measured.panel_pixel - predicted.panel_pixel)[:, :, None]
@@ -103,7 +103,7 @@ class Observations:
 
     @cached_property
     def photograph(self) -> IntArray:
-        """Which photograph each reading comes from (n,): a capture in one colour."""
+        """Number (n,) of the photograph of each reading: a capture in one colour."""
         plan, channel = self.session.plan.display, np.zeros(len(self), dtype=np.int64)
         if plan is not None:
             channel[self.part == DISPLAY] = plan.channel
@@ -143,7 +143,7 @@ class Observations:
         if plan is None:
             return np.zeros(0)
         viewpoint, point, _ = dot_geometry(self.nominal, plan)
-        # Not dot by dot: on a tilted target distance would stand for the place on it.
+        # Not dot by dot: on a tilted target the distance would depend on the place on it.
         _, pose, count = np.unique(plan.target_pose, return_inverse=True, return_counts=True)
         return np.asarray((np.bincount(pose, np.linalg.norm(point - viewpoint, axis=1)) / count)[pose])
 

@@ -1,4 +1,4 @@
-"""Captures that moved: each by far more than the bench repeats, and by what no cause explains."""
+"""Captures that moved: each by far more than the bench's repeatability, and not explained by any cause."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,10 +18,10 @@ class MovedCapture:
     """An excluded capture.
 
     Attributes:
-        capture: which.
-        shift_mm: (3,) by how much its camera seems to stand elsewhere, device frame; None where dots are placed by a
-            photograph without the headset, which moves with the camera.
-        turn_deg: (3,) by how much it seems to be turned; likewise.
+        capture: its name.
+        shift_mm: (3,) apparent shift of its camera, device frame; None where dots are located by a photograph without
+            the headset, which moves with the camera.
+        turn_deg: (3,) its apparent rotation; likewise.
         rms_before, rms_after: its rms residual in units of sigma, without and with that move.
         log10_odds: for the move against one of the usual size.
     """

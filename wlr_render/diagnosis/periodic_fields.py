@@ -32,12 +32,12 @@ class _Axis:
     """An axis along which a shift may repeat.
 
     Attributes:
-        name: of the axis.
-        number: of the axis among the components of what an effect of the bench displaces.
+        name: name of the axis.
+        number: index of the axis among the components of a bench effect's displacement.
         place: (m,) of each reading along the axis, in the unit of the period.
         lever: (m, 2) change of each reading by a shift, in sigma per unit of the shift.
-        tried: places along the axis at which the shifts that the readings show, their variances, and smooth functions
-            beside which waves are looked for, are known: (k,), (k,), (k,), (k, f).
+        tried: places along the axis (k,), with the measured shifts (k,), their variances (k,), and smooth functions (k,
+            f) that are fitted together with each wave.
     """
 
     name: str
@@ -49,7 +49,7 @@ class _Axis:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """What repeats: its station, coordinates and effect in a bench, its units, and the periods that are tried."""
+    """A kind of periodic field: its station, coordinates and effect in a bench, its units, and the periods to try."""
 
     station: str
     coordinates: str
@@ -198,7 +198,7 @@ def _likeliest(periods: FloatArray, axis: _Axis) -> float:
 def _gains(
     periods: FloatArray, place: FloatArray, shift: FloatArray, variance: FloatArray, smooth: FloatArray
 ) -> FloatArray:
-    """Return the part of a weighted sum of squares that each period's wave takes off beside smooth functions."""
+    """Return the fall of the weighted sum of squares by each period's wave, fitted with the smooth functions."""
     weight = 1.0 / np.sqrt(variance)
     axes = np.linalg.qr(smooth * weight[:, None])[0]
     left = shift * weight

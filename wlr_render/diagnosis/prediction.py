@@ -23,7 +23,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.optics.device import EyeOptics
 
-_STEP = 2e-3  # of a parameter's prior sigma, for the differences
+_STEP = 2e-3  # finite-difference step, in prior sigmas of a parameter
 _NOTHING = 1e-4  # sigma per prior sigma: solves from different starts differ by 1e-5
 _READ_BY: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("stage", "mount"), (DISPLAY, SEE_THROUGH)),
@@ -73,12 +73,12 @@ class Explanation:
         return nominal
 
     def plus(self, hypothesis: Hypothesis, values: FloatArray | None = None) -> "Explanation":
-        """With one more cause, at its null values unless others are given."""
+        """Return the explanation with one more cause, at its null values unless others are given."""
         added = hypothesis.cause.null() if values is None else values
         return Explanation((*self.hypotheses, hypothesis), (*self.values, added))
 
     def without(self, number: int) -> "Explanation":
-        """Without one of its causes."""
+        """Return the explanation without one of its causes."""
         kept = [i for i in range(len(self.hypotheses)) if i != number]
         return Explanation(tuple(self.hypotheses[i] for i in kept), tuple(self.values[i] for i in kept))
 
@@ -163,21 +163,21 @@ class Predictor:
 
     @classmethod
     def of_session(cls, nominal: Bench, session: Session) -> "Predictor":
-        """Of the readings that the nominal bench can predict.
+        """Return the predictor of all readings that the nominal bench can predict.
 
         Raises:
-            BadInputError: it can predict none.
+            BadInputError: the bench predicts no reading.
         """
         state = _nominal_state(nominal, session.plan)
         observations, predictable = observe_predicted(nominal, session, state.readings)
         return cls(observations, _state_of_rows(state, observations, predictable, all_parts(session.plan)))
 
     def with_sigma(self, sigma_px: FloatArray) -> "Predictor":
-        """Of the same readings with other noise."""
+        """Return the predictor of the same readings with another noise."""
         return Predictor(self.observations.with_sigma(sigma_px), self._nominal)
 
     def of_rows(self, keep: BoolArray) -> "Predictor":
-        """Of the readings that a mask (n,) names."""
+        """Return the predictor of the readings in a mask (n,)."""
         observations = self.observations.of_rows(keep)
         return Predictor(observations, _state_of_rows(self._nominal, observations, keep, self.observations.part))
 
@@ -198,7 +198,7 @@ class Predictor:
     def state(self, explanation: Explanation, near: State | None = None) -> State:
         """Return an explanation's bench and its readings, starting from the nominal or a nearer state.
 
-        All readings are NaN where there is no such bench, as where a displaced panel is seen from nowhere.
+        All readings are NaN if such a bench cannot exist, e.g. if a displaced panel is invisible from everywhere.
         """
         near = near or self._nominal
         try:
@@ -223,7 +223,7 @@ class Predictor:
         return self._differences(explanation, len(explanation.vector()) - len(explanation.values[-1]), state)
 
     def extended(self, old: Linearisation, state: State, explanation: Explanation) -> Linearisation:
-        """Linearisation by all parameters, where those of other causes than the last one act as elsewhere.
+        """Return the linearisation by all parameters; derivatives of all causes but the last come from `old`.
 
         Args:
             old: a linearisation, with or without the last cause.
@@ -251,7 +251,7 @@ class Predictor:
         return Linearisation(explanation, base, residual, jacobian, np.array(free, dtype=np.int64))
 
     def _near(self, explanation: Explanation, base: State) -> Readings:
-        """Return the readings to first order in the change from a state; NaN where there is no such bench."""
+        """Return the readings to first order in the change from a state; NaN if such a bench cannot exist."""
         try:
             bench = explanation.bench(self.observations.nominal)
             found = simulate_to_first_order(bench, self._touched(bench, base), base.views)

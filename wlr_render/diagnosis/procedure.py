@@ -58,7 +58,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.numerics.polynomial import Box
 from wlr_render.numerics.scatter import UNUSUAL_SHIFT, UNUSUAL_TURN
 
-_ALIKE = 4.0  # standard errors beyond which neighbours at a station are alike
+_ALIKE = 4.0  # standard errors beyond which neighbours at a station correlate
 _WILD = 10.0  # sigma, from which a reading says nothing of a correction
 _SAME_NOISE = 0.1  # change of sigma, or of the shared part, below which causes are not selected again
 _FEWEST_READINGS = 30  # fewest readings of a photograph that tell noise from a smooth effect
@@ -162,8 +162,8 @@ class _Prepared:
     """A selection, and the noise by which it was made.
 
     Attributes:
-        noise: what different captures have in common is none of it.
-        fine: the effect that they have in common, if there is one.
+        noise: noise without the effect that different captures have in common.
+        fine: that effect, if there is one.
         fine_variance: mean square per axis of that effect over the readings of its part, in units of the noise.
         search, selection: of causes.
     """
@@ -176,7 +176,7 @@ class _Prepared:
 
 
 def _beside_effects(prepared: _Prepared, progress: Progress) -> tuple[Located, list[CandidateRanking]]:
-    """Locate effects beside the selected causes; and return the candidates for the place of each."""
+    """Locate effects in addition to the selected causes; also return the candidates for the place of each cause."""
     selection = prepared.selection
     found, rankings = _compared(prepared.search, selection.fit, selection.first)
     progress("looking for effects that no cause has")
@@ -194,7 +194,7 @@ def _corrected(
         residual = as_stated.residual_of_bench(bench)
         left = fine_effect(as_stated, residual, settings.least_log10_odds, ROUNDS)
         with_cells = with_fine(bench, left, as_stated, settings.least_log10_odds)
-        # Cells hold what no surface through a photograph follows; what they do else may be worse than nothing.
+        # Cells describe the residual of surfaces through photographs; their other changes may make the fit worse.
         if _size(as_stated.residual_of_bench(with_cells)) < _size(residual):
             bench = with_cells
         fine = None if fine is None else left
@@ -253,10 +253,10 @@ def _selected(
 def _noise_left_by(
     explanation: Explanation, as_stated: Predictor, settings: Settings, spot: Box | None
 ) -> tuple[Noise, FineEffect | None, Box | None]:
-    """Noise by what an explanation leaves of the readings, less what different captures have in common.
+    """Return the noise in an explanation's residual, without the effect that different captures have in common.
 
     Returns:
-        The noise, what the captures have in common, and `spot`, or the one that this shows on the combiner.
+        The noise, the common effect, and `spot`, or without it the spot on the combiner that the common effect shows.
     """
     residual = as_stated.residual(explanation)
     fine = fine_effect(as_stated, residual, settings.least_log10_odds)
@@ -266,7 +266,7 @@ def _noise_left_by(
     noise = noise_of(as_stated.observations, residual)
     if spot is None:
         return noise, fine, None
-    # What lies far from its neighbours in the spot is the effect.
+    # Readings in the spot that lie far from their neighbours show the effect; they are not outliers.
     place = footprints(as_stated)
     is_in_spot = np.all((place > spot.low) & (place < spot.high), axis=1)
     return replace(noise, outlier=noise.outlier & ~is_in_spot), fine, spot
@@ -296,7 +296,7 @@ def _compared(search: Search, found: Fit, first: CandidateRanking) -> tuple[Fit,
 
 
 def _rankings(search: Search, found: Fit, first: CandidateRanking | None = None) -> list[CandidateRanking]:
-    """For each cause, the candidates for its place, the others being as they are; `first` where it is alone."""
+    """Return the candidates for the place of each cause, given the other causes; `first` for a single cause."""
     if len(found.explanation.hypotheses) == 1 and first is not None:
         return [first]
     rests = [found.explanation.without(number) for number in range(len(found.explanation.hypotheses))]
@@ -313,12 +313,12 @@ def _noise_beside(corrected: Bench, as_stated: Predictor, noise: Noise) -> Noise
 
 
 def _with_run_time(noise: Noise, located: Located, observations: Observations) -> Noise:
-    """Return the noise with that of a recording of head motion: what is left where no station explains any of it.
+    """Return the noise with the run-time part measured from its residual, if no station explains any of the residual.
 
-    A photograph shows its noise by itself; a recording only shows that neighbours at no station are alike.
+    A photograph shows its noise alone; a recording only shows that neighbours correlate at no station.
     """
     at_run_time, scatter, contest = observations.part == RUN_TIME, located.scatter, located.contest
-    # The fit takes no noise for smaller than stated: there it says nothing of its size.
+    # The fit never makes noise smaller than stated: at that limit it does not measure the noise.
     is_measured = at_run_time.sum() >= _FEWEST_READINGS and scatter.noise[RUN_TIME] > 1.0
     if not is_measured:
         return noise

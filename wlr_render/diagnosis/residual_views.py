@@ -181,7 +181,7 @@ def _see_through(observations: Observations, used: BoolArray) -> _View:
     ]
     camera = observations.nominal.camera
     place = np.degrees(np.arctan((pixel - camera.centre_px) / camera.focal_px))
-    # One capture for each target pose, near to far, each far from those of the other poses.
+    # One capture for each target pose, near to far, each far from the captures of the other poses.
     poses, first = np.unique(plan.target_pose[used], return_index=True)
     of_pose = [
         np.flatnonzero(used & (plan.target_pose == pose)) for pose in _some(poses[np.argsort(distance[used][first])])

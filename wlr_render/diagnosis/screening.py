@@ -16,9 +16,9 @@ from wlr_render.numerics.scatter import Scatter, ScatterSums, cost
 from wlr_render.numerics.scatter_search import best_scatter, one_by_one
 
 HOPELESS = -2.0
-"""Gain with the sizes of what is random as they are, below which other sizes do not help."""
+"""Gain with unchanged sizes of noise and motions below which other sizes do not help."""
 _TIMES = 6  # tried at once
-_CLOSELY = 12  # hypotheses of largest gain that find their own sizes of what is random
+_CLOSELY = 12  # hypotheses of largest gain for which sizes of noise and motions are searched
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +26,13 @@ class ScreenedHypothesis:
     """The gain of a hypothesis to first order.
 
     Attributes:
-        hypothesis: which.
-        start: its values from which a fit should set out.
-        gain: by how much -2 log evidence would fall.
-        parameters: how many numbers that takes.
-        scatter: sizes of what is random with it.
-        sums: over the columns of the fit and then its own.
-        columns: its own among the columns of the signatures; None where it has none there.
+        hypothesis: the cause and its variant.
+        start: values from which a fit should start.
+        gain: fall of -2 log evidence.
+        parameters: number of free parameters.
+        scatter: sizes of noise and motions with it.
+        sums: sums over the columns of the fit and then of the hypothesis.
+        columns: its columns among the columns of the signatures; None if they are not there.
     """
 
     hypothesis: Hypothesis
@@ -51,13 +51,13 @@ def hypotheses(causes: Mapping[str, Cause]) -> list[Hypothesis]:
 
 @dataclass(frozen=True, eq=False)
 class Signatures:
-    """What hypotheses do to readings, to first order about the nominal bench, from each of their starts.
+    """Effects of hypotheses on readings, to first order about the nominal bench, from each of their starts.
 
-    Screening is to first order; there an effect looks the same beside others.
+    To first order the effect of a hypothesis does not depend on the other causes.
 
     Attributes:
         readings: the readings.
-        fixed: sums over all columns: those of the hypotheses, then those of fields.
+        fixed: sums over all columns: of the hypotheses, then of the fields.
         of_hypothesis: starts of each hypothesis, with the columns of its free parameters there.
     """
 
@@ -99,13 +99,13 @@ class Signatures:
 def screen(
     signatures: Signatures, current: Fit, hypotheses: Sequence[Hypothesis], sums: ScatterSums | None = None
 ) -> list[ScreenedHypothesis]:
-    """Return the gain of each hypothesis over a fit, from its best start; largest first, without those that do nothing.
+    """Return the gain of each effective hypothesis over a fit, from its best start; largest first.
 
     Args:
         signatures: of the hypotheses, on the readings of the fit.
         current: the fit.
         hypotheses: to be screened.
-        sums: over the signatures' columns and then those of the fit, if they are known.
+        sums: sums over the signatures' columns and then the fit's, if they are known.
     """
     if sums is None:
         sums = signatures.readings.sums_at(current.at, signatures.fixed)
@@ -120,7 +120,7 @@ def screen(
 
 @dataclass(frozen=True, eq=False)
 class _Screening:
-    """What is the same for all hypotheses that are screened on top of a fit."""
+    """Shared state of the screening of hypotheses in addition to a fit."""
 
     signatures: Signatures
     current: Fit
@@ -144,7 +144,7 @@ class _Screening:
         return best
 
     def with_own_scatter(self, screened: ScreenedHypothesis) -> ScreenedHypothesis:
-        """With the sizes of what is random that are best for the hypothesis."""
+        """Return the hypothesis with the best sizes of noise and motions for it."""
         hypothesis, moved = screened.hypothesis, self.current.scatter.moved
         is_timed = any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters)
         if screened.gain < HOPELESS and not (is_timed and moved.any()):
@@ -167,7 +167,7 @@ class _Screening:
         return self._gain(hypothesis, start, free, sums, columns)
 
     def _simulated(self, hypothesis: Hypothesis, start: FloatArray) -> ScreenedHypothesis:
-        """From a start that has no signature yet."""
+        """Return the gain from a start that has no signature yet."""
         readings = self.signatures.readings
         nothing = Explanation()
         at = readings.predictor.added(readings.predictor.state(nothing), nothing.plus(hypothesis, start))
@@ -186,7 +186,7 @@ class _Screening:
         place = len(self.current.explanation.vector()) + free
         mean = -explanation.off_prior[np.concatenate([self.current.at.free, place])]
         sums = sums.of_columns(np.arange(len(mean)), mean)
-        # What a cause does to a few captures, those that seem to have moved do, too; then they hide its moment.
+        # Captures that seem to have moved can imitate a cause that acts on a few captures, and hide its moment.
         is_timed = any(parameter.role is Role.TIME for parameter in hypothesis.cause.parameters)
         at_rest, scatter = self.current.scatter.at_rest(), self.current.scatter
         scatters = [at_rest] if is_timed or not scatter.moved.any() else [scatter, at_rest]

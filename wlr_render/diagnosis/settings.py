@@ -11,12 +11,12 @@ class Settings:
     """Thresholds and limits of a diagnosis.
 
     Attributes:
-        material_excess: share by which the variance of a residual without structure must exceed that of the noise to be
-            an effect: how noise is shared by neighbours is not known better.
+        material_excess: relative excess of the variance of a residual without structure over the noise from which it is
+            an effect; the noise that neighbours share is not known better.
         subsample: readings on which candidates are compared first; all readings are used for the few that remain.
-        max_causes: causes that are searched for; more than five are not told apart by one session.
-        least_log10_odds: for a cause, or for an effect at a station, below which it is not said to be there, and for a
-            cause's name against the fields of its own station: 2 is a chance of one in a hundred for each.
+        max_causes: causes that are searched for; one session does not distinguish more than five.
+        least_log10_odds: least odds for a cause, or for an effect at a station, and for a cause's name against the
+            fields of its station: 2 is a chance of one in a hundred for each.
         min_share_explained: share of what exceeds the noise of a part that a cause must explain, unless the rest is
             noise.
         min_share_located: share of the excess of captures left out that a located effect must remove, or something is
@@ -28,7 +28,7 @@ class Settings:
             readings, which are only more decided.
         restarts: runners-up of the first place from which the selection is tried again: of two causes at work, the
             one that alone explains most may be neither.
-        max_prior_sigmas: values beyond so many prior sigmas want another explanation.
+        max_prior_sigmas: largest believable value, in prior sigmas; larger values need another explanation.
         max_moved_captures: share of a part's captures beyond which those that moved cannot be told from the others.
         degenerate_share: share of a cause's gain that another one reaches to first order, from which the two are called
             degenerate.

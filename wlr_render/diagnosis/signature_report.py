@@ -1,4 +1,4 @@
-"""Signature of a cause: what it would do to the readings of a session, before anything is fitted."""
+"""Signature of a cause: its change of the readings of a session, before anything is fitted."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _CAPTION = (
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """What one parameter of a cause does to the readings, to first order.
+    """Change of the readings by one parameter of a cause, to first order.
 
     Attributes:
         variant: way in which the cause acts.
@@ -48,7 +48,7 @@ class Signature:
 
 
 def signature_report(nominal: Bench, session: Session, cause: Cause, inputs: Sequence[Path] = ()) -> Report:
-    """Return tables and maps of what a cause would do to the readings of a session.
+    """Return tables and maps of the change of a session's readings by a cause.
 
     Args:
         nominal: the bench as described.

@@ -1,9 +1,9 @@
-"""Fields at the stations of a bench: what a displacement of any smooth shape there does to every reading.
+"""Fields at the stations of a bench: changes of every reading by a displacement of any smooth shape there.
 
 Physics acts at a station: the panel, a surface of the combiner, the camera's sensor, the target, the stage, or at a
 time. A displacement there moves a reading by the reading's derivative, which the simulator gives, times the
 displacement at the reading's coordinates of the station. A field is that displacement as a sum of smooth functions of
-the coordinates with unknown coefficients; every function is one column. Fields at different stations tell where an
+the coordinates with unknown coefficients; every function is one column. Fields at different stations show where an
 effect acts, whatever its shape.
 """
 
@@ -28,9 +28,9 @@ from wlr_render.geometry.transforms import rotations_of_vectors
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, total_degree
 
-_LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # of functions of the row or of the column
-_FEWEST_TIMES = 4  # of which a drift is told
-_STEP_M = 1e-5  # of a dot on the target, for the differences
+_LINE_DEGREES = (1, 2, 5, 10, 16, 24)  # degrees of functions of the row or of the column
+_FEWEST_TIMES = 4  # fewest times that show a drift
+_STEP_M = 1e-5  # finite-difference step of a dot on the target
 
 
 def station_fields(
@@ -107,8 +107,8 @@ def _with_viewpoint(degree: int, axis: int | None = None) -> IntArray:
 def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     """Shifts of the camera's image, the same in both parts.
 
-    A point imaged at c is read at c + g(c). The panel is read at given pixels, so that what is read there belongs to
-    c - g(c); a dot on the ray of its bare pixel moves with g there, too.
+    A point imaged at c is read at c + g(c). The panel is read at given pixels, so that a reading there belongs to c -
+    g(c); a dot on the ray of its bare pixel moves with g there, too.
     """
     observations = readings.observations
     place, dots = np.nan_to_num(observations.image_place), _predicted(readings).dot_pixel
@@ -118,7 +118,7 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     terms = smooth_terms("camera pixels", place, 1, 2, 4, 6, 8)
     plan = observations.session.plan.see_through
     if plan is not None and plan.bare_pixel is not None:
-        # A dot on the ray of its bare pixel was seen there by the same camera: what moves both images moves no reading.
+        # A dot on the ray of its bare pixel was seen there by the same camera: a shift of both images moves no reading.
         still = still & (observations.part != SEE_THROUGH)
     sign = np.where(observations.part == DISPLAY, -1.0, 1.0) * still / observations.sigma_px
     lever = sign[:, None, None] * np.eye(2)
@@ -126,7 +126,7 @@ def _camera_fields(readings: WeighedReadings) -> Iterator[StationField]:
     time = observations.of_captures("time_s", 1)
     if len(np.unique(time[still])) < _FEWEST_TIMES:
         return
-    # An image that shifts as a whole in the course of time turns, as far as a session shows.
+    # A shift of the whole image over time cannot be distinguished from a turn of the camera.
     orders = np.array([[*pixel, by] for pixel in total_degree(2, 4) if pixel.sum() > 0 for by in (0, 1)])
     slides = smooth_terms(
         "camera pixels and time", np.concatenate([place, time], axis=1)[still], 2, 3, 5, orders=orders

@@ -46,7 +46,7 @@ RESIDUALS = {
 """Name of the residual of each part, the attribute of `ResidualSummary`, and the unit to append to a number."""
 
 _MUCH_NOISE = 1.5  # ratio of measured to stated noise from which "to its noise" would mislead
-_DECIDED = 2.0  # log10 odds against another station from which the session tells them apart
+_DECIDED = 2.0  # log10 odds against another station from which the session decides between them
 _CLEAR = 3.0  # standard errors from which the verdict counts a value
 _UNSURE = 0.5  # relative error of a size from which only its upper limit is stated
 _ABOUT_HALF = 0.05  # difference of a share from one half that is not worth a number
@@ -289,7 +289,7 @@ def _corrected_values(diagnosis: Diagnosis) -> list[str]:
 
 
 def _about_effect(effect: StationEffect) -> list[str]:
-    """Return the sources to look for, the gain by a correction, and the measurement that tells two stations apart."""
+    """Return the sources to look for, the gain by a correction, and the measurement that distinguishes two stations."""
     where, gain = STATIONS[effect.station][0], effect.held_out_improvement.percent
     worth = "A correction by the other captures does not improve captures left out."
     if gain > 0.0:
@@ -344,7 +344,7 @@ def _changed_after_step(diagnosis: Diagnosis, free: int, step: float) -> dict[st
 
 
 def _typed(value: Any, sigma: Any) -> str:
-    """Return a number, or lists of numbers, to two digits of the standard error; to seven where there is none."""
+    """Return a number, or lists of numbers, to two digits of the standard error; to seven digits without one."""
     if np.ndim(value):
         return f"[{', '.join(_typed(*each) for each in zip(value, sigma, strict=True))}]"
     if not 0 < sigma < float("inf"):

@@ -22,14 +22,14 @@ class WeighedReadings:
     """Readings with the errors that a bench gives them.
 
     Attributes:
-        predictor: of the readings, none of which is an outlier; their sigma is that of their noise.
+        predictor: predictor of the readings, without outliers; their sigma is the noise.
         noise: of the session.
         shared: whitening of the noise that neighbours share.
         camera_motions: (n, 2, 6) change of the readings, in sigma, by a shift (micrometres) and a turn (microradians)
             of the camera in the reading's capture; zero at run time.
         motions: (n, 2, 6) the same of the white readings.
         effects: (n, 2, k) change of the readings, in sigma, by each function of the effects that are located, and
-        effect_sizes: (k,) sizes of their coefficients: one more thing that is random, common to all readings.
+        effect_sizes: (k,) standard deviations of their coefficients: random, and common to all readings.
     """
 
     predictor: Predictor
@@ -42,7 +42,7 @@ class WeighedReadings:
 
     @classmethod
     def of(cls, predictor: Predictor, noise: Noise) -> "WeighedReadings":
-        """Of a predictor whose sigma is that of the noise."""
+        """Return the readings of a predictor whose sigma is the noise."""
         observations = predictor.observations
         shared = shared_noise_whitening(observations, noise)
         motions = camera_motions(predictor)
@@ -51,7 +51,7 @@ class WeighedReadings:
 
     @property
     def observations(self) -> Observations:
-        """What was read."""
+        """The readings."""
         return self.predictor.observations
 
     def of_rows(self, keep: BoolArray) -> "WeighedReadings":
@@ -59,7 +59,7 @@ class WeighedReadings:
         return self if keep.all() else WeighedReadings.of(self.predictor.of_rows(keep), self.noise)
 
     def whitening(self, scatter: Scatter) -> Whitening:
-        """Return the map that makes errors independent and of unit size, given the sizes of what is random."""
+        """Return the map that makes errors independent and of unit size, given the sizes of noise and motions."""
         group, part = self.observations.group, self.observations.part
         names, rows = rows_by_label(group)
         sizes = scatter.sizes(self.observations.part_of_capture)[names]
@@ -70,11 +70,11 @@ class WeighedReadings:
         return white.then([np.arange(len(part))], [white(self.effects) * self.effect_sizes])
 
     def excess(self, scatter: Scatter, part: int, captures: BoolArray) -> float:
-        """Variance of a part's white readings above that of noise, by motions and by what is left as noise.
+        """Return the excess variance of a part's white readings over the noise, from motions and remaining noise.
 
         Args:
-            scatter: sizes of what is random.
-            part: of the session.
+            scatter: sizes of noise and motions.
+            part: index of the part.
             captures: (captures,) whose motions count.
         """
         group = self.observations.group
@@ -91,7 +91,7 @@ class WeighedReadings:
     def sums(
         self, residual: FloatArray, columns: FloatArray, mean: FloatArray | float = 0.0, sigma: FloatArray | float = 1.0
     ) -> ScatterSums:
-        """Of a residual (n, 2) and columns (n, 2, m) in units of sigma, with the priors of their coefficients."""
+        """Return the sums of a residual (n, 2) and columns (n, 2, m) in sigma, with priors of the coefficients."""
         sums, last = self._sums(residual, columns, mean, sigma), len(self.effect_sizes)
         if not last:
             return sums
@@ -103,7 +103,7 @@ class WeighedReadings:
         return self.fixed(self.effects, self.effect_sizes)
 
     def fixed(self, columns: FloatArray, sigma: FloatArray | float = 1.0) -> ScatterSums:
-        """Return the sums over columns (n, 2, m) alone, to which those of a residual and others are joined."""
+        """Return the sums over columns (n, 2, m) alone, to which sums of a residual and other columns are joined."""
         return self._sums(np.zeros(columns.shape[:2]), columns, 0.0, sigma)
 
     def _sums(

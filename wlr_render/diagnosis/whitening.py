@@ -1,8 +1,8 @@
-"""Readings whose errors go together, turned into ones whose errors do not.
+"""Whitening: transforms readings with correlated errors to readings with independent errors.
 
-Errors of a group of readings have the covariance 1 + U U': white noise of unit size, and what a few random numbers of
-unit size do to the whole group (a motion of the camera, noise that neighbours share). With U = Q S R' the readings are
-multiplied by 1 - Q (1 - 1 / sqrt(1 + S^2)) Q', the inverse root of that covariance.
+Errors of a group of readings have the covariance 1 + U U': white noise of unit size, and the effect of a few random
+numbers of unit size on the whole group (a motion of the camera, noise that neighbours share). With U = Q S R' the
+readings are multiplied by 1 - Q (1 - 1 / sqrt(1 + S^2)) Q', the inverse root of that covariance.
 """
 
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ from wlr_render.diagnosis.observations import Observations
 from wlr_render.diagnosis.residual_surfaces import image_basis, photographs
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
-_NEGLIGIBLE = 1e-4  # variance over that of white noise
+_NEGLIGIBLE = 1e-4  # variance relative to white noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +24,9 @@ class _Group:
 
     Attributes:
         rows: (m,) of the readings.
-        axes: (m, q) of errors that are alike and independent in both axes of the image, or (2 m, q) of joint ones.
-        taken: (q,) share of each axis to be taken off.
+        axes: (m, q) directions of errors that are equal but independent in both image axes, or (2 m, q) of joint
+            errors.
+        taken: (q,) share of each axis to subtract.
     """
 
     rows: IntArray
@@ -56,7 +57,7 @@ class Whitening:
         return white
 
     def then(self, rows: Iterable[IntArray], effects: Iterable[FloatArray]) -> "Whitening":
-        """With groups of readings that have further common errors.
+        """Return the whitening with groups of readings that have further common errors.
 
         Args:
             rows: (m,) of each group.
@@ -76,9 +77,9 @@ def _group(rows: IntArray, effects: FloatArray) -> _Group | None:
 
 
 def shared_noise_whitening(observations: Observations, noise: Noise) -> Whitening:
-    """Of the noise that neighbouring readings of a photograph share: its part that varies slowly over the image.
+    """Return the whitening of the noise that neighbouring readings share: its part that varies slowly over the image.
 
-    What varies faster than the polynomials of a smooth surface counts as white.
+    Noise that varies faster than the polynomials of a smooth surface counts as white.
     """
     scale, groups = np.ones(len(observations)), []
     share = {part: noise.floor(part).shared for part in np.unique(observations.part)}

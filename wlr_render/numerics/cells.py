@@ -40,7 +40,7 @@ class Cells:
 
     @property
     def are_distinct(self) -> bool:
-        """Whether no two middles lie in one cell."""
+        """True if no two middles lie in one cell."""
         return len(cells_of(self.middles, self.size)[0]) == len(self.middles)
 
 

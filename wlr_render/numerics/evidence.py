@@ -9,7 +9,7 @@ sizes are linear in a few hyperparameters h: log size = features @ h, and the no
 hyperparameters maximise the evidence, the probability of the readings with all unknowns integrated out, by Newton's
 method from several starts within bounds.
 
-Readings enter by their weighted sums alone: memory is that of the unknowns, however many readings there are.
+Only weighted sums of the readings are kept: memory grows with the unknowns, not with the readings.
 
 Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415-447; Rasmussen and Williams, "Gaussian
 Processes for Machine Learning" (2006), chapter 5; Bishop, "Pattern Recognition and Machine Learning" (2006), 3.5.
@@ -30,7 +30,7 @@ _ROUNDED_AWAY = 1e-3  # share of the expected sum of squares that exact readings
 _ROUGHLY, _ENOUGH = 0.05, 0.002  # gain in log evidence (nats) below which a search, and the last one, ends
 _LONGEST = 2.0  # step of a search along each principal axis of the evidence
 _FLAT = 1e-3  # curvature below which the evidence says nothing of how far to go
-_STEPS, _TRIALS = 60, 10  # of a search, and of each step, which grows shorter
+_STEPS, _TRIALS = 60, 10  # most steps of a search, and most trials of each step, with shrinking length
 
 Weights = FloatArray | Sequence[FloatArray]
 """(n,) one over the relative sigma of each reading, where zero leaves it out; or, for blocks of readings in turn, lower

@@ -1,10 +1,10 @@
-"""How captures scatter: each has a small random motion of its camera, whose size is found from the readings.
+"""Scatter of captures: each has a small random motion of its camera, whose size is found from the readings.
 
     y = J c + E_g b_g + e,   c ~ N(mean, 1),   b_g ~ N(0, D^2),   e ~ N(0, noise^2)
 
 y are white residuals of all captures, c the causes' values in prior sigmas, b_g the motion of the camera of capture g.
-The sizes of motions and noise in each part of the session maximise the evidence, weighed with what is usual. A capture
-that moved by far more than the others has a wide prior of its own, and pays for it.
+The sizes of motions and noise in each part of the session maximise the evidence times a prior for usual sizes. A
+capture that moved by far more than the others gets a separate wide prior, at a cost in evidence.
 
 Sources: MacKay, "Bayesian interpolation", Neural Computation 4 (1992), 415; Pinheiro and Bates, "Mixed-Effects Models
 in S and S-PLUS" (2000), chapter 2.
@@ -36,7 +36,7 @@ PARTS = 3
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Sizes of what is random.
+    """Sizes of noise and of the captures' motions.
 
     Attributes:
         noise: (3,) noise of each part over what was found within its photographs.
@@ -60,16 +60,16 @@ class Scatter:
         return np.asarray(np.log(np.concatenate([self.noise, self.shift_um, self.turn_urad])))
 
     def at(self, vector: FloatArray) -> "Scatter":
-        """With other sizes."""
+        """Return the scatter with other sizes."""
         noise, shift, turn = np.exp(vector).reshape(3, PARTS)
         return replace(self, noise=noise, shift_um=shift, turn_urad=turn)
 
     def at_rest(self) -> "Scatter":
-        """With no capture that moved."""
+        """Return the scatter without captures that moved."""
         return replace(self, moved=np.zeros_like(self.moved))
 
     def is_ordinary(self, part: int, material_excess: float) -> bool:
-        """Whether a part shows no more than noise and what stages repeat to."""
+        """Return whether a part shows no more than noise and the usual repeatability of stages."""
         usual = self.shift_um[part] <= UNUSUAL_SHIFT and self.turn_urad[part] <= UNUSUAL_TURN
         return bool(usual and self.noise[part] ** 2 <= 1.0 + material_excess)
 
@@ -160,7 +160,7 @@ class ScatterSums:
         return replace(self, ex=ex, xx=xx, xy=xy, columns=columns, mean=mean, sigma=sigma)
 
     def joined(self, more: "ScatterSums") -> "ScatterSums":
-        """Return the sums for these columns and then those of other sums, over the same readings, whose y counts."""
+        """Return the sums for these columns followed by the columns and y of `more`, over the same readings."""
         m, q = len(self.mean), len(more.mean)
         xx, xy = np.zeros((PARTS, m + q, m + q)), np.zeros((PARTS, m + q))
         xx[:, :m, :m], xx[:, m:, m:], xy[:, m:] = self.xx, more.xx, more.xy
@@ -217,7 +217,7 @@ class Marginal:
         return Marginal(value, information, gradient, self.mean[columns], sigma)
 
     def folded(self, known: Known, columns: IntArray) -> "Marginal":
-        """Return what the readings say of some columns where known ones are integrated out."""
+        """Return the marginal likelihood of some columns with the known columns integrated out."""
         beside, some = (
             self.of_columns(known),
             self.of_columns(known._replace(columns=columns, sigma=self.sigma[columns])),
@@ -308,7 +308,7 @@ def tridiagonal(information: FloatArray, gradient: FloatArray) -> tuple[FloatArr
 
 
 def costs_of_sizes(tridiagonals: Sequence[tuple[FloatArray, FloatArray]], sizes: FloatArray) -> FloatArray:
-    """Return by how much -2 log evidence changes, (t, s), if coefficients of a common size are integrated out.
+    """Return the changes (t, s) of -2 log evidence if coefficients of a common size are integrated out.
 
     Args:
         tridiagonals: t results of `tridiagonal`, of one shape.
@@ -319,7 +319,7 @@ def costs_of_sizes(tridiagonals: Sequence[tuple[FloatArray, FloatArray]], sizes:
     scaled, coupled = 1.0 + square * diagonal, (square * beside) ** 2
     pivot, determinant = scaled[:, -1], np.zeros((len(tridiagonals), len(sizes)))
     for row in range(diagonal.shape[1] - 2, 0, -1):
-        # Pivots from the last row up are at least one, but for rounding.
+        # Pivots from the last row up are at least one, except for rounding.
         pivot = pivot.clip(1.0)
         determinant += np.log(pivot)
         pivot = scaled[:, row] - coupled[:, row] / pivot
@@ -360,7 +360,7 @@ def cost_and_slopes(sums: ScatterSums, scatter: Scatter) -> tuple[float, FloatAr
     spread = response @ covariance
     explained = np.sum(spread * response, axis=2)
     by_axis = 2.0 * (1.0 - np.diagonal(inverse, axis1=1, axis2=2) - (explained + rest**2) / variance[:, None])
-    # A capture that moved has a wide prior beside the usual one, which does not change.
+    # A capture that moved has a wide prior in addition to the usual one, which does not change.
     by_axis = by_axis * (scatter.at_rest().sizes(sums.part_of) / sizes) ** 2 * sums.used[:, None]
     # Squares of what motions leave, and the directions that motions and columns take up, of each capture.
     motion, turned = sizes * rest, sizes[:, :, None] * response

@@ -18,11 +18,11 @@ from wlr_render.numerics.scatter import (
     without_motions,
 )
 
-_RAISED = 3.0  # times the usual size up to which motions are those of a capture that did not move
+_RAISED = 3.0  # largest motion of a capture that did not move, in usual sizes
 _STANDS_OUT = -10.0  # twice the log likelihood of a wide motion from which a capture may have moved
 _LOWEST, _HIGHEST = np.log(0.1), np.log(3000.0)
 _NOISIEST = np.log(100.0)
-_ENOUGH = 0.02  # of -2 log evidence: a step that gains less ends the search
+_ENOUGH = 0.02  # fall of -2 log evidence by a step that ends the search
 FEWEST_TO_STAND_OUT = 4
 """Captures of a part among which one may stand out."""
 
@@ -61,8 +61,8 @@ def best_scatter(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
 def with_moved_captures(sums: ScatterSums, start: Scatter) -> tuple[Scatter, float]:
     """Return the sizes of highest evidence, and -2 log of it, where some captures may have moved far more than others.
 
-    Captures of a part are taken in the order of what a motion of their own would gain, up to half of them; the number
-    of highest evidence is kept, and each is tried once more by itself.
+    Captures of a part are added in the order of the gain by a wide motion, up to half of them; the number of highest
+    evidence is kept, and each capture is tried once more alone.
     """
     best, least = best_scatter(sums, start.at_rest())
     if start.moved.any():
@@ -103,7 +103,7 @@ def _prefix(sums: ScatterSums, best: Scatter, least: float, order: IntArray) -> 
 
 
 def one_by_one(sums: ScatterSums, best: Scatter, least: float, captures: IntArray) -> tuple[Scatter, float]:
-    """Take each of some captures out of, or into, those that moved, if that has the higher evidence."""
+    """Add each of some captures to the ones that moved, or remove it, if that has the higher evidence."""
     for number in captures:
         moved = best.moved.copy()
         moved[number] = not moved[number]
@@ -126,14 +126,14 @@ def scatter_errors(sums: ScatterSums, scatter: Scatter) -> FloatArray:
 
 
 def one_at_rest(scatter: Scatter, number: int) -> Scatter:
-    """With one capture among those that did not move."""
+    """Return the scatter with one capture marked as not moved."""
     moved = scatter.moved.copy()
     moved[number] = False
     return replace(scatter, moved=moved)
 
 
 def _own_gain(sums: ScatterSums, scatter: Scatter) -> FloatArray:
-    """Twice the log likelihood that a wide motion of its own gains each capture (g,)."""
+    """Return twice the gain in log likelihood by a wide motion of each capture (g,)."""
     pull = _pull(sums, scatter)
     noise = scatter.noise[sums.part_of][:, None]
     # Several captures that moved raise the size that is found for all, behind which they would hide.

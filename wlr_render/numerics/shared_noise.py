@@ -1,4 +1,4 @@
-"""Noise that neighbouring readings of a photograph share: a stationary random field of short length beside white noise.
+"""Noise that neighbouring readings of a photograph share: a stationary random field of short length, plus white noise.
 
     cov(e_i, e_j) = sigma_i sigma_j ((1 - share) [i = j] + share (1 + d) exp(-d)),    d = sqrt(3) |x_i - x_j| / length
 
@@ -7,7 +7,7 @@ of the camera and like optics, because the mean of many readings that share nois
 
 The field is of the Matern class of order 3/2, or Gaussian where it is smooth (Rasmussen and Williams, "Gaussian
 Processes for Machine Learning", 2006, chapter 4); share and length maximise the restricted likelihood (Patterson and
-Thompson, Biometrika 58, 1971, 545-554) of what a polynomial leaves of each photograph.
+Thompson, Biometrika 58, 1971, 545-554) of the residuals of a polynomial in each photograph.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,12 +22,12 @@ from scipy.spatial.distance import cdist
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, basis, term_count, total_degree
 
-_LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the field, in distances between neighbours
+_LENGTHS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # lengths of the field, in distances between neighbours
 _USUAL_LENGTH = 3  # index among them, from which the search goes to its neighbours
 _SHARES = np.linspace(0.0, 0.96, 49)
-_READINGS, _GROUPS = 120, 16  # that take part, of a group and in all: a share is sure to 0.03 then
-_MOST_BYTES = 2e8  # of the roots that are kept, if all are of the size of the last one
-_TOP_ORDER, _PER_TERM = 2, 5  # of the polynomial that stands for motions of the camera
+_READINGS, _GROUPS = 120, 16  # most readings per group and most groups used; the share's error is then 0.03
+_MOST_BYTES = 2e8  # most memory of the cached roots, if all have the size of the last one
+_TOP_ORDER, _PER_TERM = 2, 5  # highest order of the polynomial for motions of the camera, and least readings per term
 _ODDS = 100.0  # against white noise from which noise is taken for shared
 
 
@@ -83,7 +83,7 @@ class SharedNoise:
 
 
 _roots: dict[tuple[SharedNoise, bytes, bytes], FloatArray] = {}
-"""Roots in the order of their last use: captures often see the same places, and a fit asks for them again and again."""
+"""Roots in the order of their last use: captures often see the same places, and a fit needs them repeatedly."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def find_shared_noise(
 
     @cache
     def minus_two(row: int) -> FloatArray:
-        """Of the restricted likelihood of a length, (shares,), at the size of the noise that fits each share best."""
+        """Return -2 log restricted likelihood of a length, (shares,), at the best noise size for each share."""
         field = SharedNoise(1.0, _LENGTHS[row] * spacing)
         logs, squares, count = np.zeros(len(_SHARES)), np.zeros(len(_SHARES)), 0
         for patch in patches:

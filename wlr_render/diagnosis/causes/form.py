@@ -48,7 +48,7 @@ def _form_coefficients(values_um: FloatArray) -> FloatArray:
 
 
 def _of_form(optics: EyeOptics, values: FloatArray, *, of_mirrors_only: bool = False) -> EyeOptics:
-    """Add form errors (5,) in micrometres to all surfaces of the combiner, or to those that reflect the display."""
+    """Add form errors (5,) in micrometres to all surfaces of the combiner, or only to its mirrors for the display."""
     if not values.any():
         return optics
     names = SURFACES["reflecting surfaces" if of_mirrors_only else "all surfaces"](optics)

@@ -26,8 +26,8 @@ from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough
 
 ENTRY_POINTS = "wlr_render.causes"
 """Group of entry points by which an installed package adds causes: each names a `CAUSES`, an iterable of `Cause`."""
-_PLACES = 50  # of a station at which the effects of two benches are compared
-_MOST_MISS = 0.05  # of the largest value of a function, by which a file may state it wrongly
+_PLACES = 50  # places at a station at which the effects of two benches are compared
+_MOST_MISS = 0.05  # largest error of a function in a file, relative to its largest value
 
 
 def causes_for(
@@ -82,7 +82,7 @@ def _loaded(source: str) -> Any:
         raise
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # a module may raise SystemExit or an exception of its own kind
+    except BaseException as error:  # a module may raise SystemExit or any exception that it defines
         raise _failed(source, error) from error
     if not hasattr(module, "CAUSES"):
         raise BadInputError(f"{source}: defines no CAUSES; add CAUSES = (Cause(...),) as docs/diagnosis.md shows.")
@@ -141,7 +141,7 @@ def _failure(variant: str, error: Exception) -> str:
 
 
 def _fault(cause: Cause, bench: Bench) -> str:
-    """Return the fault of a cause as words after its name; empty if there is none."""
+    """Return the fault of a cause as words after its name; empty for a valid cause."""
     if cause.part not in PARTS:
         return f"has the part {cause.part!r}; choose from {', '.join(PARTS)}"
     if not cause.variants:
