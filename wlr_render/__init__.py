@@ -16,7 +16,7 @@ from wlr_render.lazy_names import lazy_names
 __version__ = "0.2.0"
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # in the order of the API reference
+if TYPE_CHECKING:  # imports in the order of the API reference
     # isort: off
     from wlr_render.jobs.headset import open_eye as open_eye
     from wlr_render.mappings import Eye as Eye, Status as Status

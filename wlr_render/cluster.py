@@ -75,7 +75,7 @@ def as_finished_by_cluster(
     are dropped, and running tasks continue to their end.
 
     Raises:
-        BadInputError: no scheduler answers at the address, there are no workers, a worker has other versions or does
+        BadInputError: no scheduler answers at the address, it has no workers, a worker has other versions or does
             not see the folder, or a task ended several workers.
         MissingExtraError: Dask is not installed.
     """

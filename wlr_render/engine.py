@@ -8,7 +8,7 @@ docs/realtime.md is the guide.
 from wlr_render.lazy_names import lazy_names
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # in the order of the API reference
+if TYPE_CHECKING:  # imports in the order of the API reference
     # isort: off
     from wlr_render.compositing.composed_frame import ComposedFrame as ComposedFrame
     from wlr_render.compositing.eye_camera import EyeCamera as EyeCamera

@@ -6,7 +6,7 @@ Files are written whole or not at all. docs/files.md has the formats.
 from wlr_render.lazy_names import lazy_names
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # in the order of the API reference
+if TYPE_CHECKING:  # imports in the order of the API reference
     # isort: off
     from wlr_render.rendering.image_files import read_map as read_map, read_png as read_png, write_map as write_map
     from wlr_render.rendering.image_files import write_png as write_png, write_video as write_video

@@ -58,7 +58,7 @@ class FinishedFiles:
         ]
 
     def remark(self, path: Path) -> str:
-        """Return the remark on a file, by this run or an earlier one; "" if there is none."""
+        """Return the remark on a file, by this run or an earlier one; "" without one."""
         return self._remarks.get(self._name(path), "")
 
     def add(self, paths: Sequence[Path], remark: str = "") -> None:

@@ -280,7 +280,7 @@ FAULTS = {
     "effect's covariance, variance": (
         "[target]",
         with_covariance("[[1, 2], [2, 1]]"),
-        "'covariance' has the eigenvalue -1, so that it is no covariance",
+        "'covariance' has the eigenvalue -1, so that it is not a covariance",
     ),
     "no stage": ("[stage]\norigin = [32, 1, 33]", "", "key 'stage' is missing"),
 }

@@ -19,29 +19,29 @@ from wlr_render.numerics.waves import LocalWaves, Wave
 from wlr_render.optics.combiner_form import SURFACES, SmoothSag, surfaces_raised
 from wlr_render.optics.device import EyeOptics
 
-_ROUNDS = 6  # of the fixed-point iterations: effects change little from one coordinate to the next
+_ROUNDS = 6  # fixed-point iterations; effects change little from one coordinate to the next
 
 _UM, _URAD, _MM = 1e-6, 1e-6, 1e-3
 _POSE = (_UM, _UM, _UM, _URAD, _URAD, _URAD)
 _ON_COMBINER = "place right of and above the line of sight straight ahead, mm"
 _PX, _AS_IS, _MRAD = (1.0, 1.0), (1.0, 1.0, 1.0), (1e-3, 1e-3, 1e-3)
-_STEP = 1e-4  # of scaled coordinates, for the slopes of a function
-_DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10, 4: 6, 5: 5}  # of the polynomial for a function of 1 to 5 coordinates
-_NODES = 20  # places at which it is seen on which coordinates a function depends
+_STEP = 1e-4  # step in scaled coordinates for the slopes of a function
+_DEGREES = {1: HIGHEST_ORDER, 2: 24, 3: 10, 4: 6, 5: 5}  # degree of the polynomial for a function of 1 to 5 coordinates
+_NODES = 20  # places at which to find the coordinates on which a function depends
 DISPLAY, SEE_THROUGH = PARTS = ("display", "see-through")
 """Parts of a session that an effect may be limited to."""
 
 
 @dataclass(frozen=True)
 class EffectKind:
-    """What an effect displaces at a station.
+    """Kind of an effect: its coordinates at a station and the displacement there.
 
     Attributes:
         coordinates: their names, with the unit of the file.
         per_coordinate: metres, seconds or pixels in that unit.
         displacement: names of its components, with the unit of the file.
         per_displacement: metres, radians or pixels in that unit, of each component.
-        limit: attribute of `BenchEffect` that limits it to some readings; empty where there is none.
+        limit: attribute of `BenchEffect` that limits it to some readings; empty without a limit.
     """
 
     coordinates: str
@@ -86,7 +86,7 @@ BENCH_KINDS = {
         _ON_COMBINER, (_MM, _MM), "apparent direction right and up, in tangents, 1e-6", (_URAD, _URAD), "part"
     ),
 }
-"""Kinds of a bench session by station and by what is displaced."""
+"""Kinds of a bench session by (station, displaces)."""
 
 DOT, TURN, LATE, PUPIL = (
     "image of the virtual dot u, v, camera px",
@@ -114,7 +114,7 @@ RUN_TIME_KINDS = {
 """Kinds of a run-time session; all axes are the device's."""
 
 KINDS = {**BENCH_KINDS, **RUN_TIME_KINDS}
-"""Kinds by station and by what is displaced."""
+"""Kinds by (station, displaces)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,16 +192,16 @@ class BenchEffect:
         high: Sequence[float],
         part: str = "",
     ) -> "BenchEffect":
-        """Return the effect of any smooth function, for a cause of your own.
+        """Return the effect of any smooth function, for a user-defined cause.
 
         Args:
-            station, displaces: what it displaces, as an `[[effect]]` of bench.toml states it.
+            station, displaces: as in an `[[effect]]` of bench.toml.
             function: maps coordinates (n, variables) to displacements (n, components), in the units of the file.
             low, high: bounds of the coordinates, between which a corrected bench.toml states it as a polynomial.
             part: part of the session that shows it, "display" or "see-through"; empty for both.
 
         Raises:
-            BadInputError: there is no such station, or the bounds or the function do not fit it.
+            BadInputError: the station is unknown, or the bounds or the function do not fit it.
 
         Example:
             >>> import numpy as np

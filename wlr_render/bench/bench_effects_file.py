@@ -15,10 +15,10 @@ from wlr_render.toml_files import Table
 
 _MOST_EFFECTS, _MOST_TERMS, _MOST_CELLS = 50, 1000, 50_000
 _MOST_WITH_COVARIANCE = 300  # coefficients
-_ASYMMETRY = _BELOW_ZERO = 1e-6  # of a covariance, relative to its largest value and eigenvalue
+_ASYMMETRY = _BELOW_ZERO = 1e-6  # tolerances of a covariance, relative to its largest value and eigenvalue
 _ANYWHERE = 1e6  # largest coordinate of a station without an edge
 _SHORTEST = 1e-6  # period, in the unit of its coordinate
-_DIGITS = 9  # of a covariance that is written
+_DIGITS = 9  # digits of a covariance in the file
 
 
 def effects_of(file: Table, bench: Bench) -> tuple[BenchEffect, ...]:
@@ -168,7 +168,7 @@ def _covariance(table: Table, count: int) -> FloatArray:
     values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     if values.min() < -_BELOW_ZERO * max(float(values.max()), largest):
         raise table.fail(
-            f"'covariance' has the eigenvalue {values.min():.3g}, so that it is no covariance: its variances or "
+            f"'covariance' has the eigenvalue {values.min():.3g}, so that it is not a covariance: its variances or "
             "correlations are wrong; correct it, or leave it out."
         )
     return matrix

@@ -48,7 +48,7 @@ def load_session(folder: str | Path, bench_file: str | Path | None = None) -> tu
         bench_file: bench of the same headset, to replace the folder's bench; see `bench_for_session`.
 
     Returns:
-        The bench as its makers describe it, and what was measured on it: device frame, metres and radians.
+        The bench as its makers describe it, and the session measured on it: device frame, metres and radians.
 
     Raises:
         BadInputError: a file is missing or breaks the format, or the tables contradict the bench; the sentence says

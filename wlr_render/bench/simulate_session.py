@@ -18,7 +18,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.combiner_form import places_on_combiner
 from wlr_render.optics.traced_mappings import TracedDisplay
 
-_ROUNDS = 6  # of the search for the reading whose error depends on itself
+_ROUNDS = 6  # fixed-point iterations for a reading whose error depends on the reading itself
 
 _QUIET = np.errstate(invalid="ignore", over="ignore", divide="ignore")  # invisible points are NaN on purpose
 
@@ -197,7 +197,7 @@ def dot_pixels(bench: Bench, plan: SeeThroughPlan, tangents: FloatArray) -> Floa
 
 
 def _view_shift(bench: Bench, viewpoint: FloatArray, view_dir: FloatArray, part: str) -> FloatArray | None:
-    """Return by how much things seen in directions (n, 3) appear shifted, (n, 2) tangents; None without effects."""
+    """Return the apparent shift, (n, 2) tangents, of objects in directions (n, 3); None without effects."""
     views = [each for each in bench.effects if each.displaces == "view" and each.part in ("", part)]
     if not views:
         return None

@@ -126,7 +126,7 @@ def _eyes(file: Table) -> tuple[str, ...]:
 def _of_each_eye(
     file: Table, key: str, eyes: Sequence[str], read: Callable[[Table], Value], alike: bool = True
 ) -> dict[str, Value]:
-    """Read the tables [key.left] and [key.right], or [key] for one eye, or for both if they may be `alike`."""
+    """Read the tables [key.left] and [key.right], or [key] for one eye, or for both eyes if `alike` is True."""
     table = file.table(key)
     if any(table.has(eye) for eye in eyes):
         values = {eye: read(table.table(eye)) for eye in eyes}

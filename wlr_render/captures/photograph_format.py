@@ -84,7 +84,7 @@ class PhotographFormat:
 
     @classmethod
     def from_table(cls, table: Table, root: Path = Path()) -> "PhotographFormat":
-        """Read the keys of a camera's table (all but `bits` are optional); the caller calls `table.finish`.
+        """Read the keys of a camera's table (only `bits` is required); the caller calls `table.finish`.
 
         Args:
             table: e.g. [eyeball_camera] of session.toml.

@@ -18,8 +18,9 @@ from wlr_render.rendering.ray_map import checked_viewpoint
 from wlr_render.rendering.stored_picture import Rows, StoredColour, StoredDepth
 
 REACH = 0.5
-"""How far outside the eye box a viewpoint may lie, as a share of the box's size on each axis. Polynomials fitted inside
-may be carried on a little; what they say farther out is not an image of anything."""
+"""Largest distance of a viewpoint outside the eye box, as a share of the box's size on each axis. Polynomials fitted
+inside may be extrapolated a little; farther out their values are meaningless.
+"""
 FARTHEST_M = 1e8
 """Distance of a head from the world's origin: float64 resolves 15 nm there, and Earth-centred frames fit in."""
 _ROTATION_SLACK = 1e-4
@@ -30,7 +31,7 @@ def checked_eye(eye: str | None, eyes: Sequence[str]) -> str:
     """Return the eye that a caller names; it may be left out if there is one.
 
     Raises:
-        BadInputError: there is no such eye, or it is left out and there are two.
+        BadInputError: the eye is unknown, or left out although there are two.
     """
     if eye is None and len(eyes) > 1:
         raise BadInputError(f"there are two eyes; name one of {', '.join(eyes)} with eye=.")
@@ -122,7 +123,7 @@ def checked_number(value: object, what: str, at_least: float, at_most: float) ->
     """Return a number within limits.
 
     Raises:
-        BadInputError: it is no number, or outside them.
+        BadInputError: the value is not a number, or outside the limits.
     """
     wanted = f"a number from {at_least:g} to {at_most:g}"
     number = float(finite_array(value, (), what, wanted))
@@ -215,7 +216,7 @@ def check_inset_field(inset: Pinhole, wider: Pinhole) -> None:
     """Check that an inset shows a part of a wider picture of the same camera frame, with more pixels.
 
     Raises:
-        BadInputError: it reaches outside, or is no sharper.
+        BadInputError: the inset reaches outside the wider picture, or is not sharper.
     """
     slack = _ROUNDING * (wider.tangent_max - wider.tangent_min)
     if (inset.tangent_min < wider.tangent_min - slack).any() or (inset.tangent_max > wider.tangent_max + slack).any():

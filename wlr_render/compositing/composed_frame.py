@@ -54,11 +54,11 @@ class ComposedFrame:
         return self._eye(eye).read_async()
 
     def read_into(self, target: Any, eye: str | None = None) -> None:
-        """Copy an eye's picture, RGBA with its top row first, into memory of yours.
+        """Copy an eye's picture, RGBA with its top row first, into the caller's memory.
 
         Args:
-            target: (height, width, 4) of the type that `read` returns, contiguous; or a ModernGL buffer of as many
-                bytes, which takes no wait.
+            target: (height, width, 4) of the type that `read` returns, contiguous; or a ModernGL buffer of that size,
+                to which the copy does not wait for the GPU.
             eye: may be left out if there is one.
 
         Raises:
@@ -78,7 +78,7 @@ class ComposedFrame:
         """Return an eye's ModernGL texture, RGBA with its top row first; nothing crosses to the CPU.
 
         Raises:
-            BadInputError: no such eye, or there is no texture.
+            BadInputError: the eye is unknown, or the picture was composed into a framebuffer.
         """
         texture = self._eye(eye).texture
         if texture is None:
@@ -86,7 +86,7 @@ class ComposedFrame:
         return texture
 
     def source(self, eye: str | None = None, channel: int | None = None) -> NDArray[np.float32]:
-        """Fetch an eye's pull map, (height, width, 2) positions in the submitted picture, NaN where there is none.
+        """Fetch an eye's pull map, (height, width, 2) positions in the submitted picture, NaN without one.
 
         Args:
             eye: may be left out if there is one.

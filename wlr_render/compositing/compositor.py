@@ -1,9 +1,8 @@
 """The compositor: warps an engine's pictures to panel images for the current eye and head poses.
 
-A frame is `begin_frame` (from where to draw), `submit` once per eye (what was drawn), `compose` (what the panels show).
-Each eye shows its newest submitted picture: one that is late, or drawn at a lower rate, is warped again to the newest
-pose.
-All input is checked before anything is changed: after an error the frame stands as it did before the call.
+A frame is `begin_frame` (returns the cameras), `submit` once per eye (takes the pictures), `compose` (returns the panel
+images). Each eye shows its newest submitted picture: one that is late, or drawn at a lower rate, is warped again to the
+newest pose. All input is checked before anything is changed: after an error the frame is as it was before the call.
 """
 
 import typing
@@ -61,9 +60,9 @@ class _Submitted:
 
 
 class Compositor:
-    """World-locked frames for one or both eyes of a headset, in a context of its own or in yours.
+    """World-locked frames for one or both eyes of a headset, in a new OpenGL context or in the caller's.
 
-    A context manager; `release` frees what it made on the GPU, and its own context.
+    A context manager; `release` frees its objects on the GPU, and the context that it opened.
 
     Attributes:
         eyes: names, the left eye first.
@@ -89,7 +88,7 @@ class Compositor:
             models: mappings of one eye, or by eye "left" and "right"; three of an eye are for red, green and blue.
             size: (width, height) in pixels of each eye's display picture, which covers its panel; 2^27 pixels at most.
             context: a `moderngl.Context` to work in; "current" for the OpenGL context that is current on this thread,
-                whoever made it; "egl" or "osmesa" for one of our own; "auto" for the first of these two that opens;
+                whoever made it; "egl" or "osmesa" to open a new one; "auto" for the first of these two that opens;
                 or a `rendering.gl.GlContext` to share, which `release` leaves open.
             host_state: of an adopted context: "kept" restores all state after each call; "clean" neither reads nor
                 restores any, which takes a fraction of the time, and the host promises OpenGL's default state when it
@@ -202,20 +201,20 @@ class Compositor:
 
         Args:
             colour: a numpy array (height, width, 3 or 4) of uint8, uint16, float16 or float32 with its top row first;
-                or a texture (ModernGL's, its OpenGL number with that of `depth`, or a `framebuffers.TextureLayer`); or
-                a ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of our own
-                renderers, which alone is not copied.
+                or a texture (ModernGL's, OpenGL numbers of it and of `depth`, or a `framebuffers.TextureLayer`); or
+                a ModernGL framebuffer, or the OpenGL number of one, that holds depth too; or a `GpuImage` of this
+                library's renderers; only a `GpuImage` is not copied.
             depth: a numpy array (height, width) or a texture, unless `colour` holds it. Pixels that hold NaN are
                 background. Numbers outside `StoredDepth.limits` are refused in arrays; in textures, which are not read
                 back, they are background too.
             eye: may be left out if there is one eye.
-            stored: what the depth means; metres along the camera's axis with 0 for nothing if left out, as pyrender
-                gives them.
-            rows: which row comes first in memory; the top one for arrays, the bottom one for what OpenGL drew, if left
-                out.
+            stored: encoding of the depth; by default metres along the camera's axis with 0 for background, as pyrender
+                returns it.
+            rows: which row comes first in memory; by default the top one for arrays, the bottom one for OpenGL's
+                pictures.
             frame: the frame that it was drawn for; the newest if left out, which is right only while no frames overlap:
                 of pictures other than a `GpuImage` the pose cannot be checked.
-            stored_colour: what the colours mean: sRGB codes of 8 bits if left out.
+            stored_colour: encoding of the colours; 8-bit sRGB codes by default.
             inset: the camera from `EyeCamera.inset` that drew it, for a sharper picture of a part of the field, shown
                 in place of the eye's picture there. Submit the eye's picture of the frame first, then its insets, each
                 within the last. An inset is copied, also a `GpuImage`; without a depth (arrays, ModernGL's
@@ -336,10 +335,10 @@ class Compositor:
                 as OpenGL shows it, with the panel's codes whatever its format. 0 is the window's framebuffer, whose
                 size is not checked. Textures of the compositor if None.
             eyes: which eyes to compose, all if None.
-            pose: (4, 4) newest world_from_device, when the first row lights up; that of the newest `begin_frame` if
+            pose: (4, 4) newest world_from_device, when the first row lights up; the pose of the newest `begin_frame` if
                 None.
-            viewpoint: newest viewpoints; those of the newest `begin_frame` for eyes that are not named.
-            pose_at_last_row: for a display that lights up row by row, the head's pose when the last row does.
+            viewpoint: newest viewpoints; eyes that are not named keep the viewpoint of the newest `begin_frame`.
+            pose_at_last_row: for a display that lights up row by row, the head's pose when the last row lights up.
             scan: "down" if the top row lights up first, "up" if the bottom row does.
             time_s, predict_s: as `begin_frame`; `pose` is needed with them, and `pose_at_last_row` is not predicted.
             with_source: also make the pull map, `WarpedImage.source`, where there is no `into`.
@@ -385,11 +384,11 @@ class Compositor:
         """Compile all shaders, so that no frame has to: draws once in every mode, which can take a few seconds.
 
         Args:
-            overlays: the most overlays that an eye will show at once, 0 to 4; each number has shaders of its own.
-            insets: whether there will be insets.
+            overlays: the most overlays that an eye will show at once, 0 to 4; each number needs separate shaders.
+            insets: whether insets will be submitted.
 
         Raises:
-            BadInputError: not such a number, or not True or False.
+            BadInputError: `overlays` is not such a number, or `insets` is not True or False.
         """
         self._check_alive()
         count = checked_whole(overlays, "overlays", MAX_OVERLAYS)

@@ -16,8 +16,8 @@ from wlr_render.rendering.view import View
 class EyeCamera:
     """The camera of one eye's intermediate image in one frame: OpenGL's, looking along -z, x right, y up.
 
-    By default it does not stand at the pupil but where the rays that reach the pupil come from after the combiner has
-    bent them (`rendering/raster_camera.py`): what hides what is then nearly as the eye sees it.
+    By default it is not at the pupil but at the apparent origin of the rays that reach the pupil, bent by the combiner
+    (`rendering/raster_camera.py`): occlusions are then nearly the same as for the eye.
 
     Attributes:
         eye: "left" or "right".

@@ -61,7 +61,7 @@ class _Samples:
         self._values: list[FloatArray] = []
 
     def add(self, time_s: float, value: FloatArray) -> tuple[float, FloatArray] | None:
-        """Keep a sample, and return the newest kept one that is older, with its time; None if there is none."""
+        """Keep a sample, and return the newest kept sample that is older, with its time; None without one."""
         at = bisect.bisect_left(self._times_s, time_s)
         replaced = at < len(self._times_s) and self._times_s[at] == time_s
         self._times_s[at : at + replaced], self._values[at : at + replaced] = [time_s], [value]
@@ -75,12 +75,12 @@ class _Samples:
 class MotionPredictor:
     """Predicts head pose and pupils from two samples that came with a time, at constant velocity.
 
-    Head and pupils have samples of their own: a call without a pupil leaves its prediction as it was. An engine may
+    Head and pupils have separate samples: a call without a pupil does not change its prediction. An engine may
     begin a frame with a pose that is older than the pose that the last frame was composed for.
     """
 
     def __init__(self, boxes: Mapping[str, EyeBox]) -> None:
-        """Prepare; `boxes` are the eye boxes, half a box outside of which predicted pupils are held."""
+        """Prepare; predicted pupils are clamped to half a box outside the eye boxes `boxes`."""
         self._boxes = boxes
         self._head = _Samples()
         self._pupils = {eye: _Samples() for eye in boxes}

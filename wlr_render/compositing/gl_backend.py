@@ -124,7 +124,7 @@ class GlEye:
         )
         self._encoder = PanelEncoder.of(context, panel)
         self._warp = GlWarp(context, len(channels), self._encoder)
-        self._warp_of_one = GlWarp(context, 1, self._encoder)  # for pull maps of red and blue
+        self._warp_of_one = GlWarp(context, 1, self._encoder)  # draws pull maps of red and blue
         self._import = PictureImport(context)
         self._pictures: list[WarpedPicture] = []  # the widest first
         self._import_insets: list[PictureImport] = []
@@ -136,7 +136,7 @@ class GlEye:
     def set_picture(
         self, view: View, colour: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
     ) -> None:
-        """See `Compositor.submit`; after an error the last picture stays."""
+        """Replace the eye's picture, see `Compositor.submit`; after an error the last picture stays."""
         if isinstance(colour, GpuImage):
             image = checked_image(colour, view, self._context)
         else:
@@ -182,7 +182,7 @@ class GlEye:
     def set_overlay(
         self, layer: int, picture: Any, quad: Quad | None, stored_colour: StoredColour, rows: Rows | None
     ) -> None:
-        """See `Compositor.submit_overlay`; after an error the last overlay stays."""
+        """Replace or remove an overlay, see `Compositor.submit_overlay`; after an error the last overlay stays."""
         if quad is None:
             self._overlays.pop(layer, None)
             return
@@ -298,11 +298,11 @@ class GlBackend:
         return self.context.drawing()
 
     def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
-        """Target of each eye's picture; empty for textures of our own. See `Compositor.compose`."""
+        """Return the target of each eye's picture; empty for the compositor's textures. See `Compositor.compose`."""
         return {} if into is None else self._framebuffers.targets(into, eyes, size_px)
 
     def prepare(self, overlays: int, insets: bool) -> None:
-        """See `Compositor.prepare`."""
+        """Compile all shaders; see `Compositor.prepare`."""
         with self.context.drawing():
             for eye in self.eyes.values():
                 eye.prepare(self.context.framebuffer([self.context.target(eye.size_px, 4, "f1")]), overlays, insets)
@@ -364,10 +364,10 @@ def _solve_of(context: gl.GlContext, mappings: Eye, offset_px: FloatArray, plan:
 
 
 def checked_image(image: GpuImage, view: View, context: gl.GlContext) -> GpuImage:
-    """Return an image of our own renderers, drawn in this context from the view that was asked for.
+    """Return an image of this library's renderers, if it was drawn in this context from the requested view.
 
     Raises:
-        BadInputError: drawn with another camera, for another pose, or elsewhere.
+        BadInputError: the image was drawn with another camera, for another pose, or in another context.
     """
     if image.context is not context:
         raise BadInputError("the picture was drawn in another context; make the renderer for `Compositor.context`.")

@@ -51,11 +51,11 @@ class WarpedPainter:
         self._plan, self._source = self._compositor.plan(eye), SceneSource(self._compositor, raster)
 
     def view(self, viewpoint: FloatArray, world_from_device: FloatArray) -> View:
-        """Where the intermediate image is drawn from; its camera is the same for all viewpoints in the eye box."""
+        """Return the view of the intermediate image; its camera is the same for all viewpoints in the eye box."""
         return self._plan.view(viewpoint, world_from_device)
 
     def paint(self, viewpoint: FloatArray, world_from_device: FloatArray, with_geometry: bool = False) -> Frame:
-        """See `Painter`."""
+        """Return a warped frame; see `Painter`."""
         (camera,) = self._compositor.begin_frame(world_from_device, viewpoint).values()
         image = self._source.submit(camera)
         composed = self._compositor.compose(with_source=with_geometry)
@@ -77,7 +77,7 @@ class WarpedPainter:
 
 
 def traced_instead(raster: SceneRaster | None, backend: str) -> list[str]:
-    """Return a sentence if frames are ray traced for want of OpenGL, or because `backend` is "cpu"."""
+    """Return a sentence if frames are ray traced because OpenGL is missing or `backend` is "cpu"."""
     if raster is not None:
         return []
     if backend == "cpu":

@@ -17,7 +17,7 @@ from wlr_render.rendering.scene_raster import open_scene_raster
 
 FrameMethod = Literal["raytrace", "raster"]
 
-_renderer_of = lru_cache(maxsize=2)(RayRenderer)  # with the acceleration structure of the scene
+_renderer_of = lru_cache(maxsize=2)(RayRenderer)  # keeps the acceleration structure of the scene
 
 
 @lru_cache(maxsize=4)

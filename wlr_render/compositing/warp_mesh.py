@@ -33,10 +33,10 @@ from wlr_render.rendering.warp_grid import WarpGrid
 _COARSEST_CELLS = 8
 _JUDGED_CELLS = 24
 _JUDGED_VIEWPOINTS = np.array([[0, 0, 0], [1, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]], dtype=np.float64)
-_NODES_TOLERANCE_PX = 0.0005  # so that the triangles decide, not the nodes
+_NODES_TOLERANCE_PX = 0.0005  # small, so that the triangles limit the accuracy, not the nodes
 _TRIED_GRIDS = 8
 _AIM, _CLOSE = 0.85, 1.1
-_SEARCHED = 0.97  # of the tolerance: the maps of frames differ by a little from those of the search
+_SEARCHED = 0.97  # share of the tolerance to reach: maps of frames differ a little from maps of the search
 # Vertices of the two triangles of a cell, as (column, row) steps from its upper left point, and where linear
 # interpolation errs most: at the middles of the sides, of which the diagonal is the longest, and within.
 _TRIANGLES = np.array([[[0, 0], [0, 1], [1, 0]], [[1, 0], [0, 1], [1, 1]]])
@@ -54,8 +54,8 @@ class WarpMesh:
         size_px: (width, height) of the eye's display picture.
         panel_position: (n, 2) float32, vertices on the panel: u to the right and v down, 0 to 1 from edge to edge.
         triangles: (m, 3) uint32, indices of vertices; they cover the panel once.
-        bound_arcmin: the largest error of a ray inside a triangle that was measured over the eye box: at infinity plus
-            that of the offset at 0.25 m.
+        bound_arcmin: the largest measured error of a ray inside a triangle over the eye box: the error at infinity plus
+            the offset's error at 0.25 m.
         samples_per_axis: samples per pixel and axis that the picture needs where the warp minifies it.
     """
 

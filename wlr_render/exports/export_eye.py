@@ -23,7 +23,7 @@ def export(
     """Write the warp maps of one eye, for one pupil position, as files that another program reads.
 
     The command `wlr-render export` also writes maps along an eye trajectory, in three colours and for both eyes, with a
-    page that says what they lose.
+    page that states the errors of each format.
 
     Args:
         eye: an eye of a headset, from `open_eye` or `calibrate`.

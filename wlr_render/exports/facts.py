@@ -24,7 +24,7 @@ def losses(view: ExportedView, form: Format, colour: str) -> list[Loss]:
     """Return the errors of a view in one colour: as intended, at other depths, in other light, with another pupil.
 
     Errors are angles at the source camera between the points that the panel's pixels show and should show, by the
-    mappings. The pupil moves `PUPIL_SHIFT_M` right, left, up and down in the device, as far as the eye box allows; the
+    mappings. The pupil moves by `PUPIL_SHIFT_M` to the right, left, up and down in the device, within the eye box; the
     errors are over all these positions.
     """
     mappings, holds = view.mappings(colour), form.holds

@@ -6,7 +6,7 @@ Poses are `b_from_a` matrices (4, 4). Directions are unit vectors (..., 3), and 
 from wlr_render.lazy_names import lazy_names
 
 TYPE_CHECKING = False
-if TYPE_CHECKING:  # in the order of the API reference
+if TYPE_CHECKING:  # imports in the order of the API reference
     # isort: off
     from wlr_render.geometry import transforms as transforms
     from wlr_render.geometry.directions import arcmin_between as arcmin_between, dir_of_tangents as dir_of_tangents

@@ -6,7 +6,7 @@
                  warp map
     ray traced   planar models, world rays as primary rays
 
-Without OpenGL there is no raster+warp.
+Without OpenGL raster+warp is left out.
 
 The models are fitted to a simulated calibration of the device; the device's exact optics are the truth. The error of
 the planar models is also predicted, from their fit and its left-out camera positions, without these optics.

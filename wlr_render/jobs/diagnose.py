@@ -178,7 +178,8 @@ def _check_enough_readings(session: Session) -> None:
     """Reject a session in which a small motion of the camera could explain every capture.
 
     Raises:
-        BadInputError: there is no run-time recording, and all captures have fewer than `_FEWEST_READINGS` points.
+        BadInputError: the session has no run-time recording, and all captures have fewer than `_FEWEST_READINGS`
+            points.
     """
     plan = session.plan
     tables = [

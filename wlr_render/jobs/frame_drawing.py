@@ -1,7 +1,7 @@
 """Drawing of frames and writing of their files, in the process of the job or in its workers.
 
-`FrameDrawing.frames` draws in both cases, and `FrameDrawing.draw` one frame. A worker opens the headset, the scene and
-OpenGL by itself, and keeps them for its next frames of this or another job that draws the same from elsewhere.
+`FrameDrawing.frames` draws in both cases, and `FrameDrawing.draw` one frame. Each worker opens the headset, the scene
+and OpenGL, and keeps them for its next frames of this or another job that draws the same from elsewhere.
 """
 
 import contextlib

@@ -183,7 +183,7 @@ def write_instances(folder: Path, scene: Scene, panels: Mapping[str, Panel], pla
     """Write `instances.json`, the instances of all frames in the layout of COCO, from the frames' labels.
 
     A category is the name of a mesh. `instances` lists the placements with the numbers of `instance_id` and of the
-    layer's values. Annotations are written one by one, because those of a long sequence may not fit into memory.
+    layer's values. Annotations are written one by one, because a long sequence may have more than fit into memory.
     """
     kinds = list(dict.fromkeys(mesh.name for mesh in scene.meshes))
     category = [1 + kinds.index(scene.mesh_of(instance).name) for instance in scene.instances]

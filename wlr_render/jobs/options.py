@@ -338,7 +338,8 @@ def eyes_of(eye: Eyes) -> tuple[EyeName, ...]:
 def seed_of(seed: int, eye: str, stream: int = 0) -> list[int]:
     """Return the seed of the random numbers of one eye and purpose, so that both eyes do not get mirrored noise.
 
-    numpy ignores zeros at the end of a seed: the right eye's numbers of stream 0 equal those of `default_rng(seed)`.
+    numpy ignores zeros at the end of a seed: the right eye's numbers of stream 0 are the numbers of
+    `default_rng(seed)`.
     """
     return [seed, stream, ("right", "left").index(eye)]
 

@@ -76,7 +76,7 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
     """Measure the distance between drawn and real dots; write pictures and the report into `options.out`.
 
     Raises:
-        BadInputError: there is no pair, a photograph with the display on has no partner with it off, or a file is
+        BadInputError: the folder has no pair, a photograph with the display on has no partner with it off, or a file is
             missing.
     """
     progress.say("finding dots")

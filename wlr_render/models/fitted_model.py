@@ -207,7 +207,7 @@ class FittedModel(ABC):
         """Return unit view directions (..., 3) of pixels (..., 2) or real points (..., 3), from viewpoints (..., 3)."""
 
     def direction_errors(self, subject: FloatArray, viewpoint: FloatArray, view_dir: FloatArray) -> DirectionErrors:
-        """Return the expected errors of the answer (..., 3) of `view_dir`; NaN where there is no answer.
+        """Return the expected errors of the directions (..., 3) from `view_dir`; NaN without a direction.
 
         Raises:
             BadInputError: the model has no covariance.
@@ -246,7 +246,7 @@ class FittedModel(ABC):
     def sigma(self, subject: FloatArray, viewpoint: FloatArray) -> FloatArray:
         """Return the standard error (...) of `view_dir` in arcminutes: the rms angle that the fit predicts for itself.
 
-        The rms is over both axes, and NaN where there is no answer. It is extrapolated where the answer is OUTSIDE_FIT.
+        The rms is over both axes, NaN without a direction, and extrapolated where the status is OUTSIDE_FIT.
 
         Args:
             subject: pixels (..., 2) of a display, real points (..., 3) of a see-through model.

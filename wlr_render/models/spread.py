@@ -25,7 +25,7 @@ class Covariance:
 
     Attributes:
         outputs: number of outputs of the polynomial: block 0 along x and y, then block 1.
-        apart: inputs -> (blocks * rank) factors of the independent part of both axes; empty if there is none.
+        apart: inputs -> (blocks * rank) factors of the independent part of both axes; empty without one.
         joint: inputs -> (outputs * rank) factors that couple the axes.
         sources: source of error, e.g. "prescription", of each joint variable that the display and the see-through model
             of an eye have in common; it may change only one of them. These variables come first.

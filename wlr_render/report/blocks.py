@@ -175,7 +175,7 @@ def cell_text(cell: Cell) -> str:
 
 
 def decimals(error: float, digits: int) -> int:
-    """Return the number of decimal places that shows so many digits of a standard error; none for a large error."""
+    """Return the number of decimal places that shows `digits` digits of a standard error; 0 for a large error."""
     rounded = float(f"{error:.{digits - 1}e}")
     return max(0, digits - 1 - math.floor(math.log10(rounded)))
 
@@ -183,7 +183,7 @@ def decimals(error: float, digits: int) -> int:
 def quantity(value: float, error: float, digits: int = 1) -> str:
     """Return a value with its standard error, e.g. "9.1 +- 0.3", to `digits` digits of the error.
 
-    An error that is not finite and positive is unknown; the text is then that of the value's cell.
+    An error that is not finite and positive is unknown; the text is then the value alone.
     """
     if not (math.isfinite(value) and 0.0 < error < math.inf):
         return cell_text(value)

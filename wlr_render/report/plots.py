@@ -268,7 +268,7 @@ def arrow_map(
         )
     )
     layout = _arrow_layout(axes, panels, y_down)
-    if len(panels) > 1:  # a range of both panels: each would have that of its own arrows
+    if len(panels) > 1:  # one range for both panels: Plotly would fit each to its arrows
         margin = _MARGIN * float(high[0] - low[0])
         layout["xaxis"]["range"] = [float(low[0]) - margin, float(high[0]) + margin]
     if len(groups) > 1:
@@ -298,7 +298,7 @@ def _arrow_layout(axes: tuple[str, str], panels: Sequence[str], y_down: bool) ->
 
 
 def _group_menu(names: Sequence[str], traces: int) -> dict[str, Any]:
-    """Return a menu that shows the traces of one group, so many each, and always the last trace."""
+    """Return a menu that shows the traces of one group, `traces` each, and always the last trace."""
     shown = [[each // traces == number for each in range(traces * len(names))] + [True] for number in range(len(names))]
     buttons = [
         {"label": name, "method": "update", "args": [{"visible": visible}]}

@@ -9,9 +9,9 @@ names of OpenXR's structures; the first line is a header:
 
 `time` is XrTime in nanoseconds. The poses of `view` are the head's, in `local`, `stage` or `local_floor`; `left_view`,
 `right_view` (views of xrLocateViews) and `gaze` (XR_EXT_eye_gaze_interaction) are located in `view`. Lines of other
-spaces are skipped. Lines without valid position and orientation mark a gap. OpenXR's axes and units are those of this
-package, so that only the pose of VIEW space in the device frame is needed: `device_from_view` of the header, 4 rows of
-4, or the identity.
+spaces are skipped. Lines without valid position and orientation mark a gap. OpenXR and this package use the same axes
+and units, so that only the pose of VIEW space in the device frame is needed: `device_from_view` of the header, 4 rows
+of 4, or the identity.
 """
 
 from collections.abc import Sequence

@@ -74,8 +74,8 @@ class Gaps:
 def gaps_at(sample_time_s: FloatArray, time_s: ArrayLike, invalid_s: FloatArray) -> Gaps:
     """Return the gaps at time stamps (...), given ascending sample times (n,), n >= 2.
 
-    There is a gap between neighbouring samples that are more than GAP median intervals apart, or have between them one
-    of the times `invalid_s` (m,) at which the recording has no valid sample.
+    A gap is an interval between neighbouring samples that is longer than GAP median intervals, or contains one of the
+    times `invalid_s` (m,) at which the recording has no valid sample.
     """
     moment, step_s = np.asarray(time_s, dtype=np.float64), np.diff(sample_time_s)
     without = step_s > GAP * np.median(step_s)

@@ -268,7 +268,7 @@ def read_text_table(path: str | Path, kind: str = "a trajectory") -> TextTable:
 
     Args:
         path: the file.
-        kind: what the file is, for error messages.
+        kind: noun phrase for the file in error messages.
 
     Raises:
         BadInputError: the file cannot be read or has no rows.
@@ -339,8 +339,8 @@ def require_plausible_motion(where: str, time_s: FloatArray, position_m: FloatAr
     """Refuse trajectories whose positions (n, 3) or times (n,) look like millimetres or milliseconds.
 
     Raises:
-        BadInputError: a position is more than `at_most_m` away, most rows move faster than people do, or most of five
-            or more rows are seconds apart.
+        BadInputError: a position is more than `at_most_m` away, most rows move faster than people do, or the intervals
+            of five or more rows are mostly seconds.
     """
     if np.abs(time_s).max(initial=0.0) > LIMITS.time_s:
         raise BadInputError(

@@ -49,7 +49,7 @@ def fit_corners(
 
     Returns:
         Positions (n, 2), pixels from the outer corner of the top-left pixel, and their standard deviations per axis
-        (n,); NaN where there is no corner, or the window lies outside the picture.
+        (n,); NaN without a corner, or if the window lies outside the picture.
     """
     grey = np.ascontiguousarray(image, dtype=np.float32)
     number = len(start)

@@ -251,7 +251,7 @@ def _ground(patches: _Patches, ring: BoolArray) -> tuple[FloatArray, FloatArray,
 def _lever(patches: _Patches, edge: BoolArray, covariance: FloatArray) -> FloatArray:
     """(m,) variance of first moments per axis for pixels of unit noise.
 
-    It is the variance of the band itself, plus that of the ground's plane, which is subtracted everywhere.
+    It is the sum of the variances of the band and of the ground's plane, which is subtracted everywhere.
     """
     x, y = np.where(edge, patches.x, 0.0), np.where(edge, patches.y, 0.0)
     xx, xy, yy = _dot(x, x), _dot(x, y), _dot(y, y)

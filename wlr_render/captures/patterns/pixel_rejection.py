@@ -34,8 +34,8 @@ _RIDGE = 1e-9  # ridge for windows of one row, which have no slope across; witho
 
 _CLEAR = 4.0  # least contrast of a lit pixel, in noises of a difference
 _SURE = 2.0  # least evidence, in noises of a difference
-_EDGE = 0.5  # contrast relative to the brightest neighbour below which a pixel sees past an edge,
-_BESIDE_EDGE = 0.3  # as does a pixel whose darkest neighbour has less than this share of its contrast
+_EDGE = 0.5  # least contrast relative to the brightest neighbour; a pixel below it sees past an edge
+_BESIDE_EDGE = 0.3  # least contrast of the darkest neighbour relative to the pixel; below it the pixel is at an edge
 _OVERHANG_PX = 0.5  # largest distance outside the panel, for noise
 # Distances from its neighbours that an outlier exceeds: panel pixels, steps and standard deviations.
 _OUTLIER_PX, _OUTLIER_STEPS, _OUTLIER_SIGMAS = 0.75, 0.5, 4.0
@@ -107,8 +107,8 @@ class AxisReading:
 
     Attributes:
         position: panel pixels, finite everywhere.
-        noise_gain: variance of the position, panel pixels squared, over that of the difference of two photographs in
-            units of the contrast.
+        noise_gain: variance of the position, panel pixels squared, over the variance of the difference of two
+            photographs in units of the contrast.
         evidence: 0 to 1: weakest evidence that was needed, relative to full contrast.
         weak: the `Rejection` for evidence that is too weak.
         contradiction: mask of contradictions between parts of the code.

@@ -11,7 +11,7 @@ from wlr_render.simulation import viewpoints
 GRID, SPREAD, CHOSEN = "grid", "spread", "chosen"
 """Families of designs."""
 _LEVELS = range(3, 10)
-_JITTER = 0.1  # of half the box: that of a screw's pitch of 1 to 2 mm, and little beside the steps of a grid
+_JITTER = 0.1  # share of half the box: about a screw's pitch of 1 to 2 mm, and small against the steps of a grid
 _OFFERED = 37  # candidate places in each plane, in addition to a grid of 3 x 3
 
 
@@ -84,7 +84,7 @@ def _grid(columns: int, rows: int) -> FloatArray:
 def _jittered(unit: FloatArray) -> FloatArray:
     """Move the places (m, 3) of a grid at random within their plane; the grid still reaches from -1 to 1.
 
-    On a grid an error that a stage's screw makes at one reading of an axis is that of a whole row or column.
+    On a regular grid a screw error at one reading of an axis would affect a whole row or column.
     """
     moved = unit[:, :2] + np.random.default_rng(len(unit)).uniform(-_JITTER, _JITTER, (len(unit), 2))
     low, high = moved.min(axis=0), moved.max(axis=0)

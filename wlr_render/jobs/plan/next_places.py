@@ -50,7 +50,7 @@ def plan_next_places(
         say: shows the current step.
 
     Raises:
-        BadInputError: there are no captures of this eye, or they lack the display or see-through.
+        BadInputError: the folder has no captures of this eye, or they lack the display or see-through.
     """
     truth = bench.truth
     path = folder / f"captures-{truth.eye}.npz"

@@ -126,7 +126,7 @@ class PlaceChoice:
 
     def _exchanged(self, taken: list[int]) -> list[int]:
         sides = self._with(taken)
-        for _ in taken:  # at most as many exchanges as places
+        for _ in taken:  # no more exchanges than places
             spare = int(np.argmin(sum(side.changes(np.array(taken), -1.0) for side in sides)))
             rest = [*taken[:spare], *taken[spare + 1 :]]
             others = self._with(rest)

@@ -210,5 +210,5 @@ def _lengths(sigma: FloatArray, curve: FloatArray) -> Summary:
 
 
 def simulated_captures(bench: PlannedBench, unit: FloatArray, seed: int) -> Captures:
-    """Simulate one session with all errors of the bench; its smooth errors differ from those of the prediction."""
+    """Simulate one session with all errors of the bench; its smooth errors differ from the predicted ones."""
     return bench.captures(bench.places(unit), [seed, _PILOT], bench.curve(_CURVES + 1 + seed))
