@@ -16,6 +16,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation import mapping_error
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, normalised
 from wlr_render.models.model_file import load_eye_model, save_eye_models
+from wlr_render.models.spread import PRESCRIPTION
 from wlr_render.models.static import StaticSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_SIZES, assembled
 from wlr_render.optics.device_file import load_device
@@ -170,7 +171,7 @@ def test_both_models_have_the_same_posterior_of_the_assembly_errors(drawn):
         np.testing.assert_allclose(
             fitted.mapping.spread.covariance(inputs), change @ change.transpose(0, 2, 1), rtol=1e-4, atol=1e-13
         )
-        assert fitted.mapping.spread.shared == 12
+        assert fitted.mapping.spread.sources[:12] == (PRESCRIPTION,) * 12
 
 
 def test_errors_of_display_and_see_through_vary_together_as_the_shared_variables_say(drawn):

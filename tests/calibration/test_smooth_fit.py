@@ -191,7 +191,8 @@ def test_motions_of_the_camera_are_no_coefficients():
 
 
 def test_what_is_left_out_is_predicted_as_by_a_fit_to_the_rest():
-    captures = stage_motion(clean(3), np.random.default_rng(3))
+    # So little motion that both fits find the same sizes of the stage's errors.
+    captures = shifted(clean(3), np.random.default_rng(3).normal(0, 8e-6, (CAPTURES, 3)))
     out = captures.capture // 5 == 2  # the middle row, so that nothing is extrapolated
     found, expected = fit_display(captures, "planar").smooth.left_out(out)
     rest = fit_display(select(captures, ~out), "planar").mapping

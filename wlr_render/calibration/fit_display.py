@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
+from wlr_render.calibration.label_terms import drift_term, stage_labels
 from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
     FitReadings,
@@ -115,13 +116,14 @@ def _readings(
     tangents = captures.tangents
     places = place.shape[1]
     visits, capture = captures.visits
-    place = without_thickness(place) if places and trend is None else place
+    place, metric = without_thickness(place) if places and trend is None else place, angular_metric(tangents)
+    drift = drift_term(captures.time_s, tangents, metric)
     return FitReadings(
         inputs=np.hstack([captures.pixel, place]),
         is_place=np.array([False, False] + [True] * places),
         observed=tangents,
         multiplier=np.ones((len(captures), 1)),
-        metric=angular_metric(tangents),
+        metric=metric,
         sigma=captures.sigma_arcmin,
         capture=capture,
         motion=respond and motion_of(tangents, respond),
@@ -129,6 +131,8 @@ def _readings(
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond),
+        of_axes=() if drift is None or not np.any(captures.sigma_arcmin > 0) else (drift,),
+        stage=stage_labels(captures) if respond else None,
     )
 
 

@@ -39,7 +39,7 @@ KINDS_BY_PRESCRIPTION = ("prescription", "grey-box")
 
 _SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # a display-only model goes with a see-through that is as simple
 _COMPARED = ("prescription", "planar", "grey-box")  # the simpler ones first
-_STILL = (1e-6, 3e-6)  # metres and radians: too small to show in readings
+_STILL = 1e-6  # metres or radians: too small to show in readings
 _ALIKE = 2.0  # ratio of repeatabilities that may be of one stage
 _OTHER_STAGE = 20.0  # log10 odds from which display and see-through were not captured by one stage
 _WORTH = 2.0  # log10 odds from which a kind is taken before a simpler one
@@ -336,8 +336,8 @@ def _one_stage(fit: Callable[[Stage | None, _Both | None], _Both]) -> _Both:
 
     free = fit(None, None)
     stages = [each.smooth.stage for each in free]
-    larger, smaller = (np.maximum([f(pair) for pair in zip(*stages, strict=True)], _STILL) for f in (max, min))
-    if np.all(larger < _ALIKE * smaller):
+    sizes = [{name: max(size, _STILL) for name, size in each.items()} for each in stages]
+    if all(1.0 / _ALIKE < sizes[0][name] / sizes[1][name] < _ALIKE for name in ("shift", "turn")):
         return free
     shared = max((fit(stage, free) for stage in stages), key=evidence)
     return free if evidence(free) - evidence(shared) > _OTHER_STAGE * np.log(10.0) else shared

@@ -9,14 +9,16 @@ import numpy as np
 
 from wlr_render.calibration.label_errors import LabelError, label_errors
 from wlr_render.calibration.moved_captures import CaptureMotion
+from wlr_render.calibration.posterior_spread import label_response
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import FitReadings
 from wlr_render.calibration.smooth_fit import MotionAgreement, SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select, with_copies
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.directions import arcmin_between
+from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.mappings import QueryResult
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
+from wlr_render.models.registration import UNSHARED
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 AnyModel = TypeVar("AnyModel", FittedDisplay, FittedSeeThrough)
@@ -75,6 +77,25 @@ class OneMore:
 
 
 @dataclass(frozen=True)
+class ErrorShare:
+    """What one source contributes to the predicted error of a model.
+
+    Attributes:
+        source: e.g. "printing errors of the board".
+        arcmin: rms contribution, over the same rays as `FitReport.predicted_arcmin`; squares of all sources add up.
+        size, usual: rms size of the source's own errors as the fit found it, and the usual one; None where a fit finds
+            none, as of errors that the bench states.
+        unit: of both, "m" or "arcmin"; empty without them.
+    """
+
+    source: str
+    arcmin: float
+    size: float | None = None
+    usual: float | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
 class FitReport:
     """Quality of a model, on the captures that it was fitted to and beyond.
 
@@ -97,7 +118,8 @@ class FitReport:
         held_out: rows and columns of camera positions predicted from the others.
         one_more: None where the kind has no places.
         motion_agreement: what the captures state of these motions; None where they state nothing.
-        labels: errors that the readings of a dot, visit, time and so on share; empty for exact data.
+        labels: errors that the readings of a dot, visit, time and so on share beyond the fit; empty for exact data.
+        shares: contributions to `predicted_arcmin`, the largest first.
     """
 
     kind: str
@@ -122,6 +144,7 @@ class FitReport:
     one_more: OneMore | None
     motion_agreement: MotionAgreement | None = None
     labels: tuple[LabelError, ...] = ()
+    shares: tuple[ErrorShare, ...] = ()
 
     @property
     def held_out_arcmin(self) -> tuple[float, float] | None:
@@ -195,6 +218,7 @@ class ModelFit(Generic[AnyModel]):
             one_more=self._one_more(),
             motion_agreement=smooth.motion_agreement,
             labels=self.labels,
+            shares=self._shares(),
         )
 
     @cached_property
@@ -203,8 +227,8 @@ class ModelFit(Generic[AnyModel]):
 
     @property
     def sources_by_label(self) -> tuple[str, ...]:
-        """Sources of the errors by label that `with_label_errors` puts into the covariance."""
-        return self._by_label[1].sources
+        """Sources of all errors by label in the covariance, those that `with_label_errors` adds last."""
+        return label_response(self.smooth.readings, self.smooth.posterior).sources + self._by_label[1].sources
 
     def with_label_errors(self, before: tuple[str, ...] = (), after: tuple[str, ...] = ()) -> Self:
         """Return the fit whose covariance has the errors that the readings of a label share, see `label_errors`.
@@ -214,16 +238,35 @@ class ModelFit(Generic[AnyModel]):
                 before and after those of this one, so that both models have the same.
         """
         labels, response = self._by_label
-        smooth = replace(self.smooth, of_labels=response.between(before, after))
+        smooth = replace(self.smooth, of_labels=response, others=(before, after))
         return replace(self, smooth=smooth, mapping=self.mapping.with_spread(smooth.spread), labels=labels)
 
     def predicted_arcmin(self, model: AnyModel) -> float:
         """Rms of the standard error of a model like this one over its eye box, at what the captures saw."""
+        return float(np.sqrt(np.nanmean(model.sigma(*self._tested(model)) ** 2)))
+
+    def _tested(self, model: AnyModel) -> tuple[FloatArray, FloatArray]:
+        """Return pixels (n, 2) or points (n, 3) of captures at random, and viewpoints (n, 3) of the eye box."""
         rng = np.random.default_rng(0)
         rows = rng.integers(0, len(self.captures), _TESTED)
-        viewpoint = model.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTED, 3)))
-        sigma = model.sigma(self._subject(self.captures)[rows], viewpoint)
-        return float(np.sqrt(np.nanmean(sigma**2)))
+        return self._subject(self.captures)[rows], model.eye_box.at(rng.uniform(-1.0, 1.0, (_TESTED, 3)))
+
+    def _shares(self) -> tuple[ErrorShare, ...]:
+        subject, viewpoint = self._tested(self.mapping)
+        answer = self.mapping.view_dir(subject, viewpoint).value
+        errors = self.mapping.direction_errors(subject, viewpoint, answer)
+        square = np.nanmean(np.sum(errors.shared**2, axis=1), axis=0) / ARCMIN**2
+        own = float(np.nanmean(np.trace(errors.unshared, axis1=1, axis2=2))) / ARCMIN**2
+        terms = {each.source: each for each in self.smooth.readings.of_axes + self.smooth.readings.shared_terms}
+        found = [ErrorShare(UNSHARED, own**0.5)]
+        for source in dict.fromkeys(errors.sources):
+            share = float(np.sum(square[[each == source for each in errors.sources]])) ** 0.5
+            if (term := terms.get(source)) is not None:
+                size = float(np.exp(self.smooth.posterior.hyper[term.name]))
+                found.append(ErrorShare(source, share, size, term.usual.value, term.usual.unit))
+            elif share > 0:
+                found.append(ErrorShare(source, share))
+        return tuple(sorted(found, key=lambda each: -each.arcmin))
 
     @staticmethod
     def _subject(captures: DisplayCaptures | SeeThroughCaptures) -> FloatArray:

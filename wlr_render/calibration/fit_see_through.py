@@ -3,8 +3,8 @@
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
+from wlr_render.calibration.label_terms import drift_term, height_term, print_term, stage_labels
 from wlr_render.calibration.model_kinds import ModelKind, Side
-from wlr_render.calibration.print_field import print_field
 from wlr_render.calibration.readings import (
     FitReadings,
     Limits,
@@ -127,12 +127,16 @@ def _readings(
 
     visits, capture = captures.visits
     place = without_thickness(place) if places and trend is None else place
+    metric, dot = angular_metric(captures.tangents), captures.target_point[:, :2]
+    is_noisy = bool(np.any(captures.sigma_arcmin > 0))
+    of_axes = print_term(dot, depth[:, 0]), drift_term(captures.time_s, captures.tangents, metric)
+    heights = height_term(dot, captures.point, captures.target_pose, by_point(slice(None)))
     return FitReadings(
         inputs=np.hstack([place, captures.tangents]),
         is_place=np.array([True] * places + [False, False]),
         observed=observed,
         multiplier=np.hstack([np.ones_like(depth), 1.0 / depth]),
-        metric=angular_metric(captures.tangents),
+        metric=metric,
         sigma=captures.sigma_arcmin,
         capture=capture,
         motion=respond and motion_of(captures.tangents, respond),
@@ -140,7 +144,9 @@ def _readings(
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond, by_point),
-        print_errors=print_field(captures.target_point[:, :2], depth[:, 0]),
+        of_axes=tuple(each for each in of_axes if each is not None and is_noisy),
+        of_both=() if heights is None or not is_noisy else (heights,),
+        stage=stage_labels(captures) if respond else None,
     )
 
 

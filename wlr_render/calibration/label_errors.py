@@ -44,6 +44,8 @@ SOURCES_BY_LABEL = {
     ),
 }
 """Source of the errors of a label, by the start of its name, and what avoids them."""
+REMEDIES = {"shape of the board": "Hold the board flat, or measure its shape."} | dict(SOURCES_BY_LABEL.values())
+"""What avoids the errors of a source, a sentence."""
 _SIZES = np.geomspace(0.01, 10.0, 31)  # sizes of errors per axis in units of the noise, all as probable
 _DETERMINED = 0.2  # least information of a contrast between groups, over the largest; the fit absorbs what has less
 _CELLS, _DOTS, _DOTS_OF_POSE = 10, 16, 6  # along an axis of the image and of a board
@@ -132,8 +134,8 @@ def label_errors(
     Those that stand out come first, each judged with the ones before it as part of the model; the others with all.
     Exact data have none.
     """
-    readings, mixed = smooth.readings, smooth.posterior.mixed_mean.size
-    response = Response((), np.zeros((0, 2, readings.coefficients)), np.zeros((0, mixed)))
+    readings, parameters = smooth.readings, smooth.readings.parameters
+    response = Response((), np.zeros((0, 2, readings.coefficients)), np.zeros((0, parameters)))
     labels = list(_labels(smooth, captures)) if np.any(readings.sigma > 0) else []
     if not labels:
         return (), response
@@ -164,7 +166,7 @@ def label_errors(
         few = size * principal(effect[:, :, part].reshape(-1, part.stop - part.start))
         of_axes = (follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
         sources = (judged[best].source,) * few.shape[1]
-        response = Response(sources, of_axes, (of_side[:mixed, part] @ few).T).beside(response)
+        response = Response(sources, of_axes, (of_side[:parameters, part] @ few).T).beside(response)
         score, information = _absorbed(score, information, part, size)
     return tuple(named), response
 
@@ -266,9 +268,9 @@ def _score(smooth: SmoothFit, labels: list[_Label]) -> tuple[FloatArray, FloatAr
 
 def _effect(smooth: SmoothFit, follow: FloatArray, of_side: FloatArray) -> FloatArray:
     """Return the change (r, 2, k) of the model at some readings, arcminutes, from changes of its unknowns."""
-    readings, mixed, own = smooth.readings, smooth.posterior.mixed_mean.size, smooth.readings.coefficients
+    readings, parameters, own = smooth.readings, smooth.readings.parameters, smooth.readings.coefficients
     rows = _sample(smooth)
-    change = smooth.side_columns(rows)[:, :, :mixed] @ of_side[:mixed]
+    change = readings.shared_columns(rows)[:, :, :parameters] @ of_side[:parameters]
     if own:
         change += (readings.design(rows)[:, :own] @ follow[:, :own]).transpose(1, 0, 2)
     return np.asarray(change * readings.metric[rows, None, None])

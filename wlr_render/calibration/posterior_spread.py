@@ -1,9 +1,10 @@
 """Low-rank factors of a fit's posterior covariance, as models keep it."""
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from wlr_render.calibration.reading_sums import Response
-from wlr_render.calibration.readings import FitReadings
+from wlr_render.calibration.readings import FitReadings, design_of
 from wlr_render.models.spread import PRESCRIPTION, Covariance
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import Polynomial, basis
@@ -11,6 +12,7 @@ from wlr_render.numerics.posterior import Posterior
 
 _KEPT = 0.98  # share of the predictions' variance that low-rank factors keep: sigmas are then 1 % too small
 _SAMPLES = 500  # readings at which that is judged
+_OF_LABEL = 12  # variables of an error by label, as many for each fit: display and see-through count them alike
 
 
 def spread_of(
@@ -25,17 +27,10 @@ def spread_of(
         beyond: (blocks,) variance that terms beyond those of the fit add to an output; None for none.
     """
     orders, box, blocks = readings.orders, readings.box, readings.blocks
-    outputs = blocks * (1 if readings.mixed else 2)
-    rng = np.random.default_rng(0)
-    rows = rng.permutation(len(readings))[:_SAMPLES]
-    inputs = readings.inputs[rows]
-    # Half of them elsewhere in the box: what the readings do not know counts, too.
-    elsewhere = rng.uniform(box.low, box.high, inputs.shape)
-    inputs = np.where(readings.is_place & (np.arange(len(rows)) % 2 == 0)[:, None], elsewhere, inputs)
-    sample = basis(inputs, orders, box)
-    weight = readings.metric[rows]
+    outputs, parameters = blocks * (1 if readings.mixed else 2), 0
+    rows, inputs = _sample(readings)
+    sample, weight = basis(inputs, orders, box), readings.metric[rows]
     if readings.mixed:
-        parameters = 0
         design = np.einsum("nrb,nt->nrbt", readings.multiplier[rows] * weight[:, None, None], sample)
         root = _root(found.side_covariance)
         joint = root @ principal(design.reshape(2 * len(rows), -1) @ root)
@@ -44,17 +39,18 @@ def spread_of(
         joint_orders = orders
         parts = [joint[..., :0], joint]
     else:
-        design = (readings.multiplier[rows] * weight[:, None])[:, :, None] * sample[:, None]
-        design = design.reshape(len(rows), -1)
-        root = _root(found.alone[: readings.coefficients, : readings.coefficients])
+        design, own = design_of(readings, rows, sample) * weight[:, None], readings.coefficients
+        of_labels = _by_own_labels(readings, found)
+        root = _root(found.alone[:own, :own] - of_labels @ of_labels.T)
         apart_root = root @ principal(design @ root)
         own_factors = apart_root.reshape(blocks, len(orders), apart_root.shape[1]).transpose(1, 0, 2)
         own_factors = _with_constant(own_factors, orders, beyond)
         apart = own_factors.reshape(len(orders), blocks * own_factors.shape[2])
-        parameters = readings.trend.parameters if readings.trend else 0
+        parameters = readings.parameters
         side = _by_side(readings, found)
         joint_orders = side.orders
-        joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ lower_root(found.side_covariance)
+        root = np.delete(lower_root(found.side_covariance), slice(parameters, found.mixed_mean.size), axis=1)
+        joint = side.coefficients.reshape(len(joint_orders), outputs, -1) @ root
         sampled = Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1))(inputs)
         sampled = np.einsum("nb,nbok->nok", readings.multiplier[rows], sampled.reshape(len(rows), blocks, 2, -1))
         sampled = (sampled * weight[:, None, None]).reshape(2 * len(rows), -1)
@@ -71,6 +67,63 @@ def spread_of(
         Polynomial(joint_orders, box, joint.reshape(len(joint_orders), -1)),
         sources,
     )
+
+
+def label_response(readings: FitReadings, found: Posterior) -> Response:
+    """Return what errors by label leave in a model, by source.
+
+    It is the difference between the covariance of the model and the one that it would have with these errors known.
+    """
+    own, parameters = readings.coefficients, readings.parameters
+    few = response = Response((), np.zeros((0, 2, own)), np.zeros((0, parameters)))
+    of_axis, first = _by_own_labels(readings, found), 0
+    for term in readings.of_axes:
+        factor, first = of_axis[:, first : first + len(term.offset)].T, first + len(term.offset)
+        none = np.zeros_like(factor)
+        both = np.concatenate([np.stack([factor, none], axis=1), np.stack([none, factor], axis=1)])
+        if term.mean:
+            constant = np.flatnonzero(readings.orders.sum(axis=1) == 0)[:1]
+            size = term.mean * np.exp(found.hyper[term.name])
+            means = np.zeros((2 * len(constant), 2, own))
+            means[np.arange(len(means)), np.arange(len(means)), np.tile(constant, 2)] = size
+            both = np.concatenate([both, means])
+        response = Response((term.source,) * len(both), both, np.zeros((len(both), parameters))).beside(response)
+    root, first = lower_root(found.side_covariance) if readings.shared_terms else np.zeros((0, 0)), parameters
+    for term in readings.shared_terms:
+        factor, first = root[:, first : first + len(term.offset)], first + len(term.offset)
+        of_axes = np.stack([factor.T @ follow[:, :own] for follow in found.by_side], axis=1)
+        response = Response((term.source,) * len(of_axes), of_axes, factor[:parameters].T).beside(response)
+    rows, inputs = _sample(readings)
+    design = (
+        design_of(readings, rows, basis(inputs, readings.orders, readings.box)) if own else np.zeros((len(rows), 0))
+    )
+    shared, metric = readings.shared_columns(rows)[:, :, :parameters], readings.metric[rows, None, None]
+    for source in dict.fromkeys(response.sources):
+        these = np.array([each == source for each in response.sources])
+        of_axes, mixed = response.coefficients[these], response.mixed[these]
+        sampled = metric * ((of_axes @ design.T).transpose(2, 1, 0) + shared @ mixed.T)
+        fewer = principal(sampled.reshape(-1, len(mixed)), most=_OF_LABEL).T
+        names = (source,) * len(fewer)
+        few = Response(names, np.tensordot(fewer, of_axes, axes=1), fewer @ mixed).beside(few)
+    return few
+
+
+def _by_own_labels(readings: FitReadings, found: Posterior) -> FloatArray:
+    """Factors (columns, k) of the covariance of an output's coefficients that its own errors by label cause."""
+    own = readings.coefficients
+    if not readings.of_axes:
+        return np.zeros((own, 0))
+    root = lower_root(found.alone[own:, own:])
+    return np.asarray(solve_triangular(root, found.alone[own:, :own], lower=True).T)
+
+
+def _sample(readings: FitReadings) -> tuple[IntArray, FloatArray]:
+    """Return some of the readings, and their inputs; half of them elsewhere in the box, where less is known."""
+    rng = np.random.default_rng(0)
+    rows = rng.permutation(len(readings))[:_SAMPLES]
+    inputs = readings.inputs[rows]
+    elsewhere = rng.uniform(readings.box.low, readings.box.high, inputs.shape)
+    return rows, np.where(readings.is_place & (np.arange(len(rows)) % 2 == 0)[:, None], elsewhere, inputs)
 
 
 def _by_side(readings: FitReadings, found: Posterior) -> Polynomial:
@@ -131,15 +184,18 @@ def lower_root(covariance: FloatArray, jitter: float = 1e-12) -> FloatArray:
     return np.asarray(scale[:, None] * np.linalg.cholesky(correlation))
 
 
-def principal(sampled: FloatArray, others: float = 0.0) -> FloatArray:
+def principal(sampled: FloatArray, others: float = 0.0, most: int | None = None) -> FloatArray:
     """Directions (k, rank) of standard normal variables that keep `_KEPT` of the variance of samples (n, k).
 
     Scaled so that the mean variance of the samples stays what it is. None is kept where all are nothing beside
-    `others`, the sum of squares of further samples.
+    `others`, the sum of squares of further samples. With `most` the rank is that, or k where k is less.
     """
     values, vectors = np.linalg.eigh(sampled.T @ sampled)
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     total = float(values.sum())
+    if most is not None:
+        most = min(most, len(values))
+        return np.asarray(vectors[:, :most] * np.sqrt(total / max(float(values[:most].sum()), 1e-300)))
     if total <= (1.0 - _KEPT) * 0.01 * others or total == 0.0:
         return np.zeros((sampled.shape[1], 0))
     running = np.cumsum(values)

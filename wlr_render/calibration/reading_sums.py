@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.calibration.readings import FitReadings, design_of
 from wlr_render.errors import BadInputError
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Sums, weight_values
 from wlr_render.numerics.polynomial import Polynomial, basis
 from wlr_render.numerics.posterior import Posterior
@@ -87,62 +87,53 @@ def sums_of(
         captures: number of camera positions; None for that of the readings.
         still: the sums of the same readings and weights without motions, if they are there; saves most of the work.
     """
-    terms, own = len(readings.orders), 0 if motion is None else 6
+    own = 0 if motion is None else 6
     groups = (captures or int(readings.capture.max()) + 1) if own else 0
     trend = readings.trend
-    parameters = trend.parameters if trend else 0
-    columns = readings.coefficients + (0 if readings.print_errors is None else len(readings.print_errors.frequency))
-    side = readings.blocks * terms if readings.mixed else parameters, groups, own
+    columns = readings.coefficients + sum(len(each.offset) for each in readings.of_axes)
+    side = readings.parameters + sum(len(each.offset) for each in readings.shared_terms), groups, own
     sums = Sums(columns, 2, *side) if still is None else still.with_side(*side)
     observed = np.zeros_like(readings.observed)
     if start is not None and len(readings):
         observed = readings.observed - readings.values(start)
         observed = observed - (readings.values(trend.mean) if trend else 0.0)
     for rows, weight in readings.blocks_of_noise(kept):
-        design = readings.design(rows)
-        mixed = design if readings.mixed else trend_columns(readings, rows)
-        if readings.mixed:
-            design = np.empty((len(design), 0))
+        design = np.empty((len(rows), 0)) if readings.mixed else readings.design(rows)
         if still is None:
             sums.add(observed[rows], weight, design)
         grouped = None if motion is None else motion[rows]
-        sums.add_side(observed[rows], weight, design, mixed, grouped, readings.capture[rows])
+        shared = readings.shared_columns(rows) if sums.mixed else None
+        sums.add_side(observed[rows], weight, design, shared, grouped, readings.capture[rows])
     return sums
 
 
-def trend_columns(readings: FitReadings, rows: slice | IntArray) -> FloatArray | None:
-    """Columns (r, 2, parameters) of the trend; None without one."""
-    if readings.trend is None:
-        return None
-    by_parameter = readings.trend.by_parameter(readings.inputs[rows])
-    by_parameter = by_parameter.reshape(len(by_parameter), readings.blocks, 2, readings.trend.parameters)
-    return np.asarray(np.einsum("nb,nbop->nop", readings.multiplier[rows], by_parameter))
-
-
 def response_of(
-    readings: FitReadings, polynomial: Polynomial, kept: FloatArray, sums: Sums, width: FloatArray, noise: float
-) -> Response | None:
-    """How a fit follows the common errors of its readings; None without any.
+    readings: FitReadings,
+    errors: FloatArray,
+    sources: tuple[str, ...],
+    kept: FloatArray,
+    sums: Sums,
+    found: Posterior,
+) -> Response:
+    """Return how a fit follows errors of its readings.
 
     Args:
         readings: of a model that depends on the place.
-        polynomial: fitted to them.
+        errors: (n, 2, k) change of `observed` less the model by each. sources: (k,) what each is of.
         kept: (n,) weights of the fit.
         sums: over the readings.
-        width: (columns,) prior sizes of the coefficients, over the noise.
-        noise: of the fit.
+        found: posterior of the fit.
     """
-    if readings.common is None:
-        return None
-    errors = readings.common.columns(readings.slopes(polynomial))
-    columns, parameters, k = len(sums.gram), readings.trend.parameters if readings.trend else 0, errors.shape[2]
+    noise, width = found.noise, found.sizes[len(found.side_used) :] / found.noise
+    columns, parameters, k = len(sums.gram), readings.parameters, errors.shape[2]
     moment, by_trend = np.zeros((2, columns, k)), np.zeros((parameters, k))
     for rows, weight in readings.blocks_of_noise(kept):
         design = readings.design(rows)
         weighted = weight_values(weight, weight_values(weight, errors[rows]), transposed=True)
         for axis in (0, 1):
             moment[axis] += design.T @ weighted[:, axis]
-        if (of_trend := trend_columns(readings, rows)) is not None:
+        if parameters:
+            of_trend = readings.shared_columns(rows)[:, :, :parameters]
             by_trend += of_trend.reshape(-1, parameters).T @ weighted.reshape(-1, k)
     normal = width[:, None] * sums.gram * width + np.eye(columns)
     # Coefficients first, for each axis; then the trend's parameters by the Schur complement.
@@ -157,14 +148,15 @@ def response_of(
         of_parameters = np.asarray(np.linalg.solve(rest, aim), np.float64)
     of_axes = [width[:, None] * (solved[:, :k] - solved[:, k:] @ of_parameters) for solved in follow]
     coefficients = np.stack(of_axes).transpose(2, 0, 1)[:, :, : readings.coefficients]
-    return Response(readings.common.sources, coefficients, of_parameters.T)
+    return Response(sources, coefficients, of_parameters.T)
 
 
 def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) -> Polynomial:
     """Return the polynomial of a posterior, with its free part `start` and its trend."""
     blocks, terms = readings.blocks, len(readings.orders)
     outputs = 1 if readings.mixed else 2
-    mean = found.mixed_mean if readings.mixed else found.mean[:, : readings.coefficients]
+    of_model = found.mixed_mean[: readings.parameters]
+    mean = of_model if readings.mixed else found.mean[:, : readings.coefficients]
     by_term = mean.reshape(outputs, blocks, terms).transpose(2, 1, 0).reshape(terms, blocks * outputs)
     coefficients = by_term.copy()
     coefficients[readings.free] += start.coefficients
@@ -172,7 +164,18 @@ def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) ->
     if readings.trend is None:
         return polynomial
     mean_part, by_parameter = readings.trend.mean, readings.trend.by_parameter
-    moved = (
-        by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.trend.parameters) @ found.mixed_mean
-    )
+    moved = by_parameter.coefficients.reshape(len(by_parameter.orders), -1, readings.parameters) @ of_model
     return polynomial.plus(mean_part).plus(Polynomial(by_parameter.orders, by_parameter.box, moved))
+
+
+def label_values(readings: FitReadings, found: Posterior) -> FloatArray:
+    """Errors by label (n, 2) of readings, as a posterior has them."""
+    own, changes = readings.coefficients, np.zeros_like(readings.observed)
+    for term in readings.of_axes:
+        changes += term.columns @ found.mean[:, own : own + len(term.offset)].T
+        own += len(term.offset)
+    side = readings.parameters
+    for term in readings.shared_terms:
+        changes += term.columns @ found.mixed_mean[side : side + len(term.offset)]
+        side += len(term.offset)
+    return changes

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from wlr_render.calibration.print_field import PrintField
+from wlr_render.calibration.label_terms import LabelTerm, StageLabels
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry.directions import ARCMIN, tangents_by_turn
@@ -135,7 +136,9 @@ class FitReadings:
         motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
         common: errors that all captures share; None where none are known.
         shared: noise that neighbouring readings of a capture share, as a fit found it; None for white noise.
-        print_errors: smooth field of printing errors of the target; None without a target.
+        of_axes: errors by label of which both tangents have their own.
+        of_both: errors by label that both tangents share. of_stage: likewise, those of the stage; see `moving`.
+        stage: labels of the stage; None where no motion is modelled.
     """
 
     inputs: FloatArray
@@ -151,7 +154,10 @@ class FitReadings:
     motion_prior: CaptureMotionPrior | None = None
     common: Common | None = None
     shared: SharedNoise | None = None
-    print_errors: PrintField | None = None
+    of_axes: tuple[LabelTerm, ...] = ()
+    of_both: tuple[LabelTerm, ...] = ()
+    of_stage: tuple[LabelTerm, ...] = ()
+    stage: StageLabels | None = None
 
     def __len__(self) -> int:
         return len(self.inputs)
@@ -196,8 +202,11 @@ class FitReadings:
         """Return some of the readings; captures keep their indices, and the box is that of all."""
         per_row = ("inputs", "observed", "multiplier", "metric", "sigma", "capture")
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)
-        if self.print_errors is not None:
-            chosen = replace(chosen, print_errors=replace(self.print_errors, columns=self.print_errors.columns[rows]))
+        terms: dict[str, Any] = {
+            name: tuple(each.select(rows) for each in getattr(self, name))
+            for name in ("of_axes", "of_both", "of_stage")
+        }
+        chosen = replace(chosen, **terms, stage=self.stage and self.stage.select(rows))
         return chosen.within(self.box)
 
     def with_shared(self, shared: SharedNoise | None) -> "FitReadings":
@@ -206,13 +215,42 @@ class FitReadings:
 
     @property
     def coefficients(self) -> int:
-        """Number of coefficients of the polynomials that are an output's own; they come before those of the print."""
+        """Number of coefficients of the polynomials that are an output's own; errors by label come after them."""
         return 0 if self.mixed else self.blocks * len(self.orders)
 
     def design(self, rows: slice | IntArray) -> FloatArray:
-        """Columns of all that an output has of its own, see `design_of`: coefficients, then the print."""
+        """Columns of all that an output has of its own, see `design_of`: coefficients, then errors by label."""
         design = design_of(self, rows, basis(self.inputs[rows], self.orders, self.box))
-        return design if self.print_errors is None else np.hstack([design, self.print_errors.columns[rows]])
+        if not self.of_axes:
+            return design
+        return np.hstack([design, *(each.columns[rows] for each in self.of_axes)])
+
+    @property
+    def parameters(self) -> int:
+        """Number of unknowns of the model that both outputs share: those of the trend, or of mixed polynomials."""
+        return self.blocks * len(self.orders) if self.mixed else self.trend.parameters if self.trend else 0
+
+    @property
+    def shared_terms(self) -> tuple[LabelTerm, ...]:
+        """All errors by label that both outputs share; their unknowns come after `parameters`."""
+        return self.of_both + self.of_stage
+
+    def shared_columns(self, rows: slice | IntArray) -> FloatArray:
+        """Columns (r, 2, k) of what outputs share, without motions: parameters of the model, then errors by label."""
+        parts = [each.columns[rows] for each in self.shared_terms]
+        if self.mixed:
+            parts.insert(0, self.design(rows))
+        elif self.trend is not None:
+            by_parameter = self.trend.by_parameter(self.inputs[rows])
+            by_parameter = by_parameter.reshape(len(by_parameter), self.blocks, 2, self.trend.parameters)
+            parts.insert(0, np.einsum("nb,nbop->nop", self.multiplier[rows], by_parameter))
+        return np.concatenate(parts, axis=2) if parts else np.zeros((len(self.inputs[rows]), 2, 0))
+
+    def moving(self, columns: FloatArray) -> "FitReadings":
+        """Return the same readings with errors of the stage's labels, by the columns (n, 2, 6) of motions."""
+        if self.stage is None:
+            return self
+        return replace(self, of_stage=tuple(self.stage.terms(columns[:, :, :3]))).within(self.box)
 
     @property
     def image(self) -> FloatArray:

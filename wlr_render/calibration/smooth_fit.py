@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from wlr_render.calibration.moved_captures import CaptureMotion
-from wlr_render.calibration.posterior_spread import spread_of
-from wlr_render.calibration.reading_sums import Response, polynomial_of, response_of, sums_of, trend_columns
+from wlr_render.calibration.posterior_spread import label_response, spread_of
+from wlr_render.calibration.reading_sums import Response, label_values, polynomial_of, response_of, sums_of
 from wlr_render.calibration.readings import FitReadings, Trend, design_of, motion_columns
 from wlr_render.calibration.smooth_prior import (
     MotionFactors,
@@ -23,6 +24,7 @@ from wlr_render.calibration.smooth_prior import (
     motion_sizes,
     noise_floor,
     prior_squares,
+    smoothness_prior,
 )
 from wlr_render.errors import BadInputError
 from wlr_render.models.spread import Covariance
@@ -69,7 +71,9 @@ class SmoothFit:
         moved: captures that moved by far more than the others; their weights are zero.
         beyond: (blocks,) variance of each output of a block that is expected of terms beyond those of the fit; None for
             limits that the user states.
-        of_labels: errors that the readings of a label share; None where none were looked for.
+        of_labels: errors that the readings of a label share beyond those that the fit finds; None where none were
+            looked for.
+        others: sources of errors by label of the eye's other model, before and after those of this one.
         prior: of coefficients and motions.
         columns: (n, 2, 6) change of the readings by the motions; None where none are modelled.
         start: the free part, which the sums lack.
@@ -89,6 +93,7 @@ class SmoothFit:
     motion_curvature: FloatArray | None = None
     beyond: FloatArray | None = None
     of_labels: Response | None = None
+    others: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
 
     @property
     def noise(self) -> float:
@@ -137,13 +142,6 @@ class SmoothFit:
         hyper = self.posterior.hyper
         return np.exp([hyper.get("shift", -np.inf), hyper.get("turn", -np.inf)])
 
-    @property
-    def _motion_sizes(self) -> FloatArray:
-        """(captures, 6) prior sizes of the shifts and turns, as found; (captures, 0) where no motion was modelled."""
-        groups = self.posterior.group_mean.shape[0]
-        size = np.exp(self.prior.group_offset + self.prior.group_features @ self.hyper)
-        return np.broadcast_to(size, (groups, len(self.prior.group_features)))
-
     def require_agreement(self, what: str, sigma_arcmin: FloatArray) -> None:
         """Refuse readings that contradict each other beyond any noise.
 
@@ -169,19 +167,21 @@ class SmoothFit:
 
     @property
     def stage(self) -> Stage:
-        """Repeatability and wobble as found."""
-        return self.shift_m, self.turn_rad
+        """Repeatability, wobble and errors of the stage's labels as found."""
+        of_labels = {each.name: float(np.exp(self.posterior.hyper[each.name])) for each in self.readings.of_stage}
+        return {"shift": self.shift_m, "turn": self.turn_rad} | of_labels
 
     @property
     def determined(self) -> tuple[float, int]:
         """How many coefficients and parameters of the trend the readings determine, and of how many."""
         found, own = self.posterior, self.readings.coefficients
-        variance = np.diag(found.side_covariance)[found.mixed_mean.size :]
-        others = float(np.sum(1.0 - variance / self._motion_sizes.ravel() ** 2))
-        for follow in found.by_side[:, :, own:]:  # waves of the print
+        parameters, side = self.readings.parameters, len(found.side_covariance)
+        variance = np.diag(found.side_covariance)[parameters:]
+        others = float(np.sum(1.0 - variance / found.sizes[parameters:side] ** 2))
+        for follow in found.by_side[:, :, own:]:
             variance = np.diag(found.alone)[own:] + np.einsum("sc,st,tc->c", follow, found.side_covariance, follow)
-            others += float(np.sum(1.0 - variance / self.prior.sizes(self.hyper)[own:] ** 2))
-        return found.determined - others, 2 * own + found.mixed_mean.size
+            others += float(np.sum(1.0 - variance / found.sizes[side + own :] ** 2))
+        return found.determined - others, 2 * own + parameters
 
     @property
     def trend_parameters(self) -> tuple[FloatArray, FloatArray]:
@@ -225,25 +225,20 @@ class SmoothFit:
 
     def _with_common(self, readings: FitReadings, found: Posterior, sums: Sums, kept: FloatArray) -> Covariance:
         """Covariance of a fit with these prior sizes, errors that it does not find included, by sums over readings."""
-        response = None
-        if readings.common is not None:
-            width = self.prior.sizes(np.array(list(found.hyper.values()))) / found.noise
-            response = response_of(readings, self.polynomial, kept, sums, width, found.noise)
+        response = label_response(readings, found)
         if self.of_labels is not None:
             response = self.of_labels.beside(response)
+        response = response.between(*self.others)
+        if (common := readings.common) is not None:
+            errors = common.columns(readings.slopes(self.polynomial))
+            response = response.beside(response_of(readings, errors, common.sources, kept, sums, found))
         return spread_of(readings, found, response, self.beyond)
 
     @property
-    def _captures(self) -> int:
-        return int(self.readings.capture.max()) + 1
-
-    @property
     def residual(self) -> FloatArray:
-        """Residuals (n, 2) of `observed`, without printing errors and motions of the camera."""
+        """Residuals (n, 2) of `observed`, without errors by label and motions of the camera."""
         readings, found = self.readings, self.posterior
-        left = readings.observed - readings.values(self.polynomial)
-        if readings.print_errors is not None:
-            left = left - readings.print_errors.columns @ found.mean[:, readings.coefficients :].T
+        left = readings.observed - readings.values(self.polynomial) - label_values(readings, found)
         if self.columns is not None:
             left = left - np.einsum("nok,nk->no", self.columns, found.group_mean[readings.capture])
         return left
@@ -252,9 +247,7 @@ class SmoothFit:
         """Return columns (r, 2, side) of the unknowns that both tangents share: mixed ones, then captures' motions."""
         readings, mixed = self.readings, self.posterior.mixed_mean.size
         columns = np.zeros((len(rows), 2, len(self.posterior.side_covariance)))
-        of_mixed = readings.design(rows) if readings.mixed else trend_columns(readings, rows)
-        if of_mixed is not None:
-            columns[:, :, :mixed] = of_mixed
+        columns[:, :, :mixed] = readings.shared_columns(rows)
         if self.columns is not None:
             own = (mixed + 6 * readings.capture[rows, None] + np.arange(6))[:, None]
             np.put_along_axis(columns, np.broadcast_to(own, (len(rows), 2, 6)), self.columns[rows], axis=2)
@@ -268,17 +261,15 @@ class SmoothFit:
         """
         readings, out = self.readings, rows & (self.kept > 0)
         chosen = readings.select(out)
-        columns = None if self.columns is None else self.columns[out]
         # Readings of a capture share noise: those that stay enter anew.
         touched = np.isin(readings.capture, chosen.capture)
         sums = self.sums - (self._sums_of(touched) - self._sums_of(touched & ~out))
         rest = posterior(sums, self.prior, self.hyper, evidence=False)
         polynomial = polynomial_of(readings, self.start, rest)
         error = (chosen.observed - chosen.values(polynomial)) * chosen.metric[:, None]
-        variance = self._own_variance(chosen, rest) + 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
-        if columns is not None:
-            own = self._motion_sizes[chosen.capture]
-            variance += np.einsum("nok,nk->n", columns**2, own**2) * chosen.metric**2
+        known = np.sum(label_values(chosen, rest) ** 2, axis=1) * chosen.metric**2
+        variance = known + self._reading_variance(np.flatnonzero(out), rest)
+        variance += 2.0 * (self.noise * chosen.metric / chosen.weight) ** 2
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(variance)))
 
     def own_arcmin(self, rows: IntArray) -> float:
@@ -296,14 +287,36 @@ class SmoothFit:
             variance = np.einsum("nb,nbc,nc->n", chosen.multiplier, by_block, chosen.multiplier)
         return np.asarray(variance * chosen.metric**2)
 
+    def _reading_variance(self, rows: IntArray, found: Posterior) -> FloatArray:
+        """Variance (r,) in square arcminutes of readings without their noise: of model, errors by label and motions."""
+        readings, side = self.readings, self.side_columns(rows)
+        variance = np.zeros(len(rows))
+        for axis in range(0 if readings.mixed else 2):
+            design = readings.design(rows)
+            variance += np.sum(design @ found.alone * design, axis=1)
+            side[:, axis] += design @ found.by_side[axis].T
+        variance += sum(np.sum(each @ found.side_covariance * each, axis=1) for each in side.transpose(1, 0, 2))
+        if self.beyond is not None:
+            axes = tuple(range(1, readings.multiplier.ndim - 1))
+            variance += (1 if readings.mixed else 2) * np.sum(readings.multiplier[rows] ** 2, axis=axes) @ self.beyond
+        return np.asarray(variance * readings.metric[rows] ** 2)
+
     def _sums_of(self, rows: BoolArray) -> Sums:
         """Return sums over some of the readings, whole captures or what is left of them."""
         columns = None if self.columns is None else self.columns[rows]
-        return sums_of(self.readings.select(rows), self.start, columns, self.kept[rows], captures=self._captures)
+        return sums_of(
+            self.readings.select(rows),
+            self.start,
+            columns,
+            self.kept[rows],
+            captures=int(self.readings.capture.max()) + 1,
+        )
 
     def spread_with(self, readings: FitReadings) -> Covariance:
         """Covariance that further readings would give: `readings` are those of this fit, then more, at this noise."""
-        return self._spread(readings, np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))]), self.hyper)
+        return self._spread(
+            readings, np.concatenate([self.kept, np.ones(len(readings) - len(self.kept))]), self.posterior.hyper
+        )
 
     def spread_from(self, readings: FitReadings, hyper: Mapping[str, float]) -> Covariance:
         """Covariance of a fit to other readings of optics as smooth as these.
@@ -312,19 +325,18 @@ class SmoothFit:
             readings: of the same headset, none beyond the box of this fit.
             hyper: hyperparameters, logarithms, in place of those found: "noise", "shift" and "turn".
         """
-        values = [hyper.get(name, value) for name, value in self.posterior.hyper.items()]
-        return self._spread(readings.within(self.readings.box), np.ones(len(readings)), np.array(values))
+        known = {**self.posterior.hyper, **hyper}
+        return self._spread(readings.within(self.readings.box), np.ones(len(readings)), known)
 
-    def _spread(self, readings: FitReadings, kept: FloatArray, hyper: FloatArray) -> Covariance:
-        columns, prior, readings = None, self.prior, readings.with_shared(self.readings.shared)
+    def _spread(self, readings: FitReadings, kept: FloatArray, hyper: Mapping[str, float]) -> Covariance:
+        columns, readings = None, readings.with_shared(self.readings.shared)
         if self.columns is not None:
             columns = motion_columns(readings, self.polynomial)
-            prior = replace(prior, group_offset=np.log(motion_sizes(readings)))
-        if readings.print_errors is None and self.readings.print_errors is not None:
-            own = self.readings.coefficients
-            prior = replace(prior, features=prior.features[:own], offset=0.0)
+            readings = readings.moving(columns)
+        prior = smoothness_prior(readings, moving=columns is not None)
         sums = sums_of(readings, None, columns, kept)
-        found = posterior(sums, prior, hyper, evidence=False)
+        usual = dict(zip(prior.names, prior.expected[:, 0], strict=True))  # of labels that the first readings lacked
+        found = posterior(sums, prior, np.array([hyper.get(name, usual[name]) for name in usual]), evidence=False)
         return self._with_common(readings, found, sums, kept)
 
     def with_motions(self, motion: FloatArray) -> Polynomial:
@@ -368,22 +380,23 @@ class SmoothFit:
         readings = readings.within(self.readings.box)
         design = design_of(readings, slice(None), basis(readings.inputs, readings.orders, readings.box))
         weight = (readings.weight / self.noise)[:, None]
-        own = np.zeros((len(readings), 2, 6))
+        own, of_place = np.zeros((len(readings), 2, 6)), np.zeros((len(readings), 2, 0))
         if self.columns is not None:
             size = motion_sizes(readings) * np.exp(self.prior.group_features @ self.hyper)
-            own = motion_columns(readings, self.polynomial) * (size[readings.capture] * weight)[:, None]
+            columns = motion_columns(readings, self.polynomial) * weight[:, None]
+            own, stage = columns * size[readings.capture, None], self.readings.stage
+            if stage is not None and stage.axes:  # the visits of a place share the errors of the stage's axes there
+                of_place = columns[:, :, stage.axes] * self.stage["axes"]
         found, shared = [], self.readings.shared
         for number in range(places):
             rows = np.flatnonzero(place == number)
             visit = readings.capture[rows]
-            moved = own[rows].reshape(len(rows), 12)
-            noise = np.eye(len(rows)) + 0.5 * (visit[:, None] == visit) * (moved @ moved.T)
+            moved, placed = (each[rows].reshape(len(rows), 2 * each.shape[2]) for each in (own, of_place))
+            noise = np.eye(len(rows)) + 0.5 * ((visit[:, None] == visit) * (moved @ moved.T) + placed @ placed.T)
             if shared is not None:
                 own_field = (visit[:, None] == visit) * shared.correlation(readings.image[rows])
                 noise += shared.share * (own_field - np.eye(len(rows)))
-            found.append(
-                np.asarray(np.linalg.solve(np.linalg.cholesky(noise), design[rows] * weight[rows]), np.float64)
-            )
+            found.append(solve_triangular(np.linalg.cholesky(noise), design[rows] * weight[rows], lower=True))
         return found
 
 

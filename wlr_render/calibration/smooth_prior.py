@@ -11,13 +11,13 @@ from itertools import product
 import numpy as np
 from scipy.special import binom
 
-from wlr_render.calibration.print_field import FALLS_DIFFER, USUAL_FALL
+from wlr_render.calibration.label_terms import FALLS_DIFFER, USUAL_FALL, LabelTerm
 from wlr_render.calibration.reading_sums import sums_of
 from wlr_render.calibration.readings import FitReadings, flat_places
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Prior, Sums, posterior
 from wlr_render.numerics.polynomial import Polynomial
-from wlr_render.usual import BOARD_PRINT_M, STAGE_REPEATABILITY_M, STAGE_TURN_RAD
+from wlr_render.usual import STAGE_REPEATABILITY_M, STAGE_TURN_RAD
 
 NOISE_FLOOR_ARCMIN = 1e-3
 """Least noise of a reading that states more or nothing: exact data would send it to zero, where rounding decides."""
@@ -30,9 +30,12 @@ _SHIFTS, _TURNS = (-0.6, 1.2, 2.8), (-1.0, 0.8, 2.5)  # where the search for mot
 _STARTS = ((-1.0, 0.7, 0.7, 0.3), (-1.0, 1.2, 1.5, 0.03), (-4.0, 0.7, 0.7, 1.0))  # size, lambda, mu, noise
 _USUAL_SLOPES = (2.5, 1.5)  # of the prior by place and by pixel, for readings that tell little; give or take one
 _FOOTPRINT, _USUAL_FOOTPRINT = "footprint", (1.0, 0.5)  # exponent of `_log_ways`: its name, mean and sigma
+_FALL = "fall"  # of the size of waves with their frequency
+_LEAST_SHARE, _MOST_TIMES_USUAL = 7.0, 2.5  # logarithms of the bounds of an error by label over its usual size
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
-Stage = tuple[float, float]
-"""Repeatability in metres and wobble in radians, standard deviations per axis."""
+Stage = Mapping[str, float]
+"""Sizes of the errors of a stage by the names of their hyperparameters: "shift", "axes", "travel" in metres, "turn" in
+radians, standard deviations per axis."""
 
 
 @dataclass(frozen=True)
@@ -62,32 +65,31 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     slopes = [f"{'mu' if readings.is_place[axis] else 'lambda'} {axis}" for axis in axes]
     ways = _log_ways(readings)
     footprint = [_FOOTPRINT] if np.any(ways) else []
-    print_names = () if readings.print_errors is None else ("print", "fall")
-    names = (*sizes, *slopes, *footprint, *print_names, "noise", *(("shift", "turn") if moving else ()))
-    features = np.zeros((blocks, len(orders), len(names)))
+    terms = readings.of_axes + readings.shared_terms
+    falls = [_FALL] if any(each.frequency is not None for each in terms) else []
+    of_labels = [*(each.name for each in terms), *falls]
+    names = (*sizes, *slopes, *footprint, *of_labels, "noise", *(("shift", "turn") if moving else ()))
+    by_term = np.zeros((blocks, len(orders), len(names)))
     for block in range(blocks):
-        features[block, ~free, block] = 1.0
+        by_term[block, ~free, block] = 1.0
         for axis, other in enumerate(smooth_as):
-            features[block, ~free, blocks + axes.index(other)] -= orders[~free, axis]
+            by_term[block, ~free, blocks + axes.index(other)] -= orders[~free, axis]
         if footprint:
-            features[block, ~free, names.index(_FOOTPRINT)] = ways[~free]
-    flat = features.reshape(-1, len(names))
+            by_term[block, ~free, names.index(_FOOTPRINT)] = ways[~free]
+    flat = by_term.reshape(-1, len(names))
     none = np.zeros((0, len(names)))
-    parameters = np.zeros((readings.trend.parameters if readings.trend else 0, len(names)))
-    shared, mixed = (none, flat) if readings.mixed else (flat, parameters)
-    of_columns: FloatArray | float = 0.0
-    if readings.print_errors is not None:
-        waves = np.zeros((len(readings.print_errors.frequency), len(names)))
-        waves[:, names.index("print")], waves[:, names.index("fall")] = 1.0, -readings.print_errors.frequency
-        of_columns = np.concatenate([np.zeros(len(shared)), readings.print_errors.offset])
-        shared = np.concatenate([shared, waves])
+    own_part, shared_part = (none, flat) if readings.mixed else (flat, np.zeros((readings.parameters, len(names))))
+    features, offset = _with_terms(own_part, readings.of_axes, names)
+    mixed_features, mixed_offset = _with_terms(shared_part, readings.shared_terms, names)
     own = np.zeros((6 if moving else 0, len(names)))
-    offset: FloatArray | float = 0.0
+    group_offset: FloatArray | float = 0.0
     if moving:
         own[SHIFT, -2] = own[TURN, -1] = 1.0
-        offset = np.log(motion_sizes(readings))
+        group_offset = np.log(motion_sizes(readings))
     bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(0.0, 2.0)] * len(footprint)
-    bounds += [(np.log(LEAST_MOTION), 0.0), (0.0, 5.0)][: len(print_names)]
+    bounds += [np.log(each.usual.value) + [-_LEAST_SHARE, _MOST_TIMES_USUAL] for each in terms] + [(0.0, 5.0)] * len(
+        falls
+    )
     bounds += [(np.log(noise_floor(readings)), 12.0)]
     if moving:
         usual = motion_scale(readings)
@@ -99,15 +101,31 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     expected[blocks : blocks + len(slopes), 1] = 1.0
     if footprint:
         expected[names.index(_FOOTPRINT)] = _USUAL_FOOTPRINT
-    if print_names:
-        expected[names.index("print")] = np.log(BOARD_PRINT_M.value), BOARD_PRINT_M.log_sigma
-        expected[names.index("fall")] = USUAL_FALL, FALLS_DIFFER
+    for term in terms:
+        expected[names.index(term.name)] = np.log(term.usual.value), term.usual.log_sigma
+    if falls:
+        expected[names.index(_FALL)] = USUAL_FALL, FALLS_DIFFER
     if moving:
         stated = readings.motion_prior
         expected[-2:, 1] = STAGE_REPEATABILITY_M.log_sigma if stated is None else stated.log_sigma
         if factors is not None:
             expected[-2:] = np.stack([factors.mean, factors.sigma], axis=-1)
-    return Prior(names, np.array(bounds), expected, shared, mixed, own, offset, of_columns)
+    return Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
+
+
+def _with_terms(
+    features: FloatArray, terms: Sequence[LabelTerm], names: Sequence[str]
+) -> tuple[FloatArray, FloatArray]:
+    """Return features and offset of unknowns of the model (k, hyperparameters), then of errors by label."""
+    parts, offset = [features], [np.zeros(len(features))]
+    for term in terms:
+        own = np.zeros((len(term.offset), len(names)))
+        own[:, names.index(term.name)] = 1.0
+        if term.frequency is not None:
+            own[:, names.index(_FALL)] = -term.frequency
+        parts.append(own)
+        offset.append(term.offset)
+    return np.concatenate(parts), np.concatenate(offset)
 
 
 def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArray:
@@ -118,7 +136,8 @@ def prior_squares(readings: FitReadings, hyper: Mapping[str, float]) -> FloatArr
         hyper: hyperparameters that a fit found, logarithms.
     """
     prior = smoothness_prior(readings, moving=False)
-    features = prior.mixed_features if readings.mixed else prior.features[: readings.coefficients]
+    every = prior.mixed_features if readings.mixed else prior.features
+    features = every[: readings.blocks * len(readings.orders)]
     size = np.exp(features @ [hyper[name] for name in prior.names]).reshape(readings.blocks, -1)
     square = size**2 * 0.5 ** np.count_nonzero(readings.orders, axis=1)  # a Chebyshev polynomial's mean square is 1/2
     square[:, readings.free] = np.inf
@@ -196,10 +215,9 @@ def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise
         "mu": by_place,
         _FOOTPRINT: _USUAL_FOOTPRINT[0],
         "noise": float(np.log(noise)),
-        "print": float(np.log(BOARD_PRINT_M.value)),
-        "fall": USUAL_FALL,
     }
-    return {name: values[name.split()[0]] for name in prior.names}
+    of_labels = dict(zip(prior.names, map(float, prior.expected[:, 0]), strict=True))
+    return {name: values.get(name.split()[0], of_labels[name]) for name in prior.names}
 
 
 def motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:

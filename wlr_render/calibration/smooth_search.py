@@ -5,11 +5,13 @@ nearly the same hyperparameters, and with the same captures nearly the same weig
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from wlr_render.calibration.label_terms import means_by, smooth_basis
 from wlr_render.calibration.moved_captures import CaptureMotion, moved_odds, usual_motion
 from wlr_render.calibration.reading_sums import free_part, polynomial_of, sums_of
 from wlr_render.calibration.readings import FitReadings, Limits, motion_columns, rows_by_capture
@@ -29,7 +31,7 @@ from wlr_render.calibration.smooth_prior import (
 )
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import maximise, posterior
-from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.numerics.posterior import Posterior
 from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, neighbour_distance
 
@@ -38,7 +40,6 @@ _WIDENINGS = 3
 _MOTION_ROUNDS = 3
 _ROUNDS = 4  # of outlier weights and noise that neighbours share
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
-_SMOOTH_ORDER = 3  # of the place: motions that vary with it no faster are no motions
 _REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # share of the motions that is left to tell their sizes
 _NEAR_CLEAREST = 0.7  # of the odds of the clearest one: what is less clear may be its doing
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
@@ -221,24 +222,32 @@ class _Search:
 
     def _with_motions(self, still: SmoothFit, before: SmoothFit | None) -> SmoothFit:
         """Add motions of the captures, of the sizes of a fit to the same captures; None for no such fit."""
-        readings, start, kept = still.readings, still.start, still.kept
+        start, kept, polynomial = still.start, still.kept, still.polynomial
+        readings = still.readings.moving(motion_columns(still.readings, polynomial))
         factors = self.stage if isinstance(self.stage, MotionFactors) else None
         prior = smoothness_prior(readings, moving=True, factors=factors)
-        if isinstance(self.stage, tuple):
-            prior.bounds[-2:] = np.log(np.maximum(self.stage, LEAST_MOTION) / motion_scale(readings))[:, None]
-        rough, polynomial, hyper = _rough(readings, kept), still.polynomial, dict(still.posterior.hyper)
-        of_rough, curvature = replace(prior, group_offset=0.0), np.zeros(2)
+        if isinstance(self.stage, Mapping):
+            units = dict(zip(("shift", "turn"), motion_scale(readings), strict=True))
+            for name in set(prior.names).intersection(self.stage):
+                size = max(self.stage[name], LEAST_MOTION) / units.get(name, 1.0)
+                prior.bounds[prior.names.index(name)] = np.log(size)
+        rough, hyper = _rough(readings, kept), dict(zip(prior.names, map(float, prior.expected[:, 0]), strict=True))
+        hyper |= {} if before is None else before.posterior.hyper
+        hyper |= still.posterior.hyper
+        mixed, rows = _rough_axes(readings)
+        features, offset = prior.mixed_features[rows], np.broadcast_to(prior.mixed_offset, len(mixed))[rows]
+        of_rough = replace(prior, group_offset=0.0, mixed_features=features, mixed_offset=offset)
+        curvature = np.zeros(2)
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
             columns = motion_columns(readings, polynomial)
+            readings = readings.moving(columns)
             sums = sums_of(readings, start, columns, kept, still=still.sums)
             if round_ > 0:
-                found = maximise(sums.combined(rough), of_rough, [hyper])
+                found = maximise(sums.combined(mixed, rough), of_rough, [hyper])
                 hyper, curvature = dict(found.hyper), found.curvature[-2:]
             elif before is None:
-                hyper = motion_start(sums.combined(rough), of_rough, hyper)
-            else:
-                hyper |= {name: before.posterior.hyper[name] for name in ("shift", "turn")}
+                hyper = motion_start(sums.combined(mixed, rough), of_rough, hyper)
             found = posterior(sums, prior, np.clip([hyper[name] for name in prior.names], *prior.bounds.T))
             polynomial = polynomial_of(readings, start, found)
         return SmoothFit(polynomial, found, readings, kept, still.moved, prior, columns, start, sums, curvature)
@@ -269,15 +278,11 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     """
     captures = int(readings.capture.max()) + 1
     used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
-    place = readings.inputs[:, readings.is_place]
-    count = np.maximum(np.bincount(readings.capture, minlength=captures), 1)
-    middle = np.stack([np.bincount(readings.capture, axis, captures) / count for axis in place.T], axis=-1)[used]
-    orders = [total_degree(place.shape[1], order) for order in range(_SMOOTH_ORDER + 1)]
+    middle = means_by(readings.capture, readings.inputs[:, readings.is_place])[used]
     rest = _REST_IF_UNKNOWN if readings.motion_prior is None else _REST_IF_STATED
-    smooth = [order for order in orders if len(order) <= (1.0 - rest) * len(used)]
-    if not smooth:
+    if (1.0 - rest) * len(used) < 1.0:
         return np.zeros((6, captures, 0))
-    values, extent, _ = np.linalg.svd(basis(middle, smooth[-1], Box.around(middle)), full_matrices=False)
+    values, extent, _ = np.linalg.svd(smooth_basis(middle, 1.0 - rest), full_matrices=False)
     values = values[:, extent > 1e-6 * extent[0]]
     rough = np.zeros((6, captures, len(used) - values.shape[1]))
     for axis, own in enumerate(motion_sizes(readings)[used].T):
@@ -285,6 +290,19 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
         across = np.linalg.qr(values / own[:, None], mode="complete")[0][:, values.shape[1] :]
         rough[axis, used] = own[:, None] * across
     return rough
+
+
+def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
+    """Return what `_rough` is for motions for the unknowns that both outputs share, of which errors by axis are some.
+
+    Returns:
+        Combinations (mixed, k), and for each an unknown (k,) of the same prior size.
+    """
+    first = readings.parameters + sum(len(each.offset) for each in readings.of_both)
+    last = first + sum(len(each.offset) for each in readings.of_stage)
+    rough = np.zeros((0, 0)) if readings.stage is None else readings.stage.rough()
+    mixed = block_diag(np.eye(first), rough, np.eye(last - first - len(rough)))
+    return mixed, np.delete(np.arange(last), first + np.arange(rough.shape[1], len(rough)))
 
 
 def _with_terms_beyond(readings: FitReadings) -> FitReadings:
@@ -303,16 +321,14 @@ def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, Ca
     readings, out = smooth.readings, [each.capture for each in smooth.moved]
     kept = np.where(np.isin(readings.capture, out), 1.0, smooth.kept)
     offset = np.log(motion_sizes(readings))
-    hyper = smooth.posterior.hyper
-    offset[out, SHIFT], offset[out, TURN] = (np.log(_ANY_MOTION) - hyper[name] for name in ("shift", "turn"))
     columns, judge = motion_columns(readings, smooth.polynomial), _with_terms_beyond(readings)
     still = smooth.sums if judge is readings and not out else None
     prior = smoothness_prior(judge, moving=True)
-    found = posterior(
-        sums_of(judge, smooth.start, columns, kept, still=still), replace(prior, group_offset=offset), smooth.hyper
-    )
-    size = np.exp(offset + smooth.prior.group_features @ smooth.hyper)
-    factors = np.exp(smooth.prior.group_features @ smooth.hyper)
+    values, sums = _without_axes(readings, smooth), sums_of(judge, smooth.start, columns, kept, still=still)
+    offset[out, SHIFT], offset[out, TURN] = np.log(_ANY_MOTION) - values[-2:]
+    found = posterior(sums, replace(prior, group_offset=offset), values)
+    factors = np.exp(smooth.prior.group_features @ values)
+    size = np.exp(offset) * factors
     usual = usual_motion(readings, factors, found.group_mean, np.setdiff1d(readings.capture, out))
     off = (readings.observed - readings.values(smooth.polynomial)) * readings.metric[:, None]
     found_of = {}
@@ -325,6 +341,20 @@ def _suspects(smooth: SmoothFit) -> tuple[dict[int, CaptureMotion], dict[int, Ca
         found_of[name] = CaptureMotion(name, shift, turn, arcmin, odds)
     before = {name: found_of.pop(name) for name in out}
     return {name: each for name, each in found_of.items() if each.is_suspect}, before
+
+
+def _without_axes(readings: FitReadings, smooth: SmoothFit) -> FloatArray:
+    """Hyperparameters of a fit with ordinary errors by reading of the stage's axes; the rest are motions.
+
+    A capture that moved makes the errors at its own readings look large.
+    """
+    values, names = smooth.hyper.copy(), smooth.prior.names
+    for term in readings.of_stage:
+        row, most = names.index(term.name), float(np.log(term.usual.value)) + term.usual.log_sigma
+        more = max(np.exp(2.0 * values[row]) - np.exp(2.0 * most), 0.0) / motion_scale(readings)[0] ** 2
+        values[row] = min(values[row], most)
+        values[-2] = 0.5 * np.log(np.exp(2.0 * values[-2]) + more)
+    return values
 
 
 def _weights(readings: FitReadings, polynomial: Polynomial, columns: FloatArray | None, kept: FloatArray) -> FloatArray:

@@ -144,13 +144,18 @@ class Sums:
         other.gram, other.moment = self.gram.copy(), self.moment.copy()
         return other
 
-    def combined(self, groups: FloatArray) -> "Sums":
-        """Return the sums for unknowns c of k groups: b_go = sum_k groups_ogk c_ko, `groups` (grouped, groups, k)."""
-        reduced = self.with_side(self.mixed, groups.shape[2], self.grouped)
+    def combined(self, mixed: FloatArray, groups: FloatArray) -> "Sums":
+        """Return the sums for other side unknowns: z = mixed y, and b_go = sum_k groups_ogk c_ko of k groups.
+
+        Args:
+            mixed: (mixed, unknowns y).
+            groups: (grouped, groups, k).
+        """
+        reduced = self.with_side(mixed.shape[1], groups.shape[2], self.grouped)
         grouped = np.einsum("ogk,op->gokp", groups, np.eye(self.grouped))
         to = np.zeros((len(self.side_moment), len(reduced.side_moment)))
-        to[: self.mixed, : self.mixed] = np.eye(self.mixed)
-        to[self.mixed :, self.mixed :] = grouped.reshape(self.groups * self.grouped, -1)
+        to[: self.mixed, : reduced.mixed] = mixed
+        to[self.mixed :, reduced.mixed :] = grouped.reshape(self.groups * self.grouped, -1)
         reduced.side_gram = to.T @ self.side_gram @ to
         reduced.side_moment = to.T @ self.side_moment
         reduced.side_cross = np.stack([to.T @ cross for cross in self.side_cross])
@@ -190,7 +195,7 @@ class Prior:
         mixed_features: (mixed, hyperparameters) of z.
         group_features: (grouped, hyperparameters) of b.
         group_offset: (groups, grouped) added to the logarithms of the prior sizes of b.
-        offset: (columns,) likewise of x.
+        offset: (columns,) likewise of x. mixed_offset: (mixed,) of z.
     """
 
     names: tuple[str, ...]
@@ -201,6 +206,7 @@ class Prior:
     group_features: FloatArray
     group_offset: FloatArray | float = 0.0
     offset: FloatArray | float = 0.0
+    mixed_offset: FloatArray | float = 0.0
 
     def sizes(self, hyper: FloatArray) -> FloatArray:
         """Return the prior sizes (columns,) of the coefficients x of an output."""
@@ -220,7 +226,8 @@ class Prior:
         """Return the features (side, hyperparameters) and offset (side,) of the side unknowns."""
         grouped = np.broadcast_to(self.group_offset, (groups, len(self.group_features))).ravel()
         features = [self.mixed_features, np.tile(self.group_features, (groups, 1))]
-        return np.concatenate(features), np.concatenate([np.zeros(len(self.mixed_features)), grouped])
+        mixed = np.broadcast_to(self.mixed_offset, len(self.mixed_features))
+        return np.concatenate(features), np.concatenate([mixed, grouped])
 
 
 def posterior(sums: Sums, prior: Prior, hyper: FloatArray, evidence: bool = True) -> Posterior:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
 from wlr_render.calibration.fit_report import FitReport, ModelFit
-from wlr_render.calibration.label_errors import MATTERS, STANDS_OUT
+from wlr_render.calibration.label_errors import MATTERS, REMEDIES, STANDS_OUT
 from wlr_render.calibration.smooth_fit import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
@@ -27,6 +27,7 @@ WORTH_A_ROW, FEW_POSITIONS = 0.1, 0.3
 MOTIONS_DIFFER = 3.0
 """Standard deviations between fitted motions and the bench's beyond which a report warns."""
 _NEAR_BOUND = 0.9
+_MOST_OF_IT = 0.7  # share of the predicted error from which its source is advised on: half of its square
 _NO_MOTION = 0.05  # um, microradians
 _CELLS = 48  # cells of a map, across the panel
 _CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -174,9 +175,16 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
 
 
 def fit_advice(fit: Calibration) -> list[str]:
-    """Return advice to add a row of camera positions, if it reduces the error."""
+    """Return advice against the largest source of the predicted error, and to add positions that reduce it."""
     steps = []
     for name, report in _reports(fit):
+        whole = report.predicted_arcmin
+        steps += [
+            f"{name.capitalize()}: {each.source} cause {_digits(each.arcmin)}' of {_digits(whole)}'. "
+            f"{REMEDIES[each.source]}"
+            for each in report.shares
+            if each.source in REMEDIES and each.arcmin > _MOST_OF_IT * whole
+        ]
         if report.one_more is not None and _gain(report) > WORTH_A_ROW:
             now, then = _digits(report.predicted_arcmin), _digits(report.one_more.predicted_arcmin)
             falls = f"the predicted error falls from {now}' to {then}'."
@@ -200,8 +208,8 @@ def fit_blocks(comparison: KindComparison, captures: Captures, display_names: Se
         display_names: names of the display's camera positions; empty to number them.
     """
     fit = comparison.chosen
-    tables = [_fit_table(fit), _motion_table(fit), _label_table(fit), _size_table(fit), _held_out_table(fit)]
-    tables.append(_one_more_table(fit))
+    tables = [_fit_table(fit), _share_table(fit), _motion_table(fit), _label_table(fit), _size_table(fit)]
+    tables += [_held_out_table(fit), _one_more_table(fit)]
     if len(comparison.fits) > 1:
         tables.insert(0, _kinds_table(comparison))
     maps = [] if fit.display is None else _predicted_maps(fit.display.mapping)
@@ -222,6 +230,25 @@ def _fit_table(fit: Calibration) -> ReportTable:
         "Noise, repeatability of the camera's positions and wobble of its turns are standard deviations per axis.",
     )
     return ReportTable("Fit", columns, rows, notes)
+
+
+def _share_table(fit: Calibration) -> ReportTable:
+    rows: list[list[Cell]] = []
+    for name, report in _reports(fit):
+        for each in report.shares:
+            size, usual = (None if value is None else _length(value, each.unit) for value in (each.size, each.usual))
+            rows.append([name, each.source, each.arcmin, size, usual])
+    columns = ["mapping", "source", "part of the predicted error (arcmin)", "size found", "usual size"]
+    notes = (
+        "Squares of the parts add up to the square of the predicted error. Sizes are rms of the source's own errors; "
+        "where the captures do not tell them, they are the usual ones.",
+    )
+    return ReportTable("Predicted error by source", columns, rows, notes)
+
+
+def _length(value: float, unit: str) -> str:
+    """Size of an error in words, e.g. "48 um" or "0.12'"."""
+    return f"{_digits(1e6 * value)} um" if unit == "m" else f"{_digits(value)}'"
 
 
 def _motion_table(fit: Calibration) -> ReportTable:

@@ -1,5 +1,6 @@
 """What the bench of a planned session leaves in its captures: noise, repeatability, and smooth errors of the stage."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,12 +18,13 @@ from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photog
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.stage_errors import StageErrors
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
-from wlr_render.usual import CODE_NOISE_PX, DOT_NOISE_PX
+from wlr_render.usual import CODE_NOISE_PX, DOT_NOISE_PX, STAGE_SCREW_M
 
 GRID = (17, 13)
 """Directions of a simulated capture: fewer than are read, each with less noise, so that a capture tells as much."""
 _DEGREE = 3  # degree of the curve along an axis
 _CURVE = 71  # stream of random numbers
+_PITCH_M = 1e-3  # of lead screws
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,16 @@ def _powers(unit: FloatArray, degrees: tuple[int, ...]) -> FloatArray:
     """1 and the powers (n, k) of each coordinate of (n, 3)."""
     powers = [unit[:, axis] ** power for axis, degree in enumerate(degrees) for power in range(1, degree + 1)]
     return np.stack([np.ones(len(unit)), *powers], axis=1)
+
+
+def _with_screws(curve: StageCurve, phase: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return a curve and periodic errors of lead screws, of usual size and phases (3,), which no calibration finds."""
+
+    def motion(position: FloatArray) -> FloatArray:
+        screw = np.sqrt(2.0) * STAGE_SCREW_M.value * np.sin(2.0 * np.pi * position / _PITCH_M + phase)
+        return np.asarray(curve(position) + np.hstack([np.zeros_like(screw), screw]))
+
+    return motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,13 +179,14 @@ class PlannedBench:
     ) -> Captures:
         """Simulate the captures of a session with camera places (m, 3)."""
         sizes, rng = self.recipe.bench.imperfections, np.random.default_rng(seed)
+        phase = rng.uniform(0.0, 2.0 * np.pi, 3)
         shown, seen = (
             replace(
                 self.setup(depths_m),
                 camera_noise_arcmin=noise * arcmin * float(np.sqrt(np.prod(GRID) / count)),
                 stage_error_m=1e-6 * sizes.repeatability_um,
                 stage_turn_rad=1e-6 * sizes.turn_jitter_urad,
-                stage_curve=curve,
+                stage_curve=curve and _with_screws(curve, phase),
             )
             for noise, arcmin, count in (
                 (self.noise.panel_px, self.panel_arcmin, self.noise.panel_samples),

@@ -1,0 +1,138 @@
+"""Errors by label as unknowns of a fit: found where captures tell them, carried where they do not, and named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, see_through_captures
+
+from wlr_render.calibration.fit_display import fit_display
+from wlr_render.calibration.fit_see_through import fit_see_through
+from wlr_render.calibration.label_terms import print_term
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+
+DEPTHS = (0.4, 0.8, 1.5)
+
+
+def printed(seed, size_m=2e-5):
+    """Captures of a board whose dots lie beside their places by random plane waves."""
+    rng = np.random.default_rng(seed)
+    captures = see_through_captures(grid_in_plane(4, 4), DEPTHS, sigma_arcmin=0.1, seed=seed)
+    dot = captures.point[:, :2]
+    waves, phase = rng.normal(0.0, 12.0, (2, 30, 2)), rng.uniform(0.0, 2 * np.pi, (2, 30))
+    off = np.stack([np.cos(dot @ waves[axis].T + phase[axis]).sum(axis=1) for axis in (0, 1)], axis=-1)
+    for pose in range(len(DEPTHS)):  # a pose of the board is fitted to its dots
+        rows = captures.target_pose == pose
+        affine = np.column_stack([np.ones(rows.sum()), dot[rows]])
+        off[rows] -= affine @ np.linalg.lstsq(affine, off[rows], rcond=None)[0]
+    stated = captures.point.copy()
+    stated[:, :2] -= size_m / np.sqrt(15.0) * off
+    target = np.column_stack([dot, np.zeros(len(dot))])
+    return replace(captures, point=stated, target_point=target)
+
+
+def errors_arcmin(mapping, rng):
+    """True and predicted error at random real points and viewpoints of the eye box."""
+    base = rng.uniform(*EYE_BOX.at(np.array([[-1.0, -1, 0], [1, 1, 0]]))[:, :2], (200, 2))
+    tangents, depth = rng.uniform([-0.35, -0.25], [0.35, 0.25], (200, 2)), rng.uniform(*DEPTHS[::2], (200, 1))
+    a, b = bend_of(base, tangents)
+    point = np.hstack([base + b + depth * (tangents + a), PLANE.z - depth])
+    viewpoint = PLANE.lift(base)
+    seen = mapping.view_dir_of_real_point(point, viewpoint).value
+    return arcmin_between(seen, dir_of_tangents(tangents)), mapping.sigma(point, viewpoint)
+
+
+def test_the_predicted_error_contains_printing_errors():
+    ratios = []
+    for has_target in (True, False):
+        squares = []
+        for seed in range(3):
+            captures = printed(seed)
+            captures = captures if has_target else replace(captures, target_point=np.full(3, np.nan))
+            true, predicted = errors_arcmin(fit_see_through(captures, "planar", 4).mapping, np.random.default_rng(seed))
+            squares.append([np.mean(true**2), np.mean(predicted**2)])
+        ratios.append(np.sqrt(np.divide(*np.mean(squares, axis=0))))
+    print(ratios)
+    assert 0.7 < ratios[0] < 1.4
+    assert ratios[1] > 1.5 * ratios[0]
+
+
+def test_a_board_that_fills_no_area_has_no_field():
+    dot = np.stack([np.linspace(0.0, 1.0, 20), np.zeros(20)], axis=-1)
+    assert print_term(dot, np.ones(20)) is None
+    assert print_term(np.full((20, 2), np.nan), np.ones(20)) is None
+
+
+def test_waves_do_what_no_pose_of_the_board_does():
+    dot = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 12), np.linspace(-0.4, 0.4, 9)), axis=-1).reshape(-1, 2)
+    field = print_term(dot, np.full(len(dot), 2.0))
+    affine = np.column_stack([np.ones(len(dot)), dot])
+    assert np.abs(affine.T @ field.columns).max() == pytest.approx(0.0, abs=1e-9)
+
+
+def lab_display(seed, raster=False, size=7):
+    """Captures in random order and off the raster, or along a raster; with the times of a lab."""
+    rng = np.random.default_rng(seed)
+    grid = grid_in_plane(size, size)
+    places = grid if raster else rng.permutation(grid + rng.uniform(-0.1, 0.1, grid.shape) * EYE_BOX.size[:2])
+    captures = display_captures(places, sigma_arcmin=0.25, seed=seed)
+    return replace(captures, time_s=30.0 * captures.visits[1], travel=np.sign(np.sin(2.3 * captures.visits[1])))
+
+
+def drifting(captures, arcmin=0.6):
+    """A camera that turns while it warms up."""
+    warm = 1.0 - np.exp(-3.0 * captures.time_s / captures.time_s.max())
+    turned = captures.tangents + np.outer(warm - warm.mean(), [arcmin, -0.5 * arcmin]) * ARCMIN
+    return replace(captures, view_dir=dir_of_tangents(turned))
+
+
+def screwed(captures, size_m=12e-6):
+    """A stage whose axis x has a lead screw with an error."""
+    x, y, z = captures.viewpoint.T
+    return replace(captures, viewpoint=np.column_stack([x + size_m * np.sin(2.0 * np.pi * x / 5e-3), y, z]))
+
+
+def share_of(fit, source):
+    return next(each for each in fit.report.shares if each.source == source)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "source", "size"),
+    [(drifting, "drift", 0.2), (screwed, "stage axes", 12e-6 / np.sqrt(2.0))],
+    ids=["drift", "screw"],
+)
+def test_the_size_of_an_error_is_found(wrong, source, size):
+    captures = lab_display(0)
+    found = share_of(fit_display(wrong(captures), "planar", 3), source)
+    sound = share_of(fit_display(captures, "planar", 3), source)
+    assert found.size == pytest.approx(size, rel=0.5)
+    assert sound.size < 0.4 * found.size
+    assert sound.arcmin < 0.5 * found.arcmin
+
+
+def test_what_a_raster_does_not_show_is_carried():
+    """Along a raster a drift looks like optics: with times the fit says that it is less sure."""
+    ratios = []
+    for raster in (True, False):
+        captures = lab_display(1, raster)
+        timed, untimed = (fit_display(each, "planar", 3) for each in (captures, replace(captures, time_s=np.nan)))
+        drift = share_of(timed, "drift")
+        ratios.append(drift.arcmin)
+        assert timed.report.predicted_arcmin > untimed.report.predicted_arcmin
+        assert not any(each.source == "drift" for each in untimed.report.shares)
+    assert ratios[0] > 2.0 * ratios[1]
+
+
+def test_shares_add_up_to_the_predicted_error():
+    report = fit_see_through(printed(0), "planar", 4).report
+    assert np.sqrt(sum(each.arcmin**2 for each in report.shares)) == pytest.approx(report.predicted_arcmin, rel=1e-6)
+    assert report.shares == tuple(sorted(report.shares, key=lambda each: -each.arcmin))
+    board = share_of(fit_see_through(printed(0), "planar", 4), "printing errors of the board")
+    assert board.unit == "m"
+    assert 0.3 < board.size / 2e-5 < 3.0
+
+
+def test_exact_captures_have_no_errors_by_label():
+    captures = lab_display(0)
+    exact = replace(captures, sigma_arcmin=np.zeros(len(captures)))
+    assert [each.source for each in fit_display(exact, "planar", 3).report.shares] == ["noise and stage"]

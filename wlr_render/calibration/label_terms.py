@@ -1,0 +1,246 @@
+"""Errors by label as unknowns of a fit: of dots, of time, of the readings of a stage's axes and of its travel.
+
+Readings of one label share an error. Its size is a hyperparameter, which the readings tell or, where they cannot, which
+stays at the usual size: a raster shows neither a drift nor a screw, and then the model carries them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.polynomial import Box, basis, total_degree
+from wlr_render.usual import (
+    BOARD_HEIGHT_M,
+    BOARD_PRINT_M,
+    CAMERA_DRIFT_ARCMIN,
+    STAGE_BACKLASH_M,
+    STAGE_SCREW_M,
+    Size,
+)
+
+USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
+"""Fall of the logarithm of a wave's size with its frequency, per radian in `_UNIT_M`, and its sigma."""
+_UNIT_M = 0.1
+_FINEST_M, _FINEST_HEIGHT_M = 0.095, 0.19  # half of the shortest wave: printers err over the width of a hand
+_MOST_WAVES = 12  # along an axis
+_BEYOND = 1.15  # extent of the board over the extent of its dots
+_TIMES = 4  # orders of a drift in time; each is as much smaller as it is higher
+_TURN, _ZOOM = 1.0, 0.3  # sizes of a drift that is the same all over the field, and of one that grows along an axis
+_MEAN = (
+    0.5  # size of the mean of a drift over that of its first order: the pose is measured before or after the captures
+)
+_SAME_READING_M = 1e-4  # readings of a stage's axis nearer than this are one
+_MOST_READINGS = 32  # of an axis; more are binned
+_SMOOTH_ORDER, _ROUGH_SHARE = (
+    3,
+    0.4,
+)  # of the place: errors that vary with it no faster may be optics; what must be left
+
+
+@dataclass(frozen=True)
+class LabelTerm:
+    """Unknown errors of one kind of label: columns times unknowns.
+
+    Attributes:
+        name: of their size among the hyperparameters.
+        source: as an error budget names it.
+        columns: (n, k) of an axis, which has unknowns of its own, or (n, 2, k) of unknowns that both axes share: change
+            of `observed` by each unknown.
+        offset: (k,) logarithm of the prior size of each unknown, for a size of one.
+        usual: the size that is expected before the readings.
+        frequency: (k,) of each unknown, by which its prior size falls; None for none.
+        mean: size of an error that is the same in all readings, for a size of one; no reading tells it.
+    """
+
+    name: str
+    source: str
+    columns: FloatArray
+    offset: FloatArray
+    usual: Size
+    frequency: FloatArray | None = None
+    mean: float = 0.0
+
+    def select(self, rows: BoolArray | IntArray) -> "LabelTerm":
+        """Return the term of some of the readings."""
+        return replace(self, columns=self.columns[rows])
+
+
+@dataclass(frozen=True)
+class StageLabels:
+    """Labels whose errors are shifts of the camera along an axis of the stage.
+
+    Attributes:
+        group: (3, n) group of each reading of the camera by the reading of each axis of the stage.
+        reading: (groups,) of each axis, metres, of the axes x, y and z.
+        travel: (n,) direction of travel along x, +1 or -1; 0 where it is unknown.
+    """
+
+    group: IntArray
+    reading: tuple[FloatArray, ...]
+    travel: FloatArray
+
+    def select(self, rows: BoolArray | IntArray) -> "StageLabels":
+        """Return the labels of some of the readings."""
+        return replace(self, group=self.group[:, rows], travel=self.travel[rows])
+
+    def terms(self, shift: FloatArray) -> Iterator[LabelTerm]:
+        """Yield the terms that the labels have, from the change (n, 2, 3) of `observed` by a shift of the camera."""
+        columns = []
+        for axis in self.axes:
+            group = self.group[axis]
+            own = np.zeros((len(group), 2, len(self.reading[axis])))
+            own[np.arange(len(group)), :, group] = shift[:, :, axis]
+            columns.append(own)
+        if columns:
+            joined = np.concatenate(columns, axis=2)
+            yield LabelTerm("axes", "stage axes", joined, np.zeros(joined.shape[2]), STAGE_SCREW_M)
+        if np.ptp(self.travel) > 0:
+            by_travel = shift[:, :, :1] * self.travel[:, None, None]
+            yield LabelTerm("travel", "direction of travel", by_travel, np.zeros(1), STAGE_BACKLASH_M)
+
+    @property
+    def axes(self) -> list[int]:
+        """The axes that move."""
+        return [axis for axis, reading in enumerate(self.reading) if len(reading) > 1]
+
+    def rough(self) -> FloatArray:
+        """Return combinations (errors by reading, k) of the unknowns of "axes" that vary roughly along each axis.
+
+        Errors that vary smoothly are another way to write how the optics change with the place; they say nothing of the
+        stage.
+        """
+        blocks = []
+        for axis in self.axes:
+            reading = self.reading[axis][:, None]
+            smooth = smooth_basis(reading, 1.0 - _ROUGH_SHARE)
+            blocks.append(np.linalg.qr(smooth, mode="complete")[0][:, smooth.shape[1] :])
+        return np.asarray(block_diag(*blocks)) if blocks else np.zeros((0, 0))
+
+
+def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:
+    """Return the labels of the stage that captures have."""
+    groups = np.stack([_groups(captures.viewpoint[:, axis]) for axis in range(3)])
+    sums = [np.bincount(group, along) for group, along in zip(groups, captures.viewpoint.T, strict=True)]
+    reading = tuple(total / np.bincount(group) for group, total in zip(groups, sums, strict=True))
+    return StageLabels(groups, reading, np.nan_to_num(captures.travel))
+
+
+def _groups(reading: FloatArray) -> IntArray:
+    """Group (n,) of each reading of an axis: itself where the axis takes few, else its bin."""
+    group = np.unique(np.round(reading / _SAME_READING_M), return_inverse=True)[1].reshape(-1)
+    if group.max() < _MOST_READINGS:
+        return np.asarray(group)
+    part = (reading - reading.min()) / np.ptp(reading) * _MOST_READINGS
+    return np.asarray(np.unique(np.minimum(part.astype(np.int64), _MOST_READINGS - 1), return_inverse=True)[1])
+
+
+def drift_term(time_s: FloatArray, image: FloatArray, metric: FloatArray) -> LabelTerm | None:
+    """Return a drift of the image, smooth in time: a turn of the camera and a linear change over the field.
+
+    All readings share its mean, the camera's turn since its pose was measured.
+
+    Args:
+        time_s: (n,); NaN where unknown.
+        image: (n, 2) places in the image.
+        metric: (n,) arcminutes per unit of `observed`.
+    """
+    if not np.isfinite(time_s).all() or len(np.unique(time_s)) <= _TIMES:
+        return None
+    of_time = basis(time_s[:, None], np.arange(1, _TIMES + 1)[:, None], Box.around(time_s[:, None]))
+    of_field = basis(image, total_degree(2, 1), Box.around(image)) / metric[:, None]
+    columns = ((of_time - of_time.mean(axis=0))[:, :, None] * of_field[:, None]).reshape(len(time_s), -1)
+    order = np.repeat(np.arange(1, _TIMES + 1), of_field.shape[1])
+    constant = total_degree(2, 1).sum(axis=1) == 0
+    offset = np.log(np.tile(np.where(constant, _TURN, _ZOOM), _TIMES) / order)
+    mean = _MEAN / float(np.median(metric))
+    return LabelTerm("drift", "drift", columns, offset, CAMERA_DRIFT_ARCMIN, mean=mean)
+
+
+def means_by(group: IntArray, values: FloatArray) -> FloatArray:
+    """Return means (groups, k) of values (n, k) by group (n,); 0 of an empty group."""
+    sums = np.stack([np.bincount(group, column) for column in values.T], axis=-1)
+    return np.asarray(sums / np.maximum(np.bincount(group), 1)[:, None])
+
+
+def smooth_basis(place: FloatArray, share: float) -> FloatArray:
+    """Return functions (n, k) of places (n, variables) that are as smooth as optics, of as high an order as is allowed.
+
+    Args:
+        place: of visits, or readings of an axis.
+        share: how many functions are allowed, over the number of places.
+    """
+    orders = (total_degree(place.shape[1], order) for order in range(_SMOOTH_ORDER, 0, -1))
+    allowed = (each for each in orders if len(each) <= share * len(place))
+    return basis(place, next(allowed, np.zeros((1, place.shape[1]), np.int64)), Box.around(place))
+
+
+def print_term(dot: FloatArray, depth: FloatArray) -> LabelTerm | None:
+    """Return printing errors in the plane of a board; both of its axes have waves of their own.
+
+    Args:
+        dot: (n, 2) places on the board, metres; NaN where unknown.
+        depth: (n,) of the dots before the base plane, metres.
+    """
+    waves = _waves(dot, _FINEST_M)
+    if waves is None:
+        return None
+    columns, frequency = waves
+    offset = -0.5 * np.log(0.25 * np.sum(np.exp(-2.0 * USUAL_FALL * frequency)))
+    return LabelTerm(
+        "print",
+        "printing errors of the board",
+        columns / depth[:, None],
+        np.full(len(frequency), offset),
+        BOARD_PRINT_M,
+        frequency,
+    )
+
+
+def height_term(dot: FloatArray, point: FloatArray, pose: IntArray, by_point: FloatArray) -> LabelTerm | None:
+    """Return heights of the board over a plane, the same at all poses.
+
+    Args:
+        dot: (n, 2) places on the board, metres; NaN where unknown.
+        point: (n, 3) the same in the device frame. pose: (n,) number of the board's pose.
+        by_point: (n, 2, 3) change of `observed` by the place of the point.
+    """
+    waves = _waves(dot, _FINEST_HEIGHT_M)
+    if waves is None:
+        return None
+    height, frequency = waves
+    normal = np.empty_like(point)
+    for number in np.unique(pose):
+        rows = pose == number
+        flat = np.column_stack([dot[rows], np.ones(rows.sum())])
+        along_x, along_y, _ = np.linalg.lstsq(flat, point[rows], rcond=None)[0]
+        across = np.cross(along_x, along_y)
+        normal[rows] = across / max(float(np.linalg.norm(across)), 1e-300)
+    columns = np.einsum("nok,nk->no", by_point, normal)[:, :, None] * height[:, None]
+    size = np.exp(-USUAL_FALL * frequency)
+    offset = np.log(size / np.sqrt(0.25 * np.sum(size**2)))
+    return LabelTerm("heights", "shape of the board", columns, offset, BOARD_HEIGHT_M)
+
+
+def _waves(dot: FloatArray, finest_m: float) -> tuple[FloatArray, FloatArray] | None:
+    """Return waves (n, k) on a board and their frequencies (k,), radians in `_UNIT_M`; None without an area.
+
+    What a fit of the board's pose and scale to all of its dots removes, whatever is linear, the waves have not.
+    """
+    if not np.isfinite(dot).all():
+        return None
+    every, row = np.unique(dot, axis=0, return_inverse=True)
+    middle, half = 0.5 * (dot.max(axis=0) + dot.min(axis=0)), 0.5 * _BEYOND * np.ptp(dot, axis=0)
+    if half.min() <= 0:
+        return None
+    counts = np.clip(np.ceil(2.0 * half / finest_m), 2, _MOST_WAVES).astype(int)
+    orders = np.stack(np.meshgrid(*(np.arange(1, count + 1) for count in counts)), axis=-1).reshape(-1, 2)
+    along = np.pi * orders / (2.0 * half)
+    place = every - middle
+    waves = np.sin((place[:, :1] + half[0]) * along[:, 0]) * np.sin((place[:, 1:] + half[1]) * along[:, 1])
+    linear = basis(place, total_degree(2, 1), Box(-half, half))
+    waves = waves - linear @ np.linalg.lstsq(linear, waves, rcond=None)[0]
+    return waves[row.reshape(-1)], np.linalg.norm(along, axis=1) * _UNIT_M
