@@ -8,11 +8,11 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 
 from wlr_render.calibration.label_errors import LabelError, label_errors
-from wlr_render.calibration.moved_captures import CaptureMotion
+from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.calibration.posterior_spread import label_response
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import FitReadings
-from wlr_render.calibration.smooth_fit import MotionAgreement, SmoothFit
+from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures, select, with_copies
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between

@@ -1,4 +1,4 @@
-"""Captures whose camera stood elsewhere than stated: the odds of that against noise and an ordinary stage."""
+"""Motions of the camera: those found beside the stated ones, and the odds that a capture moved by more than a stage."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -48,6 +48,25 @@ class CaptureMotion:
     def stands_out(self) -> bool:
         """Whether it moved at odds from which it is named."""
         return self.is_suspect and self.log10_odds > _LEAST_LOG10_ODDS
+
+
+@dataclass(frozen=True)
+class MotionAgreement:
+    """Motions of the camera as the captures state them, beside those that a fit found.
+
+    Attributes:
+        shift_m, turn_rad: stated, rms per axis over all captures.
+        shift_factor, turn_factor: found over stated.
+        shift_sigmas, turn_sigmas: how many standard deviations of their logarithms the factors are from 1, by what the
+            captures state of them and by what the readings alone say.
+    """
+
+    shift_m: float
+    turn_rad: float
+    shift_factor: float
+    turn_factor: float
+    shift_sigmas: float
+    turn_sigmas: float
 
 
 def usual_motion(readings: FitReadings, factors: FloatArray, motion: FloatArray, others: IntArray) -> FloatArray:

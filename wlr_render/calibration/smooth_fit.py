@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from wlr_render.calibration.moved_captures import CaptureMotion
+from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.calibration.posterior_spread import label_response, spread_of
 from wlr_render.calibration.reading_sums import Response, label_values, polynomial_of, response_of, sums_of
 from wlr_render.calibration.readings import FitReadings, Trend, design_of, motion_columns
@@ -38,25 +38,6 @@ _UNSEEN = 0.1  # of the least noise: what terms beyond may always add
 _SETTLED = 0.02  # largest distance of a logarithm from its optimum where the search for it ends
 _SIDES_DIFFER = 0.1  # logarithm of the sizes of the motions of a headset's display captures over the others'
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
-
-
-@dataclass(frozen=True)
-class MotionAgreement:
-    """Motions of the camera as the captures state them, beside those that a fit found.
-
-    Attributes:
-        shift_m, turn_rad: stated, rms per axis over all captures.
-        shift_factor, turn_factor: found over stated.
-        shift_sigmas, turn_sigmas: how many standard deviations of their logarithms the factors are from 1, by what the
-            captures state of them and by what the readings alone say.
-    """
-
-    shift_m: float
-    turn_rad: float
-    shift_factor: float
-    turn_factor: float
-    shift_sigmas: float
-    turn_sigmas: float
 
 
 @dataclass(frozen=True)

@@ -87,9 +87,7 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
         own[SHIFT, -2] = own[TURN, -1] = 1.0
         group_offset = np.log(motion_sizes(readings))
     bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(0.0, 2.0)] * len(footprint)
-    bounds += [np.log(each.usual.value) + [-_LEAST_SHARE, _MOST_TIMES_USUAL] for each in terms] + [(0.0, 5.0)] * len(
-        falls
-    )
+    bounds += [_bounds_of(each) for each in terms] + [(0.0, 5.0)] * len(falls)
     bounds += [(np.log(noise_floor(readings)), 12.0)]
     if moving:
         usual = motion_scale(readings)
@@ -111,6 +109,12 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
         if factors is not None:
             expected[-2:] = np.stack([factors.mean, factors.sigma], axis=-1)
     return Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
+
+
+def _bounds_of(term: LabelTerm) -> tuple[float, float]:
+    """Bounds of the logarithm of the size of an error by label: what is larger is no ordinary error."""
+    usual = float(np.log(term.usual.value))
+    return usual - _LEAST_SHARE, usual + _MOST_TIMES_USUAL
 
 
 def _with_terms(

@@ -16,8 +16,7 @@ from wlr_render.bench.simulate_session import simulate as read_off
 from wlr_render.calibration.fit_eye import KindComparison
 from wlr_render.calibration.fit_report import FitReport, OneMore, Residuals
 from wlr_render.calibration.label_errors import LabelError
-from wlr_render.calibration.moved_captures import CaptureMotion
-from wlr_render.calibration.smooth_fit import MotionAgreement
+from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.captures.capture_file import load_captures, save_captures
 from wlr_render.captures.correspondences import Captures, select
 from wlr_render.captures.session import DisplayPlan, SeeThroughPlan, Session, SessionPlan

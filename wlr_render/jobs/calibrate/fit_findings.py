@@ -9,7 +9,7 @@ from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
 from wlr_render.calibration.fit_report import FitReport, ModelFit
 from wlr_render.calibration.label_errors import MATTERS, REMEDIES, STANDS_OUT
-from wlr_render.calibration.smooth_fit import MotionAgreement
+from wlr_render.calibration.moved_captures import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
 from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
