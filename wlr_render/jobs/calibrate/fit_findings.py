@@ -1,9 +1,8 @@
-"""Report of a fit: predicted error, noise and stage as found, warnings and advice; tables, maps and plots."""
+"""Report of a fit: predicted error, noise and stage as found, warnings and advice, and tables."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
@@ -11,14 +10,11 @@ from wlr_render.calibration.fit_report import FitReport, ModelFit
 from wlr_render.calibration.label_errors import MATTERS, REMEDIES, STANDS_OUT
 from wlr_render.calibration.moved_captures import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
-from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures
-from wlr_render.geometry.directions import arcmin_between, tangents_of_dir
-from wlr_render.mappings import Status
+from wlr_render.captures.correspondences import Captures
+from wlr_render.jobs.calibrate.fit_plots import position_names, predicted_maps, residual_plots
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
-from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES
-from wlr_render.report.blocks import Block, Cell, Plot, ReportTable
-from wlr_render.report.plots import arrow_map, bars, heat_map
+from wlr_render.report.blocks import Block, Cell, ReportTable
 
 AS_STATED = 1.5
 """Noise found over the stated one, or the reverse, from which a report warns."""
@@ -29,8 +25,6 @@ MOTIONS_DIFFER = 3.0
 _NEAR_BOUND = 0.9
 _MOST_OF_IT = 0.7  # share of the predicted error from which its source is advised on: half of its square
 _NO_MOTION = 0.05  # um, microradians
-_CELLS = 48  # cells of a map, across the panel
-_CORNERS = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 _AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
@@ -113,7 +107,7 @@ def _label_warnings(title: str, report: FitReport) -> list[str]:
 
 def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_given: bool) -> list[str]:
     report, found = side.report, []
-    names = _position_names(side.captures, display_names)
+    names = position_names(side.captures, display_names)
     _, first = np.unique(side.smooth.readings.capture, return_index=True)
     for each in report.moved:
         found.append(
@@ -123,6 +117,25 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
             "moved, its entry is wrong, or the optics are less smooth there than the model. The model was fitted "
             "without them."
         )
+    found += _noise_warnings(title, report, sigma_is_given)
+    found += _motion_warnings(title, report)
+    found += _label_warnings(title, report)
+    if (gain := _gain(report)) > FEW_POSITIONS:
+        found.append(
+            f"{title}: the number of camera positions limits the predicted error; one more row or column of them would "
+            f"lower it by {100 * gain:.0f} %."
+        )
+    if report.viewpoints == 1 and report.kind != "static":
+        found.append(
+            f"{title}: the model is known at one camera position only; add positions over the whole eye box, to the "
+            "left and right, above and below."
+        )
+    return found
+
+
+def _noise_warnings(title: str, report: FitReport, sigma_is_given: bool) -> list[str]:
+    """Warn of noise that differs from the stated noise."""
+    found = list[str]()
     stated = report.stated_noise_arcmin
     beside = "" if stated is None else f"({_digits(report.noise_arcmin, 3)}' beside {stated:.3g}')"
     if stated is not None and report.noise_arcmin > AS_STATED * stated:
@@ -135,6 +148,12 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
             f"{title}: the stated noise is {stated / report.noise_arcmin:.1f} times the one found {beside}: state "
             "a smaller sigma."
         )
+    return found
+
+
+def _motion_warnings(title: str, report: FitReport) -> list[str]:
+    """Warn of camera motions at their bounds, or other than the bench states."""
+    found = list[str]()
     for value, most, quantity, unit in (
         (report.repeatability_um, 1e6 * LARGEST_SHIFT_M, "repeatability of positions", "um"),
         (report.wobble_urad, 1e6 * LARGEST_TURN_RAD, "wobble", "microradians"),
@@ -160,17 +179,6 @@ def _warnings(title: str, side: _AnyFit, display_names: Sequence[str], sigma_is_
                     f"{title}: between captures the camera seems to have {moved} {_digits(factor, 3)} times as far as "
                     f"the bench states (off by {sigmas:.1f} sigma): {why}."
                 )
-    found += _label_warnings(title, report)
-    if (gain := _gain(report)) > FEW_POSITIONS:
-        found.append(
-            f"{title}: the number of camera positions limits the predicted error; one more row or column of them would "
-            f"lower it by {100 * gain:.0f} %."
-        )
-    if report.viewpoints == 1 and report.kind != "static":
-        found.append(
-            f"{title}: the model is known at one camera position only; add positions over the whole eye box, to the "
-            "left and right, above and below."
-        )
     return found
 
 
@@ -212,8 +220,8 @@ def fit_blocks(comparison: KindComparison, captures: Captures, display_names: Se
     tables += [_held_out_table(fit), _one_more_table(fit)]
     if len(comparison.fits) > 1:
         tables.insert(0, _kinds_table(comparison))
-    maps = [] if fit.display is None else _predicted_maps(fit.display.mapping)
-    return [*(table for table in tables if table.rows), *maps, *_residual_plots(fit, captures, display_names)]
+    maps = [] if fit.display is None else predicted_maps(fit.display.mapping)
+    return [*(table for table in tables if table.rows), *maps, *residual_plots(fit, captures, display_names)]
 
 
 def _fit_table(fit: Calibration) -> ReportTable:
@@ -336,85 +344,6 @@ def _kinds_table(comparison: KindComparison) -> ReportTable:
     columns += ["display held-out (arcmin)", "see-through held-out (arcmin)"]
     columns += ["display noise found (arcmin)", "see-through noise found (arcmin)"]
     return ReportTable("Gain of the prescription", columns, rows, (comparison.sentence,))
-
-
-def _predicted_maps(display: FittedDisplay) -> list[Plot]:
-    """Predicted error over the panel, from the eye box's centre and from its worst corner."""
-    width, height = display.panel.size_px
-    cell = width / _CELLS
-    u, v = ((np.arange(int(np.ceil(size / cell - 1e-9))) + 0.5) * cell for size in (width, height))
-    pixel = np.stack(np.meshgrid(np.minimum(u, width), np.minimum(v, height)), axis=-1)
-    centre = _predicted(display, pixel, display.eye_box.centre)
-    corner = max(
-        (_predicted(display, pixel, viewpoint) for viewpoint in display.eye_box.at(_CORNERS)),
-        key=lambda sigma: float(np.nansum(sigma**2)),
-    )
-    known = np.concatenate([centre, corner])
-    known = known[np.isfinite(known)]
-    limits = (0.0, float(np.quantile(known, 0.98))) if known.size else None
-    caption = "Standard error of a pixel's direction according to the fit; blank outside the fit."
-    return [
-        heat_map(
-            f"Predicted error of the display at the eye box's {place}",
-            sigma,
-            "arcmin",
-            limits=limits,
-            cell=cell,
-            caption=caption,
-        )
-        for place, sigma in (("centre", centre), ("worst corner", corner))
-    ]
-
-
-def _predicted(display: FittedDisplay, pixel: FloatArray, viewpoint: FloatArray) -> FloatArray:
-    status = display.view_dir_of_pixel(pixel, viewpoint).status
-    return np.where(status == Status.OK, display.sigma(pixel, viewpoint), np.nan)
-
-
-def _residual_plots(fit: Calibration, captures: Captures, display_names: Sequence[str]) -> list[Plot]:
-    """Residual of each camera position (and target pose), and maps of the residuals."""
-    parts = {"display": captures.display, "see-through": captures.see_through}
-    caption = (
-        "A residual far above the others means that the camera or the headset moved, that an entry is wrong, or that "
-        "the model cannot represent the optics there."
-    )
-    plots, maps = [], []
-    for name, side in fit.sides.items():
-        part = parts[name]
-        assert part is not None
-        residual, names = _residuals(part, side.seen(part).value), _position_names(part, display_names)
-        on_panel = isinstance(part, DisplayCaptures)
-        place = part.pixel if isinstance(part, DisplayCaptures) else np.rad2deg(np.arctan(part.tangents))
-        groups = {each: (place[names == each], residual[names == each]) for each in np.unique(names)}
-        rms = [float(np.sqrt(np.nanmean(np.sum(arrow**2, axis=1)))) for _, arrow in groups.values()]
-        title = f"Residual of the {name}, by camera position"
-        plots.append(bars(title, list(groups), {name: rms}, "rms (arcmin)", caption=caption))
-        maps.append(
-            arrow_map(
-                f"Residual map of the {name}",
-                groups,
-                "arcmin",
-                ("u (px)", "v (px)") if on_panel else ("to the right (degrees)", "up (degrees)"),
-                y_down=on_panel,
-                caption=f"Direction measured minus modelled, over the {'panel' if on_panel else 'field of view'}.",
-            )
-        )
-    return plots + maps
-
-
-def _residuals(captures: DisplayCaptures | SeeThroughCaptures, modelled: FloatArray) -> FloatArray:
-    """(n, 2) right and up, arcminutes: as long as the angle, whatever a tangent is worth so far off the axis."""
-    apart = captures.tangents - tangents_of_dir(modelled)
-    size = arcmin_between(captures.view_dir, modelled)
-    return np.asarray(apart * (size / np.maximum(np.linalg.norm(apart, axis=1), 1e-12))[:, None])
-
-
-def _position_names(captures: DisplayCaptures | SeeThroughCaptures, display_names: Sequence[str]) -> NDArray[np.str_]:
-    """Name (n,) of each reading's camera position, and target pose if any."""
-    if isinstance(captures, DisplayCaptures):
-        return np.array([display_names[each] if display_names else f"position {each:02d}" for each in captures.capture])
-    visits = zip(captures.target_pose, captures.capture, strict=True)
-    return np.array([f"target {pose}, position {capture:02d}" for pose, capture in visits])
 
 
 def _digits(value: float, count: int = 2) -> str:
