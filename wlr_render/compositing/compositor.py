@@ -8,7 +8,6 @@ newest pose. All input is checked before anything is changed: after an error the
 import typing
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
 
@@ -36,7 +35,7 @@ from wlr_render.compositing.checks import (
 )
 from wlr_render.compositing.composed_frame import ComposedFrame
 from wlr_render.compositing.eye_camera import EyeCamera
-from wlr_render.compositing.frame_handle import HISTORY, FrameHandle, MotionPredictor, Scan, row_poses
+from wlr_render.compositing.frame_handle import FrameHandle, FrameHistory, MotionPredictor, Scan, row_poses
 from wlr_render.compositing.gl_backend import GlBackend, HostState
 from wlr_render.errors import BadInputError, stacklevel_of_caller
 from wlr_render.input_files import shown
@@ -49,14 +48,6 @@ from wlr_render.rendering.panel_light import SRGB_PANEL, PanelLight
 from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
 from wlr_render.rendering.stored_picture import CODES, METRES, PREMULTIPLIED, Rows, StoredColour, StoredDepth
 from wlr_render.rendering.view import image_from_ray_map
-
-
-@dataclass(frozen=True, eq=False)
-class _Submitted:
-    """The frame of an eye's newest picture, and the texture of a picture that was not copied."""
-
-    handle: FrameHandle
-    not_copied: Any
 
 
 class Compositor:
@@ -122,10 +113,7 @@ class Compositor:
             check_camera_size(plan)
         self._backend = GlBackend(context, host_state, list(self._plans.values()), colour, panels)
         self._predictor = MotionPredictor({eye: group[0].eye_box for eye, group in channels.items()})
-        self._frames: list[FrameHandle] = []  # the newest last
-        self._newest: dict[str, _Submitted] = {}
-        self._viewpoints: dict[str, FloatArray] = {}
-        self._frame_count = 0
+        self._history = FrameHistory()
         self._released = False
 
     @property
@@ -179,11 +167,7 @@ class Compositor:
         pose, viewpoints = checked_pose(pose), checked_viewpoints(viewpoint, self._models)
         pose, viewpoints = self._predictor.predict(pose, viewpoints, time_s, predict_s)
         cameras = {eye: EyeCamera(eye, self._plans[eye].view(at, pose)) for eye, at in viewpoints.items()}
-        self._frame_count += 1
-        handle = FrameHandle(self._frame_count, pose, viewpoints, cameras)
-        self._frames = [*self._frames, handle][-HISTORY:]
-        self._viewpoints |= viewpoints
-        return handle
+        return self._history.begin(pose, viewpoints, cameras)
 
     def submit(
         self,
@@ -233,35 +217,14 @@ class Compositor:
         if inset is not None:
             self._submit_inset(inset, handle, eye, colour, depth, stored, rows, stored_colour)
             return
-        if eye in handle.submitted:
-            raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
-        last = self._newest.get(eye)
-        if last is not None and last.handle.number > handle.number:
-            raise BadInputError(
-                f"frame {handle.number} is older than frame {last.handle.number}, which the {eye} eye shows already; "
-                "drop its picture."
-            )
         not_copied = colour.colour if isinstance(colour, GpuImage) else None
-        others = (each for name, each in self._newest.items() if name != eye)
-        if not_copied is not None and any(not_copied is other.not_copied for other in others):
-            raise BadInputError(
-                f"the {eye} eye's picture has overwritten the other eye's; draw each under a name of its own, as in "
-                "draw_on_gpu(view, eye)."
-            )
+        self._history.check_order(handle, eye, not_copied)
         with self._backend.working():
             self._backend.eyes[eye].set_picture(handle[eye].view, colour, depth, stored, rows, stored_colour)
-        handle.submitted.add(eye)
-        self._newest[eye] = _Submitted(handle, not_copied)
+        self._history.submitted(handle, eye, not_copied)
 
-    def _submit_inset(
-        self,
-        inset: EyeCamera,
-        handle: FrameHandle,
-        eye: str,
-        *picture: Any,
-    ) -> None:
-        newest = self._newest.get(eye)
-        if newest is None or newest.handle is not handle:
+    def _submit_inset(self, inset: EyeCamera, handle: FrameHandle, eye: str, *picture: Any) -> None:
+        if self._history.shown.get(eye) is not handle:
             raise BadInputError(f"the {eye} eye does not show this frame; submit its picture before its insets.")
         if not isinstance(inset, EyeCamera):
             raise BadInputError(f"inset is {shown(inset)}; give the camera from EyeCamera.inset that drew the picture.")
@@ -350,7 +313,7 @@ class Compositor:
         newest_frame, with_source = self._handle(None), checked_flag(with_source, "with_source")
         checked_choice(scan, typing.get_args(Scan), "scan")
         chosen = checked_eyes(eyes, self.eyes)
-        check_submitted(chosen, self._newest)
+        check_submitted(chosen, self._history.shown)
         for eye in chosen:
             self._backend.eyes[eye].check_picture()
         measured = {} if viewpoint is None else checked_viewpoints(viewpoint, self._models)
@@ -362,10 +325,10 @@ class Compositor:
         with self._backend.working():
             targets = self._backend.targets(into, chosen, self.size_px)
             newest, measured = self._predictor.predict(newest, measured, time_s, predict_s)
-            viewpoints = self._viewpoints | measured
+            viewpoints = self._history.viewpoints | measured
             poses = newest if last_row is None else row_poses(newest, last_row, self.size_px[1], scan)
             for eye in chosen:
-                view, at = self._newest[eye].handle[eye].view, viewpoints[eye]
+                view, at = self._history.shown[eye][eye].view, viewpoints[eye]
                 moved = image_from_ray_map(view, at, self._plans[eye].device_from_camera, poses)
                 over = self._backend.eyes[eye].seen_overlays(view, newest)
                 composed[eye] = self._backend.eyes[eye].compose(at, moved, targets.get(eye), with_source, over)
@@ -406,8 +369,8 @@ class Compositor:
         is freed, with a RuntimeWarning, and you may call again.
         """
         if not self._released and self._backend.release():
-            self._frames, self._released = [], True
-            self._newest.clear()
+            self._released = True
+            self._history = FrameHistory()
 
     def __enter__(self) -> "Compositor":
         self._check_alive()
@@ -431,13 +394,4 @@ class Compositor:
     def _handle(self, frame: FrameHandle | None) -> FrameHandle:
         """Return a frame that may be submitted; the newest if None."""
         self._check_alive()
-        if frame is None:
-            if not self._frames:
-                raise BadInputError("there is no frame; call begin_frame first.")
-            return self._frames[-1]
-        if not any(frame is each for each in self._frames):
-            raise BadInputError(
-                f"frame is not one of the last {HISTORY} of this compositor; drop its picture, and give what "
-                "begin_frame returned."
-            )
-        return frame
+        return self._history.frame(frame)

@@ -1,9 +1,9 @@
-"""Handles of frames that an engine draws, the prediction of their poses, and poses of a display's rows."""
+"""Frames that an engine draws: handles, order and history, prediction of their poses, and poses of a display's rows."""
 
 import bisect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -51,6 +51,80 @@ class FrameHandle(Mapping[str, EyeCamera]):
 
     def __len__(self) -> int:
         return len(self.cameras)
+
+
+class FrameHistory:
+    """The last frames of a compositor, and the newest picture of each eye.
+
+    Attributes:
+        shown: by eye, the frame of its newest picture.
+        viewpoints: by eye, its newest viewpoint (3,), device frame.
+    """
+
+    def __init__(self) -> None:
+        self.shown: dict[str, FrameHandle] = {}
+        self.viewpoints: dict[str, FloatArray] = {}
+        self._frames: list[FrameHandle] = []  # the newest last
+        self._not_copied: dict[str, Any] = {}
+        self._count = 0
+
+    def begin(
+        self, world_from_device: FloatArray, viewpoints: Mapping[str, FloatArray], cameras: Mapping[str, EyeCamera]
+    ) -> FrameHandle:
+        """Return the handle of a new frame; see `FrameHandle`."""
+        self._count += 1
+        handle = FrameHandle(self._count, world_from_device, viewpoints, cameras)
+        self._frames = [*self._frames, handle][-HISTORY:]
+        self.viewpoints |= viewpoints
+        return handle
+
+    def frame(self, frame: FrameHandle | None) -> FrameHandle:
+        """Return a frame that may be submitted; the newest if None.
+
+        Raises:
+            BadInputError: no frame was begun, or this one is not among the last `HISTORY`.
+        """
+        if frame is None:
+            if not self._frames:
+                raise BadInputError("there is no frame; call begin_frame first.")
+            return self._frames[-1]
+        if not any(frame is each for each in self._frames):
+            raise BadInputError(
+                f"frame is not one of the last {HISTORY} of this compositor; drop its picture, and give what "
+                "begin_frame returned."
+            )
+        return frame
+
+    def check_order(self, handle: FrameHandle, eye: str, not_copied: Any) -> None:
+        """Check that an eye's picture may be submitted now.
+
+        Args:
+            handle: frame of the picture.
+            eye: "left" or "right".
+            not_copied: texture of a picture that is not copied; None for others.
+
+        Raises:
+            BadInputError: the eye has a picture of this frame or of a newer one, or the texture holds the other eye's.
+        """
+        if eye in handle.submitted:
+            raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
+        last = self.shown.get(eye)
+        if last is not None and last.number > handle.number:
+            raise BadInputError(
+                f"frame {handle.number} is older than frame {last.number}, which the {eye} eye shows already; "
+                "drop its picture."
+            )
+        others = (texture for name, texture in self._not_copied.items() if name != eye)
+        if not_copied is not None and any(not_copied is texture for texture in others):
+            raise BadInputError(
+                f"the {eye} eye's picture has overwritten the other eye's; draw each under a name of its own, as in "
+                "draw_on_gpu(view, eye)."
+            )
+
+    def submitted(self, handle: FrameHandle, eye: str, not_copied: Any) -> None:
+        """Record that an eye shows the picture of a frame; arguments as in `check_order`."""
+        handle.submitted.add(eye)
+        self.shown[eye], self._not_copied[eye] = handle, not_copied
 
 
 class _Samples:
