@@ -277,7 +277,7 @@ def _of_size(effect: Effect, plan: AnyPlan, rng: np.random.Generator) -> Effect:
 def _readings(
     trial: DiagnosisTrial, said: Diagnosis, effects: Sequence[Effect], plan: AnyPlan, nature: BenchNature
 ) -> WeighedReadings:
-    """Return the readings on which causes must be told apart: without an unlisted effect, those of the diagnosis."""
+    """Return the readings that must distinguish causes: the diagnosis' readings if no unlisted effect acts."""
     if trial.kind is not TrialKind.UNLISTED_BESIDE:
         return said.readings
     listed = [effect for effect in effects if effect.name in CAUSES]

@@ -1,1 +1,1 @@
-"""Kill jobs at random moments, resume them, and compare the results with those of runs that were left alone."""
+"""Kill jobs at random moments, resume them, and compare the results with uninterrupted runs."""

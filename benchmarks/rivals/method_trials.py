@@ -57,7 +57,7 @@ _FRAMES = 5
 
 
 class MethodMeasure(StrEnum):
-    """Errors in addition to those of `trials.Measure`.
+    """Errors in addition to `trials.Measure`.
 
     COMPOSITE: angle at the eye between a real point and the pixel that the method shows for it. TRACKED: COMPOSITE with
     an error of eye tracking. MOVED_BACK: direction of a pixel from farther back on its ray. ALONG_RAY: the two

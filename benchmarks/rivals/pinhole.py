@@ -5,7 +5,7 @@
 - Display Relative Calibration (DRC): C. B. Owen, J. Zhou, A. Tang and F. Xiao, "Display-relative calibration for
   optical see-through head-mounted displays", ISMAR 2004.
 - INDICA: Y. Itoh and G. Klinker, "Interaction-free calibration for optical see-through head-mounted displays based on
-  3D eye localization", 3DUI 2014. The formulas are those of the code that its authors published.
+  3D eye localization", 3DUI 2014. The formulas are taken from the code that its authors published.
 """
 
 from collections.abc import Callable

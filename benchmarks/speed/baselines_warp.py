@@ -157,7 +157,8 @@ def image_maps_warp(
 def timewarp(camera: Pinhole, drawn_from_newer: NDArray[np.float64]) -> NDArray[np.float64]:
     """Convert a rotation (3, 3) between the frames of two cameras to a matrix (3, 3) on texture coordinates (u, v, 1).
 
-    The matrix converts texture coordinates in the newer frame to those of the picture drawn in the older frame.
+    The matrix converts texture coordinates in the newer frame to texture coordinates of the picture drawn in the older
+    frame.
     """
     scale, offset = camera.focal_px * [1, -1], camera.centre_px
     size = np.array([camera.width_px, camera.height_px])

@@ -88,14 +88,13 @@ class Compositor:
             raster_camera: where `begin_frame` puts the camera: "nearest" to the rays that reach the pupil, or at the
                 "viewpoint", as in the paper, from where more is disoccluded. The warp map always comes from the depth
                 that you submit: the paper's map from the mesh is not possible here.
-            late_margin_deg: how far the head may turn between drawing and scan-out before the borders go black, 0 to
-                20.
+            late_margin_deg: largest head rotation between drawing and scan-out without black borders, 0 to 20.
             background: sRGB of pixels that fall outside the picture.
             panel: encoding, uniformity, sub-pixels and bits of the panels' light; one for all eyes, or by eye.
 
         Raises:
             BadInputError: models that do not fit together, no size, or an unknown choice.
-            MissingGlError: OpenGL does not open, or a context of yours is below version 4.1.
+            MissingGlError: OpenGL does not open, or the given context is below version 4.1.
         """
         channels = checked_models(models)
         self.size_px = checked_size(size)
@@ -128,7 +127,7 @@ class Compositor:
 
     @property
     def context(self) -> GlContext:
-        """The OpenGL context in which it works, for renderers of ours."""
+        """The compositor's OpenGL context, to be shared with this library's renderers."""
         return self._backend.context
 
     def plan(self, eye: str) -> EyePlan:
@@ -202,13 +201,14 @@ class Compositor:
             inset: the camera from `EyeCamera.inset` that drew it, for a sharper picture of a part of the field, shown
                 in place of the eye's picture there. Submit the eye's picture of the frame first, then its insets, each
                 within the last. An inset is copied, also a `GpuImage`; without a depth (arrays, ModernGL's
-                textures, `TextureLayer`; a number alone means a framebuffer) it has that of the picture around it.
+                textures, `TextureLayer`; a number alone means a framebuffer) it takes the depth of the picture around
+                it.
 
         Raises:
             BadInputError: no frame begun, or one that is older than the last three or than the eye's newest picture; an
                 eye submitted twice or without a camera in the frame; a picture of another size, kind or context; a
                 `GpuImage` of another pose; metres in a depth format; or an inset before the eye's picture, of another
-                pose, outside the picture before it, or no sharper.
+                pose, outside the picture before it, or not sharper.
         """
         handle, eye = self._handle(frame), checked_eye(eye, self.eyes)
         check_stored(stored, stored_colour, rows)
@@ -363,10 +363,10 @@ class Compositor:
         self._backend.finish()
 
     def release(self) -> None:
-        """Free all GPU objects and an own context; no frames can be composed afterwards.
+        """Free all GPU objects, and the context if the compositor opened it; no frames can be composed afterwards.
 
-        Nothing else frees the objects in an adopted context. It must be current on this thread: if it is not, nothing
-        is freed, with a RuntimeWarning, and you may call again.
+        Only this call frees the objects in an adopted context, which must be current on this thread: otherwise nothing
+        is freed, with a RuntimeWarning, and it may be called again.
         """
         if not self._released and self._backend.release():
             self._released = True

@@ -54,7 +54,7 @@ class Parameter:
         unit: of its values.
         prior_sigma: standard deviation of the values met in practice, in that unit.
         role: see `Role`.
-        starts: first values of a SHAPE parameter; the first one is its null value, and what is expected.
+        starts: first values of a SHAPE parameter; the first one is its null value, and the expected value.
         minimum: values below are not physical.
         prior_mean: expected value of a SIZE parameter; 0 still means no effect, whatever value is expected.
         in_bench: the whole quantity in a bench, in the unit, where a bench file may state some of it already; then this

@@ -70,7 +70,7 @@ class NoiseFloor:
         photographs_differ: standard deviation of the logarithm of the photographs' noise; 0 likewise.
         shared: share of the variance that neighbouring readings have in common; 0 likewise.
         shared_reach_px: distance in the image over which they do; NaN where nothing is shared.
-        shared_is_smooth: whether what they share varies smoothly over the image.
+        shared_is_smooth: whether the shared noise varies smoothly over the image.
     """
 
     part: str

@@ -29,7 +29,7 @@ class Settings:
         restarts: runners-up of the first place from which the selection is tried again: of two causes at work, the
             one that alone explains most may be neither.
         max_prior_sigmas: largest believable value, in prior sigmas; larger values need another explanation.
-        max_moved_captures: share of a part's captures beyond which those that moved cannot be told from the others.
+        max_moved_captures: largest share of a part's captures that may have moved; beyond it they cannot be identified.
         degenerate_share: share of a cause's gain that another one reaches to first order, from which the two are called
             degenerate.
         decisive_odds: log10 odds against a degenerate cause beyond which the session decides.

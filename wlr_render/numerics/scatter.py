@@ -39,9 +39,9 @@ class Scatter:
     """Sizes of noise and of the captures' motions.
 
     Attributes:
-        noise: (3,) noise of each part over what was found within its photographs.
+        noise: (3,) noise of each part over the noise within its photographs.
         shift_um, turn_urad: (3,) standard deviations of a capture's motion in each part, per axis.
-        moved: (captures,) whether each moved by far more.
+        moved: (captures,) mask of captures that moved by far more.
     """
 
     noise: FloatArray

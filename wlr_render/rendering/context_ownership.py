@@ -93,7 +93,7 @@ class AdoptedContext:
 
     @contextlib.contextmanager
     def entered(self, third_party: bool) -> Iterator[None]:
-        """See `ContextOwner`.
+        """Check that the context is current, and keep the host's state where necessary; see `ContextOwner`.
 
         Raises:
             BadInputError: the context is not current, or as `GlState.kept`.

@@ -69,7 +69,7 @@ class GlContext:
         self._errors = ErrorReader(current)
         self.host_is_clean, self.names_version = host_is_clean, 0
         self._depth, self._switched = 0, False
-        self._made_objects = False  # with a clean host, only blocks that make objects read errors
+        self._made_objects = False  # a clean host's errors are read only in blocks that make objects
         self._bind = current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)
         self._set_viewport = current.function("glViewport", *[ctypes.c_int] * 4)
         self._no_vertices: dict[int, VertexArray] = {}

@@ -176,7 +176,7 @@ class _Kept:
         return tuple(self._numbers)
 
     def is_odd(self) -> bool:
-        """Return whether the values differ from those that our drawing needs."""
+        """Return whether the values differ from the values that our drawing needs."""
         return self.neutral is not None and self.state() != tuple(self.neutral)
 
 
