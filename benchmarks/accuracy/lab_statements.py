@@ -61,8 +61,8 @@ class _Statement:
 
     def common(self, part: AnyCaptures) -> CommonErrors:
         """Return the common errors of captures."""
-        sources = tuple(f"{name} {k}" for name in self.factors for k in range(_COUNTS[name]))
-        start = {name: sources.index(f"{name} 0") for name in self.factors}
+        sources = tuple(name for name in self.factors for _ in range(_COUNTS[name]))
+        start = {name: sources.index(name) for name in self.factors}
         visits, first = np.unique(part.visit, return_index=True)
         poses = np.arange(len(self.setup.target_depths_m) if part.kind == REAL_POINT else 0)
         target, focus = np.zeros((len(poses), 7, 3, len(sources))), np.zeros((len(poses), len(sources)))
