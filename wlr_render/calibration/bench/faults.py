@@ -132,10 +132,16 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
                 value = each.plausible * value
             if gain > odds[k]:
                 odds[k], motion[k] = gain, value
+    return _most_probable(candidates, odds - without, motion)
+
+
+def _most_probable(candidates: Sequence[Fault], log_odds: FloatArray, motion: FloatArray) -> Fault | None:
+    """Return the fault of greatest odds (n,) with its motion (n, 6), and with others that are about as probable."""
+    least = _CONVINCING + np.log(len(candidates))
     granted = [
         fault
-        for each, gain, moved in zip(candidates, odds - without, motion, strict=True)
-        if gain > _CONVINCING + np.log(count) and (fault := replace(each, motion=moved, log_odds=float(gain))).matters
+        for each, gain, moved in zip(candidates, log_odds, motion, strict=True)
+        if gain > least and (fault := replace(each, motion=moved, log_odds=float(gain))).matters
     ]
     best = max(granted, key=lambda fault: fault.log_odds, default=None)
     if best is None:
