@@ -31,7 +31,8 @@ from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.moved_panel import MovedPanelDisplay, pixel_at_calibration
 from wlr_render.models.registration import registration_changes, right_and_up
-from wlr_render.numerics.arrays import BoolArray, FloatArray, finite_array
+from wlr_render.numerics.arrays import FloatArray, finite_array
+from wlr_render.numerics.wrong_pairs import wrong_pairs
 
 OFFSET, SHIFT, GROWTH, TURN, POINTING = slice(0, 3), slice(3, 5), slice(5, 6), slice(6, 9), slice(9, 11)
 """Places in the vector of parameters: metres, pixels, a ratio, radians, arcminutes."""
@@ -315,7 +316,7 @@ class WearState:
             gap, slope = self._linearised(mean, clicks)
             innovation = -(gap + slope @ (self.mean - mean))
             spread = slope @ prior @ slope.T + noise + self._tracking_noise(slope)
-            wrong, log_odds = _likeliest(innovation, spread, self.settings)
+            wrong, log_odds = wrong_pairs(innovation, spread, self.settings.outlier_share, self.settings.outlier_arcmin)
             spread = spread + np.diag(np.repeat(wrong, 2) * self.settings.outlier_arcmin**2)
             gain = np.linalg.solve(spread, slope @ prior).T
             last, mean = mean, self.mean + gain @ innovation
@@ -375,32 +376,3 @@ class _Fitted:
     outliers: tuple[int, ...]
     log_odds: float
     is_settled: bool
-
-
-def _likeliest(innovation: FloatArray, spread: FloatArray, settings: WearSettings) -> tuple[BoolArray, float]:
-    """Which clicks (n,) are most likely wrong, and the logarithm of the evidence.
-
-    One click after the other is called wrong, or right again, as long as that makes the whole likelier.
-
-    Args:
-        innovation: (2 n,) arcmin. spread: its covariance if no click is wrong.
-        settings: share and scatter of wrong clicks.
-    """
-    count = len(innovation) // 2
-    wrong = np.zeros(count, dtype=bool)
-    log_share = math.log(settings.outlier_share / (1.0 - settings.outlier_share))
-    while True:
-        covariance = spread + np.diag(np.repeat(wrong, 2) * settings.outlier_arcmin**2)
-        precision = np.asarray(np.linalg.inv(covariance))
-        # By Woodbury's identity: what another variance of each click alone does to the evidence.
-        added = np.where(wrong, -1.0, 1.0) * settings.outlier_arcmin**2
-        own = precision.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count)]
-        weighed = (precision @ innovation).reshape(count, 2)
-        within = np.eye(2) + added[:, None, None] * own
-        fit = np.einsum("ni,nij,nj->n", weighed, np.linalg.inv(within) * added[:, None, None], weighed)
-        gain = 0.5 * (fit - np.log(np.linalg.det(within))) + log_share * np.sign(added)
-        likeliest = int(np.argmax(gain))
-        if gain[likeliest] <= 0.0:
-            evidence = -0.5 * (innovation @ precision @ innovation + np.linalg.slogdet(covariance)[1])
-            return wrong, float(evidence + log_share * wrong.sum())
-        wrong = wrong ^ (np.arange(count) == likeliest)
