@@ -110,6 +110,16 @@ def test_the_size_of_an_error_is_found(wrong, source, size):
     assert sound.arcmin < 0.5 * found.arcmin
 
 
+def test_an_error_that_varies_smoothly_along_an_axis_is_no_error_of_the_stage():
+    """It looks like optics that the orders of the fit leave out."""
+    captures = lab_display(1, raster=True)
+    x, y, z = captures.viewpoint.T
+    along = 2.0 * (x - x.mean()) / np.ptp(x)
+    bent = replace(captures, viewpoint=np.column_stack([x + 1e-5 * (along**2 - 0.5), y, z]))
+    sizes = [share_of(fit_display(each, "planar", 2), "stage axes").size for each in (captures, bent)]
+    assert sizes[1] < 1.5 * sizes[0]
+
+
 def test_what_a_raster_does_not_show_is_carried():
     """Along a raster a drift looks like optics: with times the fit says that it is less sure."""
     ratios = []

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wlr_render.calibration.bench.common_errors import SOURCES
-from wlr_render.calibration.label_errors import SOURCES_BY_LABEL
+from wlr_render.calibration.label_errors import REMEDIES
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.budget import budget
 from wlr_render.jobs.budget_options import BudgetOptions
@@ -50,7 +50,7 @@ def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
 
 
 @pytest.mark.usefixtures("known_warp_grid")
-@pytest.mark.parametrize("source", [*SOURCES, *(source for source, _ in SOURCES_BY_LABEL.values())])
+@pytest.mark.parametrize("source", [*SOURCES, *REMEDIES])
 def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(model_file, tmp_path, source):
     """The first variable of both models' covariance becomes one of that source, and large."""
     model = load_eye_model(model_file)

@@ -44,7 +44,7 @@ SOURCES_BY_LABEL = {
     ),
 }
 """Source of the errors of a label, by the start of its name, and what avoids them."""
-REMEDIES = {"shape of the board": "Hold the board flat, or measure its shape."} | dict(SOURCES_BY_LABEL.values())
+REMEDIES = {"shape of the board": "Flatten the board, or measure its shape."} | dict(SOURCES_BY_LABEL.values())
 """What avoids the errors of a source, a sentence."""
 _SIZES = np.geomspace(0.01, 10.0, 31)  # sizes of errors per axis in units of the noise, all as probable
 _DETERMINED = 0.2  # least information of a contrast between groups, over the largest; the fit absorbs what has less

@@ -1,7 +1,8 @@
 """Errors by label as unknowns of a fit: of dots, of time, of the readings of a stage's axes and of its travel.
 
-Readings of one label share an error. Its size is a hyperparameter, which the readings tell or, where they cannot, which
-stays at the usual size: a raster shows neither a drift nor a screw, and then the model carries them.
+Readings of one label share an error. The size of each kind of error is a hyperparameter. Where the readings do not
+determine it, it stays at the usual size, and the model carries the error: a raster shows neither a drift nor a screw.
+The axes of the stage are taken to be those of the device frame.
 """
 
 from collections.abc import Iterator
@@ -30,15 +31,11 @@ _MOST_WAVES = 12  # along an axis
 _BEYOND = 1.15  # extent of the board over the extent of its dots
 _TIMES = 4  # orders of a drift in time; each is as much smaller as it is higher
 _TURN, _ZOOM = 1.0, 0.3  # sizes of a drift that is the same all over the field, and of one that grows along an axis
-_MEAN = (
-    0.5  # size of the mean of a drift over that of its first order: the pose is measured before or after the captures
-)
+_MEAN = 0.5  # size of a drift's mean over that of its first order: the camera's pose was measured at another time
 _SAME_READING_M = 1e-4  # readings of a stage's axis nearer than this are one
 _MOST_READINGS = 32  # of an axis; more are binned
-_SMOOTH_ORDER, _ROUGH_SHARE = (
-    3,
-    0.4,
-)  # of the place: errors that vary with it no faster may be optics; what must be left
+_SMOOTH_ORDER = 3  # of the place: errors that vary with it no faster may be optics
+_ROUGH_SHARE = 0.4  # least share of the errors by reading that are not so smooth: they tell the size
 
 
 @dataclass(frozen=True)
@@ -124,8 +121,8 @@ class StageLabels:
 def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:
     """Return the labels of the stage that captures have."""
     groups = np.stack([_groups(captures.viewpoint[:, axis]) for axis in range(3)])
-    sums = [np.bincount(group, along) for group, along in zip(groups, captures.viewpoint.T, strict=True)]
-    reading = tuple(total / np.bincount(group) for group, total in zip(groups, sums, strict=True))
+    places = zip(groups, captures.viewpoint.T, strict=True)
+    reading = tuple(means_by(group, along[:, None])[:, 0] for group, along in places)
     return StageLabels(groups, reading, np.nan_to_num(captures.travel))
 
 
@@ -228,7 +225,7 @@ def height_term(dot: FloatArray, point: FloatArray, pose: IntArray, by_point: Fl
 def _waves(dot: FloatArray, finest_m: float) -> tuple[FloatArray, FloatArray] | None:
     """Return waves (n, k) on a board and their frequencies (k,), radians in `_UNIT_M`; None without an area.
 
-    What a fit of the board's pose and scale to all of its dots removes, whatever is linear, the waves have not.
+    The waves have no linear part: a fit of the board's pose and scale to all of its dots removes it.
     """
     if not np.isfinite(dot).all():
         return None

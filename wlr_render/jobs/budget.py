@@ -10,7 +10,7 @@ from wlr_render.atomic_files import output_folder
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
 from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
-from wlr_render.calibration.label_errors import SOURCES_BY_LABEL
+from wlr_render.calibration.label_errors import REMEDIES
 from wlr_render.errors import BadInputError
 from wlr_render.input_files import prefix_errors
 from wlr_render.jobs.budget_options import BudgetOptions
@@ -239,10 +239,7 @@ _HOW = {
     "model: board": "the board (measure its scale and its bow, or take a stiffer one)",
     "model: targets": "the poses of the targets (more photographs of them without the headset)",
     "model: stage": "the axes of the stage and the camera on it (more photographs without the headset)",
-    **{
-        f"model: {source}": f"the {source} ({remedy[0].lower()}{remedy[1:-1]})"
-        for source, remedy in SOURCES_BY_LABEL.values()
-    },
+    **{f"model: {source}": f"the {source} ({remedy[0].lower()}{remedy[1:-1]})" for source, remedy in REMEDIES.items()},
 }
 
 

@@ -1,4 +1,4 @@
-"""Pairs of numbers that are wrong: which of some measured points, by the evidence."""
+"""Find which of several measured points are wrong, by the evidence."""
 
 import math
 
@@ -8,7 +8,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray
 
 
 def wrong_pairs(innovation: FloatArray, spread: FloatArray, share: float, scatter: float) -> tuple[BoolArray, float]:
-    """Return which of n pairs are most likely wrong, (n,), and the logarithm of the evidence.
+    """Return which of n points, pairs of numbers, are most likely wrong, (n,), and the logarithm of the evidence.
 
     One pair after the other is called wrong, or right again, as long as that makes the whole more probable.
 

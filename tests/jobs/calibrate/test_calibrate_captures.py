@@ -14,7 +14,7 @@ from wlr_render.bench.bench_file import save_bench
 from wlr_render.bench.session_folder import save_session
 from wlr_render.bench.simulate_session import simulate as read_off
 from wlr_render.calibration.fit_eye import KindComparison
-from wlr_render.calibration.fit_report import FitReport, OneMore, Residuals
+from wlr_render.calibration.fit_report import ErrorShare, FitReport, OneMore, Residuals
 from wlr_render.calibration.label_errors import LabelError
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.captures.capture_file import load_captures, save_captures
@@ -407,6 +407,20 @@ def test_a_row_of_positions_is_advised_where_it_pays(linear):
     assert advice == (
         "Display: add a row of 5 camera positions at y = +4.0 mm; the predicted error falls from 0.12' to 0.10'."
     )
+
+
+def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
+    board = ErrorShare("printing errors of the board", 0.1, 4.8e-5, 5e-5, "m")
+    own, drift = ErrorShare("noise and stage", 0.05), ErrorShare("drift", 0.04, 0.1, 0.1, "arcmin")
+    fit = with_report(linear, shares=(board, own, drift))
+    assert fit_advice(fit) == [
+        "Display: 0.10' of the predicted 0.12' come from printing errors of the board (48 um in the fit, usually 50 "
+        "um). Print the board on glass, or measure its dots."
+    ]
+    captures = Captures(fit.display.captures, fit.see_through.captures)
+    blocks = fit_blocks(KindComparison({"planar": fit}, "planar"), captures)
+    (shares,) = (block for block in blocks if block.title == "Predicted error by source")
+    assert shares.rows[2] == ["display", "drift", 0.04, "0.10'", "0.10'"]
 
 
 def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(calibrated, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 
 from wlr_render.calibration.fit_eye import Calibration, KindComparison
 from wlr_render.calibration.fit_prescription import IMPLAUSIBLE
-from wlr_render.calibration.fit_report import FitReport, ModelFit
+from wlr_render.calibration.fit_report import ErrorShare, FitReport, ModelFit
 from wlr_render.calibration.label_errors import MATTERS, REMEDIES, STANDS_OUT
 from wlr_render.calibration.moved_captures import MotionAgreement
 from wlr_render.calibration.smooth_prior import LARGEST_SHIFT_M, LARGEST_TURN_RAD
@@ -188,8 +188,8 @@ def fit_advice(fit: Calibration) -> list[str]:
     for name, report in _reports(fit):
         whole = report.predicted_arcmin
         steps += [
-            f"{name.capitalize()}: {each.source} cause {_digits(each.arcmin)}' of {_digits(whole)}'. "
-            f"{REMEDIES[each.source]}"
+            f"{name.capitalize()}: {_digits(each.arcmin)}' of the predicted {_digits(whole)}' come from "
+            f"{each.source}{_sizes(each)}. {REMEDIES[each.source]}"
             for each in report.shares
             if each.source in REMEDIES and each.arcmin > _MOST_OF_IT * whole
         ]
@@ -244,7 +244,7 @@ def _share_table(fit: Calibration) -> ReportTable:
     rows: list[list[Cell]] = []
     for name, report in _reports(fit):
         for each in report.shares:
-            size, usual = (None if value is None else _length(value, each.unit) for value in (each.size, each.usual))
+            size, usual = (None if value is None else _size_text(value, each.unit) for value in (each.size, each.usual))
             rows.append([name, each.source, each.arcmin, size, usual])
     columns = ["mapping", "source", "part of the predicted error (arcmin)", "size found", "usual size"]
     notes = (
@@ -254,7 +254,14 @@ def _share_table(fit: Calibration) -> ReportTable:
     return ReportTable("Predicted error by source", columns, rows, notes)
 
 
-def _length(value: float, unit: str) -> str:
+def _sizes(share: ErrorShare) -> str:
+    """Return the size of a source's errors in words: a size that is the usual one may be the one assumed."""
+    if share.size is None or share.usual is None:
+        return ""
+    return f" ({_size_text(share.size, share.unit)} in the fit, usually {_size_text(share.usual, share.unit)})"
+
+
+def _size_text(value: float, unit: str) -> str:
     """Size of an error in words, e.g. "48 um" or "0.12'"."""
     return f"{_digits(1e6 * value)} um" if unit == "m" else f"{_digits(value)}'"
 
