@@ -8,11 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import as_bad_input, read_text
+from wlr_render.io.atomic_files import output_folder, write_text
+from wlr_render.io.input_files import as_bad_input, read_text
+from wlr_render.io.toml_files import parse_json
 from wlr_render.processes import WorkerPool, as_finished
-from wlr_render.toml_files import parse_json
 
 
 class KeptTrial(Protocol):

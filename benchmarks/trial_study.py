@@ -19,8 +19,8 @@ from benchmarks.trials import (
     run_trials,
     truth,
 )
-from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import Eyes, Range, Scheduler, Seed, SpreadOptions, Workers, described, eyes_of
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye

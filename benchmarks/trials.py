@@ -24,7 +24,7 @@ from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.captures.correspondences import AnyCaptures, SeeThroughCaptures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.input_files import LIMITS, read_bytes
+from wlr_render.io.input_files import LIMITS, read_bytes
 from wlr_render.mappings import Eye, EyeBox
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray

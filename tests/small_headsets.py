@@ -8,7 +8,7 @@ import pytest
 from memo import memoised, shared_folder
 
 from benchmarks.speed.workload import bench_model
-from wlr_render.atomic_files import resource
+from wlr_render.io.atomic_files import resource
 from wlr_render.mappings import Panel, Status
 from wlr_render.models.model_file import EyeModel, save_eye_models
 

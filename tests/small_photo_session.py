@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wlr_render.atomic_files import resource
 from wlr_render.captures import session_reading
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import resource
+from wlr_render.io.toml_files import write_toml
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import READ, calibrated, report_of
 from wlr_render.simulation.photographs import recipe, simulate_photo_session, take_photographs
@@ -30,7 +31,6 @@ from wlr_render.simulation.photographs.photo_bench import (
 )
 from wlr_render.simulation.photographs.photo_plan import plan_photographs
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
-from wlr_render.toml_files import write_toml
 
 VIEWPOINTS = 4
 CAMERA_PX = (400, 320)

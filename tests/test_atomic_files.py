@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from wlr_render import atomic_files, toml_files
 from wlr_render.captures.boards.board_drawing import write_board_svg
 from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.captures.session_schema import DISPLAY
 from wlr_render.captures.session_tables import write_table
 from wlr_render.errors import BadInputError
+from wlr_render.io import atomic_files, toml_files
 from wlr_render.rendering import image_files
 from wlr_render.report.blocks import Report
 from wlr_render.report.html import html_page
@@ -256,7 +256,7 @@ def test_on_a_disk_of_any_size_an_output_is_whole_or_the_old_one_stays(tmp_path)
 
 ABANDONED = """
 import os, signal, sys
-from wlr_render import atomic_files
+from wlr_render.io import atomic_files
 with atomic_files.locked_folder(sys.argv[1], "a killed run"), atomic_files.written_whole(sys.argv[1] + "/a.png"):
     print("ready", flush=True)
     signal.pause()

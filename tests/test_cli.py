@@ -17,9 +17,9 @@ from command_line import refused
 from cyclopts import Parameter, UnknownOptionError
 
 from wlr_render import __version__
-from wlr_render.atomic_files import resource
 from wlr_render.cli import RENAMED, VERBS, main, make_app
 from wlr_render.errors import MissingGlError
+from wlr_render.io.atomic_files import resource
 from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of
 from wlr_render.jobs.render import RenderOptions

@@ -23,10 +23,11 @@ from small_photo_session import far_panel_device, small_plan
 
 from benchmarks.accuracy.study import AccuracyOptions
 from benchmarks.accuracy.study import run as accuracy
-from wlr_render import atomic_files, cluster
+from wlr_render import cluster
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
-from wlr_render.finished_files import LIST
+from wlr_render.io import atomic_files
+from wlr_render.io.finished_files import LIST
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.processes import WorkerPool, as_finished

@@ -6,7 +6,7 @@ import os
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import LIST, FinishedFiles, digest_of
+from wlr_render.io.finished_files import LIST, FinishedFiles, digest_of
 
 
 @pytest.fixture

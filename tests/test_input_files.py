@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from wlr_render import cli, input_files
+from wlr_render import cli
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import prefix_errors
+from wlr_render.io import input_files
+from wlr_render.io.input_files import prefix_errors
 
 WHOLE = 1_000_000
 

@@ -162,7 +162,7 @@ def run_app(make: Callable[[], App], arguments: Sequence[str] | None) -> int:
         if app.name[0] == PROGRAM:
             _refuse_renamed(tokens)
         if outside:
-            from wlr_render.input_files import outside_references
+            from wlr_render.io.input_files import outside_references
 
             with outside_references():
                 return _run(app, tokens, debug)

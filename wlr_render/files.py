@@ -24,6 +24,6 @@ if TYPE_CHECKING:  # imports in the order of the API reference
     from wlr_render.bench.bench_effects import BenchEffect as BenchEffect
     from wlr_render.diagnosis.cause import Parameter as Parameter, Role as Role, changed as changed
     from wlr_render.diagnosis.causes.user_causes import causes_for as causes_for
-    from wlr_render.atomic_files import resource as resource
+    from wlr_render.io.atomic_files import resource as resource
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__, __file__)

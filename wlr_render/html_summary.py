@@ -7,7 +7,7 @@ import html
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from wlr_render.escapes import printable_lines
+from wlr_render.io.escapes import printable_lines
 
 MOST_ROWS = 20
 """Rows of a table that a summary shows."""

@@ -17,7 +17,7 @@ from benchmarks.accuracy.measurements import (
     tracking,
 )
 from benchmarks.trial_study import Experiment, StudyOptions, run_study
-from wlr_render.atomic_files import write_text
+from wlr_render.io.atomic_files import write_text
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import OnlyWith, ProgressArgument, Range, described
 from wlr_render.progress import SILENT

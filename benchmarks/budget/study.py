@@ -20,8 +20,8 @@ from benchmarks.budget.trial import (
 from benchmarks.intervals import ratio_interval
 from benchmarks.kept_trials import finished_trials
 from benchmarks.simulated_lab.bench_trial import DEVICES
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.budget.statement import REGIONS
+from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable

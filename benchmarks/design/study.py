@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, loaded_outcome, run_trial
 from benchmarks.intervals import mean_ratio
 from benchmarks.kept_trials import finished_trials
-from wlr_render.atomic_files import output_folder
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable

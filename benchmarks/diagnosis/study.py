@@ -12,8 +12,8 @@ from benchmarks.diagnosis.conditions import Condition
 from benchmarks.diagnosis.tables import tables
 from benchmarks.diagnosis.trial import DiagnosisOutcome, DiagnosisTrial, TrialKind, loaded_outcome, run_trial
 from benchmarks.kept_trials import finished_trials
-from wlr_render.atomic_files import output_folder
 from wlr_render.diagnosis.causes import CAUSES
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report

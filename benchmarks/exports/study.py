@@ -22,11 +22,11 @@ from benchmarks.exports.readers import (
     warped_by_openimageio,
 )
 from benchmarks.speed.workload import bench_model
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.exports.export_view import ExportedView, ray_map_plans
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.pixel_maps import Ffmpeg, FloatMap, StMap
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import Options, ProgressArgument, described

@@ -15,8 +15,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable

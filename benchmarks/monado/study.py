@@ -10,9 +10,9 @@ from typing import Annotated
 import numpy as np
 
 from benchmarks.monado.comparison import PositionErrors, position_errors
-from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
 from wlr_render.exports.monado import Monado
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs import limits
 from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions

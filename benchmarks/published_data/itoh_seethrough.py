@@ -15,7 +15,7 @@ from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.input_files import as_bad_input, read_text, require_length, shown
+from wlr_render.io.input_files import as_bad_input, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.optics.device_file import load_device

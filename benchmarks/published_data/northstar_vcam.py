@@ -16,10 +16,10 @@ import numpy as np
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import directions, transforms
-from wlr_render.input_files import read_image
+from wlr_render.io.input_files import read_image
+from wlr_render.io.toml_files import Table, read_json
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table, read_json
 
 PANEL = Panel(1440, 1600)
 """One eye's half of the screen of a North Star headset; the maps only know fractions of it."""

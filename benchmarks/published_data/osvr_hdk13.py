@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 from wlr_render.captures.correspondences import DisplayCaptures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
-from wlr_render.input_files import as_bad_input, read_text, require_length
+from wlr_render.io.input_files import as_bad_input, read_text, require_length
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
 

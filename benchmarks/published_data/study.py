@@ -15,7 +15,6 @@ from benchmarks.published_data.osvr_hdk13 import PIXEL_MM, read_osvr_captures
 from benchmarks.published_data.procam_graycode import read_procam_graycode
 from benchmarks.published_data.two_view_tables import tables, verdict
 from benchmarks.published_data.viewpoint_evidence import viewpoint_evidence
-from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.code_files import CodeFiles
@@ -24,6 +23,7 @@ from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.evaluation.code_quality import Lenses, fit_planes
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.decode import CodePhotographs, decode_and_assess, flatness_table
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT, Progress

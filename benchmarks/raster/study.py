@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from benchmarks.raster.disocclusion import disoccluded
 from benchmarks.raster.mesh_painter import MeshWarpedPainter
 from benchmarks.raster.raster_error import RasterError, raster_error
-from wlr_render.atomic_files import output_folder, write_figure
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
+from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.headset import headset_path, open_eye, require_in_eye_box
 from wlr_render.jobs.options import (
     Backend,

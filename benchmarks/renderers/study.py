@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.renderers.casting import BESIDE_M, LIBRARIES, Cast, blender_positions, right_distances
 from benchmarks.speed.timing import ratio
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.numerics.arrays import Float32Array, FloatArray

@@ -17,7 +17,7 @@ from benchmarks.simulated_lab.codes import code_table, code_trials
 from benchmarks.simulated_lab.lab_options import SimulatedLabOptions
 from benchmarks.simulated_lab.registration import register
 from benchmarks.simulated_lab.session_truth import compare_with_truth, truth_tables
-from wlr_render.atomic_files import output_folder, write_text
+from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import calibrated
 from wlr_render.jobs.options import ProgressArgument

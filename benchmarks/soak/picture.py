@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.soak.records import EyeMoment, Stream
 from benchmarks.soak.report import costs
-from wlr_render.atomic_files import write_figure
+from wlr_render.io.atomic_files import write_figure
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import cell_text
 from wlr_render.tracking.viewpoint_filter import TrackingState

@@ -11,9 +11,9 @@ from benchmarks.soak.picture import draw_stream
 from benchmarks.soak.records import Stream
 from benchmarks.soak.report import frames_csv, tables_of
 from benchmarks.soak.wearer import Wearer
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.compositing.compositor import Compositor
 from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.headset import headset_path, open_eye
 from wlr_render.jobs.options import (
     Backend,

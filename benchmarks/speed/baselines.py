@@ -13,8 +13,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render import atomic_files
 from wlr_render.geometry import transforms
+from wlr_render.io import atomic_files
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.processes import usable_cores
 from wlr_render.rendering.gl_programs import shader_source

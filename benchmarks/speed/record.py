@@ -4,8 +4,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import write_text
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.save import markdown
 

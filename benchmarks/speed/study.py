@@ -16,8 +16,8 @@ from benchmarks.speed.offline import map_rows, memory_rows, raster_part, ray_row
 from benchmarks.speed.record import record
 from benchmarks.speed.timing import GPU_ROUNDS, ROUNDS
 from benchmarks.speed.workload import PANEL, Workload, bench_model, workload
-from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import Backend, Options, ProgressArgument, described
 from wlr_render.mappings import Panel
 from wlr_render.processes import usable_cores

@@ -9,7 +9,7 @@ from cyclopts import Parameter
 
 from benchmarks.speed.workload import PANEL, bench_model
 from benchmarks.submission.measure import WAYS, Submission, measure
-from wlr_render.atomic_files import output_folder
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.mappings import Eye
 from wlr_render.progress import SILENT

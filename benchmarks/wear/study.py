@@ -21,7 +21,7 @@ from benchmarks.wear.simulated_wear import (
     half_hour,
     worn_eye,
 )
-from wlr_render.atomic_files import output_folder, write_figure
+from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
 from wlr_render.processes import as_finished
 from wlr_render.progress import SILENT

@@ -13,9 +13,9 @@ from wlr_render.bench.bench_file import load_bench, save_bench
 from wlr_render.bench.bench_keys import SECTIONS
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid
+from wlr_render.io.toml_files import read_toml
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import device_content
-from wlr_render.toml_files import read_toml
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "bench-session.md"
 TOML = """

@@ -7,7 +7,6 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from wlr_render.atomic_files import resource
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_file import board_table, save_board
@@ -31,8 +30,9 @@ from wlr_render.captures.session_reading import Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.io.atomic_files import resource
+from wlr_render.io.toml_files import write_toml
 from wlr_render.mappings import EyeBox, Panel
-from wlr_render.toml_files import write_toml
 
 LENS = LensCamera((640, 480), np.array([700.0, 701.0]), np.array([321.0, 239.5]), np.array([0.1, 0.0, 0.0, 0, 0]))
 POSE = transforms.rigid(

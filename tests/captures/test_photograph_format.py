@@ -8,7 +8,7 @@ from PIL import Image
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import BadPhotographError, read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.toml_files import Table, read_toml, write_toml
+from wlr_render.io.toml_files import Table, read_toml, write_toml
 
 SHAPE = (20, 30)
 RAMP = np.linspace(3, 250, 600).reshape(SHAPE)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from composing import HEAD
 
-from wlr_render.atomic_files import resource
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents
+from wlr_render.io.atomic_files import resource
 from wlr_render.mappings import Panel
 from wlr_render.rendering import gl
 from wlr_render.rendering.ray_map import solve_pixels

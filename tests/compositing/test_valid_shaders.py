@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from composing import HEAD, SMALL, planar, scene, viewpoint
 
-from wlr_render.atomic_files import resource
+from wlr_render.io.atomic_files import resource
 from wlr_render.rendering.gl_raster import GlRaster
 from wlr_render.rendering.panel_light import PanelLight
 

@@ -8,12 +8,12 @@ from composing import HEAD, planar
 from own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by
 
 from wlr_render import StoredDepth
-from wlr_render.atomic_files import resource
 from wlr_render.compositing.warp_mesh import WarpMesh
 from wlr_render.engine import DepthKind
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.io.atomic_files import resource
 from wlr_render.mappings import QueryResult, Status
 from wlr_render.rendering.choose_warp_grid import ray_error_arcmin
 from wlr_render.rendering.ray_map import solve_pixels

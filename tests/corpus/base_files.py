@@ -35,7 +35,6 @@ from corpus.base_texts import (
     STATION,
     TARGET_KALIBR,
 )
-from wlr_render.atomic_files import resource
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png
@@ -44,6 +43,7 @@ from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.patterns.gray_code import GrayCode
 from wlr_render.captures.photographs import write_photograph
+from wlr_render.io.atomic_files import resource
 from wlr_render.mappings import Panel
 from wlr_render.models.model_file import EyeModel, save_eye_models
 

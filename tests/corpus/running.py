@@ -11,7 +11,7 @@ from corpus.judging import PROGRAM, faults, snapshot
 from corpus.program import Outcome, limits, run
 from corpus.readers import READERS
 from wlr_render.errors import BadInputError
-from wlr_render.escapes import printable
+from wlr_render.io.escapes import printable
 
 
 def verdict(bases: Path, case: Case, printed: Callable[[], tuple[str, str]]) -> tuple[list[str], Outcome]:

@@ -18,13 +18,13 @@ from small_headsets import LeftHalf
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
-from wlr_render.escapes import markdown_text
 from wlr_render.exports import export_view as view
 from wlr_render.exports.formats import FORMATS, FormatName
 from wlr_render.extras import MissingExtraError, install_command
-from wlr_render.finished_files import FinishedFiles
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.input_files import LIMITS
+from wlr_render.io.escapes import markdown_text
+from wlr_render.io.finished_files import FinishedFiles
+from wlr_render.io.input_files import LIMITS
 from wlr_render.jobs.export import export, views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.headset import open_colours, open_eye

@@ -10,7 +10,7 @@ import pytest
 
 from wlr_render.cli import VERBS, main
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.jobs.options import OnlyWith, Options, Range, described
 from wlr_render.jobs.print_board import BoardOptions
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import FinishedFiles
+from wlr_render.io.finished_files import FinishedFiles
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.rendering.image_files import read_png

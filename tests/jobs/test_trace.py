@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from wlr_render.atomic_files import resource
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import resource
 from wlr_render.jobs.trace import TraceOptions, imaging_warnings, loss_warnings, trace
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.drawing import draw_device

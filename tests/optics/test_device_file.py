@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from wlr_render.atomic_files import shipped_names
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import shipped_names
 from wlr_render.optics.device import Interaction
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM, Medium

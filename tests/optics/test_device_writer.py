@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from wlr_render.atomic_files import shipped_names
 from wlr_render.geometry.directions import dir_of_tangents
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
+from wlr_render.io.atomic_files import shipped_names
 from wlr_render.mappings import Status
 from wlr_render.optics.assembly import combiner_middle
 from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface, Step, mirrored

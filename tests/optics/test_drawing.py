@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from wlr_render.atomic_files import resource, shipped_names
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import resource, shipped_names
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.drawing import draw_device
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from wlr_render.atomic_files import resource, shipped_names
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.transforms import apply
+from wlr_render.io.atomic_files import resource, shipped_names
 from wlr_render.mappings import Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.surfaces import Conic

@@ -25,7 +25,7 @@ from oracle.effects import Effect
 from oracle.nature import PERFECT, BenchNature
 from oracle.run_time import RunTimePlan, RunTimeSession, observe_run_time
 from oracle.session import observe
-from wlr_render.atomic_files import output_folder, write_bytes, write_text
+from wlr_render.io.atomic_files import output_folder, write_bytes, write_text
 
 _DECIMALS = {"time_s": 1, "stage": 6, "target": 4, "pixel": 4}
 _CAMERA_DECIMALS = {"display": 3, "seethrough": 4}

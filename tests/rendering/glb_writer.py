@@ -4,9 +4,9 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from wlr_render.atomic_files import write_bytes
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
+from wlr_render.io.atomic_files import write_bytes
 from wlr_render.rendering.mesh_file import EXTENSION
 
 

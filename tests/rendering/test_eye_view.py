@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from gl_scenes import at, lit, unlit
 
-from wlr_render.atomic_files import resource
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.io.atomic_files import resource
+from wlr_render.io.toml_files import read_toml
 from wlr_render.mappings import Panel, QueryResult, Status
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
@@ -16,7 +17,6 @@ from wlr_render.rendering.painters import TracedPainter
 from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
 from wlr_render.rendering.shapes import construction
 from wlr_render.rendering.srgb import decode_srgb
-from wlr_render.toml_files import read_toml
 
 HEAD_POSE = at(0.2, 1.4, 0.5, transforms.rotation_about("y", 0.3))
 

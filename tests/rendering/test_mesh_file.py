@@ -11,7 +11,7 @@ import pytest
 from glb_writer import save_glb
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import InputLimits, outside_references
+from wlr_render.io.input_files import InputLimits, outside_references
 from wlr_render.rendering import gltf_document
 from wlr_render.rendering.mesh_file import load_meshes
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene, world_positions

@@ -6,9 +6,9 @@ from gl_scenes import shipped_scene
 from glb_writer import save_glb
 from test_mesh_file import gltf, obj
 
-from wlr_render.atomic_files import shipped_names
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.io.atomic_files import shipped_names
 from wlr_render.rendering import scene_file
 from wlr_render.rendering.painters import saturation_warnings
 from wlr_render.rendering.scene import Instance, LightSource, Scene, world_positions

@@ -13,7 +13,7 @@ from browser import needs_browser, open_page
 from matplotlib.figure import Figure
 
 from wlr_render import __version__
-from wlr_render.atomic_files import write_figure
+from wlr_render.io.atomic_files import write_figure
 from wlr_render.rendering.image_files import write_png
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text, quantity, table
 from wlr_render.report.plots import bars

@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wlr_render.delimited_text import cells_of
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.io.delimited_text import cells_of
 from wlr_render.tracking import synthetic
 from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory, write_eye_trajectory

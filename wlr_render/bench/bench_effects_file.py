@@ -6,12 +6,12 @@ import numpy as np
 
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_effects import KINDS, PARTS, AnyFunction, BenchEffect, EffectKind
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.cells import Cells
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
 from wlr_render.numerics.waves import LocalWaves, Wave
 from wlr_render.optics.combiner_form import SURFACES
-from wlr_render.toml_files import Table
 
 _MOST_EFFECTS, _MOST_TERMS, _MOST_CELLS = 50, 1000, 50_000
 _MOST_WITH_COVARIANCE = 300  # coefficients

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.atomic_files import shipped_names
 from wlr_render.bench.bench import (
     Bench,
     Clock,
@@ -23,11 +22,12 @@ from wlr_render.bench.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTI
 from wlr_render.captures.session_schema import MM
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES, rigid
+from wlr_render.io.atomic_files import shipped_names
+from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import device_content, save_device
-from wlr_render.toml_files import Table, read_toml, write_toml
 
 _MOST_POSES = 10_000
 _MOST_SIGMA = 1e6

@@ -13,9 +13,9 @@ import numpy as np
 from wlr_render.bench import bench as parts
 from wlr_render.captures.session_schema import CAMERA_PIXEL, MM, Quantity
 from wlr_render.geometry.transforms import is_rotation
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table
 
 # `axes` is device_from_file (3, 3), as in session_schema.
 PLAIN = Quantity()

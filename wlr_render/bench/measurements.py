@@ -11,7 +11,6 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from wlr_render.atomic_files import shipped_names
 from wlr_render.bench.bench import Bench, EyeballCamera, Stage, Target
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.session_captures import LEAST_SIGMA_PX, session_of
@@ -22,6 +21,7 @@ from wlr_render.captures.session import Session
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, normalised, tangents_of_dir
 from wlr_render.geometry.transforms import rigid
+from wlr_render.io.atomic_files import shipped_names
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
 from wlr_render.optics.device_file import load_device

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.atomic_files import resource
 from wlr_render.bench.bench import Bench, Target
 from wlr_render.bench.bench_file import (
     DEVICE_FILE,
@@ -24,9 +23,10 @@ from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
-from wlr_render.input_files import prefix_errors, require_length
+from wlr_render.io.atomic_files import resource
+from wlr_render.io.input_files import prefix_errors, require_length
+from wlr_render.io.toml_files import read_toml
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import read_toml
 
 FEWEST_CAPTURES = 6
 _SUFFIXES = (".csv", ".csv.gz")

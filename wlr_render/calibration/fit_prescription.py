@@ -16,6 +16,7 @@ from wlr_render.captures.correspondences import AnyCaptures, Captures, DisplayCa
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.io.toml_files import toml_text
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES, assembled
@@ -24,7 +25,6 @@ from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.device_writer import device_content
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
-from wlr_render.toml_files import toml_text
 
 Prescription = EyeOptics
 """The optics of one eye as drawn; other modules of calibration take it from here."""

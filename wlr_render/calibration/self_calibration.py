@@ -26,7 +26,7 @@ from scipy.linalg import block_diag
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.moved_panel import MovedPanelDisplay, pixel_at_calibration

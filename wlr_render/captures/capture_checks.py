@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.feature_captures import PANEL_PIXEL, REAL_POINT
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, require_eye_box, require_length, require_pixels
+from wlr_render.io.input_files import LIMITS, require_eye_box, require_length, require_pixels
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray, IntArray
 

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_arrays
 from wlr_render.captures.capture_checks import check_plausible
 from wlr_render.captures.correspondences import Captures, DisplayCaptures, SeeThroughCaptures, joined_column
 from wlr_render.captures.feature_captures import (
@@ -32,10 +31,11 @@ from wlr_render.captures.feature_captures import (
     rows_of,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, prefix_errors, read_arrays
+from wlr_render.io.atomic_files import write_arrays
+from wlr_render.io.input_files import LIMITS, prefix_errors, read_arrays
+from wlr_render.io.toml_files import Table, parse_json
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
-from wlr_render.toml_files import Table, parse_json
 
 FORMAT = "wlr-captures"
 VERSION = 2

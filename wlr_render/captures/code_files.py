@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from wlr_render.captures.photo_session import CODE_ORDERS
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import SUFFIXES, CodeImage, exposure_of, photographs_in, read_each, read_photograph
-from wlr_render.delimited_text import STATED_SEPARATOR, separator_of
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import as_bad_input, inside_folder, read_text, shown
-from wlr_render.toml_files import read_toml
+from wlr_render.io.delimited_text import STATED_SEPARATOR, separator_of
+from wlr_render.io.input_files import as_bad_input, inside_folder, read_text, shown
+from wlr_render.io.toml_files import read_toml
 
 MANIFESTS = ("manifest.toml", "manifest.csv")
 _AXES = {"u": "u", "x": "u", "column": "u", "columns": "u", "v": "v", "y": "v", "row": "v", "rows": "v"}

@@ -10,9 +10,9 @@ from wlr_render.captures.photo_session import SessionCamera
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in
 from wlr_render.geometry.lens_camera import LENS_KINDS, OPENCV_PIXEL_SHIFT, LensCamera
-from wlr_render.input_files import require_pixels
+from wlr_render.io.input_files import require_pixels
+from wlr_render.io.toml_files import Table, stated
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table, stated
 
 _MOST_SIGMA = 1e6
 _SOURCES = ("intrinsics", "focal_px", "lens_file")

@@ -7,9 +7,9 @@ import numpy as np
 
 from wlr_render.captures.photo_session import PhotoSession, SessionEntry, StageDescription
 from wlr_render.captures.photo_session_entries import place_groups, stage_lists
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table
 
 _MM = 1e-3
 _TRAVEL_MM = (0.5, 500.0)  # plausible travel: beyond it, the unit is metres or micrometres

@@ -23,9 +23,9 @@ from wlr_render.captures.photo_session import (
     StageDescription,
 )
 from wlr_render.geometry.transforms import FRAMES
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
+from wlr_render.io.toml_files import Table, stated
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.toml_files import Table, stated
 
 EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
 

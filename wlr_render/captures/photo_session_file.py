@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wlr_render.atomic_files import resource
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, pattern_keys
@@ -33,10 +32,11 @@ from wlr_render.captures.photo_session_entries import (
 )
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
-from wlr_render.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels, shown
+from wlr_render.io.atomic_files import resource
+from wlr_render.io.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels, shown
+from wlr_render.io.toml_files import Table, read_toml, stated, write_toml
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table, read_toml, stated, write_toml
 
 FILE = "session.toml"
 FORMAT = "photo-session"

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.delimited_text import with_commas
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import as_bad_input, read_text
-from wlr_render.toml_files import Table, stated
+from wlr_render.io.delimited_text import with_commas
+from wlr_render.io.input_files import as_bad_input, read_text
+from wlr_render.io.toml_files import Table, stated
 
 StoredValues = NDArray[np.unsignedinteger[Any]]
 

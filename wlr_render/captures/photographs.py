@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_image
 from wlr_render.captures.photograph_format import PhotographFormat, is_left_justified
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, as_bad_input, decode_image, read_bytes, require_pixels
+from wlr_render.io.atomic_files import write_image
+from wlr_render.io.input_files import LIMITS, as_bad_input, decode_image, read_bytes, require_pixels
 
 Photograph = NDArray[np.unsignedinteger[Any]]
 """(h, w) linear values of one channel, uint8 or uint16; a saturated pixel has its format's `full_scale`."""

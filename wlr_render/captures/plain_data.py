@@ -7,7 +7,7 @@ from typing import Any
 import yaml
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import as_bad_input
+from wlr_render.io.input_files import as_bad_input
 
 _OPENCV_DIRECTIVE = "%YAML:"  # OpenCV's first line up to version 4, which YAML does not allow
 

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_arrays
 from wlr_render.captures.boards.board import Board, BoardObservation
 from wlr_render.captures.boards.board_file import board_table
 from wlr_render.captures.boards.discs import Discs
@@ -24,8 +23,9 @@ from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSes
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import BadPhotographError, check_photograph, file_note, read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import digest_of
-from wlr_render.input_files import LIMITS, read_arrays, read_bytes
+from wlr_render.io.atomic_files import write_arrays
+from wlr_render.io.finished_files import digest_of
+from wlr_render.io.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress
 

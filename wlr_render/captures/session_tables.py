@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_bytes
 from wlr_render.captures.session_schema import Column, Columns, Kind, Schema
-from wlr_render.delimited_text import STATED_SEPARATOR, is_number, with_commas
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, as_bad_input, decode_text, gunzip, read_bytes, shown
+from wlr_render.io.atomic_files import write_bytes
+from wlr_render.io.delimited_text import STATED_SEPARATOR, is_number, with_commas
+from wlr_render.io.input_files import LIMITS, as_bad_input, decode_text, gunzip, read_bytes, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _UNIT_TOLERANCE = 1e-3

@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.input_files import LIMITS, shown
+from wlr_render.io.input_files import LIMITS, shown
 from wlr_render.mappings import EYE_BOX_MARGIN, Eye, EyeBox, EyeChannels
 from wlr_render.numerics.arrays import FloatArray, finite_array
 from wlr_render.rendering.framebuffers import is_number

@@ -38,7 +38,7 @@ from wlr_render.compositing.eye_camera import EyeCamera
 from wlr_render.compositing.frame_handle import FrameHandle, FrameHistory, MotionPredictor, Scan, row_poses
 from wlr_render.compositing.gl_backend import GlBackend, HostState
 from wlr_render.errors import BadInputError, stacklevel_of_caller
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.gl import GlContext

@@ -13,7 +13,7 @@ from wlr_render.compositing.checks import checked_choice
 from wlr_render.compositing.composed_frame import CachedRayMaps
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.mappings import Eye, PlanarDisplay, PlanarSeeThrough, count_unsolved
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl

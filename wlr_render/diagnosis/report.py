@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_folder import remove_session, save_session
 from wlr_render.diagnosis import diagnosis_plots as plots
 from wlr_render.diagnosis import tables, verdict_sentences
@@ -15,6 +14,7 @@ from wlr_render.diagnosis.improvement import ImprovementInUse, improvement_in_us
 from wlr_render.diagnosis.report_warnings import warnings
 from wlr_render.diagnosis.residual_views import part_views
 from wlr_render.diagnosis.verdict_sentences import bench_sentence
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.report.blocks import Block, Plot, Report, ReportTable, Section, Text, capitalised
 from wlr_render.report.records import fields_of
 from wlr_render.report.save import save_report

@@ -3,10 +3,10 @@
 import math
 from pathlib import Path
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import Origin, view_from_centre, with_symmetric_camera
 from wlr_render.exports.formats import FORMATS, FormatName, format_of
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.exr_file import require_exr

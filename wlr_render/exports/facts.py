@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.atomic_files import write_text
 from wlr_render.exports.export_view import ALL_COLOURS, ExportedView
 from wlr_render.exports.format import Format, Loss
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.io.atomic_files import write_text
 from wlr_render.numerics.arrays import FloatArray
 
 JUDGED_DEPTH_M = 0.5

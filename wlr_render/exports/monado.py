@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts
 from wlr_render.exports.format import Capabilities, Loss
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.io.atomic_files import write_text
 from wlr_render.numerics.arrays import FloatArray
 
 _POINTS = 65

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array, eye_array, kron, vstack
 from scipy.spatial.transform import Rotation
 
-from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts, header_texts
 from wlr_render.exports.format import Capabilities, FormatByColour, Loss
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
+from wlr_render.io.atomic_files import write_text
 from wlr_render.numerics.arrays import FloatArray
 
 _COLUMNS = (12, 16, 20, 26, 32)

@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from wlr_render.atomic_files import write_arrays, write_image
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts, header_texts, write_facts
 from wlr_render.exports.format import Capabilities, EveryPixel, FormatByColour
+from wlr_render.io.atomic_files import write_arrays, write_image
 from wlr_render.rendering.exr_file import write_exr
 from wlr_render.rendering.image_files import write_map
 

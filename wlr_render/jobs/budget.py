@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
 from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
 from wlr_render.calibration.label_errors import REMEDIES
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import prefix_errors
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.headset import effect_warnings, headset_path, is_model, open_eye
 from wlr_render.jobs.job import job

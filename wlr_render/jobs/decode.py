@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import output_folder, write_arrays, write_figure
 from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
 from wlr_render.captures.patterns.catalogue import make_pattern
@@ -18,7 +17,9 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import file_note
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.code_quality import NO_LENSES, TOLERANCE_PX, Lenses, PlaneSurvey, find_planes, fit_planes
-from wlr_render.input_files import prefix_errors
+from wlr_render.io.atomic_files import output_folder, write_arrays, write_figure
+from wlr_render.io.input_files import prefix_errors
+from wlr_render.io.toml_files import read_toml
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Code, Options, ProgressArgument, Range, described, described_size
@@ -26,7 +27,6 @@ from wlr_render.mappings import Panel
 from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
 from wlr_render.report.save import save_report
-from wlr_render.toml_files import read_toml
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

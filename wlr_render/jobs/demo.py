@@ -21,7 +21,6 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.budget.error_sizes import Drawing, ErrorSizes, Truncation
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
@@ -34,6 +33,7 @@ from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.demo_picture import (
     Panorama,

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_figure
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.io.atomic_files import write_figure
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import cell_text
 

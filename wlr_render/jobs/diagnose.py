@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.measurements import load_measurements
 from wlr_render.bench.session_folder import check_enough_captures
@@ -26,7 +25,8 @@ from wlr_render.diagnosis.report import CORRECTED, STEM, diagnosis_report, impro
 from wlr_render.diagnosis.settings import DEFAULT
 from wlr_render.diagnosis.signature_report import signature_report
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import prefix_errors
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described, option_group
 from wlr_render.progress import SILENT

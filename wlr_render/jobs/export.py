@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render import __version__
-from wlr_render.atomic_files import output_folder
 from wlr_render.exports.check_pictures import write_check
 from wlr_render.exports.export_view import (
     ALL_COLOURS,
@@ -21,8 +20,9 @@ from wlr_render.exports.export_view import (
 )
 from wlr_render.exports.facts import not_held
 from wlr_render.exports.formats import format_of
-from wlr_render.finished_files import LIST, FinishedFiles, digest_of
-from wlr_render.input_files import hashes_of_inputs
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.finished_files import LIST, FinishedFiles, digest_of
+from wlr_render.io.input_files import hashes_of_inputs
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.export_page import export_page
 from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_frames

@@ -16,8 +16,8 @@ from typing import Any
 from wlr_render.budget.error_map import ErrorMap
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import Signature, signature_of
-from wlr_render.input_files import hashes_of_inputs, may_refer_outside, outside_references, prefix_errors
+from wlr_render.io.finished_files import Signature, signature_of
+from wlr_render.io.input_files import hashes_of_inputs, may_refer_outside, outside_references, prefix_errors
 from wlr_render.jobs.budget import opened_with_sizes
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.frame_labels import (

@@ -14,20 +14,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import disk_errors, write_text, written_whole
 from wlr_render.budget.error_map import PredictedError
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import transforms
-from wlr_render.input_files import LIMITS, read_text, shown
+from wlr_render.io.atomic_files import disk_errors, write_text, written_whole
+from wlr_render.io.input_files import LIMITS, read_text, shown
+from wlr_render.io.toml_files import parse_json
 from wlr_render.jobs.frame_plan import PlannedFrame
 from wlr_render.mappings import Eye, Panel
 from wlr_render.rendering.exr_file import write_exr
 from wlr_render.rendering.frame_layers import MEANINGS, Layer
 from wlr_render.rendering.painters import Frame
 from wlr_render.rendering.scene import Scene
-from wlr_render.toml_files import parse_json
 
 INSTANCES, MISALIGNMENT = "instances.json", "misalignment.json"
 _KIND = "the labels of a frame"

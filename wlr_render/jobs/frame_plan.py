@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import require_in_eye_box
 from wlr_render.jobs.options import Eyes, eyes_of

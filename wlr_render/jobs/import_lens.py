@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.toml_files import Table
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Options, ProgressArgument, Range, described, described_size, option_group
@@ -24,7 +25,6 @@ from wlr_render.optics.surfaces import Shape
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
-from wlr_render.toml_files import Table
 
 _MM = 1e-3
 _MOST_NAMED = 8  # surfaces in one sentence

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ParamSpec
 
-from wlr_render.atomic_files import locked_folder
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import LIST
+from wlr_render.io.atomic_files import locked_folder
+from wlr_render.io.finished_files import LIST
 from wlr_render.report.blocks import Report
 
 Arguments = ParamSpec("Arguments")

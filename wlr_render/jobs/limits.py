@@ -3,7 +3,7 @@
 A value beyond them is a slip, a wrong unit, or more than the memory, the disk or a day can hold.
 """
 
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
 from wlr_render.jobs.options import Range
 
 PIXELS = Range(at_least=1, at_most=LIMITS.picture_side, product=LIMITS.picture_pixels)

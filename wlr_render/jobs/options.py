@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from cyclopts import Group, Parameter, Token
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.processes import WorkerPool
 from wlr_render.progress import Progress
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from wlr_render.atomic_files import disk_errors, output_folder, write_bytes, written_whole
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, read_bytes
+from wlr_render.io.atomic_files import disk_errors, output_folder, write_bytes, written_whole
+from wlr_render.io.input_files import LIMITS, read_bytes
 from wlr_render.jobs.frame_labels import labels_file, layers_file, read_labels
 from wlr_render.progress import Progress
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.text_rows import read_text_table
 

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.bench.bench import Bench
 from wlr_render.bench.bench_file import load_bench
 from wlr_render.bench.measurements import load_measurements
@@ -19,7 +18,8 @@ from wlr_render.diagnosis.noise import MATERIAL_VARIANCE
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH
 from wlr_render.diagnosis.report import CORRECTED
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import prefix_errors
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.progress import SILENT

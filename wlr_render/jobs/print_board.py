@@ -4,16 +4,16 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.captures.boards.board_drawing import write_board_png, write_board_svg
 from wlr_render.captures.boards.board_file import board_of_table, save_board
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.toml_files import Table
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, described
 from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
-from wlr_render.toml_files import Table
 
 Kind = Literal["dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles"]
 _CHARUCO = OnlyWith("kind", ("charuco",))

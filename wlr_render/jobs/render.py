@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.compositing.raster_painter import traced_instead
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import LIST, FinishedFiles
+from wlr_render.io.atomic_files import output_folder, write_text
+from wlr_render.io.finished_files import LIST, FinishedFiles
 from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, open_raster, picture_file
 from wlr_render.jobs.frame_labels import Labels, labels_file, read_labels, write_instances, write_misalignment
 from wlr_render.jobs.frame_plan import (

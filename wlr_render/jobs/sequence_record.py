@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, as_bad_input, read_text, shown
+from wlr_render.io.input_files import LIMITS, as_bad_input, read_text, shown
+from wlr_render.io.toml_files import parse_json
 from wlr_render.jobs.options import Options, flag_of
-from wlr_render.toml_files import parse_json
 
 RECORD = "sequence.json"
 _VERSION = 2

@@ -11,14 +11,14 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.patterns.show_page import PAGE, write_show_page
 from wlr_render.captures.patterns.show_server import ShowServer
 from wlr_render.captures.photographs import SUFFIXES
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import FinishedFiles, digest_of
-from wlr_render.input_files import shown
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.finished_files import FinishedFiles, digest_of
+from wlr_render.io.input_files import shown
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job, require_unlisted
 from wlr_render.jobs.options import (

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
 from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (

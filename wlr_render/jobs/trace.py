@@ -7,10 +7,10 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.device_figures import DeviceFigures, device_figures, figures_table
 from wlr_render.evaluation.lateral_colour import lateral_colour_table
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.headset import open_colours
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Eyes, Options, ProgressArgument, described, eyes_of

@@ -9,7 +9,6 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import output_folder, write_figure
 from wlr_render.calibration.bench.station_file import load_station
 from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_file import load_board
@@ -18,6 +17,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
 from wlr_render.geometry.lens import Lens
+from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Options, ProgressArgument, described
 from wlr_render.progress import SILENT

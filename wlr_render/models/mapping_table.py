@@ -40,7 +40,8 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.input_files import require_pixels
+from wlr_render.io.input_files import require_pixels
+from wlr_render.io.toml_files import Table
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
@@ -51,7 +52,6 @@ from wlr_render.models.static import StaticDisplay, StaticSeeThrough
 from wlr_render.models.volumetric import VolumetricDisplay, VolumetricSeeThrough
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial, term_count, total_degree
-from wlr_render.toml_files import Table
 
 _BACKWARD = "backward"  # key of versions 1 and 2: the polynomial that answered backward queries
 _BACKWARD_BEFORE = 3  # first version without that key

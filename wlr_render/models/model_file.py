@@ -27,16 +27,16 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
 from wlr_render.html_summary import SummaryTable, html_summary
-from wlr_render.input_files import as_bad_input
+from wlr_render.io.atomic_files import write_text
+from wlr_render.io.input_files import as_bad_input
+from wlr_render.io.toml_files import Table, read_json
 from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
 from wlr_render.models.mapping_table import DISPLAYS, SEE_THROUGHS, mapping_record, modelled_name, read_mapping
 from wlr_render.models.plausible import plausible_eye_box
 from wlr_render.numerics.polynomial import Polynomial
-from wlr_render.toml_files import Table, read_json
 
 FORMAT = "wlr-eye-model"
 VERSION = 3

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from wlr_render.geometry.planes import BasePlane
-from wlr_render.input_files import require_eye_box, require_length
+from wlr_render.io.input_files import require_eye_box, require_length
+from wlr_render.io.toml_files import Table
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
-from wlr_render.toml_files import Table
 
 _FAR_M = 1.0  # largest distance of an eye box or base plane from the headset's origin
 _STEEPEST = 100.0  # slope of a base plane, tangent or deviation: 89.4 degrees

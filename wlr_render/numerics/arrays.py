@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]

@@ -4,11 +4,12 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from wlr_render.atomic_files import named_or_path
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import FRAMES, rigid, rotation_about
-from wlr_render.input_files import require_eye_box, require_pixels, shown
+from wlr_render.io.atomic_files import named_or_path
+from wlr_render.io.input_files import require_eye_box, require_pixels, shown
+from wlr_render.io.toml_files import Table, read_toml
 from wlr_render.mappings import EyeBox, FieldOfView, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
@@ -28,7 +29,6 @@ from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import FormError, Offset, nesting, raised
 from wlr_render.optics.sag_surfaces import SagSurface
 from wlr_render.optics.surfaces import Shape
-from wlr_render.toml_files import Table, read_toml
 
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0])
 

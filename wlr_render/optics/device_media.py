@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
+from wlr_render.io.toml_files import Table
 from wlr_render.optics.glass_files import shipped_glasses
 from wlr_render.optics.media import INDICES, Medium
-from wlr_render.toml_files import Table
 
 _ABBE_NUMBERS = 5.0, 200.0
 _HIGHEST_POWER = 20  # highest power of the wavelength

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.input_files import require_length, shown
+from wlr_render.io.input_files import require_length, shown
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.sag_surfaces import (
     AnamorphicAsphere,
@@ -19,7 +20,6 @@ from wlr_render.optics.sag_surfaces import (
     XYPolynomial,
 )
 from wlr_render.optics.surfaces import Conic, Ellipsoid, Shape
-from wlr_render.toml_files import Table
 
 MM = 1e-3
 """One millimetre in metres."""

@@ -5,6 +5,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
+from wlr_render.io.toml_files import write_toml
 from wlr_render.mappings import FieldOfView
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
@@ -22,7 +23,6 @@ from wlr_render.optics.device_shapes import MM, Content, in_mm, shape_content
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import Offset, RaisedSag, base_of, nesting
 from wlr_render.optics.surfaces import Shape
-from wlr_render.toml_files import write_toml
 
 
 def save_device(device: Device, path: str | FilePath) -> FilePath:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wlr_render.atomic_files import write_figure
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import write_figure
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics, Interaction, Path, PlacedSurface, Step

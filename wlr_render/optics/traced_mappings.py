@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays
 from wlr_render.geometry.directions import dir_of_tangents, normalised, tangents_of_dir
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.mappings import Eye, Panel, QueryResult, Status, StatusArray, count_unsolved
 from wlr_render.numerics import newton
 from wlr_render.numerics.arrays import FloatArray

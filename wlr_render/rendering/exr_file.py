@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import disk_errors, written_whole
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
-from wlr_render.input_files import as_bad_input, reason_of, require_pixels
+from wlr_render.io.atomic_files import disk_errors, written_whole
+from wlr_render.io.input_files import as_bad_input, reason_of, require_pixels
 
 _TYPES = (np.float16, np.float32, np.uint32)
 """Types of values that the format has."""

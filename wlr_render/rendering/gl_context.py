@@ -11,8 +11,8 @@ import moderngl
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from wlr_render import atomic_files
 from wlr_render.errors import BadInputError
+from wlr_render.io import atomic_files
 from wlr_render.rendering.context_ownership import ContextOwner
 from wlr_render.rendering.gl_programs import forget_textures, shader_source
 from wlr_render.rendering.host_checks import ErrorReader, GlError, error_name

@@ -8,7 +8,7 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering import gl
 from wlr_render.rendering.gl_mips import MipLevels

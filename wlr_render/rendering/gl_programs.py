@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render import atomic_files
+from wlr_render.io import atomic_files
 
 GLSL_VERSION = 410
 """GLSL version of all shaders: OpenGL 4.1, the newest on macOS; it replaces the version that a shader file states."""

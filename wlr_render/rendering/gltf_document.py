@@ -15,8 +15,8 @@ from urllib.parse import unquote_to_bytes
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, require_picture, shown
-from wlr_render.toml_files import parse_json
+from wlr_render.io.input_files import LIMITS, require_picture, shown
+from wlr_render.io.toml_files import parse_json
 
 LIGHTS = "KHR_lights_punctual"
 GLOSSY = "KHR_materials_pbrSpecularGlossiness"

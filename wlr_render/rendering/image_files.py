@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_image, written_whole
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import read_image
+from wlr_render.io.atomic_files import write_image, written_whole
+from wlr_render.io.input_files import read_image
 
 _FASTEST_FPS = 1000
 

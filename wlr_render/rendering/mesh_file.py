@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import normalised
-from wlr_render.input_files import LIMITS, as_bad_input, inside_folder, read_bytes, require_picture, shown
+from wlr_render.io.input_files import LIMITS, as_bad_input, inside_folder, read_bytes, require_picture, shown
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.rendering.gltf_arrays import GltfArrays
 from wlr_render.rendering.gltf_document import GLOSSY, LIGHTS, MOVED, QUANTISED, GltfDocument

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from wlr_render.delimited_text import is_number
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import require_picture, shown
+from wlr_render.io.delimited_text import is_number
+from wlr_render.io.input_files import require_picture, shown
 from wlr_render.numerics.arrays import FloatArray
 
 _DEFAULTS = {"d": r"1(\.0*)?", "tr": "[0. ]+", "ke": "[0. ]+", "pm": "[0. ]+", "illum": r"[1-9]\d*"}

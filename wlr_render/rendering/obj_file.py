@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import as_bad_input, shown
+from wlr_render.io.input_files import as_bad_input, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.mtl_file import Materials, ObjMaterial, obj_text, statements, without_comment
 from wlr_render.rendering.polygons import Triangles, smooth_normals, triangulated

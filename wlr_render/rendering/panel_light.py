@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.numerics.arrays import Float32Array, FloatArray, finite_array
 
 _GAMMAS = 0.2, 5.0

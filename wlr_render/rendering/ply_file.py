@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import as_bad_input, require_picture, shown
+from wlr_render.io.input_files import as_bad_input, require_picture, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.mtl_file import Neighbours, spellings
 from wlr_render.rendering.polygons import Triangles, smooth_normals, strip_corners, triangulated

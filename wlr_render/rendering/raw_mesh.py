@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import decode_image, require_pixels
+from wlr_render.io.input_files import decode_image, require_pixels
 from wlr_render.numerics.arrays import FloatArray
 
 _REMEDY = "replace the picture, or export the mesh again"

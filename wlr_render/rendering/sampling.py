@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
 from wlr_render.numerics.arrays import Float32Array
 
 _Pixel = TypeVar("_Pixel", bound=np.generic)

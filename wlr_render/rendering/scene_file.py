@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render import atomic_files
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
-from wlr_render.input_files import require_length, shown
+from wlr_render.io import atomic_files
+from wlr_render.io.input_files import require_length, shown
+from wlr_render.io.toml_files import Table, read_toml
 from wlr_render.numerics.arrays import Float32Array
 from wlr_render.rendering.mesh_file import SUFFIXES, load_meshes
 from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
 from wlr_render.rendering.shapes.construction import turn
 from wlr_render.rendering.shapes.objects import SHAPES
-from wlr_render.toml_files import Table, read_toml
 
 FORMAT, VERSION, FRAME = "wlr-scene", 1, "openxr"
 _PLACEMENT = ("name", "mesh", "shape", "position_m", "rotation_deg", "quaternion_xyzw", "scale", "scale_xyz")

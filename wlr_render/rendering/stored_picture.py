@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 
 Encoding = Literal["srgb", "linear"]
 """What numbers of a colour mean: sRGB codes, or linear light."""

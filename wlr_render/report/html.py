@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import jinja2
 import markupsafe
 
-from wlr_render.escapes import html_code, html_text, plotly_text
+from wlr_render.io.escapes import html_code, html_text, plotly_text
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.records import to_jsonable
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from wlr_render import __version__
-from wlr_render.atomic_files import write_text
-from wlr_render.escapes import markdown_text
+from wlr_render.io.atomic_files import write_text
+from wlr_render.io.escapes import markdown_text
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.html import html_page
 from wlr_render.report.records import fields_of, json_text

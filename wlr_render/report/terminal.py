@@ -16,7 +16,7 @@ from rich.status import Status
 from rich.table import Table
 from rich.text import Text
 
-from wlr_render.escapes import printable, printable_lines
+from wlr_render.io.escapes import printable, printable_lines
 from wlr_render.progress import Item, Progress
 from wlr_render.report.blocks import Report, ReportTable
 

@@ -21,9 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render import atomic_files
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import require_length, shown
+from wlr_render.io import atomic_files
+from wlr_render.io.input_files import require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_model import PUPIL_DISTANCE_M, RotatingEye
 from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_eyes

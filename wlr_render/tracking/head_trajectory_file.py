@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render import atomic_files
-from wlr_render.input_files import shown
+from wlr_render.io import atomic_files
+from wlr_render.io.input_files import shown
 from wlr_render.tracking.openxr_recording import SUFFIX, read_openxr_head
 from wlr_render.tracking.text_rows import (
     TIME,

@@ -24,9 +24,9 @@ from scipy.spatial.transform import Rotation
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import normalised
-from wlr_render.input_files import LIMITS, read_text, require_length
+from wlr_render.io.input_files import LIMITS, read_text, require_length
+from wlr_render.io.toml_files import Table, parse_json
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table, parse_json
 from wlr_render.tracking.eye_model import RotatingEye
 from wlr_render.tracking.text_rows import UNIT_TOLERANCE, require_plausible_motion
 from wlr_render.tracking.trajectory import EYES, EyeTrack, EyeTrajectory, GazeTrack, HeadTrajectory, ViewpointTrack

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.delimited_text import STATED_SEPARATOR, cells_of, is_number, separator_of
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, read_text, require_length, shown
+from wlr_render.io.delimited_text import STATED_SEPARATOR, cells_of, is_number, separator_of
+from wlr_render.io.input_files import LIMITS, read_text, require_length, shown
 from wlr_render.numerics.arrays import FloatArray
 
 UNIT_TOLERANCE = 1e-3

@@ -5,7 +5,7 @@ import os
 import pytest
 
 from benchmarks.kills.study import KillsOptions, run
-from wlr_render.atomic_files import resource
+from wlr_render.io.atomic_files import resource
 
 
 @pytest.mark.slow

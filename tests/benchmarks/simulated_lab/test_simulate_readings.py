@@ -13,13 +13,13 @@ from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
+from wlr_render.io.toml_files import Table
 from wlr_render.simulation.photographs import take_photographs
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import camera_poses
 from wlr_render.simulation.photographs.take_photographs import take
-from wlr_render.toml_files import Table
 
 RECIPE = SimulationRecipe("birdbath28", viewpoints=4, bench=PhotoBenchOptions(camera_px=(640, 512)))
 

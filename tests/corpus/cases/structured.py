@@ -11,7 +11,7 @@ from corpus.base_texts import DEVICES, OPTILAND, PHOTO_SESSION, RAYOPTICS, SCENE
 from corpus.case import Case
 from corpus.cases.hostile_files import OPTICS
 from corpus.damage import damaged, toml_text
-from wlr_render.atomic_files import resource
+from wlr_render.io.atomic_files import resource
 
 RENDER = ("--backend", "cpu", "--out", "out")
 TOLERANT = {

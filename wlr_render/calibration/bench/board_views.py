@@ -13,7 +13,7 @@ from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.photo_session import StageAxis, StageDescription
 from wlr_render.geometry.lens import Lens
-from wlr_render.input_files import LIMITS
+from wlr_render.io.input_files import LIMITS
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 EYEBALL, TRACKING = "eyeball", "tracking"

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.atomic_files import write_text
 from wlr_render.calibration.bench.bench_checks import Pull, prior_pulls, reading_pulls
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
@@ -24,9 +23,10 @@ from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.geometry.splined_lens import SplinedLens
 from wlr_render.geometry.transforms import is_rotation
-from wlr_render.input_files import require_length, shown
+from wlr_render.io.atomic_files import write_text
+from wlr_render.io.input_files import require_length, shown
+from wlr_render.io.toml_files import Table, read_json
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.toml_files import Table, read_json
 
 _UNITS = {"length": "m", "angle": "rad", "pixel": "px"}
 FORMAT = "wlr-station"

@@ -12,9 +12,9 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_bytes, write_text
 from wlr_render.captures.boards.board import Board
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import write_bytes, write_text
 
 _STRIP_MM = 12.0  # height of the strip below the board, for ruler and text
 _EDGE_MM = 5.0  # distance of the ruler from the left edge

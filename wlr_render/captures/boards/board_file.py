@@ -18,10 +18,10 @@ from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.boards.markers import DICTIONARIES, dictionary_of
 from wlr_render.captures.plain_data import read_mapping
-from wlr_render.delimited_text import is_number
-from wlr_render.input_files import LIMITS, prefix_errors, read_text
+from wlr_render.io.delimited_text import is_number
+from wlr_render.io.input_files import LIMITS, prefix_errors, read_text
+from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.numerics.arrays import BoolArray
-from wlr_render.toml_files import Table, read_toml, write_toml
 
 KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles")
 """Values of `kind`."""

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_image, write_text
 from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.io.atomic_files import write_image, write_text
 
 PAGE = "show.html"
 

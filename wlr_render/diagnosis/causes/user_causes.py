@@ -19,7 +19,7 @@ from wlr_render.diagnosis.cause import PARTS, Cause, Perturb, Role, unknown_caus
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents
-from wlr_render.input_files import read_text, reason_of, shown
+from wlr_render.io.input_files import read_text, reason_of, shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import EyeOptics
 from wlr_render.optics.traced_mappings import TracedDisplay, TracedSeeThrough

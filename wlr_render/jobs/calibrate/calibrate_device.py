@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.fit_eye import Calibration
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TEST_DEPTHS_M, TESTS, TruthTests
+from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.calibrate.calibrate_options import (
     CalibrateOptions,
     remove_results,

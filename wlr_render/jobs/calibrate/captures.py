@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.bench.session_captures import captures_of
 from wlr_render.bench.session_folder import load_session
 from wlr_render.captures.capture_checks import place_warnings
 from wlr_render.captures.capture_file import load_captures
-from wlr_render.input_files import prefix_errors
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.calibrate.calibrate_options import (
     CalibrateOptions,
     remove_results,

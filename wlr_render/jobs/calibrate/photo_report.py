@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.atomic_files import write_figure
 from wlr_render.calibration.bench.bench_checks import prior_pulls, reading_pulls
 from wlr_render.calibration.bench.state import BOARD_SHAPE
 from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
@@ -14,6 +13,7 @@ from wlr_render.calibration.poses import Pose
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
+from wlr_render.io.atomic_files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.calibration.calibrate_session import (
     RefusedCalibrationError,
     SessionCalibration,
@@ -15,7 +14,8 @@ from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.session_reading import read_session
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import prefix_errors
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.calibrate.calibrate_options import (
     MODEL_FILE,
     MODELS_OF_PRIMARIES,

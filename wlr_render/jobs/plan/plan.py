@@ -4,8 +4,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from wlr_render.atomic_files import output_folder, write_text
 from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import is_model
 from wlr_render.jobs.job import job

@@ -10,7 +10,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError, install_command, installed_by
-from wlr_render.input_files import read_text, shown
+from wlr_render.io.input_files import read_text, shown
 from wlr_render.optics.glass_files import GlassEntry, herzberger, read_glass_file, shipped_entries
 from wlr_render.optics.media import AIR, Medium
 

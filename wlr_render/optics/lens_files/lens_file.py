@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, read_bytes
+from wlr_render.io.input_files import LIMITS, read_bytes
+from wlr_render.io.toml_files import read_json
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.optiland_json import is_optiland, read_optiland
 from wlr_render.optics.lens_files.rayoptics_json import is_rayoptics, read_rayoptics
 from wlr_render.optics.lens_files.sequence import LensFile
 from wlr_render.optics.lens_files.zemax import read_zemax
-from wlr_render.toml_files import read_json
 
 _KINDS = "a lens file of Zemax (.zmx, sequential), Optiland (.json) or rayoptics (.roa)"
 

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, as_bad_input, read_bytes
+from wlr_render.io.input_files import LIMITS, as_bad_input, read_bytes
 
 
 def read_lens_lines(path: Path, kind: str) -> list[str]:

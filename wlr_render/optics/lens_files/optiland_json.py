@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.geometry.transforms import rigid, rotation_about
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
@@ -24,7 +25,6 @@ from wlr_render.optics.lens_files.sequence import (
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.sag_surfaces import SumOfProfiles, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Shape
-from wlr_render.toml_files import Table
 
 _MM = 1e-3
 _DEEPEST = 20  # deepest nesting of frames

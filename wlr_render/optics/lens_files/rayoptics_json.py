@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse, rigid, rotation_about
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.glass_files import NIKON_POWERS, SCHOTT_POWERS
@@ -26,7 +27,6 @@ from wlr_render.optics.lens_files.sequence import (
 )
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Conic, Shape
-from wlr_render.toml_files import Table
 
 _INFINITE = 1e10  # distance that rayoptics writes for an object at infinity, in the file's unit
 _SELLMEIER_MAKERS = ("SchottGlass", "OharaGlass")

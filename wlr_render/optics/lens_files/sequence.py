@@ -13,7 +13,8 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.lens_files.glass_catalogues import (
@@ -25,7 +26,6 @@ from wlr_render.optics.lens_files.glass_catalogues import (
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.sag_surfaces import Asphere, SumOfProfiles, Toroid
 from wlr_render.optics.surfaces import Conic, Shape
-from wlr_render.toml_files import Table
 
 UNITS_M = {
     **{"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "inch": 0.0254, "inches": 0.0254},

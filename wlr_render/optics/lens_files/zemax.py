@@ -7,7 +7,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid, rotation_about
-from wlr_render.input_files import shown
+from wlr_render.io.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, unknown_glass_remedy

@@ -5,9 +5,10 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
-from wlr_render.atomic_files import write_bytes
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, read_bytes
+from wlr_render.io.atomic_files import write_bytes
+from wlr_render.io.input_files import LIMITS, read_bytes
+from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
 from wlr_render.simulation.photographs.photo_bench import (
@@ -18,7 +19,6 @@ from wlr_render.simulation.photographs.photo_bench import (
     StageKind,
     design_photo_bench,
 )
-from wlr_render.toml_files import Table, read_toml, write_toml
 
 FILE = "simulation.toml"
 _DEVICE_COPY = "device.toml"

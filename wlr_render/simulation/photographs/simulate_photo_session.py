@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from wlr_render.atomic_files import output_folder
 from wlr_render.captures.boards.board_drawing import write_board_svg
 from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, SessionCamera
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.errors import BadInputError
-from wlr_render.finished_files import FinishedFiles, Signature, digest_of, signature_of
-from wlr_render.input_files import hashes_of_inputs
+from wlr_render.io.atomic_files import output_folder
+from wlr_render.io.finished_files import FinishedFiles, Signature, digest_of, signature_of
+from wlr_render.io.input_files import hashes_of_inputs
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress

@@ -15,9 +15,9 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from wlr_render.atomic_files import write_text
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, as_bad_input, inside_folder, read_text, shown
+from wlr_render.io.atomic_files import write_text
+from wlr_render.io.input_files import LIMITS, as_bad_input, inside_folder, read_text, shown
 
 _LARGEST = 1e18
 """Largest number in a file: far above every quantity in these units, and its powers do not overflow."""

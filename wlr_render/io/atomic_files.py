@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from wlr_render import cluster
 from wlr_render.errors import BadInputError
-from wlr_render.escapes import plain_figure
-from wlr_render.input_files import shown
+from wlr_render.io.escapes import plain_figure
+from wlr_render.io.input_files import shown
 
 if sys.platform != "win32":
     import fcntl
@@ -32,7 +32,7 @@ if sys.platform != "win32":
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parents[1]
 _PART = ".wlr-part-"
 """Start of the names of temporary files."""
 NO_DETOUR = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)

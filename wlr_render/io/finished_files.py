@@ -9,9 +9,9 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from wlr_render.atomic_files import NO_DETOUR, disk_errors, write_text
 from wlr_render.errors import BadInputError
-from wlr_render.input_files import LIMITS, read_bytes
+from wlr_render.io.atomic_files import NO_DETOUR, disk_errors, write_text
+from wlr_render.io.input_files import LIMITS, read_bytes
 
 LIST = "finished.jsonl"
 Signature = tuple[int, str]
