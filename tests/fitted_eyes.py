@@ -1,5 +1,6 @@
 """Planar models of the device files, fitted to a small exact bench; made once per run."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -24,6 +25,21 @@ def captures(device, kind="planar"):
 @lru_cache
 def fitted_eye(device, degree):
     return calibrate(captures(device), "planar", degree, DEGREES[degree]).mappings
+
+
+def with_source(mappings, source):
+    """The eye with a large error of a source, as the first variable of both models' covariance."""
+    spreads = {}
+    for name in ("display", "see_through"):
+        spread = getattr(mappings, name).spread
+        joint = spread.joint
+        of_source = np.zeros((len(joint.orders), spread.outputs, 1 + joint.outputs // spread.outputs))
+        of_source[..., 1:] = joint.coefficients.reshape(len(joint.orders), spread.outputs, -1)
+        if name == "display":
+            of_source[0, 0, 0] = 0.01
+        grown = replace(joint, coefficients=of_source.reshape(len(joint.orders), -1))
+        spreads[name] = getattr(mappings, name).with_spread(replace(spread, joint=grown, sources=(source,)))
+    return replace(mappings, **spreads)
 
 
 def fitted_terms(function, box, orders):

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fitted_eyes import fitted_eye
+from fitted_eyes import fitted_eye, with_source
 
-from wlr_render.budget.error_map import ErrorMap
+from wlr_render.budget.error_map import ErrorMap, predicted_error
 from wlr_render.budget.error_sizes import ErrorSizes, EyeTracker, HeadTracker
 from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.budget.statement import variance
@@ -40,6 +40,28 @@ def test_a_map_is_the_covariance_at_its_viewpoint_and_depth(eye, error_map):
         found = error_map.at(viewpoint, depth_m)
         exact = registration_covariance(eye, error_map.pixel, viewpoint, depth_m, TRACKERS).total
         np.testing.assert_allclose(found.covariance, exact, atol=2e-3 * exact.max())
+
+
+def test_sources_are_named_and_their_squares_add_up(eye):
+    """Of a headset with a large error of one source, at a viewpoint and depth between those that are computed."""
+    printed = with_source(eye, "printing errors of the board")
+    viewpoint = eye.eye_box.at(np.array([0.4, -0.7, 0.2]))
+    interpolated = ErrorMap(printed, TRACKERS)
+    found, exact = interpolated.at(viewpoint, 0.7), predicted_error(printed, TRACKERS, viewpoint, 0.7)
+    for each in (found, exact):
+        assert each.sources[0].name == "model: printing errors of the board"
+        sizes = [source.rms_arcmin for source in each.sources]
+        assert sizes == sorted(sizes, reverse=True)
+        assert np.linalg.norm(sizes) == pytest.approx(each.rms_arcmin)
+        assert each.record["sources"][0] == {"name": each.sources[0].name, "rms_arcmin": sizes[0]}
+    far = predicted_error(printed, TRACKERS, viewpoint, np.inf).rms_arcmin
+    assert interpolated.at(viewpoint, np.inf).rms_arcmin == pytest.approx(far, rel=0.03)
+    stated = {each.name: each.rms_arcmin for each in exact.sources}
+    assert {each.name: each.rms_arcmin for each in found.sources} == pytest.approx(stated, rel=0.03)
+    assert stated["model: truncation"] == 0  # nothing is left to explain
+    assert "drawing: whole pixels" not in stated
+    by_source = registration_covariance(printed, exact.panel.grid(18, 16), viewpoint, 0.7, TRACKERS).by_source
+    assert stated["head tracker: noise"] == pytest.approx(np.sqrt(np.mean(variance(by_source["head tracker: noise"]))))
 
 
 def test_between_its_nodes_a_map_is_bilinear(eye, error_map):
@@ -85,6 +107,7 @@ def test_figures_are_those_of_the_field_of_view(eye, error_map):
     assert half.rms_arcmin == pytest.approx(np.sqrt(np.mean(whole.rms_map_arcmin[seen].astype(float) ** 2)))
     nothing = error_map.at(eye.eye_box.centre, np.nan)
     assert np.isnan([nothing.rms_arcmin, nothing.radius_arcmin]).all()
+    assert nothing.record == {"rms_arcmin": None, "radius_arcmin": None, "sources": []}
 
 
 def test_the_three_channels_are_right_up_and_length(eye, error_map):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from fitted_eyes import with_source
 
 from wlr_render.calibration.bench.common_errors import SOURCES
 from wlr_render.calibration.label_errors import REMEDIES
@@ -52,21 +53,9 @@ def test_without_trackers_the_model_owns_the_error(model_file, tmp_path):
 @pytest.mark.usefixtures("known_warp_grid")
 @pytest.mark.parametrize("source", [*SOURCES, *REMEDIES])
 def test_the_advice_says_of_each_source_of_a_calibration_what_to_do(model_file, tmp_path, source):
-    """The first variable of both models' covariance becomes one of that source, and large."""
     model = load_eye_model(model_file)
-    mappings = model.mappings
-    spreads = {}
-    for name in ("display", "see_through"):
-        spread = getattr(mappings, name).spread
-        joint = spread.joint
-        of_source = np.zeros((len(joint.orders), spread.outputs, 1 + joint.outputs // spread.outputs))
-        of_source[..., 1:] = joint.coefficients.reshape(len(joint.orders), spread.outputs, -1)
-        if name == "display":
-            of_source[0, 0, 0] = 0.01
-        grown = replace(joint, coefficients=of_source.reshape(len(joint.orders), -1))
-        spreads[name] = getattr(mappings, name).with_spread(replace(spread, joint=grown, sources=(source,)))
     path = tmp_path / "model.json"
-    save_eye_models(path, [replace(model, mappings=replace(mappings, **spreads))])
+    save_eye_models(path, [replace(model, mappings=with_source(model.mappings, source))])
     (first, *_) = budget(BudgetOptions(str(path), **NO_TRACKER_ERRORS, out=tmp_path)).advice
     assert first.startswith("Improve this first: the ")
     assert "model:" not in first

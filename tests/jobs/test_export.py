@@ -12,9 +12,11 @@ import cv2
 import numpy as np
 import pytest
 from command_line import refused
-from fitted_eyes import captures
+from fitted_eyes import captures, with_source
 from small_headsets import LeftHalf
 
+from wlr_render.budget.error_sizes import ErrorSizes
+from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.cli import main
 from wlr_render.errors import BadInputError
@@ -31,7 +33,7 @@ from wlr_render.jobs.headset import open_colours, open_eye
 from wlr_render.jobs.render import render
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.trace import TraceOptions, trace
-from wlr_render.models.model_file import EyeModel, save_eye_models
+from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_models
 from wlr_render.rendering.exr_file import read_exr
 from wlr_render.rendering.image_files import read_map, read_png
 from wlr_render.rendering.ray_map import ray_map
@@ -311,6 +313,41 @@ def test_models_of_one_name_keep_their_own_hashes(straight_device, tmp_path):
     sha256 = views_from_centres(options)["right"].origin.sha256
     contents = dict(zip(("green", "red", "blue"), (file.read_bytes() for file in files), strict=True))
     assert sha256 == {f"{name}: model.json": hashlib.sha256(text).hexdigest() for name, text in contents.items()}
+
+
+def test_page_and_facts_state_the_predicted_error_by_source(model_file, tmp_path):
+    model = load_eye_model(model_file)
+    path = tmp_path / "model.json"
+    printed = with_source(model.mappings, "printing errors of the board")
+    left_out = [{"captures": 5, "rms_arcmin": 0.5, "expected_arcmin": 0.3} for _ in range(3)]  # by 0.4'
+    save_eye_models(path, [replace(model, mappings=printed, report={"display": {"held_out": left_out}})])
+    report = exported("tiff", str(path), tmp_path / "out", depth_m=0.8)
+    stated = json.loads((tmp_path / "out" / "right-map.json").read_text(encoding="utf-8"))["predicted_error"]
+    assert stated["depth_m"] == 0.8
+    names = [each["name"] for each in stated["sources"]]
+    assert names == ["model: printing errors of the board", "model: truncation", "model: noise and stage"]
+    assert stated["sources"][1]["rms_arcmin"] == pytest.approx(0.4)
+    assert np.linalg.norm([each["rms_arcmin"] for each in stated["sources"]]) == pytest.approx(stated["rms_arcmin"])
+    viewpoint = printed.eye_box.centre
+    covariance = registration_covariance(printed, printed.display.panel.grid(18, 16), viewpoint, 0.8, ErrorSizes())
+    assert stated["sources"][0]["rms_arcmin"] == pytest.approx(
+        np.sqrt(np.mean(np.trace(covariance.by_source[names[0]], axis1=-2, axis2=-1)))
+    )
+    (table,) = [each for each in report.tables if each.title == "Predicted error by source"]
+    assert [row[1] for row in table.rows] == [*names, "all"]
+    assert table.rows[0][3] == "Print the board on glass, or measure its dots."
+    assert "printing errors of the board" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_headsets_without_covariance_have_no_predicted_error(straight_device, model_file, tmp_path):
+    model = load_eye_model(model_file)
+    bare = replace(model.mappings, display=replace(model.mappings.display, spread=None))
+    old = str(save_eye_models(tmp_path / "old.json", [replace(model, mappings=bare)]))
+    for number, headset in enumerate((straight_device, old)):
+        report = exported("pfm", headset, tmp_path / str(number))
+        facts = json.loads((tmp_path / str(number) / "right-map.json").read_text(encoding="utf-8"))
+        assert facts["predicted_error"] is None
+        assert "Predicted error by source" not in [each.title for each in report.tables]
 
 
 def test_pixels_that_one_colour_lacks_are_counted(small_prism, tmp_path, monkeypatch):

@@ -334,6 +334,7 @@ NUMBERS = {"rms_arcmin": 1.0, "median_arcmin": 1, "p95_arcmin": None, "max_arcmi
         ("annotations", {"annotations": [{"instance_id": 1}]}),
         ("annotations", {"annotations": [3]}),
         ("predicted_error", {"predicted_error": []}),
+        ("predicted_error", {"predicted_error": {"rms_arcmin": 1.0, "radius_arcmin": 2.0}}),
     ],
 )
 def test_labels_without_what_is_asked_for_are_refused(tmp_path, kind, labels):

@@ -358,6 +358,13 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(fitted,
     covariance = registration_covariance(mappings, mappings.display.panel.grid(18, 16), viewpoint, 0.5, sizes).total
     np.testing.assert_allclose(maps[4][..., 2], np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)), rtol=0.01)
     assert "EYE-NNNNNN-error.tiff has the map of each frame" in report.tables[0].notes[0]
+    sources = {each["name"] for frame in record for each in frame["sources"]}
+    assert {"model: noise and stage", "model: truncation", "eye tracker: bias", "head tracker: noise"} <= sources
+    rows = report.tables[1].rows
+    assert {row[1] for row in rows} == sources | {"all"}
+    of_frames = [each["rms_arcmin"] for frame in record for each in frame["sources"] if each["name"] == rows[0][1]]
+    assert rows[0][2] == pytest.approx(np.sqrt(np.mean(np.square(of_frames))))
+    assert np.linalg.norm([row[2] for row in rows[:-1]]) == pytest.approx(rows[-1][2])
     worst = [max(each[name] for each in record) for name in ("rms_arcmin", "radius_arcmin")]
     assert report.tables[0].rows[0][4:] == worst
     (job.out / "right-000002-error.tiff").write_bytes(b"")

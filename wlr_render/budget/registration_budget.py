@@ -135,6 +135,12 @@ def disparity_covariance(
     return summed | common
 
 
+def has_covariance(eye: Eye) -> bool:
+    """Return whether both mappings of an eye are fitted models with a covariance."""
+    both = eye.display, eye.see_through
+    return all(isinstance(each, FittedModel) and each.spread is not None for each in both)
+
+
 class _Sensitivity:
     """Derivatives of the registration error of pixels (..., 2) and points (..., 3) in directions (..., 3)."""
 
@@ -190,7 +196,7 @@ class _Sensitivity:
     def _model(self) -> dict[str, FloatArray]:
         display, see_through = self.eye.display, self.eye.see_through
         if isinstance(display, FittedDisplay) and isinstance(see_through, FittedSeeThrough):
-            if display.spread is None or see_through.spread is None:
+            if not has_covariance(self.eye):
                 raise BadInputError(
                     f"{self.eye.name}: the model of the {self.eye.eye} eye has no covariance, which files of earlier "
                     "versions and the kinds 'static' and 'point-per-pixel' lack; calibrate again as a planar model, "

@@ -77,10 +77,10 @@ def shares(by_source: Mapping[str, FloatArray]) -> list[SourceShare]:
     rows = []
     for name, covariance in by_source.items():
         square = variance(covariance)
-        mean = float(np.nanmean(square))
+        mean = max(float(np.nanmean(square)), 0.0)  # interpolated covariances of small sources may be negative
         halved = float(radius_within(total - 0.75 * covariance)) if mean else float(radius_within(np.asarray(total)))
         share = mean / whole if whole else 0.0
-        rows.append(SourceShare(name, mean**0.5, float(np.nanmax(square)) ** 0.5, share, halved))
+        rows.append(SourceShare(name, mean**0.5, max(float(np.nanmax(square)), 0.0) ** 0.5, share, halved))
     return sorted(rows, key=lambda row: -row.share)
 
 

@@ -4,6 +4,7 @@ import functools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from wlr_render.rendering.view import View
 
 ALL_COLOURS = "all"
 """Name of the one map that serves all colours."""
+Predictor = Callable[[FloatArray, float], Mapping[str, Any]]
+"""(viewpoint (3,), depth (m)) -> `PredictedError.record` of one channel."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class ExportedView:
         place_of: position (3,) of the camera in the device as a function of the viewpoint.
         other_light: mappings of the other colours that one map serves, by name; empty if unknown, or if each colour has
             a map.
+        predictors: of each channel; empty for headsets without predicted errors.
     """
 
     origin: Origin
@@ -63,6 +67,7 @@ class ExportedView:
     time_s: float | None = None
     place_of: Callable[[FloatArray], FloatArray] = np.array
     other_light: Mapping[str, Eye] = field(default_factory=dict)
+    predictors: tuple[Predictor, ...] = ()
 
     def moved_to(self, viewpoint: FloatArray, stem: str, time_s: float | None) -> "ExportedView":
         """Return the view of another pupil position, with its camera."""
@@ -98,6 +103,12 @@ class ExportedView:
     def mappings(self, colour: str) -> Eye:
         """Return the mappings of one colour."""
         return self.channels[self.colours.index(colour)]
+
+    def predicted_error(self, colour: str) -> Mapping[str, Any] | None:
+        """Return the predicted registration error of one colour at `viewpoint` and `depth_m`; None if there is none."""
+        if not self.predictors:
+            return None
+        return self.predictors[self.colours.index(colour)](self.viewpoint, self.depth_m)
 
     @property
     def stems(self) -> tuple[str, ...]:
@@ -173,11 +184,12 @@ def view_from_centre(
     source_camera: RasterPlace = "viewpoint",
     depth_m: float = math.inf,
     other_light: Mapping[str, Eye] | None = None,
+    predictors: tuple[Predictor, ...] = (),
 ) -> ExportedView:
     """Return a view from the centre of the eye box, with the camera that serves all of the box.
 
     Args:
-        channels, origin, depth_m, other_light: see `ExportedView`.
+        channels, origin, depth_m, other_light, predictors: see `ExportedView`.
         is_turned: whether the camera looks at the middle of the field of view; else along the device's -z axis.
         resolution: pixels of the source picture per panel pixel and axis.
         source_size: (width, height) of the source picture, in place of `resolution`.
@@ -202,6 +214,7 @@ def view_from_centre(
         depth_m,
         place_of=place_of,
         other_light=other_light or {},
+        predictors=predictors,
     )
 
 

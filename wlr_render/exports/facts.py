@@ -137,7 +137,13 @@ def facts(view: ExportedView, colour: str, form: Format) -> dict[str, Any]:
         "convention": list(form.convention),
         "does_not_hold": not_held(view, form),
         "loses": [asdict(loss) for loss in losses(view, form, judged)],
+        "predicted_error": _predicted_error(view, judged),
     }
+
+
+def _predicted_error(view: ExportedView, colour: str) -> dict[str, Any] | None:
+    found = view.predicted_error(colour)
+    return found if found is None else {"depth_m": _depth_number(view.depth_m), **found}
 
 
 def _wavelength(view: ExportedView, colour: str) -> float | dict[str, float] | str:

@@ -3,11 +3,12 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
-from wlr_render.budget.registration_budget import TRACKING_CAMERA, disparity_covariance, registration_covariance
+from wlr_render.budget.registration_budget import MODEL, TRACKING_CAMERA, disparity_covariance, registration_covariance
 from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
 from wlr_render.calibration.label_errors import REMEDIES
 from wlr_render.errors import BadInputError
@@ -190,6 +191,31 @@ def _disparity(eyes: Sequence[Eye], sizes: Sequence[ErrorSizes], depth_m: float)
     found = [(name, np.nanmean(each, axis=(0, 1))) for name, each in by_source.items()]
     found.append(("all", np.asarray(sum(each for _, each in found))))
     return [DisparityShare(name, float(each[0, 0]) ** 0.5, float(each[1, 1]) ** 0.5) for name, each in found]
+
+
+def source_table(title: str, found: Mapping[str, Mapping[str, Any]], head: str, notes: Sequence[str]) -> ReportTable:
+    """Return a table of predicted errors by source.
+
+    Args:
+        title: title of the table.
+        found: by eye or map, a `PredictedError.record`.
+        head: of the column with the names of eyes or maps.
+        notes: sentences on the errors.
+    """
+    rows: list[list[Cell]] = []
+    for name, record in found.items():
+        for each in record["sources"]:
+            source = each["name"]
+            rows.append([name, source, each["rms_arcmin"], REMEDIES.get(source.removeprefix(f"{MODEL}: "))])
+        rows.append([name, "all", record["rms_arcmin"], None])
+    columns = [head, "source", "rms (arcmin)", "what avoids it"]
+    return ReportTable(title, columns, rows, [*notes, _SOURCES])
+
+
+_SOURCES = (
+    "Squares of the sources add up. model: truncation is the error of camera positions that the calibration left out, "
+    "as far as no other source explains it."
+)
 
 
 def _millimetres(size_m: FloatArray) -> str:

@@ -4,16 +4,22 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from wlr_render import __version__
+from wlr_render.budget.error_map import predicted_error
+from wlr_render.budget.error_sizes import ErrorSizes, Truncation
+from wlr_render.budget.registration_budget import has_covariance
 from wlr_render.exports.check_pictures import write_check
 from wlr_render.exports.export_view import (
     ALL_COLOURS,
     ExportedView,
     Origin,
+    Predictor,
     has_ray,
     view_from_centre,
     with_symmetric_camera,
@@ -38,6 +44,7 @@ from wlr_render.jobs.headset import (
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
+from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import GREEN_UM
 from wlr_render.progress import SILENT
@@ -206,7 +213,23 @@ def _view_from_centre(options: ExportOptions, channels: EyeChannels, origin: Ori
         source_camera=options.source_camera,
         depth_m=options.depth_m or math.inf,
         other_light=_other_light(options, channels[0].eye),
+        predictors=_predictors(options, channels),
     )
+
+
+def _predictors(options: ExportOptions, channels: EyeChannels) -> tuple[Predictor, ...]:
+    """Return functions that predict the model errors of each channel; none unless all models have a covariance."""
+    if not all(map(has_covariance, channels)):
+        return ()
+    reports = [load_eye_model(path, channels[0].eye).report for path in _headset_files(options).values()]
+    return tuple(
+        partial(_predicted, mappings, ErrorSizes(truncation=Truncation.from_report(report)))
+        for mappings, report in zip(channels, reports, strict=True)
+    )
+
+
+def _predicted(mappings: Eye, sizes: ErrorSizes, viewpoint: FloatArray, depth_m: float) -> Mapping[str, Any]:
+    return predicted_error(mappings, sizes, viewpoint, depth_m).record
 
 
 def _other_light(options: ExportOptions, eye: str) -> dict[str, Eye]:

@@ -6,6 +6,7 @@ from wlr_render.exports.check_pictures import CHECK_PANEL, CHECK_SOURCE
 from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.facts import depth_words, losses
 from wlr_render.exports.format import Format
+from wlr_render.jobs.budget import source_table
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import eyes_of
 from wlr_render.numerics.arrays import FloatArray
@@ -52,6 +53,7 @@ def export_page(
         _source_cameras(views),
         Section("What a map loses"),
         _loss_table(options, form, views),
+        *_predicted_table(options, views),
         Section("How to check your program"),
         Text(
             f"Take the first picture as the source picture of the {first.eye} eye and warp it with {checked} as above: "
@@ -137,6 +139,21 @@ def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView])
         "moved to the right, left, top and bottom end of the eye box. Of several pupils, the first of each eye."
     ]
     return ReportTable("Misalignment by a map", columns, rows, notes)
+
+
+def _predicted_table(options: ExportOptions, views: list[ExportedView]) -> list[ReportTable]:
+    """Return the table of predicted errors by source; none for headsets without predicted errors."""
+    found = {}
+    for eye in eyes_of(options.eye):
+        view = next(each for each in views if each.eye == eye)
+        if (record := view.predicted_error(view.middle_colour)) is not None:
+            found[view.stem] = record
+    notes = [
+        "Registration error that the calibration of the headset predicts for points "
+        f"{depth_words(views[0].depth_m)}, rms over the field of view as far as the captures reach, without the errors "
+        "of your trackers and of your drawing. Of several pupils, the first of each eye; of three colours, green."
+    ]
+    return [source_table("Predicted error by source", found, "map", notes)] if found else []
 
 
 def _views_table(form: Format, views: list[ExportedView]) -> ReportTable:

@@ -25,7 +25,6 @@ from wlr_render.jobs.frame_labels import (
     labels_file,
     layers_file,
     named_annotations,
-    predicted_labels,
     write_labels,
     write_layers,
 )
@@ -290,7 +289,7 @@ class FrameDrawing:
         if depth_m is not None:
             error = self._error_maps[planned.eye].at(planned.viewpoint, depth_m)
             write_map(_error_file(folder, planned), error.map_arcmin)
-            labels["predicted_error"] = predicted_labels(error)
+            labels["predicted_error"] = error.record
         if labels:
             write_labels(labels_file(folder, planned.stem), labels)
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.budget.error_map import PredictedError
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
@@ -45,7 +44,7 @@ _TYPES: dict[str, dict[str, Any]] = {
     },
     "misalignment": {"points": int}
     | dict.fromkeys(("rms_arcmin", "median_arcmin", "p95_arcmin", "max_arcmin"), float | int | None),
-    "predicted_error": dict.fromkeys(("rms_arcmin", "radius_arcmin"), float | int | None),
+    "predicted_error": {"sources": list} | dict.fromkeys(("rms_arcmin", "radius_arcmin"), float | int | None),
 }
 """Keys of the labels of each kind, with the types of their values."""
 
@@ -161,12 +160,6 @@ def frame_misalignment(truth: Eye, planned: PlannedFrame, frame: Frame) -> dict[
     names = {"rms_arcmin": error.rms, "median_arcmin": error.median, "p95_arcmin": error.p95}
     values = {**names, "max_arcmin": error.maximum}
     return {"points": error.count} | {name: value if error.count else None for name, value in values.items()}
-
-
-def predicted_labels(error: PredictedError) -> dict[str, float | None]:
-    """Rms and radius within which 95 % of a frame's errors lie, in arcminutes, None where no pixel has one."""
-    values = {"rms_arcmin": error.rms_arcmin, "radius_arcmin": error.radius_arcmin}
-    return {name: value if np.isfinite(value) else None for name, value in values.items()}
 
 
 def named_annotations(instance: NDArray[np.uint32], scene: Scene) -> list[dict[str, Any]]:

@@ -20,6 +20,7 @@ from wlr_render.compositing.raster_painter import traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.io.finished_files import LIST, FinishedFiles
+from wlr_render.jobs.budget import source_table
 from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, open_raster, picture_file
 from wlr_render.jobs.frame_labels import Labels, labels_file, read_labels, write_instances, write_misalignment
 from wlr_render.jobs.frame_plan import (
@@ -146,18 +147,40 @@ def _report(
             f"of {options.misalignment}, in the frame where each figure is largest."
         )
         blocks = [*_misalignment_plot(plan, misaligned), *blocks]
-    table = ReportTable("Frames by eye", columns, rows, notes)
+    blocks = [ReportTable("Frames by eye", columns, rows, notes), *_source_tables(predicted, plan), *blocks]
     truth = [headset_path(options.misalignment)] if options.misalignment else []
     by_frame = [{"file": f"{planned.stem}.png", **each} for planned, each in zip(plan, predicted, strict=False)]
     frames = "1 frame" if drawn == 1 else f"{drawn} frames"
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
         f"{frames} drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
-        blocks=[table, *blocks],
+        blocks=blocks,
         inputs=list(dict.fromkeys([*_drawn_from(options), *truth, *filter(None, (options.head, options.eye_track))])),
         files=files,
         record={"frames_drawn": drawn, "frames_kept": kept} | ({"predicted_error": by_frame} if by_frame else {}),
     )
+
+
+def _source_tables(predicted: Sequence[Labels], plan: list[PlannedFrame]) -> list[ReportTable]:
+    """Return a table of the predicted errors by source, over all frames of each eye; none without predicted errors."""
+    found = {}
+    for eye in dict.fromkeys(planned.eye for planned in plan):
+        own = [each for each in _of_eye(predicted, plan, eye) if each["rms_arcmin"] is not None]
+        if own:
+            found[eye] = _over_frames(own)
+    notes = ["Predicted registration error, rms over all frames of an eye; EYE-NNNNNN-labels.json has each frame's."]
+    return [source_table("Predicted error by source", found, "eye", notes)] if found else []
+
+
+def _over_frames(frames: Sequence[Labels]) -> Labels:
+    """Return the rms over frames of their predicted errors, and of each source's, the largest first."""
+    square = dict[str, float]()
+    for frame in frames:
+        for each in frame["sources"]:
+            square[each["name"]] = square.get(each["name"], 0.0) + each["rms_arcmin"] ** 2 / len(frames)
+    largest_first = sorted(square.items(), key=lambda each: -each[1])
+    whole = float(np.sqrt(np.mean([frame["rms_arcmin"] ** 2 for frame in frames])))
+    return {"rms_arcmin": whole, "sources": [{"name": name, "rms_arcmin": each**0.5} for name, each in largest_first]}
 
 
 def _of_eye(labels: Sequence[Labels], plan: list[PlannedFrame], eye: str) -> list[Labels]:
