@@ -11,6 +11,7 @@ from wlr_render.calibration.poses import adjoint, motion_between
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.simulation.photographs.camera import SimulatedLens
 
 _GRID = (9, 7)  # pixels across and down, at which directions are compared
 _EDGE = 0.04  # share of the picture along its edge without features
@@ -74,8 +75,8 @@ class _Compared:
             found |= self._poses(f"{name}, device frame", poses)
             found |= self._poses(f"{name}, tracking camera's frame", [self._from_tracking(pose) for pose in poses])
         found["board shape"] = boards[0][1]
-        found["lens of the eyeball camera, directions"] = self._lens(EYEBALL, truth.bench.eyeball.camera)
-        found["lens of the tracking camera, directions"] = self._lens(TRACKING, truth.bench.tracking.camera)
+        found["lens of the eyeball camera, directions"] = self._lens(EYEBALL, truth.bench.eyeball)
+        found["lens of the tracking camera, directions"] = self._lens(TRACKING, truth.bench.tracking)
         some = [self._from_tracking(pose) for pose in cameras[::_EVERY]]
         found["directions of pixels, tracking camera's frame"] = self._directions(some)
         return found | self._poses("travel of the stage, end to end", self._travel())
@@ -104,7 +105,7 @@ class _Compared:
         state, sizes = self._adjustment.state, self._adjustment.sizes
         pose = state.device_from_camera(place)
         to_device = adjoint(pose)
-        random = np.repeat([sizes.turn**2, sizes.shift**2], 3) * (place not in state.offsets)
+        random = np.repeat([sizes.turn**2, sizes.shift**2], 3) * (place not in state.of("offset"))
         return _Pose(pose, true, self._motion(place), to_device @ np.diag(random) @ to_device.T)
 
     def _motion(self, place: str) -> FloatArray:
@@ -160,7 +161,7 @@ class _Compared:
         rest = np.eye(3 * count) - design @ rigid
         return moved, SquaredErrors.of(rest @ error.ravel(), rest @ (covariance + own) @ rest.T)
 
-    def _lens(self, camera: str, true: Lens) -> SquaredErrors:
+    def _lens(self, camera: str, true: SimulatedLens) -> SquaredErrors:
         """Directions over the picture, as tangents."""
         error, by_values = _tangent_errors(self._adjustment.state.lens[camera], true)
         where = self._adjustment.layout.where["lens", camera]
@@ -170,7 +171,7 @@ class _Compared:
     def _directions(self, poses: list[_Pose]) -> SquaredErrors:
         """Directions of pixels at some camera places, in the frame of the poses."""
         lens = self._adjustment.state.lens[EYEBALL]
-        error, by_values = _tangent_errors(lens, self._truth.bench.eyeball.camera)
+        error, by_values = _tangent_errors(lens, self._truth.bench.eyeball)
         pixel = _pixels(lens)
         where = self._adjustment.layout.where["lens", EYEBALL]
         tangents = lens.tangents_of_pixel(pixel)
@@ -230,10 +231,11 @@ def _pixels(lens: Lens) -> FloatArray:
     return np.stack(np.meshgrid(*along), axis=-1).reshape(-1, 2)
 
 
-def _tangent_errors(lens: Lens, true: Lens) -> tuple[FloatArray, FloatArray]:
+def _tangent_errors(lens: Lens, true: SimulatedLens) -> tuple[FloatArray, FloatArray]:
     """Return true less fitted tangents (n, 2), and the derivative (n, 2, P) of the fitted ones by lens parameters."""
     pixel = _pixels(lens)
     tangents = lens.tangents_of_pixel(pixel)
     seen = lens.project(np.concatenate([tangents, np.ones((len(pixel), 1))], axis=1))
     by_values = -np.linalg.solve(seen.by_point[:, :, :2], seen.by_values)
-    return true.tangents_of_pixel(pixel) - tangents, np.asarray(by_values, dtype=np.float64)
+    ray = true.ray_of_pixel(pixel, np.zeros(2))
+    return ray[:, 3:5] / ray[:, 5:] - tangents, np.asarray(by_values, dtype=np.float64)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.simulated_lab.bench_truth import BenchTruth, known_number, true_values
-from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_real_point
+from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_point, pixel_of_real_point
 from benchmarks.simulated_lab.faults import NO_FAULTS, Exchange, Faults
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.decoded import DecodedSamples, Rejection
@@ -27,6 +27,7 @@ from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.simulation.photographs.photo_bench import passes_optics
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.workshop import Workshop
 
 _EDGE_PX = 6.0  # smallest distance from the edge of the picture to the centre of a dot
 _NEAR = 1.1  # range in sizes of the picture; the optics bring no point beyond it into the picture
@@ -67,12 +68,9 @@ def simulate_readings(
         folder: folder in the names of photographs; nothing is read or written there.
 
     Raises:
-        BadInputError: an unknown device, eye or pattern, a bench of the family "workshop", whose lenses only
-            photographs have, a fault of a missing photograph, or a target that is too far away to be seen past the
-            optics by a hand-held camera.
+        BadInputError: an unknown device, eye or pattern, a fault of a missing photograph, or a target that is too far
+            away to be seen past the optics by a hand-held camera.
     """
-    if recipe.bench.family == "workshop":
-        raise BadInputError("Readings are simulated on benches of the family 'polynomial' only; take photographs.")
     bench = recipe.build()
     off = np.deg2rad(faults.axis_off_deg)
     skew = np.array([[1.0, np.sin(off), 0.0], [0.0, np.cos(off), 0.0], [0.0, 0.0, 1.0]])
@@ -109,19 +107,24 @@ class _Reader:
         session, truth = self.session, self.truth
         boards: dict[Path, BoardObservation] = {}
 
+        bench = truth.bench
+
         def free(path: Path, lens: LensCamera, camera_from_target: FloatArray) -> None:
-            boards[path] = self._free(path, lens, camera_from_target)
+            boards[path] = self._free(path, lens, bench.eyeball.workshop, camera_from_target)
+
+        def tracked(path: Path, camera_from_target: FloatArray) -> None:
+            boards[path] = self._free(path, bench.tracking.camera, bench.tracking.workshop, camera_from_target)
 
         for path, pose in zip(session.eyeball_camera.intrinsics, plan.eyeball_boards, strict=True):
-            free(path, truth.bench.eyeball.camera, pose)
+            free(path, bench.eyeball.camera, pose)
         tracking = () if session.tracking_camera is None else session.tracking_camera.intrinsics
         for path, pose in zip(tracking, plan.tracking_boards, strict=True):
-            free(path, truth.bench.tracking.camera, pose)
+            tracked(path, pose)
         for each, camera, target in zip(session.bare, truth.bare, truth.bare_targets, strict=True):
             lens = truth.eyeball_at_target[each.target_pose]
             free(each.path, lens, transforms.inverse(camera) @ target)
         for each, target in zip(session.tracking, truth.tracking_targets, strict=True):
-            free(each.path, truth.bench.tracking.camera, transforms.inverse(truth.bench.device_from_tracking) @ target)
+            tracked(each.path, transforms.inverse(bench.device_from_tracking) @ target)
         for each, camera, target in zip(session.see_through, truth.see_through, truth.see_through_targets, strict=True):
             boards[each.path] = self._through(each.path, truth.eyeball_at_target[each.target_pose], camera, target)
         for each, camera, target in zip(session.beside, truth.see_through, truth.see_through_targets, strict=False):
@@ -141,10 +144,13 @@ class _Reader:
             {path: seen for path, seen in panels.items() if len(seen.samples)},
         )
 
-    def _free(self, path: Path, lens: LensCamera, camera_from_target: FloatArray) -> BoardObservation:
+    def _free(
+        self, path: Path, lens: LensCamera, workshop: Workshop | None, camera_from_target: FloatArray
+    ) -> BoardObservation:
         """Return the board without the optics."""
         rng = self._rng(path)
-        pixel = lens.pixel_of_point(transforms.apply(camera_from_target, self.truth.bench.printed.points))
+        point = transforms.apply(camera_from_target, self.truth.bench.printed.points)
+        pixel = pixel_of_point(lens, point, workshop)
         number = self._chosen(_inside(pixel, lens.size_px, _EDGE_PX), rng)
         return self._observed(number, pixel[number], rng)
 
@@ -157,7 +163,8 @@ class _Reader:
         straight = camera.pixel_of_point(transforms.apply(transforms.inverse(device_from_camera), point))
         near = _inside(straight, camera.size_px, -(_NEAR - 1.0) * max(camera.size_px))
         number = self._chosen(near, rng)
-        pixel = pixel_of_real_point(self.truth.bench.optics, camera, device_from_camera, point[number])
+        bench = self.truth.bench
+        pixel = pixel_of_real_point(bench.optics, camera, device_from_camera, point[number], bench.eyeball.workshop)
         seen = _inside(pixel, camera.size_px, _EDGE_PX)
         return self._observed(number[seen], pixel[seen], rng)
 
@@ -169,7 +176,8 @@ class _Reader:
         in_camera = transforms.apply(
             transforms.inverse(device_from_camera) @ device_from_target, self.truth.bench.printed.points
         )
-        pixel, tangents = camera.pixel_of_point(in_camera), in_camera[:, :2] / in_camera[:, 2:]
+        pixel = pixel_of_point(camera, in_camera, self.truth.bench.eyeball.workshop)
+        tangents = in_camera[:, :2] / in_camera[:, 2:]
         optics, rotation, viewpoint = self.truth.bench.optics, device_from_camera[:3, :3], device_from_camera[:3, 3]
         seen = _inside(pixel, camera.size_px, _EDGE_PX)
         for part in (1.0, _FROM_OPTICS):
@@ -209,7 +217,9 @@ class _Reader:
         return PanelReading(DecodedSamples(pixel[seen], found, sigma, scale[seen]), counts, fates, extent)
 
     def _panel_at(self, pixel: FloatArray, device_from_camera: FloatArray) -> FloatArray:
-        return panel_position(self.truth.bench.optics, self.truth.bench.eyeball.camera, device_from_camera, pixel).value
+        bench = self.truth.bench
+        lens, workshop = bench.eyeball.camera, bench.eyeball.workshop
+        return panel_position(bench.optics, lens, device_from_camera, pixel, workshop).value
 
     def _rng(self, path: Path) -> np.random.Generator:
         """Return the noise of one photograph, whatever others there are."""

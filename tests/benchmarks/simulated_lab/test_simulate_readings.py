@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from small_photo_session import CoarseView
 
-from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_real_point
+from benchmarks.simulated_lab.exact_views import panel_position, pixel_of_point, pixel_of_real_point
 from benchmarks.simulated_lab.simulate_readings import simulate_readings
 from wlr_render.captures.decoded import sample
 from wlr_render.captures.photo_session_checks import check_session
 from wlr_render.captures.photographs import read_each, read_photograph
-from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.io.toml_files import Table
 from wlr_render.simulation.photographs import take_photographs
@@ -117,7 +116,16 @@ def test_a_camera_in_the_hand_sees_the_target_past_the_optics():
         assert np.isnan(pixel_of_real_point(truth.bench.optics, lens, camera, point)).any(axis=-1).mean() > 0.95
 
 
-def test_readings_of_a_workshop_are_refused():
-    recipe = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(family="workshop"))
-    with pytest.raises(BadInputError, match="benches of the family 'polynomial' only; take photographs"):
-        simulate_readings(recipe)
+def test_pixels_of_a_workshop_lens_see_the_points_that_they_show():
+    """Its residual distortion and moving pupil: rays of the pixels, by the renderer's lens, meet the points."""
+    bench = SimulationRecipe("birdbath28", bench=PhotoBenchOptions(family="workshop")).build()
+    point = transforms.apply(
+        transforms.inverse(bench.device_from_camera) @ bench.device_from_target[0], bench.printed.points
+    )
+    pixel = pixel_of_point(bench.eyeball.camera, point, bench.workshop)
+    seen = np.all((pixel > 0) & (pixel < bench.eyeball.camera.size_px), axis=1)
+    point, pixel = point[seen], pixel[seen]
+    ray = bench.eyeball.ray_of_pixel(pixel, np.zeros(2))
+    along = np.sum((point - ray[:, :3]) * ray[:, 3:], axis=1)[:, None]
+    assert np.max(np.abs(ray[:, :3] + along * ray[:, 3:] - point)) < 1e-7
+    assert rms(pixel - pixel_of_point(bench.eyeball.camera, point)) > 0.05

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from imperfect_bench import Imperfections, TrueBench, turned
 
-from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup
+from wlr_render.calibration.bench.blocks import FEATURES, Layout
+from wlr_render.calibration.bench.board_views import EYEBALL
 from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.bench.state import StageModel, smooth_orders
-from wlr_render.calibration.bench.unknowns import _lens_sizes, layout_of
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
@@ -30,19 +30,16 @@ def state():
     found = start_state(replace(observations, axes=(StageAxis(),) * 3), lens)
     rng = np.random.default_rng(2)
     twists = found.twists + np.concatenate([0.3 * rng.normal(size=(3, 3)), np.zeros((3, 3))], axis=1)
-    return replace(
-        found,
-        observations=observations,
-        twists=twists,
-        smooth=3e-4 * rng.normal(size=found.smooth.shape),
-        offsets={place: 3e-4 * rng.normal(size=6) for place in found.offsets},
-        focus={target: 1e-5 * rng.normal() for target in found.focus},
-        stretches={name: 1e-3 * rng.normal(size=4) for name in found.stretches},
-    )
+    sizes = {"smooth": 3e-4, "offset": 3e-4, "focus": 1e-5, "stretch": 1e-3}
+    values = {
+        key: sizes[key[0]] * rng.normal(size=len(each.size)) for key, each in found.blocks.items() if key[0] in sizes
+    }
+    values |= {("axis", number): twist for number, twist in enumerate(twists)}
+    return replace(found, observations=observations).with_values(values)
 
 
 def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
-    layout = layout_of(state)
+    layout = Layout.of(state.blocks)
     rng = np.random.default_rng(3)
     views = [
         next(view for view in state.observations.views if view.name.startswith(kind))
@@ -50,11 +47,7 @@ def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
     ]
     for view in views:
         part = residuals_of(state, view)
-        blocks = state.board_motion(view)
-        columns = {key: part.by_motion @ motion for key, motion in blocks.items()}
-        columns["lens", view.camera], columns["shape", view.board] = part.by_lens, part.by_shape
-        if view.camera == EYEBALL and view.target is not None:
-            columns["focus", view.target] = part.by_lens[..., :2] @ state.lens[EYEBALL].focal_px[:, None]
+        columns = dict(part.columns) | {key: part.by_motion @ motion for key, motion in part.motion.items()}
         for key, derivative in columns.items():
             width = layout.where[key].stop - layout.where[key].start
             direction = rng.normal(size=width)
@@ -63,7 +56,7 @@ def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
 
             def residual(amount, key=key, direction=direction, view=view):
                 still = layout.steps(np.zeros(len(layout.size)))
-                still |= {("features", name): np.zeros(shape.place.size) for name, shape in state.shape.items()}
+                still |= {(FEATURES, name): np.zeros(shape.place.size) for name, shape in state.shape.items()}
                 return residuals_of(state.moved(still | {key: amount * direction}), view).residual
 
             step = 1e-6
@@ -79,13 +72,14 @@ def test_derivatives_of_all_unknowns_are_those_of_finite_differences(state):
 
 
 def test_a_stretched_image_is_larger_about_its_middle(state):
-    view = next(view for view in state.observations.views if view.name in state.stretches)
+    view = next(view for view in state.observations.views if view.name in state.of("stretch"))
     part = residuals_of(state, view)
-    still = residuals_of(replace(state, stretches={}), view)
+    still = residuals_of(state.without("stretch"), view)
     from_middle = view.pixel - 0.5 * np.array(state.lens[EYEBALL].size_px)
-    larger = from_middle @ state.stretches[view.name].reshape(2, 2).T
+    stretch = state.of("stretch")[view.name]
+    larger = from_middle @ stretch.reshape(2, 2).T
     np.testing.assert_allclose(still.residual - part.residual, larger, atol=1e-9)
-    np.testing.assert_allclose(part.by_stretch @ state.stretches[view.name], larger, atol=1e-9)
+    np.testing.assert_allclose(part.columns["stretch", view.name] @ stretch, larger, atol=1e-9)
 
 
 def test_a_linear_axis_translates_and_a_rotary_one_turns_about_its_pivot():
@@ -109,9 +103,9 @@ def test_smooth_errors_vanish_in_no_direction_of_travel_and_have_all_orders():
 
 
 def test_the_camera_at_a_place_is_base_stage_and_errors(state):
-    place = next(name for name in state.offsets if name.endswith("_03.png"))
+    place = next(name for name in state.of("offset") if name.endswith("_03.png"))
     reading = state.observations.places[place].reading
-    offset = state.stage.smooth_error(reading) + state.offsets[place]
+    offset = state.stage.smooth_error(reading) + state.of("offset")[place]
     expected = state.base[0] @ state.stage.nominal(reading) @ small_motion(offset)
     assert np.abs(motion_between(expected, state.device_from_camera(place))).max() < 1e-12
 
@@ -145,6 +139,7 @@ def test_terms_of_a_narrow_lens_may_be_large():
     # Terms that displace the corner of a field of +-20 degrees by a tenth are up to 42 in size.
     terms = np.array([0.64, 1.96, 7e-4, -6e-4, 42.8, 0.92, 1.87, 42.8])
     lens = LensCamera((1280, 1024), np.full(2, 2200.0), np.array([640.0, 512.0]), terms, "rational")
-    sizes = _lens_sizes(lens, CameraSetup(lens.size_px))
+    observations = TrueBench(1).observations(lens_photographs=3)
+    sizes = start_state(observations, {**TrueBench(1).lens, EYEBALL: lens}).blocks["lens", EYEBALL].size
     assert np.all(np.abs(lens.distortion) < sizes[4:])
     assert np.all(sizes[6:8] < 10.0)

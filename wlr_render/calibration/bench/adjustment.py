@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from wlr_render.calibration.bench.blocks import FEATURES, HYPER, USUAL_SIZES, Key, Layout, Sizes
 from wlr_render.calibration.bench.normal_equations import Normal
-from wlr_render.calibration.bench.state import BenchState, Key
-from wlr_render.calibration.bench.unknowns import HYPER, USUAL_SIZES, Layout, Sizes, layout_of, prior_of
+from wlr_render.calibration.bench.state import BenchState
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Prior, Sums, maximise, posterior
@@ -88,7 +88,7 @@ class Adjustment:
                 row[:, self.layout.where[key]] = to_device @ columns
             poses.append(pose)
             rows.append(row)
-            unmeasured = place not in state.offsets and place not in state.free
+            unmeasured = place not in state.of("offset") and place not in state.of("free")
             own.append(to_device @ np.diag(random * unmeasured) @ to_device.T)
         return np.array(poses), np.array(rows), np.array(own)
 
@@ -113,8 +113,8 @@ def adjust(start: BenchState) -> Adjustment:
     Raises:
         UndeterminedError: the views do not determine the unknowns.
     """
-    state, layout = start, layout_of(start)
-    prior = prior_of(layout)
+    state, layout = start, Layout.of(start.blocks)
+    prior = layout.prior
     hyper = np.array([*(np.log(size.value) for size in USUAL_SIZES.values()), 0.0])
     sizes = _sizes(
         hyper,
@@ -165,11 +165,11 @@ def _stepped(
     cost = _cost(state, layout, width, sizes, normal)
     found = _solved(normal, layout, prior, hyper)
     vector = found.mixed_mean * layout.size
-    before = np.concatenate([state.deviation(key) for key in layout.where])
+    before = state.deviation(layout.where)
     step = layout.steps(vector - before)
     features = normal.features_at(vector)
     for name, shape in state.shape.items():
-        step["features", name] = (features[name] - shape.place).ravel()
+        step[FEATURES, name] = (features[name] - shape.place).ravel()
     sigma = layout.size * np.sqrt(np.diag(found.side_covariance))
     away = float(np.max(np.abs(vector - before) / sigma))
     for _ in range(_HALVINGS):
@@ -203,7 +203,7 @@ def _solved(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray) -> 
 
 def _cost(state: BenchState, layout: Layout, width: FloatArray, sizes: Sizes, normal: Normal) -> float:
     """Huber's loss in units of sigma squared, with the squares of what has a prior."""
-    before = np.concatenate([state.deviation(key) for key in layout.where])
+    before = state.deviation(layout.where)
     features = sum(float(np.sum(shape.place**2)) / sizes.feature_m[name] ** 2 for name, shape in state.shape.items())
     return normal.loss + float(np.sum((before / width) ** 2)) + features
 

@@ -9,11 +9,10 @@ from scipy.special import gammaln
 from scipy.stats import chi2, norm
 
 from wlr_render.calibration.bench.adjustment import Adjustment
+from wlr_render.calibration.bench.blocks import USUAL_SIZES, Key
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
 from wlr_render.calibration.bench.normal_equations import residuals_of
-from wlr_render.calibration.bench.state import Key
-from wlr_render.calibration.bench.unknowns import USUAL_SIZES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
@@ -125,7 +124,7 @@ def prior_pulls(adjustment: Adjustment) -> list[Pull]:
         # What was found minus what was known has this covariance; directions that nothing was learnt of have none.
         size, vectors = np.linalg.eigh(np.eye(len(prior)) - _scaled(adjustment.covariance[where, where], prior))
         learnt = size > 1e-3
-        away = vectors.T @ (state.deviation(key) / np.sqrt(np.diag(prior)))
+        away = vectors.T @ (state.deviation([key]) / np.sqrt(np.diag(prior)))
         chi_square = float(np.sum(away[learnt] ** 2 / size[learnt]))
         freedom = int(np.count_nonzero(learnt))
         if freedom:
@@ -146,13 +145,13 @@ def reading_pulls(adjustment: Adjustment) -> list[Pull]:
         # Stated sigmas are known to a factor: their logarithm is what is judged.
         chance = 2.0 * float(norm.sf(abs(0.5 * np.log(max(reduced, 1e-12))) / _NOISE_DIFFERS))
         pulls.append(Pull(f"board features, {_CAMERAS[name]}", reduced * freedom, freedom, chance))
-    offsets = np.array(list(adjustment.state.offsets.values())).reshape(-1, 6)
+    offsets = np.array(list(adjustment.state.of("offset").values())).reshape(-1, 6)
     if len(offsets):
         for kind, part, size in (
             ("rotation of the stage", slice(0, 3), adjustment.sizes.turn),
             ("position of the stage", slice(3, 6), adjustment.sizes.shift),
         ):
-            columns = [adjustment.layout.where["offset", place] for place in adjustment.state.offsets]
+            columns = [adjustment.layout.where["offset", place] for place in adjustment.state.of("offset")]
             variance = np.array([np.diag(adjustment.covariance[where, where])[part] for where in columns])
             freedom = float(np.sum(1.0 - np.minimum(variance / size**2, 1.0)))
             chi_square = float(np.sum(offsets[:, part] ** 2)) / size**2
@@ -217,7 +216,7 @@ def _moved(fault: Fault) -> str:
 
 def _stage_checks(adjustment: Adjustment) -> list[Check]:
     """Check the stage's errors against those of ordinary stages."""
-    if not adjustment.state.offsets:
+    if not adjustment.state.of("offset"):
         return []
     sizes, checks = adjustment.sizes, []
     rows = (
@@ -228,7 +227,7 @@ def _stage_checks(adjustment: Adjustment) -> list[Check]:
     )
     for quantity, name, value, unit, refused in rows:
         limit = 1e6 * USUAL_SIZES[name].value * float(np.exp(2.5 * USUAL_SIZES[name].log_sigma))
-        relative = 1.0 / np.sqrt(6.0 * len(adjustment.state.offsets))
+        relative = 1.0 / np.sqrt(6.0 * len(adjustment.state.of("offset")))
         ok = value <= limit
         sentence = f"the stage's {quantity} is {value:.2g} {unit} per axis"
         if not ok:

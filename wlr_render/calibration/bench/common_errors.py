@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from wlr_render.calibration.bench.blocks import Key
 from wlr_render.calibration.bench.board_views import EYEBALL
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, board_name, place_key
-from wlr_render.calibration.bench.state import Key
 from wlr_render.calibration.poses import adjoint
 from wlr_render.calibration.posterior_spread import lower_root
 from wlr_render.calibration.readings import angular_metric
@@ -27,16 +27,6 @@ from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
 SOURCES = ("lens", "board", "tracking camera", "targets", "stage")
 """Sources of common errors, in the order of the root."""
-_SOURCE_OF = {
-    "lens": "lens",
-    "focus": "lens",
-    "shape": "board",
-    "extrinsics": "tracking camera",
-    "target": "targets",
-    "base": "stage",
-    "axis": "stage",
-    "smooth": "stage",
-}
 _KEPT = 0.999  # share of a source's variance in the readings: sigmas are then 0.05 % too small
 _MOST = 24  # variables of all sources, largest first: fits take time and model files space for each
 _LEAST_ARCMIN = 1e-3  # rms in the readings of a variable worth keeping: a hundredth of what models are off by
@@ -76,10 +66,9 @@ def _shared_root(bench: CalibratedBench) -> tuple[FloatArray, tuple[str, ...]]:
     """Change (unknowns, variables) of all unknowns by the variables of the sources, and the source of each variable."""
     adjustment = bench.adjustment
     of: dict[str, list[Key]] = {source: [] for source in SOURCES}
-    for key in adjustment.layout.where:
-        if key[0] in _SOURCE_OF:
-            is_tracking = key[0] == "lens" and key[1] != EYEBALL
-            of["tracking camera" if is_tracking else _SOURCE_OF[key[0]]].append(key)
+    for key, block in adjustment.state.blocks.items():
+        if block.source:
+            of[block.source].append(key)
     columns = adjustment.layout.columns([key for keys in of.values() for key in keys])
     sources = tuple(name for name, keys in of.items() for _ in adjustment.layout.columns(keys))
     covariance = adjustment.covariance[columns]

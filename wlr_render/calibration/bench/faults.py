@@ -12,10 +12,10 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import Adjustment
+from wlr_render.calibration.bench.blocks import Key, Layout
 from wlr_render.calibration.bench.board_views import APART, EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.bench.normal_equations import Normal
-from wlr_render.calibration.bench.state import BenchState, Key
-from wlr_render.calibration.bench.unknowns import Layout, layout_of, prior_of
+from wlr_render.calibration.bench.state import BenchState
 from wlr_render.calibration.poses import motion_between
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray
@@ -91,7 +91,7 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
     candidates = _candidates(state)
     if not candidates:
         return None
-    base = layout_of(state)
+    base = adjustment.layout
     own, free = len(base.size), [each for each in candidates if each.kind != "exchange"]
     where = dict(base.where) | {("fault", k): slice(own + 6 * k, own + 6 * k + 6) for k in range(len(free))}
     extra: dict[Key, dict[str, FloatArray]] = {
@@ -101,7 +101,7 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
     layout = Layout(where, size, np.concatenate([base.hyper, np.full(6 * len(free), -1)]))
     rows_of = {each.views: np.arange(6 * k, 6 * k + 6) for k, each in enumerate(free)}
     normal = Normal(state, layout, adjustment.sizes, extra)
-    prior = prior_of(layout)
+    prior = layout.prior
     noise = np.exp(-2.0 * adjustment.hyper[-1])
     count = len(candidates)
     odds, motion = np.full(count, -np.inf), np.zeros((count, 6))

@@ -149,7 +149,7 @@ def free_views(
     alone = BenchObservations(free, {camera: replace(setup, kind=kind)}, {}, (), tolerances=observations.tolerances)
     try:
         start = start_state(alone, {camera: start_lens(free, setup.size_px, kind)})
-        return adjust(replace(start, stretches={})).state  # a rough lens needs no sigma
+        return adjust(start.without("stretch")).state  # a rough lens needs no sigma
     except UndeterminedError as error:
         raise undetermined(views) from error
 

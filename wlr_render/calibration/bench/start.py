@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
+from wlr_render import usual
+from wlr_render.calibration.bench.blocks import FEATURES, HELD_POSE, POSE, Block, Key
 from wlr_render.calibration.bench.board_views import (
     APART,
     EYEBALL,
@@ -19,6 +21,14 @@ from wlr_render.calibration.bench.state import (
     smooth_orders,
     stage_motion,
     stated_twist,
+)
+from wlr_render.calibration.bench.unknowns import (
+    FLAT,
+    axis_block,
+    lens_block,
+    numbers_block,
+    pose_block,
+    smooth_block,
 )
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
@@ -187,21 +197,51 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens]) -> Be
     for number, axis in enumerate(observations.axes):
         if not twists[number].any() and chain.base:  # no view of a target tells how it moves
             twists[number] = stated_twist(axis, chain.base[min(chain.base)])
-    return BenchState(
-        observations,
-        dict(lens),
-        _shapes(observations),
-        {view.target: 0.0 for view in bound if view.camera == EYEBALL and view.target is not None},
-        chain.targets,
-        tracking,
-        chain.base,
-        twists,
-        np.zeros((len(smooth_orders(len(twists))), 6)) if len(twists) else np.zeros((0, 6)),
-        {place: np.zeros(6) for place in chain.visited if observations.places[place].reading is not None},
-        chain.free,
-        {view.name: seen[view.name] for view in held},
-        {view.name: np.zeros(4) for view in held},
-    )
+    boards = _shapes(observations)
+    poses = {view.name: seen[view.name] for view in held}
+    return BenchState(observations, boards, _blocks(observations, lens, boards, chain, poses))
+
+
+def _blocks(
+    seen: BenchObservations,
+    lens: Mapping[str, Lens],
+    boards: Mapping[str, BoardShape],
+    chain: "_Chain",
+    held: Mapping[str, FloatArray],
+) -> dict[Key, Block]:
+    """Return all blocks of unknowns at their starting values; `held` has the poses of boards held freely."""
+    flat, first = np.full(6, FLAT), min(chain.base, default=0)
+    blocks: dict[Key, Block] = {
+        ("lens", name): lens_block(name, each, seen.cameras[name]) for name, each in lens.items()
+    }
+    for name in boards:
+        board = seen.tolerances[name]
+        size = np.array([board.flatness_m] * 3 + [board.scale_sigma] * 2)
+        blocks["shape", name] = numbers_block(size, source="board")
+    views = [view for view in seen.views if view.camera == EYEBALL and view.target is not None]
+    for number in dict.fromkeys(int(view.target or 0) for view in views):
+        blocks["focus", number] = numbers_block(np.array([usual.CAMERA_FOCUS_BREATHING.value]), source="lens")
+    for number, pose in chain.targets.items():
+        blocks["target", number] = pose_block(pose, seen.targets.get(number), "targets")
+    if (tracking := seen.device_from_tracking) is not None:
+        blocks["extrinsics", TRACKING] = pose_block(tracking.pose, tracking, "tracking camera")
+    for number, pose in chain.base.items():
+        known = seen.device_from_camera if number == first else None
+        blocks["base", number] = pose_block(pose, known, "stage")
+    for number, (axis, twist) in enumerate(zip(seen.axes, chain.twists, strict=True)):
+        blocks["axis", number] = axis_block(axis, twist, chain.base[first])
+    for number, order in enumerate(smooth_orders(len(seen.axes)) if seen.axes else []):
+        blocks["smooth", number] = smooth_block(order, seen.axes)
+    for place in chain.visited:
+        if seen.places[place].reading is not None:
+            blocks["offset", place] = numbers_block(np.ones(6), ["turn"] * 3 + ["shift"] * 3)
+    blocks |= {("stretch", name): numbers_block(np.ones(4), ["stretch"] * 4) for name in held}
+    blocks |= {("free", place): Block(pose, flat, chart=POSE) for place, pose in chain.free.items()}
+    blocks |= {("board pose", name): Block(pose, flat, chart=HELD_POSE) for name, pose in held.items()}
+    for name, shape in boards.items():
+        size = np.full((len(shape.feature), 3), seen.tolerances[name].print_error_m)
+        blocks[FEATURES, name] = numbers_block(size)
+    return blocks
 
 
 def _shapes(observations: BenchObservations) -> dict[str, BoardShape]:
@@ -267,7 +307,7 @@ class _Chain:
     """Poses found so far, from those that are known to those that meet them in a view."""
 
     def __init__(self, observations: BenchObservations, tracking: FloatArray | None, twists: FloatArray) -> None:
-        self._observations, self._tracking, self._twists = observations, tracking, twists
+        self._observations, self._tracking, self.twists = observations, tracking, twists
         self.targets = {number: known.pose for number, known in observations.targets.items()}
         self.base: dict[int, FloatArray] = {}
         self._first = min((place.orientation for place in observations.places.values()), default=0)
@@ -312,7 +352,7 @@ class _Chain:
             return True
         place = self._observations.places[str(view.place)]
         stage = (
-            None if place.reading is None else stage_motion(self._twists, place.reading - self._observations.travel[0])
+            None if place.reading is None else stage_motion(self.twists, place.reading - self._observations.travel[0])
         )
         known = self.free.get(str(view.place)) if stage is None else self.base.get(place.orientation)
         if stage is not None and place.orientation != self._first:

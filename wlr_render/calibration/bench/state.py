@@ -9,16 +9,18 @@ the readings (pitch, yaw, roll and straightness, Legendre polynomials), and rand
 The board's shape: bow along both sides, twist, x and y printed to other scales, and every feature off its place.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
 
+from wlr_render.calibration.bench.blocks import FEATURES, Block, Key
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, BenchObservations, BoardView
-from wlr_render.calibration.poses import adjoint, motion_between, small_motion
+from wlr_render.calibration.poses import adjoint, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
@@ -31,8 +33,6 @@ BOARD_SHAPE = ("bow x", "bow y", "twist", "scale x", "scale y")
 SMOOTH_DEGREE = 3
 AXIS_PARTS = {"linear": slice(3, 6), "rotary": slice(0, 3)}
 """The part of an axis' twist that points along it."""
-Key = tuple[str, int | str]
-"""Name of a block of unknowns: what it is, and of which camera, board, target, axis, place or view."""
 
 _MOST_ROWS = 100_000
 _TERMS = 12  # terms of the Jacobian's series: rounding error up to a radian
@@ -111,45 +111,83 @@ class StageModel:
 
 @dataclass(frozen=True, eq=False)
 class BenchState:
-    """Values of all unknowns.
+    """Values of all unknowns, by the name of their blocks.
+
+    | block | of each | value |
+    |---|---|---|
+    | lens | camera | lens |
+    | shape, features | board | (5,) `BOARD_SHAPE`; (f, 3) errors of the features' places |
+    | focus | target | (1,) relative change of the eyeball camera's focal length, focused anew or warmed up |
+    | target | target | device_from_target |
+    | extrinsics | tracking camera | device_from_tracking |
+    | base | mounting | device_from_camera at the middle of the readings |
+    | axis | axis | (6,) twist: rotation and translation, camera frame, per unit of reading |
+    | smooth | term | (6,) of the stage's smooth error, see `StageModel` |
+    | offset | place | (6,) random error of a visit, camera frame |
+    | stretch | view of a board held freely | (4,) by `stretch_terms`, of a focus that hunts or a rolling shutter |
+    | free | place without reading | device_from_camera |
+    | board pose | view of a board held freely | camera_from_board |
+
+    Axes and errors of the stage are in the camera's frame of the mounting of the lowest number.
 
     Attributes:
         observations: what they explain.
-        lens: by camera.
-        shape: by board.
-        focus: relative change of the eyeball camera's focal length at each target pose: a lens that is focused anew, or
-            warms up, is not quite the same.
-        targets: device_from_target by number.
-        device_from_tracking: (4, 4); None without a tracking camera.
-        base: device_from_camera at the middle of the readings, by orientation; axes and errors of the stage are in the
-            camera's frame of the lowest one.
-        twists: (axes, 6) rotation and translation, camera frame, per unit of reading.
-        smooth: (terms, 6) of the stage's smooth error by `smooth_terms`.
-        offsets: (6,) random error by place, camera frame. free: device_from_camera by place, of places without reading.
-        boards: camera_from_board of each view of a board held freely, by its name.
-        stretches: (4,) how the image of each of these views is stretched, by `stretch_terms`: a focus that hunts, or a
-            camera or board that moves during the exposure, above all before a rolling shutter.
+        boards: features of each board; their places in it are those of the start.
+        blocks: by key.
     """
 
     observations: BenchObservations
-    lens: Mapping[str, Lens]
-    shape: Mapping[str, BoardShape]
-    focus: Mapping[int, float]
-    targets: Mapping[int, FloatArray]
-    device_from_tracking: FloatArray | None
-    base: Mapping[int, FloatArray]
-    twists: FloatArray
-    smooth: FloatArray
-    offsets: Mapping[str, FloatArray]
-    free: Mapping[str, FloatArray]
-    boards: Mapping[str, FloatArray]
-    stretches: Mapping[str, FloatArray]
+    boards: Mapping[str, BoardShape]
+    blocks: Mapping[Key, Block]
+
+    def of(self, kind: str) -> Mapping[Any, Any]:
+        """Return the values of blocks of one kind, by what they are of."""
+        return self._by_kind.get(kind, {})
+
+    @cached_property
+    def _by_kind(self) -> dict[str, dict[int | str, Any]]:
+        found: dict[str, dict[int | str, Any]] = {}
+        for (kind, which), block in self.blocks.items():
+            found.setdefault(kind, {})[which] = block.value
+        return found
 
     @property
-    def stage(self) -> "StageModel":
+    def lens(self) -> Mapping[str, Lens]:
+        """Lenses by camera."""
+        return self.of("lens")
+
+    @cached_property
+    def shape(self) -> Mapping[str, BoardShape]:
+        """Shapes by board."""
+        low, place = self.of("shape"), self.of(FEATURES)
+        return {name: replace(each, low=low[name], place=place[name]) for name, each in self.boards.items()}
+
+    @property
+    def targets(self) -> Mapping[int, FloatArray]:
+        """device_from_target by number."""
+        return self.of("target")
+
+    @property
+    def base(self) -> Mapping[int, FloatArray]:
+        """device_from_camera at the middle of the readings, by mounting."""
+        return self.of("base")
+
+    @property
+    def device_from_tracking(self) -> FloatArray | None:
+        """(4, 4); None without a tracking camera."""
+        return self.of("extrinsics").get(TRACKING)
+
+    @cached_property
+    def twists(self) -> FloatArray:
+        """(axes, 6) of the stage."""
+        return np.array(list(self.of("axis").values())).reshape(-1, 6)
+
+    @cached_property
+    def stage(self) -> StageModel:
         """How the stage carries the camera."""
         middle, half_range = self.observations.travel
-        return StageModel(middle, half_range, self.twists, self.smooth)
+        smooth = np.array(list(self.of("smooth").values())).reshape(-1, 6)
+        return StageModel(middle, half_range, self.twists, smooth)
 
     @property
     def first_mounting(self) -> int:
@@ -169,12 +207,12 @@ class BenchState:
 
     def device_from_camera(self, place: str) -> FloatArray:
         """(4, 4) of the eyeball camera at a place; the expected pose where no view measured it."""
-        if place in self.free:
-            return self.free[place]
+        if place in self.of("free"):
+            return np.asarray(self.of("free")[place])
         each = self.observations.places[place]
         assert each.reading is not None
         stage = self.stage
-        offset = stage.smooth_error(each.reading) + self.offsets.get(place, np.zeros(6))
+        offset = stage.smooth_error(each.reading) + self.of("offset").get(place, np.zeros(6))
         carried = self.base[self.first_mounting] @ stage.nominal(each.reading) @ small_motion(offset)
         return np.asarray(carried @ self.mount(each.orientation))
 
@@ -188,7 +226,7 @@ class BenchState:
 
     def lens_at(self, target: int) -> Lens:
         """Return the eyeball camera's lens as it is at a target pose."""
-        lens, change = self.lens[EYEBALL], self.focus.get(target, 0.0)
+        lens, change = self.lens[EYEBALL], float(self.of("focus").get(target, (0.0,))[0])
         if not change or not isinstance(lens, LensCamera):
             return lens
         return lens.with_values(lens.values * np.where(np.arange(len(lens.values)) < 2, 1.0 + change, 1.0))
@@ -200,17 +238,17 @@ class BenchState:
     def camera_from_board(self, view: BoardView) -> FloatArray:
         """(4, 4) of the board in a view."""
         if view.target is None:
-            return self.boards[view.name]
+            return np.asarray(self.of("board pose")[view.name])
         return np.asarray(transforms.inverse(self.device_from_any(view)) @ self.targets[view.target])
 
     def camera_motion(self, place: str) -> dict[Key, FloatArray]:
         """(6, k) by block of unknowns: small motion in the camera's own frame of device_from_camera at a place."""
-        if place in self.free:
+        if place in self.of("free"):
             return {("free", place): np.eye(6)}
         each = self.observations.places[place]
         assert each.reading is not None
         stage, travel = self.stage, each.reading - self.observations.travel[0]
-        own = stage.smooth_error(each.reading) + self.offsets.get(place, np.zeros(6))
+        own = stage.smooth_error(each.reading) + self.of("offset").get(place, np.zeros(6))
         back = adjoint(transforms.inverse(small_motion(own)))
         carried = adjoint(transforms.inverse(stage.nominal(each.reading)))
         first = self.first_mounting
@@ -223,7 +261,7 @@ class BenchState:
             after = after @ adjoint(_exponential(-twist))
         for number, term in enumerate(stage.smooth_terms(each.reading)):
             blocks["smooth", number] = term * np.eye(6)
-        if place in self.offsets:
+        if place in self.of("offset"):
             blocks["offset", place] = np.eye(6)
         if each.orientation == first:
             return blocks
@@ -242,35 +280,11 @@ class BenchState:
         assert view.place is not None
         return motion | {key: -columns for key, columns in self.camera_motion(view.place).items()}
 
-    def deviation(self, key: Key) -> FloatArray:
-        """(k,) how far a block of unknowns is from the middle of its prior; zero where it has none."""
-        kind, which = key
-        seen = self.observations
-        if kind == "lens":
-            known = seen.cameras[str(which)].calibrated
-            values = self.lens[str(which)].values
-            return np.where(np.arange(len(values)) < 4, 0.0, values) if known is None else values - known.values
-        if kind == "shape":
-            return self.shape[str(which)].low
-        if kind == "features":
-            return self.shape[str(which)].place.ravel()
-        if kind == "target" and (given := seen.targets.get(int(which))) is not None:
-            return _motion_after(given.pose, self.targets[int(which)])
-        if kind == "extrinsics" and seen.device_from_tracking is not None and self.device_from_tracking is not None:
-            return _motion_after(seen.device_from_tracking.pose, self.device_from_tracking)
-        if kind == "base" and which == self.first_mounting and seen.device_from_camera is not None:
-            return _motion_after(seen.device_from_camera.pose, self.base[self.first_mounting])
-        if kind == "axis":
-            return self._off_stated(int(which))
-        if kind == "focus":
-            return np.array([self.focus[int(which)]])
-        if kind == "smooth":
-            return np.asarray(self.smooth[int(which)])
-        if kind == "offset":
-            return self.offsets[str(which)]
-        if kind == "stretch":
-            return self.stretches[str(which)]
-        return np.zeros(6)
+    def deviation(self, keys: Iterable[Key]) -> FloatArray:
+        """(unknowns,) steps of some blocks from the middle of their priors, one after the other."""
+        return np.concatenate(
+            [self._off_stated(int(key[1])) if key[0] == "axis" else self.blocks[key].deviation for key in keys]
+        )
 
     def _off_stated(self, number: int) -> FloatArray:
         """(6,) difference of an axis' twist from what is stated of it."""
@@ -284,34 +298,16 @@ class BenchState:
 
     def moved(self, step: Mapping[Key, FloatArray]) -> "BenchState":
         """Return the state after a step of every block of unknowns."""
-        tracking = self.device_from_tracking
-        if tracking is not None:
-            tracking = tracking @ small_motion(step["extrinsics", TRACKING])
-        return replace(
-            self,
-            lens={
-                name: lens.with_values(lens.values + step["lens", name]) if isinstance(lens, LensCamera) else lens
-                for name, lens in self.lens.items()
-            },
-            shape={
-                name: replace(
-                    each,
-                    low=each.low + step["shape", name],
-                    place=each.place + step["features", name].reshape(-1, 3),
-                )
-                for name, each in self.shape.items()
-            },
-            focus={k: float(change + step["focus", k][0]) for k, change in self.focus.items()},
-            targets={k: pose @ small_motion(step["target", k]) for k, pose in self.targets.items()},
-            device_from_tracking=tracking,
-            base={k: pose @ small_motion(step["base", k]) for k, pose in self.base.items()},
-            twists=_each([twist + step["axis", k] for k, twist in enumerate(self.twists)], (6,)),
-            smooth=_each([term + step["smooth", k] for k, term in enumerate(self.smooth)], (6,)),
-            offsets={place: offset + step["offset", place] for place, offset in self.offsets.items()},
-            free={place: pose @ small_motion(step["free", place]) for place, pose in self.free.items()},
-            boards={name: small_motion(step["board pose", name]) @ pose for name, pose in self.boards.items()},
-            stretches={name: stretch + step["stretch", name] for name, stretch in self.stretches.items()},
-        )
+        return replace(self, blocks={key: block.moved(step[key]) for key, block in self.blocks.items()})
+
+    def with_values(self, values: Mapping[Key, Any]) -> "BenchState":
+        """Return the state with other values of some blocks."""
+        changed = {key: replace(self.blocks[key], value=value) for key, value in values.items()}
+        return replace(self, blocks={**self.blocks, **changed})
+
+    def without(self, kind: str) -> "BenchState":
+        """Return the state without the blocks of one kind."""
+        return replace(self, blocks={key: block for key, block in self.blocks.items() if key[0] != kind})
 
 
 def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
@@ -328,15 +324,6 @@ def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
     if axis.direction is not None and axis.pivot is not None:
         twist[3:] = np.cross(transforms.apply(transforms.inverse(base), axis.pivot), twist[:3])
     return twist
-
-
-def _each(values: list[FloatArray], shape: tuple[int, ...]) -> FloatArray:
-    return np.array(values).reshape(-1, *shape)
-
-
-def _motion_after(nominal: FloatArray, pose: FloatArray) -> FloatArray:
-    """(6,) small motion m with pose = nominal @ small_motion(m)."""
-    return motion_between(np.eye(4), transforms.inverse(nominal) @ pose)
 
 
 def _code(feature: IntArray) -> IntArray:

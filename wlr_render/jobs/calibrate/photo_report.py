@@ -204,7 +204,7 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
     adjustment = found.bench.adjustment
     sizes, state = adjustment.sizes, adjustment.state
     rows: list[list[Cell]] = []
-    if state.offsets:
+    if state.of("offset"):
         rows += [
             ["stage, repeatability of position (um)", 1e6 * sizes.shift, None],
             ["stage, repeatability of rotation (urad)", 1e6 * sizes.turn, None],
@@ -217,7 +217,7 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
             unit, scale = ("um", 1e6) if k < 3 else ("parts per million", 1e6)
             rows.append([f"{name}, {value} ({unit})", scale * float(shape.low[k]), scale * float(sigma[k])])
         rows.append([f"{name}, errors of single features (um)", 1e6 * sizes.feature_m[name], None])
-    for target, change in state.focus.items():
+    for target, (change,) in state.of("focus").items():
         sigma_change = float(np.sqrt(adjustment.covariance_of([("focus", target)])[0, 0]))
         rows.append([f"focal length at target pose {target} (parts per million)", 1e6 * change, 1e6 * sigma_change])
     note = "Standard deviations per axis, estimated from the photographs; the sigmas of all poses include them."
