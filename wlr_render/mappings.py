@@ -9,7 +9,7 @@ each other.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Annotated, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.html_summary import SummaryTable, html_summary
+from wlr_render.io.records import Key
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 
@@ -88,8 +89,8 @@ class QueryResult:
 class Panel:
     """The pixels of a display panel: (0, 0) is the outer corner of the top-left pixel, u runs right, v down."""
 
-    width_px: int
-    height_px: int
+    width_px: Annotated[int, Key(least=1)]
+    height_px: Annotated[int, Key(least=1)]
 
     @property
     def size_px(self) -> FloatArray:
@@ -117,8 +118,8 @@ class EyeBox:
         size: (3,) metres, full edge lengths.
     """
 
-    centre: FloatArray
-    size: FloatArray
+    centre: Annotated[FloatArray, Key("centre_m", shape=(3,))]
+    size: Annotated[FloatArray, Key("size_m", shape=(3,))]
 
     def contains(self, viewpoint: FloatArray, margin: float = 1e-9) -> NDArray[np.bool_]:
         """Return whether viewpoints (..., 3) lie in the box (grown by `margin` metres), (...) bool."""

@@ -15,7 +15,7 @@ from wlr_render.mappings import Panel
 
 PATTERN = make_pattern("gray", Panel(48, 40))
 NAMES = PATTERN.names()
-KIND = PhotographFormat()
+KIND = PhotographFormat(8)
 
 
 def shown(number):

@@ -65,4 +65,4 @@ def test_what_a_camera_cannot_have_given_is_refused():
     with pytest.raises(BadPhotographError, match="black"):
         check_photograph(grey, (20, 10), PhotographFormat(bits=16), "a")
     with pytest.raises(BadPhotographError, match="blown out"):
-        check_photograph(np.full((10, 20), 255, np.uint8), (20, 10), PhotographFormat(), "a")
+        check_photograph(np.full((10, 20), 255, np.uint8), (20, 10), PhotographFormat(8), "a")

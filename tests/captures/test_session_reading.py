@@ -31,7 +31,7 @@ def read(tmp_path, monkeypatch):
             panels={"right": SessionPanel(PATTERN)},
             decoding=DecodeOptions(),
             board=design_board(8, 6, 0.03),
-            eyeball_camera=SessionCamera((232, 184), PhotographFormat()),
+            eyeball_camera=SessionCamera((232, 184), PhotographFormat(8)),
             display=(CodeSet(tmp_path / "set"),),
         )
         return session_reading.read_session(session, tmp_path / "kept")

@@ -101,7 +101,7 @@ def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_contin
     paths = photographs_in(given.out)
     assert len(paths) == count
     for number, path in enumerate(paths):
-        assert np.array_equal(read_photograph(path, PhotographFormat(synthetic=True)), CODE.image(number))
+        assert np.array_equal(read_photograph(path, PhotographFormat(8, synthetic=True)), CODE.image(number))
     assert pattern(given, progress=page).verdict.startswith(f"0 photographs taken, {count} kept")
 
     whole = paths[2].read_bytes()

@@ -7,13 +7,33 @@ defaults of all parts describe a perfect bench.
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
+from wlr_render.geometry.pose_keys import ROTATION, pose_keys
+from wlr_render.io.input_files import LIMITS
+from wlr_render.io.records import CAMERA_PIXEL, ELSEWHERE, LENGTH, MATRIX, POINT, TURN, Key, Keys, Quantity, Rule
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
+
+_FAR, _LARGE = 1e4, 1e6  # largest lengths in a file, mm, and largest other numbers
+_ZERO_2, _ZERO_3, _UNIT_3 = partial(np.zeros, 2), partial(np.zeros, 3), partial(np.eye, 3)
+_number = partial(Key, most=_LARGE)
+_positive = partial(Key, above=0, most=_LARGE)
+_size = partial(Key, type=int, least=1, most=LIMITS.picture_side)
+_point = partial(Key, quantity=POINT, shape=(3,), most=_FAR)
+_BOW = Quantity(lambda value, axes: axes[2, 2] * value, lambda value, axes: axes[2, 2] * value)
+_INVERTIBLE = Rule("a matrix of determinant 0.1 or more", lambda value: bool(abs(np.linalg.det(value)) >= 0.1))
+_ROTATION = Key("rotation", MATRIX, shape=(3, 3), rule=ROTATION)
+_POSE = pose_keys(_ROTATION, Key("translation", POINT, shape=(3,), most=1e5))
+
+
+def _pair(first: Key, second: Key) -> Keys:
+    return Keys((first, second), lambda *pair: np.array(pair, dtype=np.float64), lambda pair: pair)
+
 
 _NEWTON_STEPS = 20
 _NEWTON_ERROR = 1e-12  # largest error of the distorted radius, tangents
@@ -34,13 +54,13 @@ class EyeballCamera:
         point_sigma_px: stated repeatability of a point, per axis.
     """
 
-    size_px: FloatArray
-    focal_px: FloatArray
-    centre_px: FloatArray
-    point_sigma_px: float
-    distortion: FloatArray = field(default_factory=partial(np.zeros, 2))
-    device_from_camera: FloatArray = field(default_factory=partial(np.eye, 3))
-    pupil_offset: FloatArray = field(default_factory=partial(np.zeros, 3))
+    size_px: Annotated[FloatArray, _pair(_size("width"), _size("height"))]
+    focal_px: Annotated[FloatArray, _pair(_positive("fx"), _positive("fy"))]
+    centre_px: Annotated[FloatArray, _pair(_number("cx", CAMERA_PIXEL), _number("cy", CAMERA_PIXEL))]
+    point_sigma_px: Annotated[float, Key(least=1e-6, most=100)]
+    distortion: Annotated[FloatArray, _number(shape=(2,))] = field(default_factory=_ZERO_2)
+    device_from_camera: Annotated[FloatArray, _ROTATION] = field(default_factory=_UNIT_3)
+    pupil_offset: Annotated[FloatArray, _point("pupil_offset_mm")] = field(default_factory=_ZERO_3)
 
     def pixel_of_tangents(self, tangents: FloatArray) -> FloatArray:
         """Return the pixels (n, 2) of tangents (n, 2) in the camera frame, y up."""
@@ -95,9 +115,11 @@ class Stage:
         backlash: (2,) true minus read x after a move towards +x, and towards -x, metres.
     """
 
-    origin: FloatArray
-    axes: FloatArray = field(default_factory=partial(np.eye, 3))
-    backlash: FloatArray = field(default_factory=partial(np.zeros, 2))
+    origin: Annotated[FloatArray, _point()]
+    axes: Annotated[FloatArray, Key("", MATRIX, shape=(3, 3), most=2, rule=_INVERTIBLE)] = field(
+        default_factory=_UNIT_3
+    )
+    backlash: Annotated[FloatArray, Key("backlash_mm", LENGTH, shape=(2,), most=_FAR)] = field(default_factory=_ZERO_2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +133,20 @@ class Target:
         bow: (k, 2) curvature at each pose, z = bow_x x^2 + bow_y y^2, per metre.
     """
 
-    device_from_target: FloatArray
-    pitch: FloatArray
-    scale: FloatArray = field(default_factory=partial(np.ones, 2))
-    bow: FloatArray = field(default_factory=partial(np.zeros, (1, 2)))
+    device_from_target: Annotated[FloatArray, ELSEWHERE]
+    pitch: Annotated[FloatArray, ELSEWHERE]
+    scale: Annotated[FloatArray, _positive(shape=(2,))] = field(default_factory=partial(np.ones, 2))
+    bow: Annotated[FloatArray, _number("bow_per_m", _BOW, shape=(-1, 2))] = field(
+        default_factory=partial(np.zeros, (1, 2))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class TargetPose:
+    """A pose of the target in a bench file: device_from_target (4, 4) as tracking reports it, and the pitch there."""
+
+    device_from_target: Annotated[FloatArray, _POSE]
+    pitch: Annotated[float, _positive("pitch_mm", LENGTH)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +157,7 @@ class Tracking:
         true_from_reported: (4, 4) transforms reported points to true points, device frame.
     """
 
-    true_from_reported: FloatArray = field(default_factory=partial(np.eye, 4))
+    true_from_reported: Annotated[FloatArray, _POSE] = field(default_factory=partial(np.eye, 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +172,15 @@ class Mount:
         slip_rotation: (3,) rotation of the camera in the device frame from then on, radians about x, y, z.
     """
 
-    panel_creep: FloatArray = field(default_factory=partial(np.zeros, 2))
-    warm_up_s: float = 900.0
-    slip_time_s: float = np.inf
-    slip: FloatArray = field(default_factory=partial(np.zeros, 3))
-    slip_rotation: FloatArray = field(default_factory=partial(np.zeros, 3))
+    panel_creep: Annotated[FloatArray, Key("panel_creep_mm", LENGTH, shape=(2,), most=_FAR)] = field(
+        default_factory=_ZERO_2
+    )
+    warm_up_s: Annotated[float, _positive()] = 900.0
+    slip_time_s: Annotated[float, _number()] = np.inf
+    slip: Annotated[FloatArray, _point("slip_mm")] = field(default_factory=_ZERO_3)
+    slip_rotation: Annotated[FloatArray, _number("slip_rotation_deg", TURN, shape=(3,))] = field(
+        default_factory=_ZERO_3
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +192,8 @@ class PanelReadout:
         channel_scale: (3,) magnification about the panel's centre in red, green and blue.
     """
 
-    origin_px: FloatArray = field(default_factory=partial(np.zeros, 2))
-    channel_scale: FloatArray = field(default_factory=partial(np.ones, 3))
+    origin_px: Annotated[FloatArray, _number(shape=(2,))] = field(default_factory=_ZERO_2)
+    channel_scale: Annotated[FloatArray, _positive(shape=(3,))] = field(default_factory=partial(np.ones, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +205,8 @@ class EyeTracking:
         gaze_radius: pupil motion with gaze that tracking misses, in metres: this radius * (gaze - straight ahead).
     """
 
-    bias: FloatArray = field(default_factory=partial(np.zeros, 3))
-    gaze_radius: float = 0.0
+    bias: Annotated[FloatArray, _point("bias_mm")] = field(default_factory=_ZERO_3)
+    gaze_radius: Annotated[float, Key("gaze_radius_mm", LENGTH, most=_FAR)] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +218,21 @@ class Clock:
         scanout_s: time from the display of the panel's first row to its last.
     """
 
-    latency_s: float = 0.0
-    scanout_s: float = 0.0
+    latency_s: Annotated[float, _number()] = 0.0
+    scanout_s: Annotated[float, _number()] = 0.0
+
+
+@dataclass(frozen=True)
+class Light:
+    """Vacuum wavelengths in micrometres.
+
+    Attributes:
+        wavelengths_um: red, green and blue light of the display.
+        target_wavelength_um: light in which targets and real dots are observed.
+    """
+
+    wavelengths_um: Annotated[tuple[float, float, float], Key("channels_um", least=0.2, most=2)] = (0.65, 0.55, 0.45)
+    target_wavelength_um: Annotated[float, Key("target_um", least=0.2, most=2)] = 0.55
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +259,8 @@ class Bench:
     readout: PanelReadout = field(default_factory=PanelReadout)
     eye_tracking: EyeTracking = field(default_factory=EyeTracking)
     clock: Clock = field(default_factory=Clock)
-    wavelengths_um: tuple[float, float, float] = (0.65, 0.55, 0.45)
-    target_wavelength_um: float = 0.55
+    wavelengths_um: tuple[float, float, float] = Light.wavelengths_um
+    target_wavelength_um: float = Light.target_wavelength_um
     effects: tuple[BenchEffect, ...] = ()
     priors: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 

@@ -11,18 +11,19 @@ from wlr_render.bench.bench import (
     Clock,
     EyeballCamera,
     EyeTracking,
+    Light,
     Mount,
     PanelReadout,
     Stage,
     Target,
+    TargetPose,
     Tracking,
 )
 from wlr_render.bench.bench_effects_file import effect_keys, effects_of
-from wlr_render.bench.bench_keys import MATRIX, POINT, POSITIVE, ROTATION, SECTIONS, Entry
-from wlr_render.captures.session_schema import MM
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.transforms import FRAMES, rigid
+from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import shipped_names
+from wlr_render.io.records import Place, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
@@ -35,12 +36,19 @@ FORMAT = "bench-session"
 VERSION = 1
 WRITTEN_FRAME = "opencv"
 """Frame of the files that `save_bench` writes."""
-
-_ROTATION = Entry("rotation", ("rotation",), "three rows", (3, 3), MATRIX, ROTATION)
-_TRANSLATION = Entry("translation", ("translation",), "mm", (3,), POINT, largest=1e5)
-_PITCH = Entry("pitch", ("pitch_mm",), "distance of neighbouring dots", rule=POSITIVE)
-
-
+SECTIONS = {
+    "camera": EyeballCamera,
+    "stage": Stage,
+    "target": Target,
+    "mount": Mount,
+    "readout": PanelReadout,
+    "eye_tracking": EyeTracking,
+    "clock": Clock,
+    "light": Light,
+    "tracking": Tracking,
+}
+"""Records of a bench file by the names of their tables; [target] without its poses, [light] for `Bench` itself."""
+_WRITTEN = Place(axes=FRAMES[WRITTEN_FRAME])
 DEVICE_FILE = "device.toml"
 """Name of the device file next to the bench, for a headset that is not shipped."""
 
@@ -67,25 +75,20 @@ def bench_of(file: Table, folder: Path) -> Bench:
         folder: folder that the path of a device file is relative to.
     """
     file.check_head(FORMAT, VERSION, "a bench file")
-    axes = device_from_file(file)
+    place = Place(folder, device_from_file(file))
     device = _device(file, folder)
     eye = file.text("eye", "right" if "right" in device.eyes else "left", choices=sorted(device.eyes))
-    stated = {name: _section(file, name, axes) for name in SECTIONS}
-    bench = Bench(
-        device,
-        eye,
-        EyeballCamera(**stated["camera"]),
-        Stage(**stated["stage"]),
-        _target(file, stated["target"], axes),
-        Tracking(_pose(file.table("tracking"), axes)) if file.has("tracking") else Tracking(),
-        Mount(**stated["mount"]),
-        PanelReadout(**stated["readout"]),
-        EyeTracking(**stated["eye_tracking"]),
-        Clock(**stated["clock"]),
-    )
-    priors, effects = _priors(file), effects_of(file, bench)
+    required = ("camera", "stage")
+    parts: dict[str, Any] = {
+        name: read_record(kind, file.table(name), place)
+        for name, kind in SECTIONS.items()
+        if name != "target" and (name in required or file.has(name))
+    }
+    light = parts.pop("light", Light())
+    bench = Bench(device, eye, target=_target(file, place), **parts, **vars(light))
+    bench = replace(bench, priors=_priors(file), effects=effects_of(file, bench))
     file.finish()
-    return replace(bench, **stated["light"], priors=priors, effects=effects)
+    return bench
 
 
 def save_bench(bench: Bench, path: str | Path) -> Path:
@@ -93,15 +96,14 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
 
     A device that differs from every shipped one is written next to it as device.toml.
     """
-    path, axes = Path(path), FRAMES[WRITTEN_FRAME]
+    path = Path(path)
     head = {"format": FORMAT, "version": VERSION, "frame": WRITTEN_FRAME, "unit": "mm"}
     head |= {"device": _device_key(bench.device, path.parent), "eye": bench.eye}
-    sections = _sections(bench, axes)
     poses = [
-        _pose_keys(pose, axes) | {"pitch_mm": pitch / MM}
+        record_keys(TargetPose(pose, pitch), _WRITTEN)
         for pose, pitch in zip(bench.target.device_from_target, bench.target.pitch, strict=True)
     ]
-    content = head | {name: keys for name, keys in sections.items() if keys}
+    content = head | {name: keys for name, keys in _sections(bench).items() if keys}
     content |= {"prior": bench.priors} if bench.priors else {}
     content |= {"effect": [effect_keys(effect) for effect in bench.effects]} if bench.effects else {}
     return write_toml(path, content | ({"target_pose": poses} if poses else {}), "docs/bench-session.md has the format")
@@ -109,7 +111,7 @@ def save_bench(bench: Bench, path: str | Path) -> Path:
 
 def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
     """Return the keys of a bench file, by table, that turn the old bench into the new one, in frame `WRITTEN_FRAME`."""
-    before, after = (_sections(bench, FRAMES[WRITTEN_FRAME]) for bench in (old, new))
+    before, after = _sections(old), _sections(new)
     changed: dict[str, dict[str, Any]] = {}
     for table, keys in after.items():
         old_keys = before[table]
@@ -117,13 +119,10 @@ def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
     return {table: keys for table, keys in changed.items() if keys}
 
 
-def _sections(bench: Bench, axes: FloatArray) -> dict[str, dict[str, Any]]:
+def _sections(bench: Bench) -> dict[str, dict[str, Any]]:
     """Return the tables of a bench file with their keys, except device and target poses."""
-    values = {name: bench if name == "light" else getattr(bench, name) for name in SECTIONS}
-    sections = {name: section.written(values[name], axes) for name, section in SECTIONS.items()}
-    reported = bench.tracking.true_from_reported
-    sections["tracking"] = {} if np.array_equal(reported, np.eye(4)) else _pose_keys(reported, axes)
-    return sections
+    light = Light(bench.wavelengths_um, bench.target_wavelength_um)
+    return {n: record_keys(light if n == "light" else getattr(bench, n), _WRITTEN) for n in SECTIONS}
 
 
 def _device(file: Table, folder: Path) -> Device:
@@ -139,12 +138,6 @@ def _device_key(device: Device, folder: Path) -> str:
     if shipped and device_content(load_device(device.name)) == device_content(device):
         return device.name
     return save_device(device, folder / DEVICE_FILE).name
-
-
-def _section(file: Table, name: str, axes: FloatArray) -> dict[str, Any]:
-    """Return the attributes that the table states; [camera] and [stage] are required."""
-    required = name in ("camera", "stage")
-    return SECTIONS[name].read(file.table(name), axes) if required or file.has(name) else {}
 
 
 def _priors(file: Table) -> dict[str, dict[str, tuple[float, float]]]:
@@ -173,21 +166,15 @@ def _priors_of_cause(table: Table) -> dict[str, tuple[float, float]]:
     return priors
 
 
-def _target(file: Table, stated: dict[str, Any], axes: FloatArray) -> Target:
+def _target(file: Table, place: Place) -> Target:
     tables = file.tables("target_pose", required=False, most=_MOST_POSES)
-    pitch = [MM * float(_PITCH.read(table, axes)) for table in tables]
-    poses = [_pose(table, axes) for table in tables]
-    if len(stated.get("bow", [0])) not in (1, len(poses)):
+    poses = [read_record(TargetPose, table, place) for table in tables]
+    placed = {
+        "device_from_target": np.reshape([each.device_from_target for each in poses], (-1, 4, 4)),
+        "pitch": np.array([each.pitch for each in poses]),
+    }
+    stated = file.table("target") if file.has("target") else Table({}, file.where)
+    target = read_record(Target, stated, place, **placed)
+    if len(target.bow) not in (1, len(poses)):
         raise file.fail(f"'bow_per_m' in [target] must be one pair, or {len(poses)}: one for each [[target_pose]].")
-    return Target(np.reshape(poses, (-1, 4, 4)), np.array(pitch), **stated)
-
-
-def _pose(table: Table, axes: FloatArray) -> FloatArray:
-    """Read a pose (4, 4) from `rotation` and `translation`, the last keys of their table."""
-    pose = rigid(np.asarray(_ROTATION.read(table, axes)), np.asarray(_TRANSLATION.read(table, axes)))
-    table.finish()
-    return pose
-
-
-def _pose_keys(pose: FloatArray, axes: FloatArray) -> dict[str, Any]:
-    return _ROTATION.written(pose[:3, :3], axes) | _TRANSLATION.written(pose[:3, 3], axes)
+    return target

@@ -19,12 +19,13 @@ from wlr_render.bench.bench_file import (
 from wlr_render.captures.camera_lens_file import require_plausible_view
 from wlr_render.captures.capture_checks import require_on_panel
 from wlr_render.captures.session import Readings, SeeThroughPlan, Session, SessionPlan, select_rows
-from wlr_render.captures.session_schema import MM, SCHEMAS, Schema
+from wlr_render.captures.session_schema import SCHEMAS, Schema
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.input_files import prefix_errors, require_length
+from wlr_render.io.records import MM
 from wlr_render.io.toml_files import read_toml
 from wlr_render.numerics.arrays import FloatArray
 

@@ -33,6 +33,7 @@ from wlr_render.captures.feature_captures import (
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_arrays
 from wlr_render.io.input_files import LIMITS, prefix_errors, read_arrays
+from wlr_render.io.records import read_part, record_keys
 from wlr_render.io.toml_files import Table, parse_json
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial
@@ -66,9 +67,9 @@ def save_captures(path: str | Path, captures: Captures) -> Path:
         "units": _UNITS,
         "device": source.device,
         "eye": source.eye,
-        "panel": None if panel is None else {"width_px": panel.width_px, "height_px": panel.height_px},
-        "eye_box": _box_record(source.eye_box),
-        "see_through_eye_box": None if captures.see_through is None else _box_record(captures.see_through.eye_box),
+        "panel": None if panel is None else record_keys(panel),
+        "eye_box": record_keys(source.eye_box),
+        "see_through_eye_box": None if captures.see_through is None else record_keys(captures.see_through.eye_box),
     }
     columns = _table(captures)
     arrays = {name: values for name, values in columns.items() if name not in _OPTIONAL or _is_recorded(values)}
@@ -110,7 +111,9 @@ def load_observations(path: str | Path) -> Captures:
         arrays = _Arrays(read_arrays(path, "a capture file (.npz)"))
         header = _header(arrays, path)
         _check_sizes(arrays)
-        boxes = {name: _box(header.table(name)) for name in _BOXES if name == "eye_box" or header.has(name)}
+        boxes = {
+            name: read_part(EyeBox, header.table(name)) for name in _BOXES if name == "eye_box" or header.has(name)
+        }
         columns = {} if header.whole("version", 1) == 1 else _columns(arrays)
         captures = _captures(header, boxes, _sides(columns) if columns else _sides_of_version_1(arrays), arrays)
         check_plausible(captures, columns or _table(captures), boxes)
@@ -167,8 +170,7 @@ def _captures(
 ) -> Captures:
     """Return captures from the columns of each side, the header and the arrays of motions and common errors."""
     eye: dict[str, Any] = {"device": header.text("device"), "eye": header.text("eye")}
-    size = header.table("panel") if header.has("panel") else None
-    panel = None if size is None else Panel(size.whole("width_px", 1), size.whole("height_px", 1))
+    panel = read_part(Panel, header.table("panel")) if header.has("panel") else None
     sources = tuple(header.texts("common_sources")) if header.has("common_sources") else ()
     bench = {side: _bench(arrays, side, sources) for side in _SIDES}
     display = see_through = None
@@ -225,14 +227,6 @@ def _common(arrays: _Arrays, name: str, sources: tuple[str, ...]) -> CommonError
 
 def _is_recorded(values: NDArray[Any]) -> bool:
     return bool(np.any(values >= 0) if np.issubdtype(values.dtype, np.integer) else np.isfinite(values).any())
-
-
-def _box_record(box: EyeBox) -> dict[str, list[float]]:
-    return {"centre_m": box.centre.tolist(), "size_m": box.size.tolist()}
-
-
-def _box(table: Table) -> EyeBox:
-    return EyeBox(table.vector("centre_m", 3), table.vector("size_m", 3))
 
 
 def _check_sizes(arrays: _Arrays) -> None:

@@ -7,6 +7,7 @@ memory: a session may have thousands. The lists are in the order of taking.
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -14,7 +15,11 @@ from wlr_render.captures.boards.board import Board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.pose_keys import ROTATION, pose_keys
+from wlr_render.io.input_files import LIMITS
+from wlr_render.io.records import DEGREES, ELSEWHERE, LENGTH, POINT, VECTOR, Key, Keys, Quantity, Rule
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
@@ -22,6 +27,41 @@ CHANNELS = ("red", "green", "blue")
 """Primaries of a panel."""
 CODE_ORDERS = ("as shown", "opencv")
 """Orders of the photographs in a folder of a panel's code: the order of `Pattern.names`, or of OpenCV's Gray code."""
+
+FAR_MM = 1e4
+"""Largest plausible length of a bench: beyond it, the unit is micrometres."""
+_DIGITS = 9  # decimals of lengths and angles in session.toml
+_DIRECTION = Quantity(lambda value, axes: axes @ value / np.linalg.norm(value), VECTOR.to_file)
+_NOT_ZERO = Rule("a vector along the axis, or left out if it is unknown", lambda value: bool(np.any(value)))
+_REGIONS = Rule(
+    "lists [u0, v0, u1, v1] with u0 below u1 and v0 below v1", lambda value: bool(np.all(value[:, :2] < value[:, 2:]))
+)
+
+
+def _pose_within(most_mm: float) -> Keys:
+    """Return the form of the pose of a camera, or of a board, which has OpenCV's axes whatever those of the file."""
+    least_mm = 0.5  # a shorter translation is in metres
+    rule = Rule(
+        f"0, or {least_mm:g} to {most_mm:g} mm long: lengths are millimetres",
+        lambda value: bool(not np.any(value) or least_mm <= np.linalg.norm(value) <= most_mm),
+    )
+    return pose_keys(
+        Key("rotation", VECTOR, shape=(3, 3), rule=ROTATION),
+        Key("translation_mm", POINT, shape=(3,), digits=_DIGITS, rule=rule),
+    )
+
+
+CAMERA_POSE = _pose_within(1000.0)
+"""Form of the tracking camera's pose."""
+POSE_SIGMA = Keys(
+    (
+        Key("sigma_deg", DEGREES, above=0, most=180, digits=_DIGITS),
+        Key("sigma_mm", LENGTH, above=0, most=FAR_MM, digits=_DIGITS),
+    ),
+    lambda *sigma: sigma,
+    lambda sigma: sigma,
+)
+"""Form of the standard deviations of a pose: rotation, radians, and translation, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +103,19 @@ class StageAxis:
             stage's reference; otherwise they are in the device frame.
     """
 
-    kind: str = "linear"
-    direction: FloatArray | None = None
-    direction_sigma: float | None = None
-    pivot: FloatArray | None = None
-    is_in_camera: bool = False
+    kind: Annotated[Literal["linear", "rotary"], Key(always=True)] = "linear"
+    direction: Annotated[FloatArray | None, Key("", _DIRECTION, shape=(3,), rule=_NOT_ZERO)] = None
+    direction_sigma: Annotated[float | None, Key("direction_sigma_deg", DEGREES, above=0, most=180, digits=_DIGITS)] = (
+        None
+    )
+    pivot: Annotated[FloatArray | None, Key("pivot_mm", POINT, shape=(3,), most=FAR_MM, digits=_DIGITS)] = None
+    is_in_camera: Annotated[bool, ELSEWHERE] = False
+
+    def __post_init__(self) -> None:
+        if self.direction_sigma is not None and self.direction is None:
+            raise BadInputError("'direction_sigma_deg' is given without 'direction'; give both, or neither.")
+        if self.pivot is not None and self.kind == "linear":
+            raise BadInputError("'pivot_mm' is for rotary axes; remove it, or write kind = \"rotary\".")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +141,10 @@ class GivenPose:
         board_file: name of that board's file in the session's folder.
     """
 
-    device_from: FloatArray
-    sigma: tuple[float, float]
-    board: Board | None = None
-    board_file: str | None = None
+    device_from: Annotated[FloatArray, _pose_within(50000.0)]
+    sigma: Annotated[tuple[float, float], POSE_SIGMA]
+    board: Annotated[Board | None, ELSEWHERE] = None
+    board_file: Annotated[str | None, Key("board")] = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +162,14 @@ class SessionEntry:
         temperature_c: temperature of the bench, degrees Celsius; None if unknown.
     """
 
-    folder: Path
+    folder: Annotated[Path, ELSEWHERE]
     _: KW_ONLY
-    stage: FloatArray | None = None
+    stage: Annotated[FloatArray | None, Key(shape=(-1,), digits=_DIGITS)] = None
     place: str = ""
-    orientation: int = 0
-    eye: str = "right"
-    time_s: float | None = None
-    temperature_c: float | None = None
+    orientation: Annotated[int, Key(most=LIMITS.index)] = 0
+    eye: Annotated[str, Key(always=True)] = "right"
+    time_s: Annotated[float | None, Key(most=LIMITS.time_s)] = None
+    temperature_c: Annotated[float | None, Key(least=LIMITS.temperature_c[0], most=LIMITS.temperature_c[1])] = None
 
     @property
     def path(self) -> Path:
@@ -141,10 +189,10 @@ class BoardPhotograph(SessionEntry):
         other_regions: (n, 4) parts of a photograph through the optics that do not show the target through them.
     """
 
-    name: str
-    target_pose: int
-    regions: FloatArray | None = None
-    other_regions: FloatArray | None = None
+    name: Annotated[str, Key("photograph")]
+    target_pose: Annotated[int, Key(most=LIMITS.index)]
+    regions: Annotated[FloatArray | None, Key("region_px", shape=(-1, 4), rule=_REGIONS)] = None
+    other_regions: Annotated[FloatArray | None, ELSEWHERE] = None
 
     @property
     def path(self) -> Path:
@@ -172,7 +220,8 @@ class CodeSet(SessionEntry):
         channel: the primary that the panel showed, one of `CHANNELS`; None for white.
     """
 
-    channel: str | None = None
+    folder: Annotated[Path, Key("photographs")]
+    channel: Annotated[str | None, Key(choices=CHANNELS)] = None
 
 
 @dataclass(frozen=True, eq=False)

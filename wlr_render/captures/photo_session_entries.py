@@ -6,7 +6,7 @@ The format is in docs/photo-session.md.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,7 +14,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from wlr_render.captures.photo_session import (
-    CHANNELS,
     BoardPhotograph,
     CodeSet,
     PhotoSession,
@@ -23,15 +22,12 @@ from wlr_render.captures.photo_session import (
     StageDescription,
 )
 from wlr_render.geometry.transforms import FRAMES
-from wlr_render.io.input_files import LIMITS
-from wlr_render.io.toml_files import Table, stated
+from wlr_render.io.records import Place, read_record, record_keys
+from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray, IntArray
-
-EntryType = TypeVar("EntryType", BoardPhotograph, CodeSet)
 
 _MOST_AXES = 12
 _MOST_READING = 1e4  # largest reading, mm or degrees
-_SHARED_NUMBERS = {"time_s": (-LIMITS.time_s, LIMITS.time_s), "temperature_c": LIMITS.temperature_c}
 _MOST_TOLERANCE_UM = 1e3
 _LEVER_M = 0.025
 """Radius that converts angles of rotary axes to arcs for comparisons of readings: about the radius of a camera that
@@ -62,9 +58,8 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
     in_camera = table.text("directions_in", "device", ("device", "camera")) == "camera"
     stage = StageDescription()
     if table.has("axes"):
-        frame = np.eye(3) if in_camera else axes  # a camera has OpenCV's axes, whatever `frame` is
-        listed = table.tables("axes", most=_MOST_AXES)
-        stage = StageDescription(tuple(_axis(each, frame, in_camera) for each in listed))
+        place, listed = _place_of_axes(in_camera, axes), table.tables("axes", most=_MOST_AXES)
+        stage = StageDescription(tuple(read_record(StageAxis, each, place, is_in_camera=in_camera) for each in listed))
     if in_camera and all(axis.direction is None for axis in stage.axes):
         raise table.fail(
             "'directions_in' is given, but no axis has a 'direction'; list them under 'axes', or remove it."
@@ -73,26 +68,6 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
         raise table.fail("'axes' is empty; list an axis, or write kind = \"none\" for a camera without a stage.")
     table.finish()
     return stage, tolerance
-
-
-def _axis(table: Table, axes: FloatArray, in_camera: bool) -> StageAxis:
-    kind = table.text("kind", "linear", ("linear", "rotary"))
-    direction = sigma = pivot = None
-    if table.has("direction"):
-        direction = table.vector("direction", 3)
-        if not np.any(direction):
-            raise table.fail("'direction' is zero; give a vector along the axis, or leave it out if it is unknown.")
-        direction = axes @ direction / np.linalg.norm(direction)
-    if table.has("direction_sigma_deg"):
-        sigma = np.radians(table.number("direction_sigma_deg", above=0, most=180))
-        if direction is None:
-            raise table.fail("'direction_sigma_deg' is given without 'direction'; give both, or neither.")
-    if table.has("pivot_mm"):
-        if kind == "linear":
-            raise table.fail("'pivot_mm' is for rotary axes; remove it, or write kind = \"rotary\".")
-        pivot = 1e-3 * axes @ table.vector("pivot_mm", 3, least=-_MOST_READING, most=_MOST_READING)
-    table.finish()
-    return StageAxis(kind, direction, sigma, pivot, in_camera)
 
 
 def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
@@ -105,18 +80,13 @@ def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
     if not _is_plain(session.stage):
         in_camera = any(axis.is_in_camera for axis in session.stage.axes)
         keys |= {"directions_in": "camera"} if in_camera else {}
-        keys["axes"] = [_written_axis(axis, np.eye(3) if in_camera else axes) for axis in session.stage.axes]
+        keys["axes"] = [record_keys(axis, _place_of_axes(in_camera, axes)) for axis in session.stage.axes]
     return keys
 
 
-def _written_axis(axis: StageAxis, axes: FloatArray) -> dict[str, Any]:
-    sigma, pivot = axis.direction_sigma, axis.pivot
-    return stated(
-        kind=axis.kind,
-        direction=None if axis.direction is None else (axes.T @ axis.direction + 0.0).tolist(),
-        direction_sigma_deg=None if sigma is None else rounded(np.degrees(sigma)),
-        pivot_mm=None if pivot is None else rounded(1e3 * axes.T @ pivot),
-    )
+def _place_of_axes(in_camera: bool, axes: FloatArray) -> Place:
+    """Return the frame of the stage's axes; a camera has OpenCV's axes, whatever those of the file."""
+    return Place(axes=np.eye(3) if in_camera else axes)
 
 
 def _is_plain(stage: StageDescription) -> bool:
@@ -149,58 +119,39 @@ class EntryFormat:
         """
         return self.axes if self.stage is None or _is_plain(self.stage) else np.eye(len(self.stage.axes))
 
-    def photograph(self, table: Table, on_stage: bool = True) -> BoardPhotograph:
-        """Read a photograph of the board; `on_stage` for the eyeball camera.
+    def photographs(self, file: Table, name: str) -> tuple[BoardPhotograph, ...]:
+        """Read the list `name` of photographs of the board: "see_through", "bare", "beside" or "tracking".
 
         Raises:
             BadInputError: a key is missing, faulty or contradicts [stage].
         """
-        table.path("photograph", self.folder)  # refuses a name that leads out of the folder
-        name, pose = str(Path(table.text("photograph"))), table.whole("target_pose", most=LIMITS.index)
-        photograph = BoardPhotograph(self.folder, name, pose, eye=self.eyes[0])
-        return self._completed(table, photograph, on_stage)
+        photographs = []
+        for table in file.tables(name, required=False):
+            table.path("photograph", self.folder)  # refuses a name that leads out of the folder
+            given = self._without_stage() if name == "tracking" else self._position(table, name)
+            given |= {} if name == "beside" else {"regions": None}
+            photographs.append(read_record(BoardPhotograph, table, folder=self.folder, **given))
+        return tuple(photographs)
 
-    def beside(self, table: Table) -> BoardPhotograph:
-        """Read a photograph past the optics; raises like `photograph`."""
-        regions = table.vectors("region_px", 4) if table.has("region_px") else None
-        if regions is not None and np.any(regions[:, :2] >= regions[:, 2:]):
-            raise table.fail("'region_px' must hold [u0, v0, u1, v1] with u0 below u1 and v0 below v1.")
-        return replace(self.photograph(table), regions=regions)
+    def code_sets(self, file: Table) -> tuple[CodeSet, ...]:
+        """Read [[display]], the sets of photographs of the panel; raises like `photographs`."""
+        tables, place = file.tables("display", required=False), Place(self.folder)
+        return tuple(read_record(CodeSet, table, place, **self._position(table, "display")) for table in tables)
 
-    def through(self, table: Table) -> BoardPhotograph:
-        """Read a photograph through the optics; raises like `photograph`."""
-        self._need_eye(table)
-        return self.photograph(table)
+    def _without_stage(self) -> dict[str, Any]:
+        return {"stage": None, "place": "", "orientation": 0, "eye": self.eyes[0]}
 
-    def code_set(self, table: Table) -> CodeSet:
-        """Read a set of photographs of the panel; raises like `photograph`."""
-        self._need_eye(table)
-        channel = table.text("channel", choices=CHANNELS) if table.has("channel") else None
-        return self._completed(table, CodeSet(table.path("photographs", self.folder), channel=channel))
-
-    def _need_eye(self, table: Table) -> None:
-        if len(self.eyes) > 1 and not table.has("eye"):
+    def _position(self, table: Table, name: str) -> dict[str, Any]:
+        """Return stage reading, position and eye of an entry by the eyeball camera."""
+        if len(self.eyes) > 1 and name in ("see_through", "display") and not table.has("eye"):
             raise table.fail('key \'eye\' is missing; in a session of both eyes write eye = "left" or eye = "right".')
-
-    def _completed(self, table: Table, entry: EntryType, on_stage: bool = True) -> EntryType:
-        """Read the keys that photographs and sets share, and finish the table."""
-        times: dict[str, Any] = {
-            key: table.number(key, least=least, most=most)
-            for key, (least, most) in _SHARED_NUMBERS.items()
-            if table.has(key)
-        }
-        if on_stage:
-            orientation = table.whole("orientation", most=LIMITS.index, default=0)
-            eye = table.text("eye", self.eyes[0], self.eyes)
-            stage, place = self._reading(table), table.text("place", "")
-            if stage is None and not place:
-                raise table.fail(
-                    "key 'place' is missing; without a stage each entry names its camera place: entries with the "
-                    "same place were taken without moving the camera."
-                )
-            entry = replace(entry, stage=stage, place=place, orientation=orientation, eye=eye)
-        table.finish()
-        return replace(entry, **times)
+        stage, place = self._reading(table), table.text("place", "")
+        if stage is None and not place:
+            raise table.fail(
+                "key 'place' is missing; without a stage each entry names its camera place: entries with the "
+                "same place were taken without moving the camera."
+            )
+        return {"stage": stage, "place": place, "eye": table.text("eye", self.eyes[0], self.eyes)}
 
     def _reading(self, table: Table) -> FloatArray | None:
         given = [key for key in ("stage", "stage_mm") if table.has(key)]
@@ -219,25 +170,15 @@ class EntryFormat:
         return np.asarray(self.stage.units * (self.turn @ reading))
 
     def written(self, entry: SessionEntry, place: str | None, on_stage: bool = True) -> dict[str, Any]:
-        """Serialise an entry that `photograph` or `code_set` reads back, with `place` if given; `on_stage` as there."""
-        if isinstance(entry, BoardPhotograph):
-            regions = None if entry.regions is None else entry.regions.tolist()
-            keys = stated(photograph=entry.name, target_pose=entry.target_pose, region_px=regions)
-        else:
-            near = entry.folder.is_relative_to(self.folder)
-            keys = {"photographs": str(entry.folder.relative_to(self.folder) if near else entry.folder)}
-        if isinstance(entry, CodeSet):
-            keys |= stated(channel=entry.channel)
+        """Serialise an entry, with `place` if given; `on_stage` for the eyeball camera."""
+        reading, key = None, "stage_mm"
         if entry.stage is not None and self.stage is not None:
+            reading = self.turn.T @ (entry.stage / self.stage.units)
             key = "stage_mm" if _is_plain(self.stage) else "stage"
-            keys[key] = rounded(self.turn.T @ (entry.stage / self.stage.units))
-        return keys | stated(
-            place=place or None,
-            orientation=entry.orientation or None,
-            eye=entry.eye if len(self.eyes) > 1 and on_stage else None,
-            time_s=entry.time_s,
-            temperature_c=entry.temperature_c,
-        )
+        keys = record_keys(replace(entry, stage=reading, place=place or ""), Place(self.folder))
+        if len(self.eyes) == 1 or not on_stage:
+            del keys["eye"]
+        return {key if name == "stage" else name: value for name, value in keys.items()}
 
 
 def stage_lists(session: PhotoSession) -> dict[str, Sequence[SessionEntry]]:

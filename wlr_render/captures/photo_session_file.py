@@ -6,21 +6,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.decoded import DecodeOptions
 from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, pattern_keys
 from wlr_render.captures.photo_session import (
+    CAMERA_POSE,
     CHANNELS,
     CODE_ORDERS,
+    FAR_MM,
+    POSE_SIGMA,
     GivenPose,
     PhotoSession,
     SessionCamera,
     SessionPanel,
 )
 from wlr_render.captures.photo_session_cameras import read_camera, written_camera
-from wlr_render.captures.photo_session_checks import check_count, check_range, check_session
+from wlr_render.captures.photo_session_checks import check_count, check_session
 from wlr_render.captures.photo_session_entries import (
     EntryFormat,
     place_names,
@@ -31,9 +32,10 @@ from wlr_render.captures.photo_session_entries import (
     written_stage,
 )
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.transforms import FRAMES, is_rotation, rigid
+from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels, shown
+from wlr_render.io.records import Place, read_part, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, stated, write_toml
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -44,11 +46,7 @@ VERSION = 1
 EYES = ("left", "right")
 _MM = 1e-3
 
-# Plausible lengths of a bench in millimetres: beyond, the unit is metres or micrometres.
-_EYE_BOX_LEAST_MM = 0.5
-_DEVICE_MM = 1e4
-_CAMERA_PLACE_MM = (0.5, 1000.0)
-_TARGET_PLACE_MM = (0.5, 50000.0)
+_EYE_BOX_LEAST_MM = 0.5  # below, the unit is metres
 
 Value = TypeVar("Value")
 
@@ -88,11 +86,11 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         decoding=DecodeOptions(full_scale=eyeball.format.full_scale, **decoding_keys),
         board=load_board(file.path("board", root)),
         eyeball_camera=eyeball,
-        see_through=tuple(form.through(table) for table in file.tables("see_through", required=False)),
-        display=tuple(form.code_set(table) for table in file.tables("display", required=False)),
-        bare=tuple(form.photograph(table) for table in file.tables("bare", required=False)),
-        beside=tuple(form.beside(table) for table in file.tables("beside", required=False)),
-        tracking=tuple(form.photograph(table, on_stage=False) for table in file.tables("tracking", required=False)),
+        see_through=form.photographs(file, "see_through"),
+        display=form.code_sets(file),
+        bare=form.photographs(file, "bare"),
+        beside=form.photographs(file, "beside"),
+        tracking=form.photographs(file, "tracking"),
         tracking_camera=tracking,
         device_from_tracking=device_from_tracking,
         tracking_sigma=tracking_sigma,
@@ -155,7 +153,7 @@ def _panels(
 
 
 def _panel(table: Table) -> tuple[Panel, dict[str, FloatArray]]:
-    panel = Panel(table.whole("width_px", 1), table.whole("height_px", 1))
+    panel = read_part(Panel, table)
     require_pixels(table.where, (panel.width_px, panel.height_px), "correct 'width_px' and 'height_px'")
     offsets: dict[str, FloatArray] = {}
     if table.has("primary_offsets_px"):
@@ -168,7 +166,7 @@ def _panel(table: Table) -> tuple[Panel, dict[str, FloatArray]]:
 
 
 def _eye_box(table: Table, axes: FloatArray) -> EyeBox:
-    centre = table.vector("centre_mm", 3, least=-_DEVICE_MM, most=_DEVICE_MM)
+    centre = table.vector("centre_mm", 3, least=-FAR_MM, most=FAR_MM)
     size = table.vector("size_mm", 3, least=_EYE_BOX_LEAST_MM)
     table.finish()
     require_eye_box(f"{table.where}: 'size_mm'", size, "mm")
@@ -180,27 +178,11 @@ def _tracking_camera(
 ) -> tuple[SessionCamera | None, FloatArray | None, tuple[float, float] | None]:
     if not file.has("tracking_camera"):
         return None, None, None
-    table = file.table("tracking_camera")
-    camera = read_camera(table, root)
-    sigma = _pose_sigma(table) if table.has("sigma_mm") or table.has("sigma_deg") else None
-    pose = _pose(table, axes, _CAMERA_PLACE_MM)
+    table, place = file.table("tracking_camera"), Place(axes=axes)
+    camera, pose = read_camera(table, root), CAMERA_POSE.read(table, place)
+    sigma = POSE_SIGMA.read(table, place) if any(map(table.has, POSE_SIGMA.names)) else None
     table.finish()
     return camera, pose, sigma
-
-
-def _pose(table: Table, axes: FloatArray, limits_mm: tuple[float, float]) -> FloatArray:
-    rotation, translation = table.vectors("rotation", 3), table.vector("translation_mm", 3)
-    if rotation.shape != (3, 3) or not is_rotation(rotation):
-        raise table.fail("'rotation' must be a rotation matrix (orthogonal to 1e-6, determinant +1).")
-    if np.any(translation):
-        check_range(table, "translation_mm", float(np.linalg.norm(translation)), limits_mm)
-    return rigid(axes @ rotation, _MM * axes @ translation)
-
-
-def _pose_sigma(table: Table) -> tuple[float, float]:
-    """Return the standard deviations of rotation and translation, radians and metres."""
-    turn, shift = table.number("sigma_deg", above=0, most=180), table.number("sigma_mm", above=0, most=_DEVICE_MM)
-    return float(np.radians(turn)), _MM * shift
 
 
 def _targets(file: Table, root: Path, axes: FloatArray) -> dict[int, GivenPose]:
@@ -209,10 +191,8 @@ def _targets(file: Table, root: Path, axes: FloatArray) -> dict[int, GivenPose]:
         pose = table.whole("pose", most=LIMITS.index)
         if pose in targets:
             raise table.fail(f"target pose {pose} is given twice; remove one.")
-        file_name = table.text("board") if table.has("board") else None
-        board = None if file_name is None else load_board(table.path("board", root))
-        targets[pose] = GivenPose(_pose(table, axes, _TARGET_PLACE_MM), _pose_sigma(table), board, file_name)
-        table.finish()
+        board = load_board(table.path("board", root)) if table.has("board") else None
+        targets[pose] = read_record(GivenPose, table, Place(axes=axes), board=board)
     return targets
 
 
@@ -236,6 +216,7 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
         board: name of the board's file in the folder.
     """
     axes, is_one_eye = FRAMES["opencv"], len(session.eyes) == 1
+    place = Place(axes=axes)
     boxes = {
         eye: {"centre_mm": rounded(axes.T @ box.centre / _MM), "size_mm": rounded(box.size / _MM)}
         for eye, box in session.eye_boxes.items()
@@ -246,12 +227,10 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
     manifest = None if session.code_manifest is None else session.name_of(session.code_manifest)
     tracking = None
     if session.tracking_camera is not None and session.device_from_tracking is not None:
-        pose = _written_pose(session.device_from_tracking, session.tracking_sigma, axes)
-        tracking = written_camera(session.tracking_camera, session.folder) | pose
-    targets = [
-        {"pose": pose} | _written_pose(each.device_from, each.sigma, axes) | stated(board=each.board_file)
-        for pose, each in session.targets.items()
-    ]
+        tracking = written_camera(session.tracking_camera, session.folder)
+        tracking |= CAMERA_POSE.keys(session.device_from_tracking, place)
+        tracking |= POSE_SIGMA.keys(session.tracking_sigma, place) if session.tracking_sigma else {}
+    targets = [{"pose": pose} | record_keys(each, place) for pose, each in session.targets.items()]
     content = stated(
         format=FORMAT,
         version=VERSION,
@@ -287,15 +266,5 @@ def _written_entries(session: PhotoSession, form: EntryFormat) -> dict[str, Any]
 
 
 def _written_panel(panel: SessionPanel) -> dict[str, Any]:
-    size = panel.pattern.panel
     offsets = {channel: offset.tolist() for channel, offset in panel.primary_offsets.items()}
-    return stated(width_px=size.width_px, height_px=size.height_px, primary_offsets_px=offsets or None)
-
-
-def _written_pose(pose: FloatArray, sigma: tuple[float, float] | None, axes: FloatArray) -> dict[str, Any]:
-    return stated(
-        rotation=(axes.T @ pose[:3, :3]).tolist(),
-        translation_mm=rounded(axes.T @ pose[:3, 3] / _MM),
-        sigma_deg=None if sigma is None else rounded(np.degrees(sigma[0])),
-        sigma_mm=None if sigma is None else rounded(sigma[1] / _MM),
-    )
+    return record_keys(panel.pattern.panel) | stated(primary_offsets_px=offsets or None)

@@ -1,9 +1,9 @@
 """Format of a camera's files: conversion of stored values to linear grey values, and saturation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from wlr_render.errors import BadInputError
 from wlr_render.io.delimited_text import with_commas
 from wlr_render.io.input_files import as_bad_input, read_text
-from wlr_render.io.toml_files import Table, stated
+from wlr_render.io.records import ELSEWHERE, Key, read_part, record_keys
+from wlr_render.io.toml_files import Table
 
 StoredValues = NDArray[np.unsignedinteger[Any]]
 
@@ -41,26 +42,39 @@ class PhotographFormat:
             of a picture are zero.
         black_level: stored value without light, which affects only `gamma` and brackets, since all else is differences.
         gamma: the stored value is proportional to light ** (1 / gamma).
-        linearisation: pairs (stored value, light), in increasing order; instead of `gamma`.
-        linearisation_file: path of that table as session.toml names it.
         channel: channel of coloured files and mosaics: "grey", "red", "green" or "blue".
         mosaic: colours of the top-left 2 x 2 pixels of raw files, e.g. "rggb"; empty without a mosaic.
         interpolate: True to interpolate the channel of a mosaic at all pixels. Otherwise the picture has half the width
             and height: red and blue are one pixel of each 2 x 2, green is the mean of two.
+        linearisation: pairs (stored value, light), in increasing order; instead of `gamma`.
+        linearisation_file: path of that table as session.toml names it.
         synthetic: True for pictures that no camera took, without saturation.
     """
 
-    bits: int = 8
+    bits: Annotated[int, Key(least=8, most=16)]
     saturation: float | None = None
     left_justified: bool | None = None
     black_level: float = 0.0
-    gamma: float = 1.0
-    linearisation: tuple[tuple[float, float], ...] = ()
-    linearisation_file: str = ""
-    channel: str = "grey"
-    mosaic: str = ""
+    gamma: Annotated[float, Key(least=0.2, most=5)] = 1.0
+    channel: Annotated[str, Key(choices=CHANNELS)] = "grey"
+    mosaic: Annotated[str, Key(choices=("", *MOSAICS))] = ""
     interpolate: bool = True
+    linearisation: Annotated[tuple[tuple[float, float], ...], ELSEWHERE] = ()
+    linearisation_file: Annotated[str, Key("linearisation")] = ""
     synthetic: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.black_level < self._largest:
+            raise BadInputError(f"'black_level' is {self.black_level:g}; it must be 0 to {self._largest - 1}.")
+        if self.saturation is not None and not self.black_level < self.saturation <= self._largest:
+            raise BadInputError(
+                f"'saturation' is {self.saturation:g}; it must be above the black level, {self.black_level:g}, and at "
+                f"most {self._largest}."
+            )
+        if self.linearisation_file and self.gamma != 1.0:
+            raise BadInputError("give either 'gamma' or 'linearisation'.")
+        if not self.interpolate and not self.mosaic:
+            raise BadInputError("'interpolate' is for raw files with a 'mosaic'; remove it, or state the mosaic.")
 
     @property
     def full_scale(self) -> int:
@@ -93,40 +107,14 @@ class PhotographFormat:
         Raises:
             BadInputError: a value is out of range, keys exclude each other, or the linearisation cannot be read.
         """
-        bits = table.whole("bits", 8, 16)
-        largest = 2**bits - 1
-        black = table.number("black_level", 0.0, 0, largest - 1)
-        saturation = table.number("saturation", above=black, most=largest) if table.has("saturation") else None
-        gamma = table.number("gamma", 1.0, 0.2, 5)  # the stored value is light ** (1 / gamma)
-        name = table.text("linearisation", "")
-        if name and gamma != 1.0:
-            raise table.fail("give either 'gamma' or 'linearisation'.")
-        mosaic = table.text("mosaic", "", choices=["", *MOSAICS])
-        if table.has("interpolate") and not mosaic:
-            raise table.fail("'interpolate' is for raw files with a 'mosaic'; remove it, or state the mosaic.")
-        return cls(
-            bits=bits,
-            saturation=saturation,
-            left_justified=table.flag("left_justified", False) if table.has("left_justified") else None,
-            black_level=black,
-            gamma=gamma,
-            linearisation=_read_linearisation(table.path("linearisation", root)) if name else (),
-            linearisation_file=name,
-            channel=table.text("channel", "grey", choices=CHANNELS),
-            mosaic=mosaic,
-            interpolate=table.flag("interpolate", True),
-            synthetic=table.flag("synthetic", False),
-        )
+        form = read_part(cls, table)
+        if not form.linearisation_file:
+            return form
+        return replace(form, linearisation=_read_linearisation(table.path("linearisation", root)))
 
     def keys(self) -> dict[str, Any]:
         """Return the keys from which `from_table` reads the same format; defaults are left out."""
-        names = ("saturation", "left_justified", "black_level", "gamma", "channel", "mosaic", "interpolate")
-        changed = {name: value for name in names if (value := getattr(self, name)) != getattr(PhotographFormat, name)}
-        return (
-            {"bits": self.bits}
-            | changed
-            | stated(linearisation=self.linearisation_file or None, synthetic=self.synthetic or None)
-        )
+        return record_keys(self)
 
     def convert(self, stored: StoredValues, name: str) -> StoredValues:
         """Convert stored values to linear values of one channel.

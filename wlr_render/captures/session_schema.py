@@ -9,7 +9,6 @@ and half a pixel further here; panel pixels are the same in both.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -20,30 +19,11 @@ from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
 from wlr_render.io.input_files import LIMITS
+from wlr_render.io.records import CAMERA_PIXEL, MM, Quantity
 from wlr_render.numerics.arrays import FloatArray
 
 Columns = dict[str, FloatArray]
 """Columns (n,) by their names, in the units and the frame of the file."""
-
-Conversion = Callable[[Any, FloatArray], Any]
-
-MM = 1e-3
-"""One millimetre in metres."""
-HALF_PIXEL = 0.5
-"""Offset from a pixel's integer centre in a file to pixels that count from the image's outer corner."""
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A kind of quantity, defined by its conversion between a session's files and this library.
-
-    Attributes:
-        of_file: (columns (n, k) or a key of the file, device_from_file) -> value in a plan or a bench.
-        to_file: the inverse conversion.
-    """
-
-    of_file: Conversion = lambda value, _: value
-    to_file: Conversion = lambda value, _: value
 
 
 def _rotation_of_file(xyzw: FloatArray, device_from_file: FloatArray) -> FloatArray:
@@ -68,7 +48,6 @@ def _pose_to_file(pose: FloatArray, device_from_file: FloatArray) -> FloatArray:
 
 _NUMBER = Quantity(lambda value, _: value[:, 0], lambda value, _: value[:, None])
 _WHOLE = Quantity(lambda value, _: value[:, 0].astype(np.int64), lambda value, _: value[:, None])
-CAMERA_PIXEL = Quantity(lambda value, _: value + HALF_PIXEL, lambda value, _: value - HALF_PIXEL)
 _POINT = Quantity(lambda value, axes: MM * value @ axes.T, lambda value, axes: value @ axes / MM)
 _FLAT_POINT = Quantity(lambda value, axes: MM * value @ axes[:2, :2].T, lambda value, axes: value @ axes[:2, :2] / MM)
 _HEIGHT = Quantity(

@@ -1,10 +1,14 @@
 """The base plane P of planar viewpoint sampling: a plane in the device frame, upright or tilted."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from wlr_render.io.records import Key
 from wlr_render.numerics.arrays import FloatArray
+
+_FAR_M, _STEEPEST = 1.0, 100.0  # largest distance from the headset's origin, and largest slope, in a file
 
 
 @dataclass(frozen=True)
@@ -18,8 +22,8 @@ class BasePlane:
         slope: rise of z per metre of x and of y. Without slope the projection along a ray is linear in its tangents.
     """
 
-    z: float
-    slope: tuple[float, float] = (0.0, 0.0)
+    z: Annotated[float, Key("z_m", most=_FAR_M)]
+    slope: Annotated[tuple[float, float], Key(most=_STEEPEST, always=True)] = (0.0, 0.0)
 
     def depth_along(self, point: FloatArray, tangents: FloatArray) -> FloatArray:
         """Return the depth s (...), metres along -z, at which rays from `point` (..., 3) meet the plane.

@@ -133,17 +133,11 @@ class Table:
         return float(value)
 
     def vector(
-        self,
-        key: str,
-        size: int,
-        default: Sequence[float] | None = None,
-        least: float = -_LARGEST,
-        most: float = _LARGEST,
-        above: float = -_LARGEST,
+        self, key: str, size: int, default: Sequence[float] | None = None, **bounds: float
     ) -> NDArray[np.float64]:
         """Return a list of `size` finite numbers, shape (size,); each in the range of `number`."""
         value = self._list(key, size) if default is None or self.has(key) else list(default)
-        return np.array([self._number(item, key, least, most, above) for item in value])
+        return np.array([self._number(item, key, **bounds) for item in value])
 
     def row(self, key: str, size: int) -> list[float]:
         """Return `size` finite numbers like `vector`, but faster and as a list; a model file has a thousand of them."""
@@ -159,20 +153,22 @@ class Table:
             raise self.fail(f"'{key}' must be a list of {size} numbers, not {shown(value)}.")
         return value
 
-    def numbers(self, key: str) -> NDArray[np.float64]:
-        """Return a list of any number of finite numbers, shape (n,)."""
+    def numbers(self, key: str, **bounds: float) -> NDArray[np.float64]:
+        """Return a list of any number of finite numbers, shape (n,); each in the range of `number`."""
         value = self._get(key)
         if not isinstance(value, list):
             raise self.fail(f"'{key}' must be a list of numbers, not {shown(value)}.")
-        return np.array([self._number(item, key) for item in value])
+        return np.array([self._number(item, key, **bounds) for item in value])
 
-    def vectors(self, key: str, size: int) -> NDArray[np.float64]:
-        """Return a list of lists of `size` finite numbers each, shape (n, size) with n >= 1."""
+    def vectors(self, key: str, size: int, rows: int | None = None, **bounds: float) -> NDArray[np.float64]:
+        """Return `rows` lists, by default any number, of `size` finite numbers each, shape (n, size) with n >= 1."""
         value = self._get(key)
         whole = isinstance(value, list) and value and all(isinstance(row, list) and len(row) == size for row in value)
         if not whole:
             raise self.fail(f"'{key}' must be a list of lists of {size} numbers each, not {shown(value)}.")
-        return np.array([[self._number(item, key) for item in row] for row in value])
+        if rows is not None and len(value) != rows:
+            raise self.fail(f"'{key}' must be {rows} lists of {size} numbers, not {len(value)}.")
+        return np.array([[self._number(item, key, **bounds) for item in row] for row in value])
 
     def whole_numbers(self, key: str, shape: tuple[int, int]) -> NDArray[np.int64]:
         """Return a list of lists of whole numbers."""

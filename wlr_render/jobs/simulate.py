@@ -186,12 +186,12 @@ class SimulateOptions(SpreadOptions):
         )
         return SimulationRecipe(self.device, self.eye, len(places) or self.viewpoints, self.pattern, bench)
 
-    def _read_places(self) -> tuple[tuple[float, ...], ...]:
+    def _read_places(self) -> tuple[tuple[float, float, float], ...]:
         if self.places is None:
             return ()
         reach = half_travel(traced_eye(load_device(self.device), self.eye))
         most = min(int(limits.PLACES.at_most), LIMITS.photographs // len(self.depths_m))
-        return tuple(map(tuple, read_places(self.places, reach, self.stage, most).tolist()))
+        return tuple((x, y, z) for x, y, z in read_places(self.places, reach, self.stage, most).tolist())
 
     @property
     def _imperfections(self) -> BenchImperfections:

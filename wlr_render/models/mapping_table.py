@@ -41,11 +41,12 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.io.input_files import require_pixels
+from wlr_render.io.records import read_record, record_keys
 from wlr_render.io.toml_files import Table
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough
 from wlr_render.models.fitted_model import Forms
-from wlr_render.models.plausible import require_plausible_plane, require_plausible_values
+from wlr_render.models.plausible import require_plausible_values
 from wlr_render.models.point_per_pixel import PointPerPixelDisplay
 from wlr_render.models.spread import PRESCRIPTION, Covariance
 from wlr_render.models.static import StaticDisplay, StaticSeeThrough
@@ -119,10 +120,8 @@ def _factors_record(factors: Polynomial, polynomial: Polynomial) -> dict[str, An
 
 
 def _record(part: Panel | BasePlane | Polynomial) -> dict[str, Any]:
-    if isinstance(part, Panel):
-        return {"width_px": part.width_px, "height_px": part.height_px}
-    if isinstance(part, BasePlane):
-        return {"z_m": part.z, "slope": list(part.slope)}
+    if isinstance(part, Panel | BasePlane):
+        return record_keys(part)
     if not isinstance(part, Polynomial):
         raise BadInputError("only models made of polynomials can be written to a model file; this one is not.")
     orders, values = part.orders.tolist(), part.coefficients.tolist()
@@ -186,18 +185,15 @@ def _factors(parent: Table, name: str, polynomial: Polynomial, outputs: int) -> 
 
 
 def _part(table: Table, name: str, forms: Forms) -> Panel | BasePlane | Polynomial:
-    part: Panel | BasePlane | Polynomial
+    if name == "base_plane":
+        return read_record(BasePlane, table)
     if name == "panel":
-        part = Panel(table.whole("width_px", 1), table.whole("height_px", 1))
-        require_pixels(table.where, part.size_px, "calibrate again")
-    elif name == "base_plane":
-        slope_x, slope_y = table.vector("slope", 2, default=(0.0, 0.0))
-        part = BasePlane(table.number("z_m"), (float(slope_x), float(slope_y)))
-        require_plausible_plane(table, part)
-    else:
-        part = _polynomial(table, *forms[name])
+        panel = read_record(Panel, table)
+        require_pixels(table.where, panel.size_px, "calibrate again")
+        return panel
+    polynomial = _polynomial(table, *forms[name])
     table.finish()
-    return part
+    return polynomial
 
 
 def _polynomial(table: Table, variables: int, outputs: int) -> Polynomial:

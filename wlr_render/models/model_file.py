@@ -31,6 +31,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.io.atomic_files import write_text
 from wlr_render.io.input_files import as_bad_input
+from wlr_render.io.records import record_keys
 from wlr_render.io.toml_files import Table, read_json
 from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough
@@ -170,7 +171,7 @@ def _eye_record(model: EyeModel) -> dict[str, Any]:
     record: dict[str, Any] = {
         "eye": eye.eye,
         "name": eye.name,
-        "eye_box": {"centre_m": eye.eye_box.centre.tolist(), "size_m": eye.eye_box.size.tolist()},
+        "eye_box": record_keys(eye.eye_box),
     }
     if not isinstance(eye.display, AbsentDisplay):
         record["display"] = mapping_record(eye.display, DISPLAYS)

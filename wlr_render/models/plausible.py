@@ -4,14 +4,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from wlr_render.geometry.planes import BasePlane
 from wlr_render.io.input_files import require_eye_box, require_length
+from wlr_render.io.records import read_record
 from wlr_render.io.toml_files import Table
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import Box, Polynomial, basis
 
-_FAR_M = 1.0  # largest distance of an eye box or base plane from the headset's origin
-_STEEPEST = 100.0  # slope of a base plane, tangent or deviation: 89.4 degrees
+_FAR_M = 1.0  # largest distance of an eye box from the headset's origin
+_STEEPEST = 100.0  # tangent or deviation: 89.4 degrees
 _FARTHEST_PX = 1e6  # largest coordinate of a start pixel
 _BESIDE = 0.5  # largest distance of pixels outside the panel, in panel sizes
 _LEAST_SHARE = 0.1  # least share of a panel on each axis
@@ -22,18 +22,10 @@ _INSIDE = 0.1 + 0.8 * np.mod(0.5 + np.arange(32)[:, None] * 1.1347241384015194 *
 
 def plausible_eye_box(table: Table) -> EyeBox:
     """Read an eye box; refuse a negative or large one, or one that is far away."""
-    eye_box = EyeBox(table.vector("centre_m", 3), table.vector("size_m", 3))
-    table.finish()
+    eye_box = read_record(EyeBox, table)
     require_length(f"{table.where}: 'centre_m'", eye_box.centre, _FAR_M)
     require_eye_box(f"{table.where}: 'size_m'", eye_box.size)
     return eye_box
-
-
-def require_plausible_plane(table: Table, plane: BasePlane) -> None:
-    """Refuse a base plane that is far away or too steep."""
-    require_length(f"{table.where}: 'z_m'", plane.z, _FAR_M)
-    if np.abs(plane.slope).max() > _STEEPEST:
-        raise table.fail(f"'slope' must lie between -{_STEEPEST:g} and {_STEEPEST:g}.")
 
 
 def require_plausible_values(table: Table, parts: Mapping[str, object], display: str) -> None:

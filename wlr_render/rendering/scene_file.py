@@ -194,7 +194,7 @@ def _placement(table: Table) -> NDArray[np.float64]:
         rotation = turn(*np.deg2rad(degrees))
     least, most = _SCALES
     uniform = table.number("scale", 1.0, least, most)
-    scale = table.vector("scale_xyz", 3, (uniform, uniform, uniform), least, most)
+    scale = table.vector("scale_xyz", 3, (uniform, uniform, uniform), least=least, most=most)
     return transforms.rigid(rotation * scale, _position(table, default=(0.0, 0.0, 0.0)))
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -16,11 +17,13 @@ from wlr_render.captures.boards.board import (
     BoardTolerances,
     flat_points,
 )
+from wlr_render.captures.boards.board_keys import MARGIN, BoardLength
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.io.records import ELSEWHERE, Key, Quantity, Rule
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 DICTIONARY = "DICT_APRILTAG_36h11"
@@ -43,6 +46,11 @@ _SPACING_ERROR = 0.01  # error of the spacing measured through a lens of 90 degr
 _MOST_PRINT_ERRORS = 10.0  # standard deviations
 
 
+_FIRST_TAGS = ("top-left", "bottom-left")
+_AT_BOTTOM = Quantity(lambda text, _: text == _FIRST_TAGS[1], lambda is_bottom, _: _FIRST_TAGS[is_bottom])
+_SPACING = Rule("the gap between tags over their side, between 0 and 1", lambda value: 0 < value < 1)
+
+
 @dataclass(frozen=True, eq=False)
 class AprilGrid(CellBoard):
     """A grid of AprilTags 36h11; its features are the tags' corners, so that columns and rows come in pairs.
@@ -59,15 +67,15 @@ class AprilGrid(CellBoard):
         tolerances: tolerances of the print.
     """
 
-    tag_columns: int
-    tag_rows: int
-    tag_m: float
-    spacing: float = 0.3
-    border_bits: int = 2
+    tag_columns: Annotated[int, Key(least=1)]
+    tag_rows: Annotated[int, Key(least=1)]
+    tag_m: Annotated[float, BoardLength("tag")]
+    spacing: Annotated[float, Key(rule=_SPACING)] = 0.3
+    border_bits: Annotated[int, Key(least=1, most=10)] = 2
     first_id: int = 0
-    first_at_bottom: bool = True
-    margin_m: float = 0.0
-    tolerances: BoardTolerances = USUAL_TOLERANCES
+    first_at_bottom: Annotated[bool, Key("first_tag", _AT_BOTTOM, type=str, choices=_FIRST_TAGS)] = True
+    margin_m: Annotated[float, MARGIN] = 0.0
+    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
 
     @property
     def gap_m(self) -> float:

@@ -7,7 +7,7 @@ grid (OpenCV's axes, as a camera sees a board that hangs upright before it). Met
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
+from wlr_render.io.records import LENGTH, Key, scaled
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.usual import BOARD_DOT_M, BOARD_FLATNESS_M, BOARD_SCALE
 
@@ -39,9 +40,11 @@ class BoardTolerances:
         print_error_m: standard deviation of the positions of single features, per axis.
     """
 
-    scale_sigma: float = BOARD_SCALE.value
-    flatness_m: float = BOARD_FLATNESS_M.value
-    print_error_m: float = BOARD_DOT_M.value
+    scale_sigma: Annotated[float, Key(least=0, most=0.5)] = BOARD_SCALE.value
+    flatness_m: Annotated[float, Key("flatness_mm", LENGTH, least=0, most=100, digits=9)] = BOARD_FLATNESS_M.value
+    print_error_m: Annotated[float, Key("print_error_um", scaled(1e-6), least=0, most=10_000, digits=6)] = (
+        BOARD_DOT_M.value
+    )
 
 
 USUAL_TOLERANCES = BoardTolerances()

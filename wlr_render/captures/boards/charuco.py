@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -16,11 +17,13 @@ from wlr_render.captures.boards.board import (
     BoardTolerances,
     grid_indices,
 )
+from wlr_render.captures.boards.board_keys import MARGIN, BoardLength
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
-from wlr_render.captures.boards.markers import LARGEST_DICTIONARIES, dictionary_of, marker_cells
+from wlr_render.captures.boards.markers import DICTIONARIES, LARGEST_DICTIONARIES, dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.io.records import ELSEWHERE, Key
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _LEAST_MARKERS = 4  # fewest markers; fewer may be chance, or fit any homography
@@ -44,14 +47,14 @@ class CharucoBoard(CellBoard):
         tolerances: tolerances of the print.
     """
 
-    square_columns: int
-    square_rows: int
-    square_m: float
-    marker_m: float
-    dictionary: str
+    square_columns: Annotated[int, Key(least=2)]
+    square_rows: Annotated[int, Key(least=2)]
+    square_m: Annotated[float, BoardLength("square")]
+    marker_m: Annotated[float, BoardLength("marker")]
+    dictionary: Annotated[str, Key(choices=DICTIONARIES)]
     legacy: bool = False
-    margin_m: float = 0.0
-    tolerances: BoardTolerances = USUAL_TOLERANCES
+    margin_m: Annotated[float, MARGIN] = 0.0
+    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
 
     @property
     def _layout(self) -> BoardLayout:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -17,10 +18,12 @@ from wlr_render.captures.boards.board import (
     BoardTolerances,
     grid_indices,
 )
+from wlr_render.captures.boards.board_keys import MARGIN, MOST_FEATURES, BoardLength
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.io.records import ELSEWHERE, Key
 from wlr_render.numerics.arrays import FloatArray
 
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -43,11 +46,11 @@ class Chessboard(CellBoard):
         tolerances: tolerances of the print.
     """
 
-    columns: int
-    rows: int
-    square_m: float
-    margin_m: float
-    tolerances: BoardTolerances = USUAL_TOLERANCES
+    columns: Annotated[int, Key("corner_columns", least=3, most=MOST_FEATURES)]
+    rows: Annotated[int, Key("corner_rows", least=3, most=MOST_FEATURES)]
+    square_m: Annotated[float, BoardLength("square")]
+    margin_m: Annotated[float, MARGIN]
+    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
 
     @property
     def _layout(self) -> BoardLayout:

@@ -1,6 +1,7 @@
 """Grids of equal dark circles, in rows or staggered: detected as a whole."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,14 @@ from wlr_render.captures.boards.board import (
     RealArray,
     flat_points,
 )
+from wlr_render.captures.boards.board_keys import MARGIN, MOST_FEATURES, BoardLength
 from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import measure_dots
 from wlr_render.captures.boards.dot_detection import find_dots
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, link_lattices
 from wlr_render.captures.boards.lattice_shape import smooth_rows
 from wlr_render.captures.photographs import Photograph
+from wlr_render.io.records import ELSEWHERE, Key
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _TRIES = 3  # number of lattices, the largest first, that are compared with the grid
@@ -45,13 +48,13 @@ class CircleGrid(Board):
         tolerances: tolerances of the print.
     """
 
-    columns: int
-    rows: int
-    pitch_m: float
-    diameter_m: float
-    margin_m: float
-    staggered: bool = False
-    tolerances: BoardTolerances = USUAL_TOLERANCES
+    columns: Annotated[int, Key(least=2, most=MOST_FEATURES)]
+    rows: Annotated[int, Key(least=3, most=MOST_FEATURES)]
+    pitch_m: Annotated[float, BoardLength("pitch")]
+    diameter_m: Annotated[float, BoardLength("diameter")]
+    margin_m: Annotated[float, MARGIN]
+    staggered: Annotated[bool, ELSEWHERE] = False
+    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
 
     @property
     def _extent(self) -> IntArray:

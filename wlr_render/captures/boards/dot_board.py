@@ -5,6 +5,7 @@ the offset between the centre of a disc's image and the image of the disc's cent
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from wlr_render.captures.boards.board import (
     BoardTolerances,
     RealArray,
 )
+from wlr_render.captures.boards.board_keys import BoardLength
 from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.boards.dot_centres import MeasuredDots, measure_dots
 from wlr_render.captures.boards.dot_detection import find_dots
@@ -25,10 +27,21 @@ from wlr_render.captures.boards.dot_identity import identify
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, link_lattices
 from wlr_render.captures.boards.lattice_shape import LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
+from wlr_render.io.records import ELSEWHERE, Key, Quantity, Rule
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _TRIES = 3  # number of lattices, the largest first, that are compared with the board
 _LARGE_ARE_DARKEST = 75  # percentile of nearby contrasts: about the median of the large dots, which are blurred least
+
+
+_SIZES = Quantity(
+    lambda rows, _: np.array([[digit == "1" for digit in row] for row in rows]),
+    lambda large, _: ["".join("1" if each else "0" for each in row) for row in large],
+)
+_ROWS = Rule(
+    "texts of equal length, one per row of dots, of 1 for large and 0 for small, both of which occur",
+    lambda rows: len({len(row) for row in rows}) == 1 and set("".join(rows)) == {"0", "1"},
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +57,12 @@ class DotBoard(Board):
         tolerances: tolerances of the print.
     """
 
-    pitch_m: float
-    large_m: float
-    small_m: float
-    margin_m: float
-    large: BoolArray
-    tolerances: BoardTolerances = USUAL_TOLERANCES
+    pitch_m: Annotated[float, BoardLength("pitch")]
+    large_m: Annotated[float, BoardLength("large")]
+    small_m: Annotated[float, BoardLength("small")]
+    margin_m: Annotated[float, BoardLength("margin")]
+    large: Annotated[BoolArray, Key("sizes", _SIZES, type=list, rule=_ROWS)]
+    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
 
     @property
     def rows(self) -> int:

@@ -1,7 +1,7 @@
 """A simulated photographic bench with known true values, and the photographs of a session on it."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.io.records import ELSEWHERE, Key
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import Device, EyeOptics
@@ -74,13 +75,13 @@ class PhotoBenchOptions:
     focus_m: float = 1.0
     snr: float = 50.0
     target_depths_m: tuple[float, ...] = (0.4, 1.0)
-    seed: int = 1
-    imperfections: BenchImperfections = field(default_factory=BenchImperfections)
+    seed: Annotated[int, Key(most=2**32 - 1)] = 1
+    imperfections: Annotated[BenchImperfections, ELSEWHERE] = field(default_factory=BenchImperfections)
     stage: StageKind = "xyz"
     sampling: Sampling = "planar"
     stated_axes_deg: float = 0.0
     tracking_px: tuple[int, int] = (1600, 1200)
-    places_mm: tuple[tuple[float, ...], ...] = ()
+    places_mm: tuple[tuple[float, float, float], ...] = ()
     family: Family = "polynomial"
 
     def __post_init__(self) -> None:

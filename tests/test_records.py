@@ -1,0 +1,101 @@
+"""Records: what is written is read back, and each key beyond its bounds is refused with the file and the key."""
+
+from dataclasses import fields, replace
+from typing import Literal, get_origin
+
+import numpy as np
+import pytest
+
+from wlr_render.bench.bench_file import SECTIONS, TargetPose
+from wlr_render.captures.boards.april_grid import AprilGrid
+from wlr_render.captures.boards.board import BoardTolerances
+from wlr_render.captures.boards.board_keys import BoardPlace
+from wlr_render.captures.boards.charuco import CharucoBoard
+from wlr_render.captures.boards.chessboard import Chessboard
+from wlr_render.captures.boards.circle_grid import CircleGrid
+from wlr_render.captures.boards.dot_board import DotBoard
+from wlr_render.captures.photo_session import BoardPhotograph, GivenPose, StageAxis
+from wlr_render.captures.photograph_format import PhotographFormat
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.transforms import FRAMES, rigid
+from wlr_render.io.records import Keys, attributes, read_record, record_keys
+from wlr_render.io.toml_files import Table, read_toml, write_toml
+from wlr_render.simulation.photographs.imperfections import BenchImperfections
+from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+
+WHERE = "file.toml [table]"
+PLACE = BoardPlace(axes=FRAMES["opencv"])
+POSE = rigid(np.eye(3), np.array([0.01, 0.02, 0.6]))
+PARTS = {kind: kind() for name, kind in SECTIONS.items() if name not in ("camera", "stage", "target")}
+RECORDS = [
+    SECTIONS["camera"](np.array([640.0, 480.0]), np.array([700.0, 710.0]), np.array([320.5, 240.0]), 0.1),
+    replace(SECTIONS["stage"](np.ones(3)), backlash=np.array([1e-6, -1e-6])),
+    SECTIONS["target"](POSE[None], np.ones(1)),
+    *(replace(part, slip_time_s=9.0) if hasattr(part, "slip_time_s") else part for part in PARTS.values()),
+    TargetPose(POSE, 0.02),
+    StageAxis("rotary", np.array([0.0, 0.6, -0.8]), 0.01, np.array([0.0, 0.001, 0.002])),
+    BoardPhotograph(
+        PLACE.folder, "a.png", 3, stage=np.zeros(3), time_s=5.0, temperature_c=20.0, regions=np.arange(4.0)[None]
+    ),
+    GivenPose(POSE, (0.01, 0.001), board_file="b.toml"),
+    PhotographFormat(12, saturation=4000.0, mosaic="rggb", interpolate=False),
+    BoardTolerances(),
+    CharucoBoard(8, 6, 0.0254, 0.01905, "DICT_4X4_1000", legacy=True, margin_m=0.01),
+    AprilGrid(6, 5, 0.04, 0.25, border_bits=1, first_id=4, first_at_bottom=False),
+    Chessboard(9, 6, 0.02423, 0.02),
+    CircleGrid(9, 7, 0.02, 0.012, 0.02),
+    DotBoard(0.02, 0.01, 0.005, 0.02, np.eye(3, dtype=bool)),
+    BenchImperfections(),
+    PhotoBenchOptions(places_mm=((0.0, 1.0, 2.0),)),
+]
+
+
+def given(record):
+    """The attributes that the record's table does not state."""
+    stated = {each.name for each in attributes(type(record))}
+    return {each.name: getattr(record, each.name) for each in fields(record) if each.name not in stated}
+
+
+def keys_of(kind):
+    """The single keys of a record's forms."""
+    forms = [each.form for each in attributes(kind)]
+    return [key for form in forms for key in (form.parts if isinstance(form, Keys) else [form])]
+
+
+@pytest.mark.parametrize("record", RECORDS, ids=lambda record: type(record).__name__)
+def test_what_is_written_is_read_back(record, tmp_path):
+    path = write_toml(tmp_path / "a.toml", record_keys(record, PLACE, defaults=True))
+    again = read_record(type(record), read_toml(path), PLACE, **given(record))
+    for each in attributes(type(record)):
+        ours, theirs = getattr(record, each.name), getattr(again, each.name)
+        assert type(ours) is type(theirs)
+        assert np.array_equal(ours, theirs) or np.allclose(ours, theirs, rtol=0, atol=1e-9)
+
+
+def beyond(key, stated):
+    """Values that a key refuses, in the shape of a value that it accepts."""
+    bounds = (key.least, -1), (key.above, 0), (key.most, 1)
+    for bound, side in [] if key.type in (bool, str, list) or get_origin(key.type) is Literal else bounds:
+        if bound is not None:
+            yield (np.zeros(np.shape(stated)) + bound + side * max(1.0, abs(bound))).tolist()
+    yield {"a": 1}
+    if key.choices or get_origin(key.type) is Literal:
+        yield "none of these"
+
+
+@pytest.mark.parametrize("record", RECORDS, ids=lambda record: type(record).__name__)
+def test_a_value_beyond_its_bounds_is_refused_with_file_and_key(record):
+    written = record_keys(record, PLACE, defaults=True)
+    for key in keys_of(type(record)):
+        name = next((name for name in key.names if name in written), "")
+        for value in beyond(key._key(PLACE) if hasattr(key, "_key") else key, written[name]) if name else ():
+            with pytest.raises(BadInputError) as caught:
+                read_record(type(record), Table(written | {name: value}, WHERE), PLACE, **given(record))
+            assert str(caught.value).startswith(f"{WHERE}: '{name}' ")
+            assert "\n" not in str(caught.value)
+
+
+def test_one_of_several_keys_alone_is_refused():
+    keys = record_keys(RECORDS[0], PLACE)
+    with pytest.raises(BadInputError, match="key 'height' is missing"):
+        read_record(type(RECORDS[0]), Table({k: v for k, v in keys.items() if k != "height"}, WHERE), PLACE)
