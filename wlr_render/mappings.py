@@ -18,7 +18,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.html_summary import SummaryTable, html_summary
-from wlr_render.io.records import Key
+from wlr_render.io.file_records import Key
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Polynomial
 

@@ -12,7 +12,7 @@ from wlr_render.bench.bench_effects import KINDS
 from wlr_render.bench.bench_file import SECTIONS, load_bench, save_bench
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid
-from wlr_render.io.records import attributes
+from wlr_render.io.file_records import attributes
 from wlr_render.io.toml_files import read_toml
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.device_writer import device_content

@@ -183,7 +183,7 @@ def test_readings_that_the_bench_cannot_have_taken_are_refused(tmp_path, bench, 
         ("camera", {"focal_px": np.array([1350.0, 135.0])}, r"focal length \(fx, fy\) is .* no camera's two differ"),
         ("camera", {"focal_px": np.array([8.0, 8.0])}, "not in millimetres"),
         ("camera", {"centre_px": np.array([64050.0, 512.0])}, r"principal point \(cx, cy\) .* far outside"),
-        ("camera", {"point_sigma_px": 1e-12}, "'point_sigma_px' is 1e-12; 1e-06 is the least"),
+        ("camera", {"point_sigma_px": 1e-12}, "'point_sigma_px' has the value 1e-12; it must be 1e-06 or more"),
         (
             "target",
             {"pitch": np.array([2e-5, 2e-5])},

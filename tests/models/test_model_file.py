@@ -109,7 +109,10 @@ def forward(record):
         (lambda r: forward(r).update(low=[0] * 4, high=[1, 1, 1, 0]), "'low' must be less than 'high'"),
         (lambda r: first(r)["display"]["panel"].update(width_px=10**9), r"has 1000000000x\d+ pixels, more than"),
         (lambda r: first(r)["display"]["panel"].update(width_px=0), "'width_px' must be a whole number from 1 to"),
-        (lambda r: first(r)["display"]["base_plane"].update(z_m=1e9), r"'z_m' has a length of 1e\+09 m, more than"),
+        (
+            lambda r: first(r)["display"]["base_plane"].update(z_m=1e9),
+            r"'z_m' has the value 1e\+09; it must be -1 or more",
+        ),
         (lambda r: first(r)["eye_box"].update(size_m=[0.01, -0.01, 0.01]), "'size_m' has a negative size"),
         (lambda r: first(r)["eye_box"].update(size_m=[10, 8, 6]), "is it in millimetres"),
         (lambda r: first(r)["eye_box"].update(centre_m=[32, 0, 0]), "is it in millimetres"),

@@ -14,8 +14,8 @@ import numpy as np
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.geometry.pose_keys import ROTATION, pose_keys
+from wlr_render.io.file_records import CAMERA_PIXEL, ELSEWHERE, LENGTH, MATRIX, POINT, TURN, Key, Keys, Quantity, Rule
 from wlr_render.io.input_files import LIMITS
-from wlr_render.io.records import CAMERA_PIXEL, ELSEWHERE, LENGTH, MATRIX, POINT, TURN, Key, Keys, Quantity, Rule
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device, EyeOptics
 

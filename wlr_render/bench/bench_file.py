@@ -23,7 +23,7 @@ from wlr_render.bench.bench_effects_file import effect_keys, effects_of
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import shipped_names
-from wlr_render.io.records import Place, read_record, record_keys
+from wlr_render.io.file_records import Place, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device

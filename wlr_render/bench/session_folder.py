@@ -24,8 +24,8 @@ from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import resource
+from wlr_render.io.file_records import MM
 from wlr_render.io.input_files import prefix_errors, require_length
-from wlr_render.io.records import MM
 from wlr_render.io.toml_files import read_toml
 from wlr_render.numerics.arrays import FloatArray
 

@@ -32,8 +32,8 @@ from wlr_render.captures.feature_captures import (
 )
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_arrays
+from wlr_render.io.file_records import read_part, record_keys
 from wlr_render.io.input_files import LIMITS, prefix_errors, read_arrays
-from wlr_render.io.records import read_part, record_keys
 from wlr_render.io.toml_files import Table, parse_json
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import HIGHEST_ORDER, Box, Polynomial

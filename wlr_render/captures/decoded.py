@@ -5,11 +5,13 @@ A thousand window averages carry almost as much information as a million neighbo
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.io.file_records import ELSEWHERE
 from wlr_render.numerics.arrays import FloatArray
 
 _SMOOTHED_PX = 3  # width of the windows that smoothed `Decoded.pixel`
@@ -96,10 +98,10 @@ class DecodeOptions:
         min_confidence: smallest contrast of a bit or fringe, as a fraction of full contrast.
     """
 
-    full_scale: int = 255
+    full_scale: Annotated[int, ELSEWHERE] = 255
     min_contrast: float = 0.02
     min_confidence: float = 0.1
-    end_of_scale: float | None = None
+    end_of_scale: Annotated[float | None, ELSEWHERE] = None
 
 
 DEFAULT_OPTIONS = DecodeOptions()

@@ -18,8 +18,8 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.pose_keys import ROTATION, pose_keys
+from wlr_render.io.file_records import DEGREES, ELSEWHERE, LENGTH, POINT, VECTOR, Key, Keys, Quantity, Rule, scaled
 from wlr_render.io.input_files import LIMITS
-from wlr_render.io.records import DEGREES, ELSEWHERE, LENGTH, POINT, VECTOR, Key, Keys, Quantity, Rule
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 
@@ -49,6 +49,25 @@ def _pose_within(most_mm: float) -> Keys:
         Key("rotation", VECTOR, shape=(3, 3), rule=ROTATION),
         Key("translation_mm", POINT, shape=(3,), digits=_DIGITS, rule=rule),
     )
+
+
+@dataclass(frozen=True)
+class CodeTable:
+    """Keys of [code] except the pattern with its parameters, and `DecodeOptions`; see `PhotoSession`."""
+
+    order: Annotated[str, Key(choices=CODE_ORDERS)] = CODE_ORDERS[0]
+    manifest: Path | None = None
+
+
+@dataclass(frozen=True)
+class StageTable:
+    """Keys of [stage] except its axes: "none" without a stage, the tolerance of positions, the frame of the axes."""
+
+    kind: Literal["linear", "none"] = "linear"
+    place_tolerance: Annotated[float, Key("place_tolerance_um", scaled(1e-6), least=0, most=1000, digits=_DIGITS)] = (
+        2e-6
+    )
+    directions_in: Literal["device", "camera"] = "device"
 
 
 CAMERA_POSE = _pose_within(1000.0)
@@ -289,7 +308,7 @@ class PhotoSession:
     gauge: str | None = None
     code_order: str = CODE_ORDERS[0]
     code_manifest: Path | None = None
-    place_tolerance: float = 2e-6
+    place_tolerance: float = StageTable.place_tolerance
 
     @property
     def eye(self) -> str:

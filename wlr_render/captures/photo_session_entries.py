@@ -20,15 +20,15 @@ from wlr_render.captures.photo_session import (
     SessionEntry,
     StageAxis,
     StageDescription,
+    StageTable,
 )
 from wlr_render.geometry.transforms import FRAMES
-from wlr_render.io.records import Place, read_record, record_keys
+from wlr_render.io.file_records import Place, read_part, read_record, record_keys
 from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _MOST_AXES = 12
 _MOST_READING = 1e4  # largest reading, mm or degrees
-_MOST_TOLERANCE_UM = 1e3
 _LEVER_M = 0.025
 """Radius that converts angles of rotary axes to arcs for comparisons of readings: about the radius of a camera that
 rotates about its pupil."""
@@ -47,16 +47,12 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
     Raises:
         BadInputError: a key is faulty; the sentence names it.
     """
-    tolerance = PhotoSession.place_tolerance
-    if not file.has("stage"):
-        return StageDescription(), tolerance
-    table = file.table("stage")
-    if table.text("kind", "linear", ("linear", "none")) == "none":
+    table = file.table("stage") if file.has("stage") else Table({}, file.where)
+    stated, stage = read_part(StageTable, table), StageDescription()
+    in_camera = stated.directions_in == "camera"
+    if stated.kind == "none":
         table.finish()
-        return None, tolerance
-    tolerance = 1e-6 * table.number("place_tolerance_um", 1e6 * tolerance, 0, _MOST_TOLERANCE_UM)
-    in_camera = table.text("directions_in", "device", ("device", "camera")) == "camera"
-    stage = StageDescription()
+        return None, stated.place_tolerance
     if table.has("axes"):
         place, listed = _place_of_axes(in_camera, axes), table.tables("axes", most=_MOST_AXES)
         stage = StageDescription(tuple(read_record(StageAxis, each, place, is_in_camera=in_camera) for each in listed))
@@ -67,21 +63,18 @@ def read_stage(file: Table, axes: FloatArray) -> tuple[StageDescription | None, 
     if not stage.axes:
         raise table.fail("'axes' is empty; list an axis, or write kind = \"none\" for a camera without a stage.")
     table.finish()
-    return stage, tolerance
+    return stage, stated.place_tolerance
 
 
 def written_stage(session: PhotoSession, axes: FloatArray) -> dict[str, Any]:
     """Return the table [stage] that `read_stage` reads back; empty if the file needs none."""
     if session.stage is None:
-        return {"kind": "none"}
-    keys: dict[str, Any] = {}
-    if session.place_tolerance != PhotoSession.place_tolerance:
-        keys["place_tolerance_um"] = rounded(1e6 * session.place_tolerance)
-    if not _is_plain(session.stage):
-        in_camera = any(axis.is_in_camera for axis in session.stage.axes)
-        keys |= {"directions_in": "camera"} if in_camera else {}
-        keys["axes"] = [record_keys(axis, _place_of_axes(in_camera, axes)) for axis in session.stage.axes]
-    return keys
+        return record_keys(StageTable("none"))
+    listed = [] if _is_plain(session.stage) else session.stage.axes
+    in_camera = any(axis.is_in_camera for axis in listed)
+    keys = record_keys(StageTable("linear", session.place_tolerance, "camera" if in_camera else "device"))
+    written = [record_keys(axis, _place_of_axes(in_camera, axes)) for axis in listed]
+    return keys | ({"axes": written} if written else {})
 
 
 def _place_of_axes(in_camera: bool, axes: FloatArray) -> Place:

@@ -12,9 +12,9 @@ from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, patte
 from wlr_render.captures.photo_session import (
     CAMERA_POSE,
     CHANNELS,
-    CODE_ORDERS,
     FAR_MM,
     POSE_SIGMA,
+    CodeTable,
     GivenPose,
     PhotoSession,
     SessionCamera,
@@ -34,8 +34,8 @@ from wlr_render.captures.photo_session_entries import (
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import resource
+from wlr_render.io.file_records import MM, Place, read_part, read_record, record_keys
 from wlr_render.io.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels, shown
-from wlr_render.io.records import Place, read_part, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, stated, write_toml
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -44,9 +44,8 @@ FILE = "session.toml"
 FORMAT = "photo-session"
 VERSION = 1
 EYES = ("left", "right")
-_MM = 1e-3
-
 _EYE_BOX_LEAST_MM = 0.5  # below, the unit is metres
+
 
 Value = TypeVar("Value")
 
@@ -70,7 +69,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     file.check_head(FORMAT, VERSION, "a session")
     axes = FRAMES[file.text("frame", choices=sorted(FRAMES))]
     device, eyes = file.text("device"), _eyes(file)
-    panels, decoding_keys, order, manifest = _panels(file, root, eyes)
+    panels, decoding, code = _panels(file, root, eyes)
     eyeball_table = file.table("eyeball_camera")
     eyeball = read_camera(eyeball_table, root)
     eyeball_table.finish()
@@ -83,7 +82,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         eyes=eyes,
         eye_boxes=_of_each_eye(file, "eye_box", eyes, lambda table: _eye_box(table, axes), alike=False),
         panels=panels,
-        decoding=DecodeOptions(full_scale=eyeball.format.full_scale, **decoding_keys),
+        decoding=replace(decoding, full_scale=eyeball.format.full_scale),
         board=load_board(file.path("board", root)),
         eyeball_camera=eyeball,
         see_through=form.photographs(file, "see_through"),
@@ -97,8 +96,8 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         stage=stage,
         targets=_targets(file, root, axes),
         gauge=_gauge(file),
-        code_order=order,
-        code_manifest=manifest,
+        code_order=code.order,
+        code_manifest=code.manifest,
         place_tolerance=tolerance,
     )
     file.finish()
@@ -135,21 +134,16 @@ def _of_each_eye(
     return dict.fromkeys(eyes, read(table))
 
 
-def _panels(
-    file: Table, root: Path, eyes: Sequence[str]
-) -> tuple[dict[str, SessionPanel], dict[str, float], str, Path | None]:
-    """Return the panels, and the limits of decoding, order and manifest of the photographs in [code]."""
+def _panels(file: Table, root: Path, eyes: Sequence[str]) -> tuple[dict[str, SessionPanel], DecodeOptions, CodeTable]:
+    """Return the panels, and what [code] states of its photographs."""
     sizes = _of_each_eye(file, "panel", eyes, _panel)
     table = file.table("code")
     name = table.text("pattern", choices=list(PATTERNS))
     numbers = {key: table.whole(key, 1, LIMITS.picture_side) for key in pattern_keys(name) if table.has(key)}
-    decoding = {key: table.number(key) for key in ("min_contrast", "min_confidence") if table.has(key)}
-    order = table.text("order", CODE_ORDERS[0], CODE_ORDERS)
-    manifest = table.path("manifest", root) if table.has("manifest") else None
-    table.finish()
+    decoding, code = read_part(DecodeOptions, table), read_record(CodeTable, table, Place(root))
     with prefix_errors(table.where):
         made = {id(size): SessionPanel(make_pattern(name, size[0], **numbers), size[1]) for size in sizes.values()}
-    return {eye: made[id(size)] for eye, size in sizes.items()}, decoding, order, manifest
+    return {eye: made[id(size)] for eye, size in sizes.items()}, decoding, code
 
 
 def _panel(table: Table) -> tuple[Panel, dict[str, FloatArray]]:
@@ -170,7 +164,7 @@ def _eye_box(table: Table, axes: FloatArray) -> EyeBox:
     size = table.vector("size_mm", 3, least=_EYE_BOX_LEAST_MM)
     table.finish()
     require_eye_box(f"{table.where}: 'size_mm'", size, "mm")
-    return EyeBox(_MM * axes @ centre, _MM * size)
+    return EyeBox(MM * axes @ centre, MM * size)
 
 
 def _tracking_camera(
@@ -218,13 +212,11 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
     axes, is_one_eye = FRAMES["opencv"], len(session.eyes) == 1
     place = Place(axes=axes)
     boxes = {
-        eye: {"centre_mm": rounded(axes.T @ box.centre / _MM), "size_mm": rounded(box.size / _MM)}
+        eye: {"centre_mm": rounded(axes.T @ box.centre / MM), "size_mm": rounded(box.size / MM)}
         for eye, box in session.eye_boxes.items()
     }
     panels = {eye: _written_panel(panel) for eye, panel in session.panels.items()}
     one_panel = len({id(panel) for panel in session.panels.values()}) == 1
-    order = None if session.code_order == CODE_ORDERS[0] else session.code_order
-    manifest = None if session.code_manifest is None else session.name_of(session.code_manifest)
     tracking = None
     if session.tracking_camera is not None and session.device_from_tracking is not None:
         tracking = written_camera(session.tracking_camera, session.folder)
@@ -242,7 +234,7 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
         board=board,
         gauge=session.gauge,
         panel=panels[session.eyes[0]] if one_panel else panels,
-        code=code | stated(order=order, manifest=manifest),
+        code=code | record_keys(CodeTable(session.code_order, session.code_manifest), Place(session.folder)),
         eye_box=boxes[session.eye] if is_one_eye else boxes,
         eyeball_camera=written_camera(session.eyeball_camera, session.folder),
         tracking_camera=tracking,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.delimited_text import with_commas
+from wlr_render.io.file_records import ELSEWHERE, Key, read_part, record_keys
 from wlr_render.io.input_files import as_bad_input, read_text
-from wlr_render.io.records import ELSEWHERE, Key, read_part, record_keys
 from wlr_render.io.toml_files import Table
 
 StoredValues = NDArray[np.unsignedinteger[Any]]

@@ -123,15 +123,17 @@ def read_session(
     """
     panels, boards = list(_panel_tasks(session)), list(_board_tasks(session))
     tasks: list[_Task] = [*panels, *boards]  # the long ones first
-    waiting = [(task, folder) for task in tasks if _kept(task, folder) is None]
+    kept = {task: result for task in tasks if (result := _kept(task, folder))}
+    waiting = [(task, folder) for task in tasks if task not in kept]
     finished = as_finished(_do_task, waiting, workers.at_most(_MOST_WORKERS), folder)
     outcomes = list(progress(finished, len(waiting), "photographs"))
+    read = {task: result for task, _ in waiting if (result := _kept(task, folder))} | kept
     order = {task.name: number for number, task in enumerate(tasks)}
     return Reading(
-        {task.path: task.result(kept) for task in boards if (kept := _kept(task, folder))},
-        {task.path: task.result(kept) for task in panels if (kept := _kept(task, folder))},
+        {task.path: task.result(read[task]) for task in boards if task in read},
+        {task.path: task.result(read[task]) for task in panels if task in read},
         tuple(sorted((each for each in outcomes if each), key=lambda each: order[each.name])),
-        len(tasks) - len(waiting),
+        len(kept),
     )
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
+from wlr_render.io.file_records import CAMERA_PIXEL, MM, Quantity
 from wlr_render.io.input_files import LIMITS
-from wlr_render.io.records import CAMERA_PIXEL, MM, Quantity
 from wlr_render.numerics.arrays import FloatArray
 
 Columns = dict[str, FloatArray]

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from wlr_render.io.records import Key
+from wlr_render.io.file_records import Key
 from wlr_render.numerics.arrays import FloatArray
 
 _FAR_M, _STEEPEST = 1.0, 100.0  # largest distance from the headset's origin, and largest slope, in a file

@@ -1,7 +1,7 @@
 """Poses in files: a rotation matrix under one key, a translation under another."""
 
 from wlr_render.geometry.transforms import is_rotation, rigid
-from wlr_render.io.records import Key, Keys, Rule
+from wlr_render.io.file_records import Key, Keys, Rule
 
 ROTATION = Rule("a rotation matrix (orthogonal to 1e-6, determinant +1)", is_rotation)
 

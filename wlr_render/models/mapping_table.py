@@ -40,8 +40,8 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
+from wlr_render.io.file_records import read_record, record_keys
 from wlr_render.io.input_files import require_pixels
-from wlr_render.io.records import read_record, record_keys
 from wlr_render.io.toml_files import Table
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.models.bundle import BundleDisplay, BundleSeeThrough

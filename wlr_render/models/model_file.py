@@ -30,8 +30,8 @@ from typing import Any
 from wlr_render.errors import BadInputError
 from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.io.atomic_files import write_text
+from wlr_render.io.file_records import record_keys
 from wlr_render.io.input_files import as_bad_input
-from wlr_render.io.records import record_keys
 from wlr_render.io.toml_files import Table, read_json
 from wlr_render.mappings import DisplayMapping, Eye, SeeThroughMapping
 from wlr_render.models.absent import AbsentDisplay, AbsentSeeThrough

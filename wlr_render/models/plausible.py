@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from wlr_render.io.file_records import read_record
 from wlr_render.io.input_files import require_eye_box, require_length
-from wlr_render.io.records import read_record
 from wlr_render.io.toml_files import Table
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.polynomial import Box, Polynomial, basis

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.photographs import Photograph
 from wlr_render.errors import BadInputError
-from wlr_render.io.records import LENGTH, Key, scaled
+from wlr_render.io.file_records import LENGTH, Key, scaled
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.usual import BOARD_DOT_M, BOARD_FLATNESS_M, BOARD_SCALE
 

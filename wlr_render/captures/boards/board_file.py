@@ -19,8 +19,8 @@ from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.captures.boards.markers import dictionary_of
 from wlr_render.captures.plain_data import read_mapping
 from wlr_render.io.delimited_text import is_number
+from wlr_render.io.file_records import MM, read_part, read_record, record_keys
 from wlr_render.io.input_files import LIMITS, prefix_errors, read_text
-from wlr_render.io.records import MM, read_part, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, write_toml
 
 KINDS = ("dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles")

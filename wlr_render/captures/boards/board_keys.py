@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from wlr_render.io.records import MM, Key, Place, scaled
+from wlr_render.io.file_records import MM, Key, Place, scaled
 from wlr_render.io.toml_files import Table
 
 _LARGEST_M = 2.0  # largest square, dot or gap: above, lengths are in another unit

@@ -23,7 +23,7 @@ from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import DICTIONARIES, LARGEST_DICTIONARIES, dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.io.records import ELSEWHERE, Key
+from wlr_render.io.file_records import ELSEWHERE, Key
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _LEAST_MARKERS = 4  # fewest markers; fewer may be chance, or fit any homography

@@ -27,7 +27,7 @@ from wlr_render.captures.boards.dot_identity import identify
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, link_lattices
 from wlr_render.captures.boards.lattice_shape import LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
-from wlr_render.io.records import ELSEWHERE, Key, Quantity, Rule
+from wlr_render.io.file_records import ELSEWHERE, Key, Quantity, Rule
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _TRIES = 3  # number of lattices, the largest first, that are compared with the board

@@ -7,8 +7,8 @@ from typing import Any
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_bytes
+from wlr_render.io.file_records import read_record
 from wlr_render.io.input_files import LIMITS, read_bytes
-from wlr_render.io.records import read_record
 from wlr_render.io.toml_files import read_toml, write_toml
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections

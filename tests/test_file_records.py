@@ -18,12 +18,14 @@ from wlr_render.captures.photo_session import BoardPhotograph, GivenPose, StageA
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES, rigid
-from wlr_render.io.records import Keys, attributes, read_record, record_keys
+from wlr_render.io.atomic_files import resource
+from wlr_render.io.file_records import Keys, attributes, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 
 WHERE = "file.toml [table]"
+MANUAL = resource("docs", "photo-session.md").read_text(encoding="utf-8")
 PLACE = BoardPlace(axes=FRAMES["opencv"])
 POSE = rigid(np.eye(3), np.array([0.01, 0.02, 0.6]))
 PARTS = {kind: kind() for name, kind in SECTIONS.items() if name not in ("camera", "stage", "target")}
@@ -93,6 +95,14 @@ def test_a_value_beyond_its_bounds_is_refused_with_file_and_key(record):
                 read_record(type(record), Table(written | {name: value}, WHERE), PLACE, **given(record))
             assert str(caught.value).startswith(f"{WHERE}: '{name}' ")
             assert "\n" not in str(caught.value)
+
+
+def test_the_manuals_name_every_key():
+    for record in RECORDS[len(SECTIONS) + 1 :]:
+        for key in (
+            keys_of(type(record)) if not isinstance(record, DotBoard | PhotoBenchOptions | BenchImperfections) else ()
+        ):
+            assert any(f"`{name}`" in MANUAL or f"{name} =" in MANUAL for name in key.names), key.names
 
 
 def test_one_of_several_keys_alone_is_refused():

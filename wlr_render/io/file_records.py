@@ -97,10 +97,10 @@ class Key:
         most: largest number; None: 10^9 of whole numbers, 10^18 of others.
         above: number that all must exceed.
         digits: decimals in writing; None for all.
-        choices: texts that are allowed; by default those of the annotation, if it is a Literal.
+        choices: texts that are allowed; by default the values of a Literal annotation.
         rule: a further constraint.
         always: whether the default is written as well.
-        type: type of the value in the file, `list` for texts; by default that of the annotation, without None.
+        type: type of the value in the file, `list` for texts; by default the annotation, without None.
     """
 
     name: str = ""
@@ -218,7 +218,7 @@ ELSEWHERE = "elsewhere"
 
 @dataclass(frozen=True)
 class Attribute:
-    """An attribute of a record: its name, its form in a file, and its default, MISSING if there is none."""
+    """An attribute of a record: its name, its form in a file, and its default (MISSING without one)."""
 
     name: str
     form: Key | Keys
@@ -227,7 +227,7 @@ class Attribute:
 
 @functools.cache
 def attributes(kind: type) -> tuple[Attribute, ...]:
-    """Return the attributes of a record in the order of its file: those of the class itself, then its bases'."""
+    """Return the attributes of a record in the order of its file: first its own, then its bases'."""
     hints, own = typing.get_type_hints(kind, include_extras=True), {each.name: each for each in fields(kind)}
     names = dict.fromkeys(name for base in kind.__mro__ for name in inspect.get_annotations(base) if name in own)
     forms = {name: form for name in names if (form := _form_of(name, hints[name])) is not None}
@@ -237,7 +237,7 @@ def attributes(kind: type) -> tuple[Attribute, ...]:
 
 
 def _form_of(name: str, hint: Any) -> Key | Keys | None:
-    """Return the form of an attribute of a type; None if it stands elsewhere."""
+    """Return the form of an attribute by its type hint; None for `ELSEWHERE`."""
     is_marked = typing.get_origin(hint) is Annotated
     kind, mark = (hint.__origin__, hint.__metadata__[0]) if is_marked else (hint, Key())
     if not isinstance(mark, Key):
@@ -276,7 +276,7 @@ def read_part(kind: type[RecordType], table: Table, place: Place | None = None, 
 
 
 def record_keys(record: Any, place: Place | None = None, defaults: bool = False) -> dict[str, Any]:
-    """Return the keys of a record, which `read_record` reads; with those that equal their `defaults` if True."""
+    """Return the keys that `read_record` reads; `defaults` includes attributes that equal their default."""
     keys: dict[str, Any] = {}
     for each in attributes(typing.cast(Any, type(record))):
         value = getattr(record, each.name)
