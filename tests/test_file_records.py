@@ -28,7 +28,7 @@ WHERE = "file.toml [table]"
 MANUAL = resource("docs", "photo-session.md").read_text(encoding="utf-8")
 PLACE = BoardPlace(axes=FRAMES["opencv"])
 POSE = rigid(np.eye(3), np.array([0.01, 0.02, 0.6]))
-PARTS = {kind: kind() for name, kind in SECTIONS.items() if name not in ("camera", "stage", "target")}
+PARTS = {kind: kind() for name, kind in SECTIONS.items() if name not in ("camera", "stage", "target", "light")}
 RECORDS = [
     SECTIONS["camera"](np.array([640.0, 480.0]), np.array([700.0, 710.0]), np.array([320.5, 240.0]), 0.1),
     replace(SECTIONS["stage"](np.ones(3)), backlash=np.array([1e-6, -1e-6])),

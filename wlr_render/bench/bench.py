@@ -133,8 +133,8 @@ class Target:
         bow: (k, 2) curvature at each pose, z = bow_x x^2 + bow_y y^2, per metre.
     """
 
-    device_from_target: Annotated[FloatArray, ELSEWHERE]
-    pitch: Annotated[FloatArray, ELSEWHERE]
+    device_from_target: FloatArray
+    pitch: FloatArray
     scale: Annotated[FloatArray, _positive(shape=(2,))] = field(default_factory=partial(np.ones, 2))
     bow: Annotated[FloatArray, _number("bow_per_m", _BOW, shape=(-1, 2))] = field(
         default_factory=partial(np.zeros, (1, 2))
@@ -222,19 +222,6 @@ class Clock:
     scanout_s: Annotated[float, _number()] = 0.0
 
 
-@dataclass(frozen=True)
-class Light:
-    """Vacuum wavelengths in micrometres.
-
-    Attributes:
-        wavelengths_um: red, green and blue light of the display.
-        target_wavelength_um: light in which targets and real dots are observed.
-    """
-
-    wavelengths_um: Annotated[tuple[float, float, float], Key("channels_um", least=0.2, most=2)] = (0.65, 0.55, 0.45)
-    target_wavelength_um: Annotated[float, Key("target_um", least=0.2, most=2)] = 0.55
-
-
 @dataclass(frozen=True, eq=False)
 class Bench:
     """Everything that determines the readings of a session.
@@ -250,7 +237,7 @@ class Bench:
     """
 
     device: Device
-    eye: str
+    eye: Annotated[str, ELSEWHERE]
     camera: EyeballCamera
     stage: Stage
     target: Target
@@ -259,8 +246,8 @@ class Bench:
     readout: PanelReadout = field(default_factory=PanelReadout)
     eye_tracking: EyeTracking = field(default_factory=EyeTracking)
     clock: Clock = field(default_factory=Clock)
-    wavelengths_um: tuple[float, float, float] = Light.wavelengths_um
-    target_wavelength_um: float = Light.target_wavelength_um
+    wavelengths_um: Annotated[tuple[float, float, float], Key("channels_um", least=0.2, most=2)] = (0.65, 0.55, 0.45)
+    target_wavelength_um: Annotated[float, Key("target_um", least=0.2, most=2)] = 0.55
     effects: tuple[BenchEffect, ...] = ()
     priors: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
 

@@ -11,7 +11,6 @@ from wlr_render.bench.bench import (
     Clock,
     EyeballCamera,
     EyeTracking,
-    Light,
     Mount,
     PanelReadout,
     Stage,
@@ -44,7 +43,7 @@ SECTIONS = {
     "readout": PanelReadout,
     "eye_tracking": EyeTracking,
     "clock": Clock,
-    "light": Light,
+    "light": Bench,
     "tracking": Tracking,
 }
 """Records of a bench file by the names of their tables; [target] without its poses, [light] for `Bench` itself."""
@@ -78,14 +77,13 @@ def bench_of(file: Table, folder: Path) -> Bench:
     place = Place(folder, device_from_file(file))
     device = _device(file, folder)
     eye = file.text("eye", "right" if "right" in device.eyes else "left", choices=sorted(device.eyes))
-    required = ("camera", "stage")
     parts: dict[str, Any] = {
         name: read_record(kind, file.table(name), place)
         for name, kind in SECTIONS.items()
-        if name != "target" and (name in required or file.has(name))
+        if name in ("camera", "stage") or (name not in ("target", "light") and file.has(name))
     }
-    light = parts.pop("light", Light())
-    bench = Bench(device, eye, target=_target(file, place), **parts, **vars(light))
+    parts |= {"device": device, "eye": eye, "target": _target(file, place)}
+    bench = read_record(Bench, _optional(file, "light"), **parts)
     bench = replace(bench, priors=_priors(file), effects=effects_of(file, bench))
     file.finish()
     return bench
@@ -121,8 +119,11 @@ def changed_keys(old: Bench, new: Bench) -> dict[str, dict[str, Any]]:
 
 def _sections(bench: Bench) -> dict[str, dict[str, Any]]:
     """Return the tables of a bench file with their keys, except device and target poses."""
-    light = Light(bench.wavelengths_um, bench.target_wavelength_um)
-    return {n: record_keys(light if n == "light" else getattr(bench, n), _WRITTEN) for n in SECTIONS}
+    return {name: record_keys(getattr(bench, name, bench), _WRITTEN) for name in SECTIONS}
+
+
+def _optional(file: Table, name: str) -> Table:
+    return file.table(name) if file.has(name) else Table({}, file.where)
 
 
 def _device(file: Table, folder: Path) -> Device:
@@ -173,8 +174,7 @@ def _target(file: Table, place: Place) -> Target:
         "device_from_target": np.reshape([each.device_from_target for each in poses], (-1, 4, 4)),
         "pitch": np.array([each.pitch for each in poses]),
     }
-    stated = file.table("target") if file.has("target") else Table({}, file.where)
-    target = read_record(Target, stated, place, **placed)
+    target = read_record(Target, _optional(file, "target"), place, **placed)
     if len(target.bow) not in (1, len(poses)):
         raise file.fail(f"'bow_per_m' in [target] must be one pair, or {len(poses)}: one for each [[target_pose]].")
     return target

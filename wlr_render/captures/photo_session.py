@@ -162,7 +162,7 @@ class GivenPose:
 
     device_from: Annotated[FloatArray, _pose_within(50000.0)]
     sigma: Annotated[tuple[float, float], POSE_SIGMA]
-    board: Annotated[Board | None, ELSEWHERE] = None
+    board: Board | None = None
     board_file: Annotated[str | None, Key("board")] = None
 
 
@@ -211,7 +211,7 @@ class BoardPhotograph(SessionEntry):
     name: Annotated[str, Key("photograph")]
     target_pose: Annotated[int, Key(most=LIMITS.index)]
     regions: Annotated[FloatArray | None, Key("region_px", shape=(-1, 4), rule=_REGIONS)] = None
-    other_regions: Annotated[FloatArray | None, ELSEWHERE] = None
+    other_regions: FloatArray | None = None
 
     @property
     def path(self) -> Path:

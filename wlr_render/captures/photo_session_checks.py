@@ -9,23 +9,12 @@ from wlr_render.captures.photo_session import PhotoSession, SessionEntry, StageD
 from wlr_render.captures.photo_session_entries import place_groups, stage_lists
 from wlr_render.io.input_files import LIMITS
 from wlr_render.io.toml_files import Table
-from wlr_render.numerics.arrays import FloatArray
 
 _MM = 1e-3
 _TRAVEL_MM = (0.5, 500.0)  # plausible travel: beyond it, the unit is metres or micrometres
 
 Node = tuple[str, object]
 _DEVICE: Node = ("device", None)
-
-
-def check_range(table: Table, key: str, value: FloatArray | float, limits: tuple[float, float]) -> None:
-    """Refuse lengths that cannot be millimetres."""
-    low, high = limits
-    if np.any(np.asarray(value) < low) or np.any(np.asarray(value) > high):
-        raise table.fail(
-            f"'{key}' should be between {low:g} and {high:g} mm and is {np.round(value, 6).tolist()}: "
-            "is it in another unit? Lengths are millimetres."
-        )
 
 
 def check_count(file: Table, session: PhotoSession) -> None:
@@ -93,13 +82,16 @@ def _check_frame(file: Table, session: PhotoSession) -> None:
 def _check_travel(file: Table, session: PhotoSession) -> None:
     if session.stage is None:
         return
-    linear = [axis.kind == "linear" for axis in session.stage.axes]
+    linear, (low, high) = [axis.kind == "linear" for axis in session.stage.axes], _TRAVEL_MM
     for name, entries in stage_lists(session).items():
         if entries:
             stage = np.array([each.stage for each in entries])[:, linear] / _MM
             travel = float(np.linalg.norm(np.ptp(stage, axis=0)))
-            if travel > 0:
-                check_range(file, f"stage_mm (travel of [[{name}]])", travel, _TRAVEL_MM)
+            if travel and not low <= travel <= high:
+                raise file.fail(
+                    f"'stage_mm' (travel of [[{name}]]) should be between {low:g} and {high:g} mm and is {travel:.6g}: "
+                    "is it in another unit? Lengths are millimetres."
+                )
 
 
 def _check_places(file: Table, session: PhotoSession) -> None:

@@ -4,8 +4,7 @@ The format is in docs/photo-session.md.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -88,20 +87,12 @@ def _is_plain(stage: StageDescription) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class EntryFormat:
-    """Format of the entries of one session.toml.
+class EntryFormat(Place):
+    """Format of the entries of one session.toml: eyes of the session, and stage of the eyeball camera, or None."""
 
-    Attributes:
-        folder: folder of the session.
-        eyes: eyes of the session.
-        stage: stage of the eyeball camera, or None.
-        axes: (3, 3) rotation from the file's device axes to the device frame's.
-    """
-
-    folder: Path
+    _: KW_ONLY
     eyes: tuple[str, ...]
     stage: StageDescription | None
-    axes: FloatArray
 
     @property
     def turn(self) -> FloatArray:
@@ -128,8 +119,8 @@ class EntryFormat:
 
     def code_sets(self, file: Table) -> tuple[CodeSet, ...]:
         """Read [[display]], the sets of photographs of the panel; raises like `photographs`."""
-        tables, place = file.tables("display", required=False), Place(self.folder)
-        return tuple(read_record(CodeSet, table, place, **self._position(table, "display")) for table in tables)
+        tables = file.tables("display", required=False)
+        return tuple(read_record(CodeSet, table, self, **self._position(table, "display")) for table in tables)
 
     def _without_stage(self) -> dict[str, Any]:
         return {"stage": None, "place": "", "orientation": 0, "eye": self.eyes[0]}
@@ -168,7 +159,7 @@ class EntryFormat:
         if entry.stage is not None and self.stage is not None:
             reading = self.turn.T @ (entry.stage / self.stage.units)
             key = "stage_mm" if _is_plain(self.stage) else "stage"
-        keys = record_keys(replace(entry, stage=reading, place=place or ""), Place(self.folder))
+        keys = record_keys(replace(entry, stage=reading, place=place or ""), self)
         if len(self.eyes) == 1 or not on_stage:
             del keys["eye"]
         return {key if name == "stage" else name: value for name, value in keys.items()}
@@ -186,7 +177,7 @@ def with_places(session: PhotoSession, form: EntryFormat | None = None) -> Photo
         session: its entries have a reading, or a place.
         form: format of the file that the names follow; by default the format of a saved session.
     """
-    form = form or EntryFormat(session.folder, session.eyes, session.stage, FRAMES["opencv"])
+    form = form or EntryFormat(session.folder, FRAMES["opencv"], eyes=session.eyes, stage=session.stage)
     lists = stage_lists(session)
     names = iter(place_names([each for entries in lists.values() for each in entries], form, session.place_tolerance))
     placed: dict[str, Any] = {

@@ -75,7 +75,7 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
     eyeball_table.finish()
     tracking, device_from_tracking, tracking_sigma = _tracking_camera(file, root, axes)
     stage, tolerance = read_stage(file, axes)
-    form = EntryFormat(root, eyes, stage, axes)
+    form = EntryFormat(root, axes, eyes=eyes, stage=stage)
     session = PhotoSession(
         folder=root,
         device=device,
@@ -240,7 +240,7 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
         tracking_camera=tracking,
         stage=written_stage(session, axes) or None,
         target=targets or None,
-        **_written_entries(session, EntryFormat(session.folder, session.eyes, session.stage, axes)),
+        **_written_entries(session, EntryFormat(session.folder, axes, eyes=session.eyes, stage=session.stage)),
     )
     return write_toml(session.folder / FILE, content, "docs/photo-session.md has the format")
 

@@ -7,8 +7,8 @@
         pivot: Annotated[FloatArray | None, Key("pivot_mm", POINT, shape=(3,), most=1e4)] = None
 
 `read_record` and `record_keys` follow these statements, so that a key with its unit, bounds, default and frame is
-stated once. An attribute without a `Key` stands under its own name. One with a default may be left out of a file, and
-is left out in writing where it equals the default.
+stated once. A number, text, flag or path without a `Key` stands under its own name; what else has none stands
+elsewhere. An attribute with a default may be left out of a file, and is left out in writing where it equals it.
 """
 
 import dataclasses
@@ -240,11 +240,19 @@ def _form_of(name: str, hint: Any) -> Key | Keys | None:
     """Return the form of an attribute by its type hint; None for `ELSEWHERE`."""
     is_marked = typing.get_origin(hint) is Annotated
     kind, mark = (hint.__origin__, hint.__metadata__[0]) if is_marked else (hint, Key())
-    if not isinstance(mark, Key):
-        return None if mark is ELSEWHERE else mark
     if typing.get_origin(kind) in (typing.Union, types.UnionType):
         (kind,) = (each for each in typing.get_args(kind) if each is not types.NoneType)
-    return replace(mark, name=mark.name or name, type=mark.type or kind)
+    if mark is ELSEWHERE or not (is_marked or _is_plain(kind)):
+        return None
+    return replace(mark, name=mark.name or name, type=mark.type or kind) if isinstance(mark, Key) else mark
+
+
+def _is_plain(kind: Any) -> bool:
+    """Return whether values of a type stand in a file as they are."""
+    items = typing.get_args(kind) if typing.get_origin(kind) is tuple else (kind,)
+    return all(
+        item in (bool, int, float, str, Path, ...) or typing.get_origin(item) in (Literal, tuple) for item in items
+    )
 
 
 def read_record(kind: type[RecordType], table: Table, place: Place | None = None, /, **given: Any) -> RecordType:

@@ -23,7 +23,7 @@ from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.io.file_records import ELSEWHERE, Key, Quantity, Rule
+from wlr_render.io.file_records import Key, Quantity, Rule
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 DICTIONARY = "DICT_APRILTAG_36h11"
@@ -75,7 +75,7 @@ class AprilGrid(CellBoard):
     first_id: int = 0
     first_at_bottom: Annotated[bool, Key("first_tag", _AT_BOTTOM, type=str, choices=_FIRST_TAGS)] = True
     margin_m: Annotated[float, MARGIN] = 0.0
-    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
+    tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
     def gap_m(self) -> float:

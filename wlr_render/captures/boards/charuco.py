@@ -23,7 +23,7 @@ from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.boards.markers import DICTIONARIES, LARGEST_DICTIONARIES, dictionary_of, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.io.file_records import ELSEWHERE, Key
+from wlr_render.io.file_records import Key
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _LEAST_MARKERS = 4  # fewest markers; fewer may be chance, or fit any homography
@@ -54,7 +54,7 @@ class CharucoBoard(CellBoard):
     dictionary: Annotated[str, Key(choices=DICTIONARIES)]
     legacy: bool = False
     margin_m: Annotated[float, MARGIN] = 0.0
-    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
+    tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
     def _layout(self) -> BoardLayout:

@@ -23,7 +23,7 @@ from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
-from wlr_render.io.file_records import ELSEWHERE, Key
+from wlr_render.io.file_records import Key
 from wlr_render.numerics.arrays import FloatArray
 
 _SECTORS = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -50,7 +50,7 @@ class Chessboard(CellBoard):
     rows: Annotated[int, Key("corner_rows", least=3, most=MOST_FEATURES)]
     square_m: Annotated[float, BoardLength("square")]
     margin_m: Annotated[float, MARGIN]
-    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
+    tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
     def _layout(self) -> BoardLayout:

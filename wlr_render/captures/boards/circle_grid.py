@@ -54,7 +54,7 @@ class CircleGrid(Board):
     diameter_m: Annotated[float, BoardLength("diameter")]
     margin_m: Annotated[float, MARGIN]
     staggered: Annotated[bool, ELSEWHERE] = False
-    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
+    tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
     def _extent(self) -> IntArray:

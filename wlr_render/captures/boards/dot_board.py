@@ -27,7 +27,7 @@ from wlr_render.captures.boards.dot_identity import identify
 from wlr_render.captures.boards.dot_lattice import LEAST_DOTS, DotLattice, link_lattices
 from wlr_render.captures.boards.lattice_shape import LatticeShape, smooth_rows
 from wlr_render.captures.photographs import Photograph
-from wlr_render.io.file_records import ELSEWHERE, Key, Quantity, Rule
+from wlr_render.io.file_records import Key, Quantity, Rule
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 _TRIES = 3  # number of lattices, the largest first, that are compared with the board
@@ -62,7 +62,7 @@ class DotBoard(Board):
     small_m: Annotated[float, BoardLength("small")]
     margin_m: Annotated[float, BoardLength("margin")]
     large: Annotated[BoolArray, Key("sizes", _SIZES, type=list, rule=_ROWS)]
-    tolerances: Annotated[BoardTolerances, ELSEWHERE] = USUAL_TOLERANCES
+    tolerances: BoardTolerances = USUAL_TOLERANCES
 
     @property
     def rows(self) -> int:

@@ -11,7 +11,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import dir_of_tangents, normalised
 from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.io.file_records import ELSEWHERE, Key
+from wlr_render.io.file_records import Key
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import BoolArray, FloatArray
 from wlr_render.optics.device import Device, EyeOptics
@@ -76,7 +76,7 @@ class PhotoBenchOptions:
     snr: float = 50.0
     target_depths_m: tuple[float, ...] = (0.4, 1.0)
     seed: Annotated[int, Key(most=2**32 - 1)] = 1
-    imperfections: Annotated[BenchImperfections, ELSEWHERE] = field(default_factory=BenchImperfections)
+    imperfections: BenchImperfections = field(default_factory=BenchImperfections)
     stage: StageKind = "xyz"
     sampling: Sampling = "planar"
     stated_axes_deg: float = 0.0
