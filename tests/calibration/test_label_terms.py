@@ -9,6 +9,7 @@ from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane,
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
 from wlr_render.calibration.label_terms import print_term
+from wlr_render.captures.feature_captures import TARGET_POSES, CommonErrors
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 
 DEPTHS = (0.4, 0.8, 1.5)
@@ -59,15 +60,26 @@ def test_the_predicted_error_contains_printing_errors():
 
 def test_a_board_that_fills_no_area_has_no_field():
     dot = np.stack([np.linspace(0.0, 1.0, 20), np.zeros(20)], axis=-1)
-    assert print_term(dot, np.ones(20)) is None
-    assert print_term(np.full((20, 2), np.nan), np.ones(20)) is None
+    assert print_term(dot, np.ones(20), is_pose_fitted=True) is None
+    assert print_term(np.full((20, 2), np.nan), np.ones(20), is_pose_fitted=False) is None
 
 
-def test_waves_do_what_no_pose_of_the_board_does():
+def test_waves_do_what_no_pose_of_the_board_does_where_the_pose_was_fitted():
     dot = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 12), np.linspace(-0.4, 0.4, 9)), axis=-1).reshape(-1, 2)
-    field = print_term(dot, np.full(len(dot), 2.0))
-    affine = np.column_stack([np.ones(len(dot)), dot])
-    assert np.abs(affine.T @ field.columns).max() == pytest.approx(0.0, abs=1e-9)
+    fitted, stated = (print_term(dot, np.full(len(dot), 2.0), is_pose_fitted=each) for each in (True, False))
+    affine = np.linalg.qr(np.column_stack([np.ones(len(dot)), dot]))[0]
+    assert np.abs(affine.T @ fitted.columns).max() == pytest.approx(0.0, abs=1e-9)
+    assert np.linalg.norm(affine.T @ stated.columns) > 0.1 * np.linalg.norm(stated.columns)
+
+
+def test_a_board_whose_pose_was_not_fitted_to_its_dots_may_be_stretched():
+    captures = printed(0)
+    poses = np.unique(captures.target_pose)
+    places = np.unique(captures.capture)
+    known = CommonErrors((TARGET_POSES,), places, np.zeros((len(places), 6, 1)), None, poses)
+    fits = fit_see_through(captures, "planar", 4), fit_see_through(replace(captures, common=known), "planar", 4)
+    stated, fitted = (share_of(each, "printing errors of the board").arcmin for each in fits)
+    assert stated > 1.2 * fitted
 
 
 def lab_display(seed, raster=False, size=7):

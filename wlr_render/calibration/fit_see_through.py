@@ -129,7 +129,11 @@ def _readings(
     place = without_thickness(place) if places and trend is None else place
     metric, dot = angular_metric(captures.tangents), captures.target_point[:, :2]
     is_noisy = bool(np.any(captures.sigma_arcmin > 0))
-    of_axes = print_term(dot, depth[:, 0]), drift_term(captures.time_s, captures.tangents, metric)
+    is_pose_fitted = captures.common is not None and captures.common.has_target_poses
+    of_axes = (
+        print_term(dot, depth[:, 0], is_pose_fitted),
+        drift_term(captures.time_s, captures.tangents, metric),
+    )
     heights = height_term(dot, captures.point, captures.target_pose, by_point(slice(None)))
     return FitReadings(
         inputs=np.hstack([place, captures.tangents]),

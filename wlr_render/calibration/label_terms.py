@@ -175,14 +175,16 @@ def smooth_basis(place: FloatArray, share: float) -> FloatArray:
     return basis(place, next(allowed, np.zeros((1, place.shape[1]), np.int64)), Box.around(place))
 
 
-def print_term(dot: FloatArray, depth: FloatArray) -> LabelTerm | None:
+def print_term(dot: FloatArray, depth: FloatArray, is_pose_fitted: bool) -> LabelTerm | None:
     """Return printing errors in the plane of a board; both of its axes have waves of their own.
 
     Args:
         dot: (n, 2) places on the board, metres; NaN where unknown.
         depth: (n,) of the dots before the base plane, metres.
+        is_pose_fitted: whether the poses and the scale of the board were fitted to its dots, which leaves no linear
+            error of the print.
     """
-    waves = _waves(dot, _FINEST_M)
+    waves = _waves(dot, _FINEST_M, is_pose_fitted)
     if waves is None:
         return None
     columns, frequency = waves
@@ -198,14 +200,14 @@ def print_term(dot: FloatArray, depth: FloatArray) -> LabelTerm | None:
 
 
 def height_term(dot: FloatArray, point: FloatArray, pose: IntArray, by_point: FloatArray) -> LabelTerm | None:
-    """Return heights of the board over a plane, the same at all poses.
+    """Return heights of the board over the plane that fits it, the same at all poses.
 
     Args:
         dot: (n, 2) places on the board, metres; NaN where unknown.
         point: (n, 3) the same in the device frame. pose: (n,) number of the board's pose.
         by_point: (n, 2, 3) change of `observed` by the place of the point.
     """
-    waves = _waves(dot, _FINEST_HEIGHT_M)
+    waves = _waves(dot, _FINEST_HEIGHT_M, is_pose_fitted=True)
     if waves is None:
         return None
     height, frequency = waves
@@ -222,10 +224,10 @@ def height_term(dot: FloatArray, point: FloatArray, pose: IntArray, by_point: Fl
     return LabelTerm("heights", "shape of the board", columns, offset, BOARD_HEIGHT_M)
 
 
-def _waves(dot: FloatArray, finest_m: float) -> tuple[FloatArray, FloatArray] | None:
+def _waves(dot: FloatArray, finest_m: float, is_pose_fitted: bool) -> tuple[FloatArray, FloatArray] | None:
     """Return waves (n, k) on a board and their frequencies (k,), radians in `_UNIT_M`; None without an area.
 
-    The waves have no linear part: a fit of the board's pose and scale to all of its dots removes it.
+    A fit of the board's pose and scale to all of its dots removes the linear part of the waves.
     """
     if not np.isfinite(dot).all():
         return None
@@ -238,6 +240,7 @@ def _waves(dot: FloatArray, finest_m: float) -> tuple[FloatArray, FloatArray] | 
     along = np.pi * orders / (2.0 * half)
     place = every - middle
     waves = np.sin((place[:, :1] + half[0]) * along[:, 0]) * np.sin((place[:, 1:] + half[1]) * along[:, 1])
-    linear = basis(place, total_degree(2, 1), Box(-half, half))
-    waves = waves - linear @ np.linalg.lstsq(linear, waves, rcond=None)[0]
+    if is_pose_fitted:
+        linear = basis(place, total_degree(2, 1), Box(-half, half))
+        waves = waves - linear @ np.linalg.lstsq(linear, waves, rcond=None)[0]
     return waves[row.reshape(-1)], np.linalg.norm(along, axis=1) * _UNIT_M

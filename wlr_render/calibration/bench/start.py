@@ -31,6 +31,7 @@ from wlr_render.calibration.bench.unknowns import (
     smooth_block,
 )
 from wlr_render.calibration.poses import motion_between, small_motion
+from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
@@ -222,7 +223,7 @@ def _blocks(
     for number in dict.fromkeys(int(view.target or 0) for view in views):
         blocks["focus", number] = numbers_block(np.array([usual.CAMERA_FOCUS_BREATHING.value]), source="lens")
     for number, pose in chain.targets.items():
-        blocks["target", number] = pose_block(pose, seen.targets.get(number), "targets")
+        blocks["target", number] = pose_block(pose, seen.targets.get(number), TARGET_POSES)
     if (tracking := seen.device_from_tracking) is not None:
         blocks["extrinsics", TRACKING] = pose_block(tracking.pose, tracking, "tracking camera")
     for number, pose in chain.base.items():
