@@ -30,6 +30,22 @@ def test_shared_noise_is_found(share):
     assert 0.7 < found.length < 3.0
 
 
+def test_the_mean_of_noise_of_short_reach_is_nearly_as_good_as_it_is():
+    """White noise smoothed by a cone: a field of neither class, and of no tail."""
+    node = np.stack(np.meshgrid(np.arange(-4.0, 16.0, 0.5), np.arange(-4.0, 14.0, 0.5)), axis=-1).reshape(-1, 2)
+    near = np.maximum(1.0 - np.linalg.norm(PLACE[:, None] - node, axis=-1) / 2.5, 0.0)
+    root = near / np.linalg.norm(near, axis=1, keepdims=True)
+    middle = np.flatnonzero(np.all(PLACE == 5.0, axis=1))[0]
+    of_mean = []
+    for rng in map(np.random.default_rng, range(4)):
+        white, of_node = (rng.normal(size=(PHOTOGRAPHS, len(place), 2)) for place in (PLACE, node))
+        found = find_shared_noise([PLACE] * PHOTOGRAPHS, list(np.sqrt(0.5) * (white + root @ of_node)), sure)
+        assert found is not None
+        assert found.share == pytest.approx(0.5, abs=0.15)
+        of_mean.append(found.share * found.correlation(PLACE)[middle].sum())
+    assert np.mean(of_mean) == pytest.approx(0.5 * (root @ root.T)[middle].sum(), rel=0.5)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_white_noise_is_not_shared(seed):
     white = list(np.random.default_rng(seed).normal(size=(PHOTOGRAPHS, len(PLACE), 2)))

@@ -6,8 +6,9 @@ Interpolation of the picture, its compression and air make such noise. Left out 
 of the camera and like optics, because the mean of many readings that share noise is not as good as their number says.
 
 The field is of the Matern class of order 3/2, or Gaussian where it is smooth (Rasmussen and Williams, "Gaussian
-Processes for Machine Learning", 2006, chapter 4); share and length maximise the restricted likelihood (Patterson and
-Thompson, Biometrika 58, 1971, 545-554) of the residuals of a polynomial in each photograph.
+Processes for Machine Learning", 2006, chapter 4). The class decides how far the tail of the correlation reaches, and
+with it how good a mean is. Class, share and length maximise the restricted likelihood (Patterson and Thompson,
+Biometrika 58, 1971, 545-554) of the residuals of a polynomial in each photograph.
 """
 
 from collections.abc import Callable, Sequence
@@ -147,9 +148,9 @@ def find_shared_noise(
         patches.append(Contrasts.of(places[each][rows], _across(places[each][rows]), values))
 
     @cache
-    def minus_two(row: int) -> FloatArray:
-        """Return -2 log restricted likelihood of a length, (shares,), at the best noise size for each share."""
-        field = SharedNoise(1.0, _LENGTHS[row] * spacing)
+    def minus_two(row: int, is_smooth: bool) -> FloatArray:
+        """Return -2 log restricted likelihood of a field, (shares,), at the best noise size for each share."""
+        field = SharedNoise(1.0, _LENGTHS[row] * spacing, is_smooth)
         logs, squares, count = np.zeros(len(_SHARES)), np.zeros(len(_SHARES)), 0
         for patch in patches:
             log, square = patch.likelihood_terms(field, _SHARES)
@@ -158,14 +159,19 @@ def find_shared_noise(
             count += 2 * patch.across.shape[1]
         return np.asarray(logs + count * np.log(np.maximum(squares, 1e-300)))
 
-    row, last = _USUAL_LENGTH, -1
-    while row != last:  # the likelihood has one maximum along the length
-        near = range(max(row - 1, 0), min(row + 2, len(_LENGTHS)))
-        row, last = min(near, key=lambda each: float(minus_two(each).min())), row
-    column = int(np.argmin(minus_two(row)))
-    if minus_two(row)[0] - minus_two(row)[column] < 2.0 * np.log(_ODDS):
+    def best_length(is_smooth: bool) -> int:
+        row, last = _USUAL_LENGTH, -1
+        while row != last:  # the likelihood has one maximum along the length
+            near = range(max(row - 1, 0), min(row + 2, len(_LENGTHS)))
+            row, last = min(near, key=lambda each: float(minus_two(each, is_smooth).min())), row
+        return row
+
+    fields = [(best_length(is_smooth), is_smooth) for is_smooth in (False, True)]
+    row, is_smooth = min(fields, key=lambda each: float(minus_two(*each).min()))
+    column = int(np.argmin(minus_two(row, is_smooth)))
+    if minus_two(row, is_smooth)[0] - minus_two(row, is_smooth)[column] < 2.0 * np.log(_ODDS):
         return None
-    return SharedNoise(float(_SHARES[column]), float(_LENGTHS[row] * spacing))
+    return SharedNoise(float(_SHARES[column]), float(_LENGTHS[row] * spacing), is_smooth)
 
 
 def neighbour_distance(places: Sequence[FloatArray]) -> float:
