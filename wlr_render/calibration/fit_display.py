@@ -19,7 +19,7 @@ from wlr_render.calibration.readings import (
     without_thickness,
 )
 from wlr_render.calibration.smooth_fit import SmoothFit
-from wlr_render.calibration.smooth_prior import MotionFactors, Stage
+from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.bundle import BundleDisplay
@@ -43,7 +43,7 @@ def fit_display(
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
     weights: FloatArray | None = None,
-    stage: Stage | MotionFactors | None = None,
+    stage: Stage | None = None,
     before: SmoothFit | None = None,
 ) -> ModelFit[FittedDisplay]:
     """Fit a display model to captures of the panel by maximum evidence.
@@ -57,7 +57,7 @@ def fit_display(
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_search.fit`.
-        stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
+        stage: what other captures of the bench tell of the stage's errors; None to find them.
         before: fit of this kind with another stage or trend, to start from; None for no such fit.
 
     Raises:

@@ -1,6 +1,6 @@
 """Fit both mappings of one eye."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,6 @@ from wlr_render.calibration.fit_prescription import (
 )
 from wlr_render.calibration.fit_report import ModelFit
 from wlr_render.calibration.readings import Trend
-from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import Captures
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -39,9 +38,6 @@ KINDS_BY_PRESCRIPTION = ("prescription", "grey-box")
 
 _SEE_THROUGH_KIND = {"point-per-pixel": "static"}  # a display-only model goes with a see-through that is as simple
 _COMPARED = ("prescription", "planar", "grey-box")  # the simpler ones first
-_STILL = 1e-6  # metres or radians: too small to show in readings
-_ALIKE = 2.0  # ratio of repeatabilities that may be of one stage
-_OTHER_STAGE = 20.0  # log10 odds from which display and see-through were not captured by one stage
 _WORTH = 2.0  # log10 odds from which a kind is taken before a simpler one
 
 
@@ -196,8 +192,8 @@ def calibrate(
     if captures.display is not None:
         # The world bends little from place to place: its captures tell their motions from the optics where the
         # display's cannot.
-        factors = seen.smooth.motion_factors if seen is not None and captures.display.motion is not None else None
-        shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane, stage=factors)
+        stage = None if seen is None else seen.smooth.stage
+        shown = display_fit.fit_display(captures.display, kind, display_degree, base_plane, stage=stage)
     return _eye_fit(captures, shown, seen, sum(_log_evidence(each) for each in (shown, seen) if each is not None))
 
 
@@ -273,7 +269,9 @@ def fit_with_trends(
     """Fit a grey box or a prescription: the display, then see-through with what the display says as prior.
 
     The product of both evidences is then that of all readings. What see-through adds goes back to the display, at its
-    hyperparameters, so that both models have the same posterior of the assembly errors.
+    hyperparameters, so that both models have the same posterior of the assembly errors. The sizes of the stage's errors
+    are those of see-through alone: from few positions, motions of the captures can imitate what a display's optics
+    change from place to place.
 
     Args:
         captures: of both.
@@ -285,62 +283,21 @@ def fit_with_trends(
     Raises:
         BadInputError: as `fit_display` and `fit_see_through`.
     """
-    fit = partial(_both, captures, kind, trends, degrees, weights)
-    is_known = any(each.motion is not None for each in captures.both)
-    shown, seen = fit(None, None) if is_known else _one_stage(fit)
+    display, see_through = captures.both
+    degree, planes = degrees[1], trends.planes
+    fit_seen = partial(see_through_fit.fit_see_through, see_through, kind, degree, planes[1], weights=weights[1])
+    seen = fit_seen(trend=trends.see_through)
+    stage = {name: (size, 0.0) for name, (size, _) in seen.smooth.stage.items()}
+    shown = display_fit.fit_display(display, kind, degrees[0], planes[0], trends.display, weights[0], stage)
     mean, covariance = shown.smooth.trend_parameters
     root = np.asarray(np.linalg.cholesky(covariance), np.float64)
+    seen = fit_seen(trend=trends.see_through.about(mean, root), stage=stage, before=seen.smooth)
     log_evidence = _log_evidence(shown) + _log_evidence(seen)
     of_see_through = _without_display(mean, root, *seen.smooth.trend_parameters)
     shown = display_fit.with_trend(shown, trends.display.about(*of_see_through))
     added, covariance = shown.smooth.trend_parameters
     found = of_see_through[0] + of_see_through[1] @ added, of_see_through[1] @ covariance @ of_see_through[1].T
     return replace(_eye_fit(captures, shown, seen, log_evidence), assembly=with_posterior(trends.assembly, *found))
-
-
-_Both = tuple[ModelFit[FittedDisplay], ModelFit[FittedSeeThrough]]
-
-
-def _both(
-    captures: Captures,
-    kind: str,
-    trends: EyeTrends,
-    degrees: tuple[int | None, int | None],
-    weights: tuple[FloatArray | None, FloatArray | None],
-    stage: Stage | None,
-    before: _Both | None = None,
-) -> _Both:
-    """Display, and see-through with what the display says of the assembly errors as prior."""
-    display, see_through = captures.both
-    start = (None, None) if before is None else tuple(each.smooth for each in before)
-    shown = display_fit.fit_display(
-        display, kind, degrees[0], trends.planes[0], trends.display, weights[0], stage, start[0]
-    )
-    mean, covariance = shown.smooth.trend_parameters
-    trend = trends.see_through.about(mean, np.asarray(np.linalg.cholesky(covariance), np.float64))
-    seen = see_through_fit.fit_see_through(
-        see_through, kind, degrees[1], trends.planes[1], trend, weights[1], stage, start[1]
-    )
-    return shown, seen
-
-
-def _one_stage(fit: Callable[[Stage | None, _Both | None], _Both]) -> _Both:
-    """Fit with the same repeatability and wobble for both, unless they are of different stages by all evidence.
-
-    From few positions, motions of the captures can imitate what the optics change from place to place; the other
-    captures of the same stage know better.
-    """
-
-    def evidence(both: _Both) -> float:
-        return _log_evidence(both[0]) + _log_evidence(both[1])
-
-    free = fit(None, None)
-    stages = [each.smooth.stage for each in free]
-    sizes = [{name: max(size, _STILL) for name, size in each.items()} for each in stages]
-    if all(1.0 / _ALIKE < sizes[0][name] / sizes[1][name] < _ALIKE for name in ("shift", "turn")):
-        return free
-    shared = max((fit(stage, free) for stage in stages), key=evidence)
-    return free if evidence(free) - evidence(shared) > _OTHER_STAGE * np.log(10.0) else shared
 
 
 def _without_display(

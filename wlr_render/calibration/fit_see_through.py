@@ -16,7 +16,7 @@ from wlr_render.calibration.readings import (
     without_thickness,
 )
 from wlr_render.calibration.smooth_fit import SmoothFit
-from wlr_render.calibration.smooth_prior import MotionFactors, Stage
+from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
@@ -39,7 +39,7 @@ def fit_see_through(
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
     weights: FloatArray | None = None,
-    stage: Stage | MotionFactors | None = None,
+    stage: Stage | None = None,
     before: SmoothFit | None = None,
 ) -> ModelFit[FittedSeeThrough]:
     """Fit a see-through model to captures of real points, as deviation from straight rays, by maximum evidence.
@@ -52,7 +52,7 @@ def fit_see_through(
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_search.fit`.
-        stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
+        stage: what other captures of the bench tell of the stage's errors; None to find them.
         before: fit of this kind with another stage or trend, to start from; None for no such fit.
 
     Raises:

@@ -12,7 +12,7 @@ from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.reading_sums import UndeterminedModelError
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings, Limits, Trend
 from wlr_render.calibration.smooth_fit import SmoothFit
-from wlr_render.calibration.smooth_prior import MotionFactors, Stage
+from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.calibration.smooth_search import fit_within
 from wlr_render.captures.correspondences import AnyCaptures
 from wlr_render.errors import BadInputError
@@ -81,7 +81,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         base_plane: BasePlane | None,
         trend: Trend | None,
         weights: FloatArray | None,
-        stage: Stage | MotionFactors | None,
+        stage: Stage | None,
         before: SmoothFit | None,
     ) -> ModelFit[AnyModel]:
         """Fit a model by maximum evidence; see `fit_display.fit_display`."""

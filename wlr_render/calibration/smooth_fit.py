@@ -18,7 +18,6 @@ from wlr_render.calibration.posterior_spread import label_response, spread_of
 from wlr_render.calibration.reading_sums import Response, label_values, polynomial_of, response_of, sums_of
 from wlr_render.calibration.readings import FitReadings, Trend, design_of, motion_columns
 from wlr_render.calibration.smooth_prior import (
-    MotionFactors,
     Stage,
     motion_scale,
     motion_sizes,
@@ -36,7 +35,7 @@ from wlr_render.numerics.posterior import Posterior
 _BEYOND = 0.05  # share of a fit's variance that is expected of the terms beyond its own before it gets more of them
 _UNSEEN = 0.1  # of the least noise: what terms beyond may always add
 _SETTLED = 0.02  # largest distance of a logarithm from its optimum where the search for it ends
-_SIDES_DIFFER = 0.1  # logarithm of the sizes of the motions of a headset's display captures over the others'
+_SIDES_DIFFER = 0.1  # logarithm of the sizes of the stage's errors in the display's captures over the others'
 _CONTRADICTION_ARCMIN = 30.0  # more noise than any camera has
 
 
@@ -59,7 +58,7 @@ class SmoothFit:
         columns: (n, 2, 6) change of the readings by the motions; None where none are modelled.
         start: the free part, which the sums lack.
         sums: over the readings, with their weights.
-        motion_curvature: (2,) information of the readings on the logarithms of the sizes of shift and turn.
+        curvature: (hyperparameters,) information of the readings on each; None where no motions are modelled.
     """
 
     polynomial: Polynomial
@@ -71,7 +70,7 @@ class SmoothFit:
     columns: FloatArray | None
     start: Polynomial
     sums: Sums
-    motion_curvature: FloatArray | None = None
+    curvature: FloatArray | None = None
     beyond: FloatArray | None = None
     of_labels: Response | None = None
     others: tuple[tuple[str, ...], tuple[str, ...]] = ((), ())
@@ -95,12 +94,12 @@ class SmoothFit:
     def motion_agreement(self) -> MotionAgreement | None:
         """Whether the readings agree with the motions that the captures state; None where they state none."""
         known = self.readings.motion_prior
-        if known is None or self.motion_curvature is None:
+        if known is None or self.curvature is None:
             return None
         shift_m, turn_rad = motion_scale(self.readings)
         # The prior pulls the logarithms of the factors to its mean, the readings to where they alone would have them.
         mean, sigma = self.prior.expected[-2:].T
-        curvature = np.maximum(self.motion_curvature, 1e-9)
+        curvature = np.maximum(self.curvature[-2:], 1e-9)
         off = np.log(self._motion_factors)
         alone = off + (off - mean) / sigma**2 / curvature
         # Readings that say nothing have nearly no curvature: what the search left to go would look like a pull.
@@ -109,13 +108,15 @@ class SmoothFit:
         return MotionAgreement(float(shift_m), float(turn_rad), *map(float, self._motion_factors), *map(float, sigmas))
 
     @property
-    def motion_factors(self) -> MotionFactors | None:
-        """What other captures of the same bench may expect of their motions; None where these state none."""
-        known = self.readings.motion_prior
-        if known is None or self.motion_curvature is None:
-            return None
-        sigma = 1.0 / np.sqrt(self.motion_curvature + known.log_sigma**-2)
-        return MotionFactors(np.log(self._motion_factors), np.hypot(sigma, _SIDES_DIFFER))
+    def stage(self) -> Stage:
+        """What other captures of the same bench may expect of the stage; empty where no motions were modelled."""
+        if self.curvature is None:
+            return {}
+        names = self.prior.names
+        told = [names.index(each.name) for each in self.readings.of_stage] + [len(names) - 2, len(names) - 1]
+        information = self.curvature[told] + self.prior.expected[told, 1] ** -2.0
+        sigma = np.hypot(information**-0.5, _SIDES_DIFFER)
+        return {names[row]: (float(self.hyper[row]), float(each)) for row, each in zip(told, sigma, strict=True)}
 
     @property
     def _motion_factors(self) -> FloatArray:
@@ -145,12 +146,6 @@ class SmoothFit:
     def hyper(self) -> FloatArray:
         """(hyperparameters,) as found, logarithms."""
         return np.array(list(self.posterior.hyper.values()))
-
-    @property
-    def stage(self) -> Stage:
-        """Repeatability, wobble and errors of the stage's labels as found."""
-        of_labels = {each.name: float(np.exp(self.posterior.hyper[each.name])) for each in self.readings.of_stage}
-        return {"shift": self.shift_m, "turn": self.turn_rad} | of_labels
 
     @property
     def determined(self) -> tuple[float, int]:
@@ -367,7 +362,7 @@ class SmoothFit:
             columns = motion_columns(readings, self.polynomial) * weight[:, None]
             own, stage = columns * size[readings.capture, None], self.readings.stage
             if stage is not None and stage.axes:  # the visits of a place share the errors of the stage's axes there
-                of_place = columns[:, :, stage.axes] * self.stage["axes"]
+                of_place = columns[:, :, stage.axes] * np.exp(self.posterior.hyper["axes"])
         found, shared = [], self.readings.shared
         for number in range(places):
             rows = np.flatnonzero(place == number)

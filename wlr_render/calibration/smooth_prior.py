@@ -5,7 +5,7 @@ with a slope for each variable.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -33,30 +33,19 @@ _FOOTPRINT, _USUAL_FOOTPRINT = "footprint", (1.0, 0.5)  # exponent of `_log_ways
 _FALL = "fall"  # of the size of waves with their frequency
 _LEAST_SHARE, _MOST_TIMES_USUAL = 7.0, 2.5  # logarithms of the bounds of an error by label over its usual size
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
-Stage = Mapping[str, float]
-"""Sizes of the errors of a stage by the names of their hyperparameters: "shift", "axes", "travel" in metres, "turn" in
-radians, standard deviations per axis."""
+Stage = Mapping[str, tuple[float, float]]
+"""What other captures tell of the errors of a stage, by the names of their hyperparameters: mean and sigma of the
+natural logarithm of the size. "shift" and "turn" are in units of `motion_scale`, "axes" and "travel" in metres. A sigma
+of 0 holds the size."""
 
 
-@dataclass(frozen=True)
-class MotionFactors:
-    """By what factors the stated sizes of shift and turn are wrong, as other captures of the same bench tell.
-
-    Attributes:
-        mean, sigma: (2,) of the natural logarithms of the factors.
-    """
-
-    mean: FloatArray
-    sigma: FloatArray
-
-
-def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors | None = None) -> Prior:
+def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = None) -> Prior:
     """Prior of a fit to the readings, with motions of the captures or without.
 
     Args:
         readings: what is fitted.
         moving: whether the captures move.
-        factors: of the stated sizes of the motions; None for what the captures state of them.
+        stage: of which the captures are, as others tell; None for what these captures state, or what is usual.
     """
     blocks, orders, free = readings.blocks, readings.orders, readings.free
     sizes = [f"size {block}" for block in range(blocks)]
@@ -106,8 +95,12 @@ def smoothness_prior(readings: FitReadings, moving: bool, factors: MotionFactors
     if moving:
         stated = readings.motion_prior
         expected[-2:, 1] = STAGE_REPEATABILITY_M.log_sigma if stated is None else stated.log_sigma
-        if factors is not None:
-            expected[-2:] = np.stack([factors.mean, factors.sigma], axis=-1)
+    for name in set(names).intersection(stage or ()):
+        mean, sigma = (stage or {})[name]
+        if sigma > 0:
+            expected[names.index(name)] = mean, sigma
+        else:
+            bounds[names.index(name)] = mean, mean
     return Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
 
 

@@ -5,7 +5,7 @@ nearly the same hyperparameters, and with the same captures nearly the same weig
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,10 +17,8 @@ from wlr_render.calibration.reading_sums import free_part, polynomial_of, sums_o
 from wlr_render.calibration.readings import FitReadings, Limits, motion_columns, rows_by_capture
 from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.calibration.smooth_prior import (
-    LEAST_MOTION,
     SHIFT,
     TURN,
-    MotionFactors,
     Stage,
     motion_scale,
     motion_sizes,
@@ -53,7 +51,7 @@ def fit_within(
     readings_of: Callable[[Limits], FitReadings],
     limits: Sequence[Limits],
     weights: FloatArray | None = None,
-    stage: Stage | MotionFactors | None = None,
+    stage: Stage | None = None,
     before: SmoothFit | None = None,
 ) -> SmoothFit:
     """Fit with the terms that matter, as the readings themselves tell.
@@ -90,7 +88,7 @@ def _first_fit(
     readings_of: Callable[[Limits], FitReadings],
     limits: Sequence[Limits],
     weights: FloatArray | None,
-    stage: Stage | MotionFactors | None,
+    stage: Stage | None,
 ) -> SmoothFit:
     """Fit within the first limits that can be computed."""
     for each in limits[:-1]:
@@ -101,9 +99,7 @@ def _first_fit(
     return fit(readings_of(limits[-1]), None, weights, stage)
 
 
-def _fit_from(
-    before: SmoothFit, readings: FitReadings, weights: FloatArray | None, stage: Stage | MotionFactors | None
-) -> SmoothFit:
+def _fit_from(before: SmoothFit, readings: FitReadings, weights: FloatArray | None, stage: Stage | None) -> SmoothFit:
     """Fit from the fit before it, or from nothing where that leads to sums without an inverse."""
     try:
         return fit(readings, before, weights, stage)
@@ -115,7 +111,7 @@ def fit(
     readings: FitReadings,
     before: SmoothFit | None = None,
     weights: FloatArray | None = None,
-    stage: Stage | MotionFactors | None = None,
+    stage: Stage | None = None,
 ) -> SmoothFit:
     """Fit by maximum evidence.
 
@@ -124,7 +120,7 @@ def fit(
         before: fit to the same readings with other terms, to start from; None searches from several starts.
         weights: (n,) of the readings, 1 to 0 for outliers; None to find them. Evidence of models is comparable only
             with the same readings and weights.
-        stage: repeatability and wobble, or what is known of them beside what the captures state; None to find them.
+        stage: what other captures of the bench tell of the stage's errors; None to find them.
 
     Raises:
         BadInputError: the readings determine nothing, or contradict each other.
@@ -183,7 +179,7 @@ class _Search:
     readings: FitReadings
     start: Polynomial
     weights: FloatArray | None
-    stage: Stage | MotionFactors | None
+    stage: Stage | None
 
     def without(self, moved: tuple[CaptureMotion, ...], before: SmoothFit | None = None) -> SmoothFit:
         """Fit to all captures but those that moved, from what another fit to them found; None for no such fit."""
@@ -224,20 +220,14 @@ class _Search:
         """Add motions of the captures, of the sizes of a fit to the same captures; None for no such fit."""
         start, kept, polynomial = still.start, still.kept, still.polynomial
         readings = still.readings.moving(motion_columns(still.readings, polynomial))
-        factors = self.stage if isinstance(self.stage, MotionFactors) else None
-        prior = smoothness_prior(readings, moving=True, factors=factors)
-        if isinstance(self.stage, Mapping):
-            units = dict(zip(("shift", "turn"), motion_scale(readings), strict=True))
-            for name in set(prior.names).intersection(self.stage):
-                size = max(self.stage[name], LEAST_MOTION) / units.get(name, 1.0)
-                prior.bounds[prior.names.index(name)] = np.log(size)
+        prior = smoothness_prior(readings, moving=True, stage=self.stage)
         rough, hyper = _rough(readings, kept), dict(zip(prior.names, map(float, prior.expected[:, 0]), strict=True))
         hyper |= {} if before is None else before.posterior.hyper
         hyper |= still.posterior.hyper
         mixed, rows = _rough_axes(readings)
         features, offset = prior.mixed_features[rows], np.broadcast_to(prior.mixed_offset, len(mixed))[rows]
         of_rough = replace(prior, group_offset=0.0, mixed_features=features, mixed_offset=offset)
-        curvature = np.zeros(2)
+        curvature = np.zeros(len(prior.names))
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
             columns = motion_columns(readings, polynomial)
@@ -245,7 +235,7 @@ class _Search:
             sums = sums_of(readings, start, columns, kept, still=still.sums)
             if round_ > 0:
                 found = maximise(sums.combined(mixed, rough), of_rough, [hyper])
-                hyper, curvature = dict(found.hyper), found.curvature[-2:]
+                hyper, curvature = dict(found.hyper), found.curvature
             elif before is None:
                 hyper = motion_start(sums.combined(mixed, rough), of_rough, hyper)
             found = posterior(sums, prior, np.clip([hyper[name] for name in prior.names], *prior.bounds.T))
