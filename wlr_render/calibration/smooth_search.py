@@ -33,16 +33,16 @@ from wlr_render.numerics.polynomial import Polynomial
 from wlr_render.numerics.posterior import Posterior
 from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, neighbour_distance
 
-_GROSS, _LOST = 5.0, 10.0  # residual over noise from which a reading's weight falls, and where it ends
-_WIDENINGS = 3
-_MOTION_ROUNDS = 3
-_ROUNDS = 4  # of outlier weights and noise that neighbours share
+_GROSS, _LOST = 5.0, 10.0  # residual over noise where a reading's weight begins and ends to fall: 4e-6 of normal noise
+_WIDENINGS = 3  # most fits with more terms, each of which takes as long as the first
+_MOTION_ROUNDS = 3  # slopes and motions in turns: the slopes of the first fit contain motions, those of the second hardly
+_ROUNDS = 4  # most rounds of outlier weights and shared noise; they end earlier where nothing changes
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
-_REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # share of the motions that is left to tell their sizes
-_NEAR_CLEAREST = 0.7  # of the odds of the clearest one: what is less clear may be its doing
-_ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out
-_MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out, and that may seem to have moved
-_ROUNDS_OF_MOTIONS = 8  # fits without some of the captures
+_REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # least share of motions that tell sizes: a stated size needs fewer
+_NEAR_CLEAREST = 0.7  # of the logarithm of the odds of the clearest one: what is less clear may be its doing
+_ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out; larger than any bump
+_MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out; beyond a half all may be wrong
+_ROUNDS_OF_MOTIONS = 8  # fits without some of the captures; each leaves out the clearest, which are few
 _ORDERS_BEYOND, _ENOUGH_ORDERS = 2, 7  # that a capture is judged by beside those of a fit, up to so many in all
 _FEW_ORDERS = 3  # in all, of the fit that finds captures far off
 
