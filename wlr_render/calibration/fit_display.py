@@ -1,8 +1,5 @@
 """Fit a display model to captures."""
 
-from dataclasses import replace
-from functools import partial
-
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
@@ -65,19 +62,6 @@ def fit_display(
             have two solutions; the sentence says what is missing.
     """
     return DISPLAY.fit(captures, kind, degree, base_plane, trend, weights, stage, before)
-
-
-def with_trend(fitted: ModelFit[FittedDisplay], trend: Trend) -> ModelFit[FittedDisplay]:
-    """Return the fit with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
-    smooth = fitted.smooth.with_trend(trend)
-    assert isinstance(fitted.mapping, BundleDisplay)
-    mapping = replace(
-        fitted.mapping,
-        forward=smooth.polynomial,
-        backward_start=backward_start_of(smooth.polynomial),
-        spread=smooth.spread,
-    )
-    return replace(fitted, mapping=mapping, smooth=smooth, readings_of=partial(fitted.readings_of, trend=trend))
 
 
 def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:

@@ -2,12 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from wlr_render.calibration import fit_display as display_fit
 from wlr_render.calibration import fit_see_through as see_through_fit
@@ -266,12 +264,11 @@ def fit_with_trends(
     degrees: tuple[int | None, int | None] = (None, None),
     weights: tuple[FloatArray | None, FloatArray | None] = (None, None),
 ) -> Calibration:
-    """Fit a grey box or a prescription: the display, then see-through with what the display says as prior.
+    """Fit a grey box or a prescription to both sides, then each with what the other says of the assembly as prior.
 
-    The product of both evidences is then that of all readings. What see-through adds goes back to the display, at its
-    hyperparameters, so that both models have the same posterior of the assembly errors. The sizes of the stage's errors
-    are those of see-through alone: from few positions, motions of the captures can imitate what a display's optics
-    change from place to place.
+    Both models then have the same posterior of the assembly errors. The evidence of all readings is that of the display
+    and that of see-through after it. The sizes of the stage's errors are those of see-through: from few positions,
+    motions of the captures can imitate what a display's optics change from place to place.
 
     Args:
         captures: of both.
@@ -284,39 +281,20 @@ def fit_with_trends(
         BadInputError: as `fit_display` and `fit_see_through`.
     """
     display, see_through = captures.both
-    degree, planes = degrees[1], trends.planes
-    fit_seen = partial(see_through_fit.fit_see_through, see_through, kind, degree, planes[1], weights=weights[1])
-    seen = fit_seen(trend=trends.see_through)
+    display_plane, see_through_plane = trends.planes
+    seen = see_through_fit.fit_see_through(
+        see_through, kind, degrees[1], see_through_plane, trends.see_through, weights[1]
+    )
     stage = {name: (size, 0.0) for name, (size, _) in seen.smooth.stage.items()}
-    shown = display_fit.fit_display(display, kind, degrees[0], planes[0], trends.display, weights[0], stage)
-    mean, covariance = shown.smooth.trend_parameters
-    root = np.asarray(np.linalg.cholesky(covariance), np.float64)
-    seen = fit_seen(trend=trends.see_through.about(mean, root), stage=stage, before=seen.smooth)
-    log_evidence = _log_evidence(shown) + _log_evidence(seen)
-    of_see_through = _without_display(mean, root, *seen.smooth.trend_parameters)
-    shown = display_fit.with_trend(shown, trends.display.about(*of_see_through))
-    added, covariance = shown.smooth.trend_parameters
-    found = of_see_through[0] + of_see_through[1] @ added, of_see_through[1] @ covariance @ of_see_through[1].T
-    return replace(_eye_fit(captures, shown, seen, log_evidence), assembly=with_posterior(trends.assembly, *found))
-
-
-def _without_display(
-    mean: FloatArray, root: FloatArray, added_mean: FloatArray, added_covariance: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return what the prior and see-through say of the parameters: mean (p,) and root (p, p) of the covariance.
-
-    Args:
-        mean, root: what the prior and the display say.
-        added_mean, added_covariance: of q, parameters = mean + root @ q, after see-through: standard normal before.
-    """
-    identity = np.eye(len(mean))
-    precision = np.linalg.inv(added_covariance)
-    values, vectors = np.linalg.eigh(precision - identity)
-    information = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    inverse = solve_triangular(root, identity, lower=True)
-    covariance = np.linalg.inv(identity + inverse.T @ information @ inverse)
-    pull = inverse.T @ (information @ (inverse @ mean) + precision @ added_mean)
-    return covariance @ pull, np.linalg.cholesky(covariance)
+    shown = display_fit.fit_display(display, kind, degrees[0], display_plane, trends.display, weights[0], stage)
+    by_display, (mean, root) = shown.smooth.trend_parameters, seen.smooth.trend_parameters
+    log_evidence = _log_evidence(shown)
+    seen = see_through_fit.SEE_THROUGH.with_trend(seen, see_through_plane, trends.see_through.about(*by_display))
+    shown = display_fit.DISPLAY.with_trend(shown, display_plane, trends.display.about(mean, root))
+    log_evidence += _log_evidence(seen)
+    added, rest = shown.smooth.trend_parameters
+    assembly = with_posterior(trends.assembly, mean + root @ added, root @ rest @ rest.T @ root.T)
+    return replace(_eye_fit(captures, shown, seen, log_evidence), assembly=assembly)
 
 
 def _log_evidence(fitted: ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]) -> float:

@@ -119,6 +119,13 @@ class Side(Generic[AnyCaptures, AnyModel]):
         orders = smooth.readings.limits.words(self.subject, how.has_places)
         return ModelFit(kind, mapping, used, smooth, readings_of, orders, contraction)
 
+    def with_trend(self, fitted: ModelFit[AnyModel], plane: BasePlane, trend: Trend) -> ModelFit[AnyModel]:
+        """Return a fit on a plane with another prior of the trend's parameters; see `SmoothFit.with_trend`."""
+        smooth = fitted.smooth.with_trend(trend)
+        captures: Any = fitted.captures  # of this side
+        mapping = self.kinds[fitted.kind].model(captures, plane, smooth.polynomial, smooth.spread)
+        return replace(fitted, mapping=mapping, smooth=smooth, readings_of=partial(fitted.readings_of, trend=trend))
+
     def _require_at_eye_box(self, captures: AnyCaptures) -> None:
         """Refuse captures that were not taken near the eye box.
 

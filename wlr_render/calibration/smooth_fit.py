@@ -161,9 +161,10 @@ class SmoothFit:
 
     @property
     def trend_parameters(self) -> tuple[FloatArray, FloatArray]:
-        """Posterior mean (parameters,) and covariance (parameters, parameters) of the trend's parameters."""
+        """Posterior mean (parameters,) of the trend's parameters, and the root of their covariance."""
         count = self.readings.trend.parameters if self.readings.trend else 0
-        return self.posterior.mixed_mean[:count], self.posterior.side_covariance[:count, :count]
+        root = np.linalg.cholesky(self.posterior.side_covariance[:count, :count])
+        return self.posterior.mixed_mean[:count], np.asarray(root, np.float64)
 
     def with_trend(self, trend: Trend) -> "SmoothFit":
         """Return the fit with another prior of the trend's parameters, at the same hyperparameters and weights."""

@@ -35,7 +35,7 @@ from wlr_render.numerics.shared_noise import SharedNoise, find_shared_noise, nei
 
 _GROSS, _LOST = 5.0, 10.0  # residual over noise where a reading's weight begins and ends to fall: 4e-6 of normal noise
 _WIDENINGS = 3  # most fits with more terms, each of which takes as long as the first
-_MOTION_ROUNDS = 3  # slopes and motions in turns: the slopes of the first fit contain motions, those of the second hardly
+_MOTION_ROUNDS = 3  # slopes and motions in turns: the slopes of the first fit contain motions
 _ROUNDS = 4  # most rounds of outlier weights and shared noise; they end earlier where nothing changes
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
 _REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # least share of motions that tell sizes: a stated size needs fewer
