@@ -14,7 +14,7 @@ from wlr_render.captures.boards.charuco import CharucoBoard
 from wlr_render.captures.boards.chessboard import Chessboard
 from wlr_render.captures.boards.circle_grid import CircleGrid
 from wlr_render.captures.boards.dot_board import DotBoard
-from wlr_render.captures.photo_session import BoardPhotograph, GivenPose, StageAxis
+from wlr_render.captures.photo_session import BoardPhotograph, CodeTable, GivenPose, StageAxis, StageTable
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES, rigid
@@ -25,7 +25,22 @@ from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 
 WHERE = "file.toml [table]"
-MANUAL = resource("docs", "photo-session.md").read_text(encoding="utf-8")
+MANUAL = resource("docs", "files.md").read_text(encoding="utf-8")
+DOCUMENTED = {
+    **{f"bench `[{name}]`": kind for name, kind in SECTIONS.items()},
+    "bench `[[target_pose]]`": TargetPose,
+    "session `[stage]`": StageTable,
+    "session, an axis": StageAxis,
+    "session, a camera": PhotographFormat,
+    "session `[[target]]`": GivenPose,
+    "session, a photograph": BoardPhotograph,
+    "board": BoardTolerances,
+    "board of dots": DotBoard,
+    "`charuco`": CharucoBoard,
+    "`april-grid`": AprilGrid,
+    "`chessboard`": Chessboard,
+    "`circles`": CircleGrid,
+}
 PLACE = BoardPlace(axes=FRAMES["opencv"])
 POSE = rigid(np.eye(3), np.array([0.01, 0.02, 0.6]))
 PARTS = {kind: kind() for name, kind in SECTIONS.items() if name not in ("camera", "stage", "target", "light")}
@@ -35,6 +50,8 @@ RECORDS = [
     SECTIONS["target"](POSE[None], np.ones(1)),
     *(replace(part, slip_time_s=9.0) if hasattr(part, "slip_time_s") else part for part in PARTS.values()),
     TargetPose(POSE, 0.02),
+    StageTable("none", 1e-6, "camera"),
+    CodeTable("opencv", PLACE.folder / "order.csv"),
     StageAxis("rotary", np.array([0.0, 0.6, -0.8]), 0.01, np.array([0.0, 0.001, 0.002])),
     BoardPhotograph(
         PLACE.folder, "a.png", 3, stage=np.zeros(3), time_s=5.0, temperature_c=20.0, regions=np.arange(4.0)[None]
@@ -97,12 +114,19 @@ def test_a_value_beyond_its_bounds_is_refused_with_file_and_key(record):
             assert "\n" not in str(caught.value)
 
 
-def test_the_manuals_name_every_key():
-    for record in RECORDS[len(SECTIONS) + 1 :]:
-        for key in (
-            keys_of(type(record)) if not isinstance(record, DotBoard | PhotoBenchOptions | BenchImperfections) else ()
-        ):
-            assert any(f"`{name}`" in MANUAL or f"{name} =" in MANUAL for name in key.names), key.names
+def limits(key):
+    """The limits of a key in words, "" without any."""
+    key = key._key(PLACE) if hasattr(key, "_key") else key
+    if key.most is None and key.least is None:
+        return f"`{key.name}` {key.rule.demand}" if key.rule else ""
+    least = key.least if key.least is not None else 0 if key.type is int else -key.most
+    low = f"above {key.above:g}" if key.above is not None else f"{least:g}"
+    return f"`{key.name}` " + (f"{low} to {key.most:g}" if key.most is not None else f"{low} or more")
+
+
+def test_the_manual_has_the_limits_of_every_key():
+    for place, kind in DOCUMENTED.items():
+        assert f"| {place} | {'; '.join(filter(None, map(limits, keys_of(kind))))} |\n" in MANUAL
 
 
 def test_one_of_several_keys_alone_is_refused():

@@ -147,7 +147,6 @@ def test_files_that_are_none(tmp_path):
         ({"bits": 8, "linearisation": "a.txt"}, "a.txt: there is no such file"),
         ({"bits": 8, "linearisation": "../a.txt"}, "'linearisation': '../a.txt' leads out of the folder"),
         ({"bits": 8, "interpolate": False}, "'interpolate' is for raw files"),
-        ({"bits": 8, "mosaic": "rgb"}, "must be one of"),
     ],
 )
 def test_keys_that_cannot_be_right(tmp_path, keys, sentence):
