@@ -190,7 +190,7 @@ def with_covariance(rows):
 
 FAULTS = {
     "unit": ('unit = "mm"', 'unit = "m"', "'unit' is 'm'; a bench file is in mm"),
-    "version": ("version = 1", "version = 2", "'version' is 2"),
+    "version": ("version = 1", "version = 2", "has version 2; this program reads version 1"),
     "format": ('"bench-session"', '"scene"', "'format' is 'scene'"),
     "frame": ('"opencv"', '"opengl"', "'frame' is 'opengl'; it must be one of opencv, openxr"),
     "device": ('"northstar"', '"nothstar"', "Did you mean northstar?"),

@@ -177,7 +177,7 @@ def rewritten(tmp_path, header, arrays):
         ({}, {"see_through_motion_size": -MOTION.size}, "capture motions: 'size' has negative"),
         ({}, {"display_motion_log_sigma": np.ones(2)}, "'log_sigma' is"),
         ({"format": "other"}, {}, "it must be one of wlr-captures"),
-        ({"version": 9}, {}, "has version 9; this program reads versions 1 and 2"),
+        ({"version": 9}, {}, "has version 9; this program reads versions 1 to 2"),
         ({"frame": "opencv"}, {}, "must be in frame 'openxr'"),
         ({"eye": "middle"}, {}, "'eye' is 'middle'"),
         ({"eye_box": {"centre_m": [0, 0, 0]}}, {}, "key 'size_m' is missing"),

@@ -137,7 +137,7 @@ def test_a_mesh_file_alone_is_a_scene_one_metre_ahead(tmp_path, box_glb):
     [
         ('format = "wlr-scene"\nversion = 1\n' + BOX, "key 'frame' is missing"),
         (HEADER.replace("openxr", "opencv") + BOX, "'frame' is 'opencv'; it must be one of openxr"),
-        (HEADER.replace("= 1", "= 2") + BOX, "'version' is 2; this program reads version 1"),
+        (HEADER.replace("= 1", "= 2") + BOX, "has version 2; this program reads version 1"),
         (HEADER.replace("wlr-scene", "wlr-device") + BOX, "'format' is 'wlr-device'"),
         (HEADER, "key 'object' is missing"),
         (HEADER + "ambiant = [0, 0, 0]\n" + BOX, "unknown key 'ambiant'; did you mean 'ambient'?"),

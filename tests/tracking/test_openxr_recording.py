@@ -112,7 +112,7 @@ def test_faults_name_the_line(tmp_path, lines, complaint):
     [
         ([head(0), head(10**9)], {}, "has no pose of 'left_view' or 'right_view'"),
         ([*eyes(0), *eyes(10**9), line(0, "gaze", "view", turn=transforms.rotation_about("y", 3.0))], {}, "backwards"),
-        ([*eyes(0), *eyes(10**9)], {"version": 2}, "'version' is 2; this program reads version 1"),
+        ([*eyes(0), *eyes(10**9)], {"version": 2}, "has version 2; this program reads version 1"),
         ([*eyes(0), *eyes(10**9)], {"format": "other"}, "'format' is 'other'"),
         ([*eyes(0), *eyes(10**9)], {"device_from_view": [[2, 0, 0, 0]] * 4}, "must be a rigid transform"),
         ([*eyes(0), *eyes(10**9)], {"device_from_view": (np.eye(4) + np.eye(4, k=3) * 31).tolist()}, "31"),

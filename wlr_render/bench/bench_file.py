@@ -73,7 +73,8 @@ def bench_of(file: Table, folder: Path) -> Bench:
         file: the opened file.
         folder: folder that the path of a device file is relative to.
     """
-    file.check_head(FORMAT, VERSION, "a bench file")
+    file.check_head(FORMAT, VERSION)
+    file.check_unit("a bench file")
     place = Place(folder, device_from_file(file))
     device = _device(file, folder)
     eye = file.text("eye", "right" if "right" in device.eyes else "left", choices=sorted(device.eyes))

@@ -249,9 +249,7 @@ def _header(arrays: _Arrays, path: str | Path) -> Table:
     text = str(arrays["header"])
     content = parse_json(path, text, "a capture file with a JSON 'header'", "write it again")
     header = Table({key: value for key, value in content.items() if value is not None}, str(path))
-    header.text("format", choices=[FORMAT])
-    if (version := header.number("version")) not in (1, VERSION):
-        raise header.fail(f"has version {version:g}; this program reads versions 1 and {VERSION}: write it again.")
+    header.check_head(FORMAT, VERSION, oldest=1)
     if content.get("frame") != "openxr" or content.get("units") != _UNITS:
         raise BadInputError(f"{path}: must be in frame 'openxr' with units {_UNITS}; convert it.")
     return header

@@ -66,7 +66,8 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         manual = resource("docs", "photo-session.md")
         raise BadInputError(f"{root}: has no {FILE}, so it is not a photographic session; {manual} has the format.")
     file = read_toml(root / FILE)
-    file.check_head(FORMAT, VERSION, "a session")
+    file.check_head(FORMAT, VERSION)
+    file.check_unit("a session")
     axes = FRAMES[file.text("frame", choices=sorted(FRAMES))]
     device, eyes = file.text("device"), _eyes(file)
     panels, decoding, code = _panels(file, root, eyes)

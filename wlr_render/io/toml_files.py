@@ -217,13 +217,18 @@ class Table:
         """Return all keys present, in file order."""
         return list(self._content)
 
-    def check_head(self, format_name: str, version: int, kind: str) -> None:
-        """Check the format, version and unit of length of a file: `format`, `version` and `unit = "mm"`."""
+    def check_head(self, format_name: str, newest: int, oldest: int = 0, remedy: str = "write it again") -> int:
+        """Check `format` and `version`, which is `newest` or from `oldest` to `newest`; returns the version."""
         self.text("format", choices=[format_name])
-        written, unit = self.number("version"), self.text("unit")
-        if written != version:
-            raise self.fail(f"'version' is {written:g}; this program reads version {version}: write the file again.")
-        if unit != "mm":
+        version, oldest = self.number("version"), oldest or newest
+        if version not in range(oldest, newest + 1):
+            reads = f"version {newest}" if oldest == newest else f"versions {oldest} to {newest}"
+            raise self.fail(f"has version {version:g}; this program reads {reads}: {remedy}.")
+        return int(version)
+
+    def check_unit(self, kind: str) -> None:
+        """Check that lengths are in millimetres: `unit = "mm"`."""
+        if (unit := self.text("unit")) != "mm":
             raise self.fail(f"'unit' is {shown(unit)}; {kind} is in mm: convert its lengths, write unit = \"mm\".")
 
     def finish(self) -> None:

@@ -199,15 +199,14 @@ def _check_header(table: Table) -> int:
     """Check that a file is a model file; returns its version."""
     if table.text("format", default="missing") != FORMAT:
         raise table.fail(f"is not a model file: its format is not '{FORMAT}'; name one that calibration wrote.")
-    if (version := table.number("version")) not in range(1, VERSION + 1):
-        raise table.fail(f"has version {version:g}; this program reads versions 1 to {VERSION}: calibrate again.")
+    version = table.check_head(FORMAT, VERSION, oldest=1, remedy="calibrate again")
     table.text("package_version")
     table.text("frame", choices=["openxr"])
     units = table.table("units")
     for quantity, unit in _UNITS.items():
         units.text(quantity, choices=[unit])
     units.finish()
-    return int(version)
+    return version
 
 
 def _json_text(value: Any, margin: str = "\n") -> str:

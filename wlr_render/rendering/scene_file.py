@@ -66,7 +66,8 @@ def load_scene(spec: str | Path) -> Scene:
     if path.suffix.lower() in SUFFIXES:
         return _scene_of_mesh_file(path)
     table = read_toml(path)
-    _require_header(table)
+    table.check_head(FORMAT, VERSION)
+    table.text("frame", choices=(FRAME,))
     scene = Scene(
         path.stem,
         (),
@@ -85,14 +86,6 @@ def load_scene(spec: str | Path) -> Scene:
         raise table.fail("'object' is empty; give at least one object.")
     lights = [replace(light, colour=np.float32(exposure) * light.colour) for light in scene.lights]
     return replace(scene, lights=tuple(lights))
-
-
-def _require_header(table: Table) -> None:
-    table.text("format", choices=(FORMAT,))
-    table.text("frame", choices=(FRAME,))
-    version = table.number("version")
-    if version != VERSION:
-        raise table.fail(f"'version' is {version:g}; this program reads version {VERSION}.")
 
 
 def _with(scene: Scene, placed: Placed) -> Scene:

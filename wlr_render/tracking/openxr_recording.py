@@ -131,9 +131,7 @@ def _read(path: str | Path) -> tuple[FloatArray, dict[str, _Located]]:
     if not tables:
         raise BadInputError(f"{path}: has no lines; is the recording empty?")
     header, *rows = tables
-    header.text("format", choices=(FORMAT,))
-    if header.number("version") != _VERSION:
-        raise header.fail(f"'version' is {header.number('version'):g}; this program reads version {_VERSION}.")
+    header.check_head(FORMAT, _VERSION)
     entries_of: dict[str, list[tuple[Table, list[float]]]] = {}
     invalid_s: dict[str, list[float]] = {}
     bases: set[str] = set()
