@@ -115,7 +115,7 @@ def _readings(
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond),
-        of_axes=() if drift is None or not np.any(captures.sigma_arcmin > 0) else (drift,),
+        axis_terms=() if drift is None or not np.any(captures.sigma_arcmin > 0) else (drift,),
         stage=stage_labels(captures) if respond else None,
     )
 

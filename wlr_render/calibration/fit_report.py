@@ -257,7 +257,7 @@ class ModelFit(Generic[AnyModel]):
         errors = self.mapping.direction_errors(subject, viewpoint, answer)
         square = np.nanmean(np.sum(errors.shared**2, axis=1), axis=0) / ARCMIN**2
         own = float(np.nanmean(np.trace(errors.unshared, axis1=1, axis2=2))) / ARCMIN**2
-        terms = {each.source: each for each in self.smooth.readings.of_axes + self.smooth.readings.shared_terms}
+        terms = {each.source: each for each in self.smooth.readings.axis_terms + self.smooth.readings.shared_terms}
         found = [ErrorShare(UNSHARED, own**0.5)]
         for source in dict.fromkeys(errors.sources):
             share = float(np.sum(square[[each == source for each in errors.sources]])) ** 0.5

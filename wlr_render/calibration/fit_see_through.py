@@ -130,7 +130,7 @@ def _readings(
     metric, dot = angular_metric(captures.tangents), captures.target_point[:, :2]
     is_noisy = bool(np.any(captures.sigma_arcmin > 0))
     is_pose_fitted = captures.common is not None and captures.common.has_target_poses
-    of_axes = (
+    own = (
         print_term(dot, depth[:, 0], is_pose_fitted),
         drift_term(captures.time_s, captures.tangents, metric),
     )
@@ -148,8 +148,8 @@ def _readings(
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond, by_point),
-        of_axes=tuple(each for each in of_axes if each is not None and is_noisy),
-        of_both=() if heights is None or not is_noisy else (heights,),
+        axis_terms=tuple(each for each in own if each is not None and is_noisy),
+        joint_terms=() if heights is None or not is_noisy else (heights,),
         stage=stage_labels(captures) if respond else None,
     )
 

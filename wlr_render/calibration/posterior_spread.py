@@ -77,7 +77,7 @@ def label_response(readings: FitReadings, found: Posterior) -> Response:
     own, parameters = readings.coefficients, readings.parameters
     few = response = Response((), np.zeros((0, 2, own)), np.zeros((0, parameters)))
     of_axis, first = _by_own_labels(readings, found), 0
-    for term in readings.of_axes:
+    for term in readings.axis_terms:
         factor, first = of_axis[:, first : first + len(term.offset)].T, first + len(term.offset)
         none = np.zeros_like(factor)
         both = np.concatenate([np.stack([factor, none], axis=1), np.stack([none, factor], axis=1)])
@@ -111,7 +111,7 @@ def label_response(readings: FitReadings, found: Posterior) -> Response:
 def _by_own_labels(readings: FitReadings, found: Posterior) -> FloatArray:
     """Factors (columns, k) of the covariance of an output's coefficients that its own errors by label cause."""
     own = readings.coefficients
-    if not readings.of_axes:
+    if not readings.axis_terms:
         return np.zeros((own, 0))
     root = lower_root(found.alone[own:, own:])
     return np.asarray(solve_triangular(root, found.alone[own:, :own], lower=True).T)

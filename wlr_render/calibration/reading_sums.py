@@ -90,7 +90,7 @@ def sums_of(
     own = 0 if motion is None else 6
     groups = (captures or int(readings.capture.max()) + 1) if own else 0
     trend = readings.trend
-    columns = readings.coefficients + sum(len(each.offset) for each in readings.of_axes)
+    columns = readings.coefficients + sum(len(each.offset) for each in readings.axis_terms)
     side = readings.parameters + sum(len(each.offset) for each in readings.shared_terms), groups, own
     sums = Sums(columns, 2, *side) if still is None else still.with_side(*side)
     observed = np.zeros_like(readings.observed)
@@ -171,7 +171,7 @@ def polynomial_of(readings: FitReadings, start: Polynomial, found: Posterior) ->
 def label_values(readings: FitReadings, found: Posterior) -> FloatArray:
     """Errors by label (n, 2) of readings, as a posterior has them."""
     own, changes = readings.coefficients, np.zeros_like(readings.observed)
-    for term in readings.of_axes:
+    for term in readings.axis_terms:
         changes += term.columns @ found.mean[:, own : own + len(term.offset)].T
         own += len(term.offset)
     side = readings.parameters

@@ -136,8 +136,8 @@ class FitReadings:
         motion_prior: of the motions, by index of `capture`; None for that of an unknown stage.
         common: errors that all captures share; None where none are known.
         shared: noise that neighbouring readings of a capture share, as a fit found it; None for white noise.
-        of_axes: errors by label of which both tangents have their own.
-        of_both: errors by label that both tangents share. of_stage: likewise, those of the stage; see `moving`.
+        axis_terms: errors by label of which both tangents have their own.
+        joint_terms: errors by label that both tangents share. stage_terms: likewise, those of the stage; see `moving`.
         stage: labels of the stage; None where no motion is modelled.
     """
 
@@ -154,9 +154,9 @@ class FitReadings:
     motion_prior: CaptureMotionPrior | None = None
     common: Common | None = None
     shared: SharedNoise | None = None
-    of_axes: tuple[LabelTerm, ...] = ()
-    of_both: tuple[LabelTerm, ...] = ()
-    of_stage: tuple[LabelTerm, ...] = ()
+    axis_terms: tuple[LabelTerm, ...] = ()
+    joint_terms: tuple[LabelTerm, ...] = ()
+    stage_terms: tuple[LabelTerm, ...] = ()
     stage: StageLabels | None = None
 
     def __len__(self) -> int:
@@ -204,7 +204,7 @@ class FitReadings:
         chosen = replace(self, **{name: getattr(self, name)[rows] for name in per_row}, motion=None, common=None)
         terms: dict[str, Any] = {
             name: tuple(each.select(rows) for each in getattr(self, name))
-            for name in ("of_axes", "of_both", "of_stage")
+            for name in ("axis_terms", "joint_terms", "stage_terms")
         }
         chosen = replace(chosen, **terms, stage=self.stage and self.stage.select(rows))
         return chosen.within(self.box)
@@ -221,9 +221,9 @@ class FitReadings:
     def design(self, rows: slice | IntArray) -> FloatArray:
         """Columns of all that an output has of its own, see `design_of`: coefficients, then errors by label."""
         design = design_of(self, rows, basis(self.inputs[rows], self.orders, self.box))
-        if not self.of_axes:
+        if not self.axis_terms:
             return design
-        return np.hstack([design, *(each.columns[rows] for each in self.of_axes)])
+        return np.hstack([design, *(each.columns[rows] for each in self.axis_terms)])
 
     @property
     def parameters(self) -> int:
@@ -233,7 +233,7 @@ class FitReadings:
     @property
     def shared_terms(self) -> tuple[LabelTerm, ...]:
         """All errors by label that both outputs share; their unknowns come after `parameters`."""
-        return self.of_both + self.of_stage
+        return self.joint_terms + self.stage_terms
 
     def shared_columns(self, rows: slice | IntArray) -> FloatArray:
         """Columns (r, 2, k) of what outputs share, without motions: parameters of the model, then errors by label."""
@@ -250,7 +250,7 @@ class FitReadings:
         """Return the same readings with errors of the stage's labels, by the columns (n, 2, 6) of motions."""
         if self.stage is None:
             return self
-        return replace(self, of_stage=tuple(self.stage.terms(columns[:, :, :3]))).within(self.box)
+        return replace(self, stage_terms=tuple(self.stage.terms(columns[:, :, :3]))).within(self.box)
 
     @property
     def image(self) -> FloatArray:

@@ -113,7 +113,7 @@ class SmoothFit:
         if self.curvature is None:
             return {}
         names = self.prior.names
-        told = [names.index(each.name) for each in self.readings.of_stage] + [len(names) - 2, len(names) - 1]
+        told = [names.index(each.name) for each in self.readings.stage_terms] + [len(names) - 2, len(names) - 1]
         information = self.curvature[told] + self.prior.expected[told, 1] ** -2.0
         sigma = np.hypot(information**-0.5, _SIDES_DIFFER)
         return {names[row]: (float(self.hyper[row]), float(each)) for row, each in zip(told, sigma, strict=True)}

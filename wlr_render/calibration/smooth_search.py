@@ -288,8 +288,8 @@ def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
     Returns:
         Combinations (mixed, k), and for each an unknown (k,) of the same prior size.
     """
-    first = readings.parameters + sum(len(each.offset) for each in readings.of_both)
-    last = first + sum(len(each.offset) for each in readings.of_stage)
+    first = readings.parameters + sum(len(each.offset) for each in readings.joint_terms)
+    last = first + sum(len(each.offset) for each in readings.stage_terms)
     rough = np.zeros((0, 0)) if readings.stage is None else readings.stage.rough()
     mixed = block_diag(np.eye(first), rough, np.eye(last - first - len(rough)))
     return mixed, np.delete(np.arange(last), first + np.arange(rough.shape[1], len(rough)))
@@ -339,7 +339,7 @@ def _without_axes(readings: FitReadings, smooth: SmoothFit) -> FloatArray:
     A capture that moved makes the errors at its own readings look large.
     """
     values, names = smooth.hyper.copy(), smooth.prior.names
-    for term in readings.of_stage:
+    for term in readings.stage_terms:
         row, most = names.index(term.name), float(np.log(term.usual.value)) + term.usual.log_sigma
         more = max(np.exp(2.0 * values[row]) - np.exp(2.0 * most), 0.0) / motion_scale(readings)[0] ** 2
         values[row] = min(values[row], most)
