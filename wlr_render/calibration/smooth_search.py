@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from wlr_render.calibration.label_terms import means_by, smooth_basis
 from wlr_render.calibration.moved_captures import CaptureMotion, moved_odds, usual_motion
 from wlr_render.calibration.reading_sums import free_part, polynomial_of, sums_of
 from wlr_render.calibration.readings import FitReadings, Limits, motion_columns, rows_by_capture
@@ -37,6 +38,7 @@ _WIDENINGS = 3  # most fits with more terms, each of which takes as long as the 
 _MOTION_ROUNDS = 3  # slopes and motions in turns: the slopes of the first fit contain motions
 _ROUNDS = 4  # most rounds of outlier weights and shared noise; they end earlier where nothing changes
 _MAD_OF_RAYLEIGH = 1.17741  # median length of a pair of standard normal numbers
+_REST_IF_UNKNOWN, _REST_IF_STATED = 0.5, 0.35  # least share of motions that tell sizes: a stated size needs fewer
 _NEAR_CLEAREST = 0.7  # of the logarithm of the odds of the clearest one: what is less clear may be its doing
 _ANY_MOTION = 0.03  # metres, radians: prior size of the motion of a capture that stands out; larger than any bump
 _MOST, _MOST_THAT_MOVE = 0.25, 0.5  # share of the captures that may be left out; beyond a half all may be wrong
@@ -219,12 +221,12 @@ class _Search:
         start, kept, polynomial = still.start, still.kept, still.polynomial
         readings = still.readings.moving(motion_columns(still.readings, polynomial))
         prior = smoothness_prior(readings, moving=True, stage=self.stage)
-        hyper = dict(zip(prior.names, map(float, prior.expected[:, 0]), strict=True))
+        rough, hyper = _rough(readings, kept), dict(zip(prior.names, map(float, prior.expected[:, 0]), strict=True))
         hyper |= {} if before is None else before.posterior.hyper
         hyper |= still.posterior.hyper
         mixed, rows = _rough_axes(readings)
         features, offset = prior.mixed_features[rows], np.broadcast_to(prior.mixed_offset, len(mixed))[rows]
-        of_rough = replace(prior, mixed_features=features, mixed_offset=offset)
+        of_rough = replace(prior, group_offset=0.0, mixed_features=features, mixed_offset=offset)
         curvature = np.zeros(len(prior.names))
         # Motions act through the slopes of the fit, which motions spoil: both are found in turns.
         for round_ in range(_MOTION_ROUNDS):
@@ -232,10 +234,10 @@ class _Search:
             readings = readings.moving(columns)
             sums = sums_of(readings, start, columns, kept, still=still.sums)
             if round_ > 0:
-                found = maximise(sums.combined(mixed), of_rough, [hyper])
+                found = maximise(sums.combined(mixed, rough), of_rough, [hyper])
                 hyper, curvature = dict(found.hyper), found.curvature
             elif before is None:
-                hyper = motion_start(sums.combined(mixed), of_rough, hyper)
+                hyper = motion_start(sums.combined(mixed, rough), of_rough, hyper)
             found = posterior(sums, prior, np.clip([hyper[name] for name in prior.names], *prior.bounds.T))
             polynomial = polynomial_of(readings, start, found)
         return SmoothFit(polynomial, found, readings, kept, still.moved, prior, columns, start, sums, curvature)
@@ -257,8 +259,31 @@ def _shared_noise(
     return find_shared_noise([readings.image[rows] for rows in captures], [off[rows] for rows in captures], unsure)
 
 
+def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
+    """Return combinations (6, captures, k) of the captures' motions without those that vary smoothly with the place.
+
+    Smooth motions are another way to write the place; where the orders end before the optics do, they would be taken
+    for motions of the camera, of any size. The unknowns of the combinations are standard normal before the fit, up to
+    the factors.
+    """
+    captures = int(readings.capture.max()) + 1
+    used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
+    middle = means_by(readings.capture, readings.inputs[:, readings.is_place])[used]
+    rest = _REST_IF_UNKNOWN if readings.motion_prior is None else _REST_IF_STATED
+    if (1.0 - rest) * len(used) < 1.0:
+        return np.zeros((6, captures, 0))
+    values, extent, _ = np.linalg.svd(smooth_basis(middle, 1.0 - rest), full_matrices=False)
+    values = values[:, extent > 1e-6 * extent[0]]
+    rough = np.zeros((6, captures, len(used) - values.shape[1]))
+    for axis, own in enumerate(motion_sizes(readings)[used].T):
+        # In units of the prior sizes motions are independent, and so are their parts along and across smooth ones.
+        across = np.linalg.qr(values / own[:, None], mode="complete")[0][:, values.shape[1] :]
+        rough[axis, used] = own[:, None] * across
+    return rough
+
+
 def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
-    """Return combinations of the unknowns that both outputs share, without smooth errors by reading of an axis.
+    """Return what `_rough` is for motions for the unknowns that both outputs share, of which errors by axis are some.
 
     Returns:
         Combinations (mixed, k), and for each an unknown (k,) of the same prior size.

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import blas, block_diag, lapack
+from scipy.linalg import blas, lapack
 
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.posterior import Posterior, solved
@@ -144,10 +144,18 @@ class Sums:
         other.gram, other.moment = self.gram.copy(), self.moment.copy()
         return other
 
-    def combined(self, mixed: FloatArray) -> "Sums":
-        """Return the sums for other mixed unknowns y (k,): z = mixed y, with mixed (mixed, k)."""
-        reduced = self.with_side(mixed.shape[1], self.groups, self.grouped)
-        to = block_diag(mixed, np.eye(self.groups * self.grouped))
+    def combined(self, mixed: FloatArray, groups: FloatArray) -> "Sums":
+        """Return the sums for other side unknowns: z = mixed y, and b_go = sum_k groups_ogk c_ko of k groups.
+
+        Args:
+            mixed: (mixed, unknowns y).
+            groups: (grouped, groups, k).
+        """
+        reduced = self.with_side(mixed.shape[1], groups.shape[2], self.grouped)
+        grouped = np.einsum("ogk,op->gokp", groups, np.eye(self.grouped))
+        to = np.zeros((len(self.side_moment), len(reduced.side_moment)))
+        to[: self.mixed, : reduced.mixed] = mixed
+        to[self.mixed :, reduced.mixed :] = grouped.reshape(self.groups * self.grouped, -1)
         reduced.side_gram = to.T @ self.side_gram @ to
         reduced.side_moment = to.T @ self.side_moment
         reduced.side_cross = np.stack([to.T @ cross for cross in self.side_cross])
