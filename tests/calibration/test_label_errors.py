@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane, scattered
 
+from wlr_render.calibration import label_errors as label_error_module
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import calibrate
 from wlr_render.calibration.fit_see_through import fit_see_through
@@ -92,6 +93,30 @@ def board(seed, size_m=0.0):
     )
 
 
+def curled(seed, size_arcmin=0.05):
+    """A board that bends anew at each pose: a few smooth dents, rms over the readings."""
+    captures, rng = board(seed), np.random.default_rng([seed, 1])
+    dot, off = captures.target_point[:, :2], np.zeros((len(captures), 2))
+    for pose in np.unique(captures.target_pose):
+        centre, height = rng.uniform(-0.3, 0.3, (60, 2)), rng.standard_normal((60, 2))
+        rows = captures.target_pose == pose
+        off[rows] = np.exp(-np.sum((dot[rows, None] - centre) ** 2, axis=2) / (2.0 * 0.05**2)) @ height
+    off *= size_arcmin / np.sqrt(np.mean(np.sum(off**2, axis=1)))
+    return replace(captures, view_dir=dir_of_tangents(captures.tangents + off * ARCMIN))
+
+
+def murky(seed):
+    """Noise of which neighbours in a photograph share a half."""
+    captures, rng = display(seed, 5), np.random.default_rng([seed, 2])
+    place, shared = captures.pixel / np.ptp(captures.pixel, axis=0), np.zeros((len(captures), 2))
+    for visit in np.unique(captures.capture):
+        rows = captures.capture == visit
+        apart = np.linalg.norm(place[rows, None] - place[rows], axis=2)
+        shared[rows] = np.linalg.cholesky(np.exp(-apart / 0.15)) @ rng.normal(0.0, SIGMA, (rows.sum(), 2))
+    noisy = dir_of_tangents(captures.tangents + shared * ARCMIN)
+    return replace(captures, view_dir=noisy, sigma_arcmin=np.sqrt(2.0) * SIGMA)
+
+
 def labels_of(fit, captures):
     return label_errors(fit(captures, "planar", 3).smooth, captures)[0]
 
@@ -120,6 +145,26 @@ def test_a_foreign_error_is_named_by_its_label(fit, captures, label, size, seed)
     found = labels_of(fit, captures(seed))
     assert said(found) == [label]
     assert found[0].size_arcmin == pytest.approx(size, rel=0.4)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_smooth_error_shows_by_what_neighbouring_groups_have_in_common(seed, monkeypatch):
+    """Independent errors of the groups, of which each has little, do not explain it better than noise."""
+    captures = curled(seed)
+    smooth = fit_see_through(captures, "planar", 3).smooth
+    assert said(label_errors(smooth, captures)[0]) == ["dot and pose"]
+    monkeypatch.setattr(label_error_module, "_LENGTHS", ())
+    assert said(label_errors(smooth, captures)[0]) == []
+
+
+def test_noise_that_neighbours_share_is_no_finding():
+    captures = [murky(seed) for seed in range(3)]
+    fits = [fit_display(each, "planar", 3).smooth for each in captures]
+    assert all(smooth.readings.shared is not None for smooth in fits)
+    found = [label_errors(smooth, each)[0] for smooth, each in zip(fits, captures, strict=True)]
+    assert [said(each) for each in found] == [[], [], []]
+    ratios = [each.ratio for each in sum(found, ()) if each.label in ("cell of the panel", "visit")]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
 
 
 def test_a_named_error_is_in_the_predicted_one():

@@ -1,29 +1,32 @@
 """Errors by label: what readings of one dot, visit or time share beyond what a fit and its noise explain.
 
-A fit predicts its own error from the noise and the motions that it models. Means of its residuals by every label of
-the captures are a check that can fail. Each label stands for a variance component: an error of its own for each of its
-groups, normal with one size for all. With the covariance K of the readings y, all unknowns of the fit integrated over,
-and the columns Z of the label, u = Z' K^-1 y has the covariance A = Z' K^-1 Z if the label has no errors, and the
-evidence for errors of size s is
+A fit predicts its own error from the noise and the errors that it models. Means of its residuals by every label of the
+captures are a check that can fail. Each label stands for a random function: errors of its groups, normal, with one size
+s for all, independent or with a correlation C that falls with the distance of two groups, over one of a few lengths.
+With the covariance K of the readings y, all unknowns of the fit integrated over, and the columns Z of the label,
+u = Z' K^-1 y has the covariance A = Z' K^-1 Z if the label has no errors, and the evidence for such errors is
 
-    log p(y | s) - log p(y | 0) = (u' (I / s^2 + A)^-1 u - log |I + s^2 A|) / 2
+    log p(y | s, C) - log p(y | 0) = (u' (C^-1 / s^2 + A)^-1 u - log |I + s^2 C A|) / 2
 
-Averaged over s it is the odds of the label. They exceed 100 in less than one of 100 sessions without such errors.
+Averaged over s and C it is the odds of the label. They exceed 100 in less than one of 100 sessions without such errors.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from scipy import sparse
+from scipy.linalg import solve_triangular
 
-from wlr_render.calibration.posterior_spread import principal
+from wlr_render.calibration.label_terms import means_by
+from wlr_render.calibration.posterior_spread import lower_root, principal
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import motion_columns
 from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.numerics.arrays import FloatArray, IntArray
-from wlr_render.numerics.evidence import weight_values
 
 STANDS_OUT, MATTERS = 2.0, 0.3
 """Log10 odds from which the captures have the errors of a label, and their least effect on the model, over the error
@@ -46,10 +49,13 @@ SOURCES_BY_LABEL = {
 """Source of the errors of a label, by the start of its name, and what avoids them."""
 REMEDIES = {"shape of the board": "Flatten the board, or measure its shape."} | dict(SOURCES_BY_LABEL.values())
 """What avoids the errors of a source, a sentence."""
-_SIZES = np.geomspace(0.01, 10.0, 31)  # sizes of errors per axis in units of the noise, all as probable
-_DETERMINED = 0.2  # least information of a contrast between groups, over the largest; the fit absorbs what has less
-_CELLS, _DOTS, _DOTS_OF_POSE = 10, 16, 6  # along an axis of the image and of a board
-_BINS, _TIMES = 16, 6  # bins of a stage's reading and of time
+_SIZES = np.geomspace(0.01, 10.0, 31)  # sizes of errors per axis in units of the noise
+_USUAL, _DECADES = 0.1, 0.6  # usual size, and one sigma of its logarithm: larger errors show in single readings
+_LENGTHS = (0.1, 0.3)  # over which the correlation falls, in extents of the label's places
+_DETERMINED = 0.2  # least share of a contrast's information that the fit leaves, over the largest such share
+_CELLS, _DOTS, _DOTS_OF_POSE = 16, 16, 8  # along an axis of the image and of a board
+_BINS, _TIMES = 32, 24  # bins of a stage's reading and of time
+_FAR = 100.0  # distance, in extents, at which errors are independent
 _SAMPLES = 200  # readings at which the effect on the model is averaged
 _SAME_READING_M = 1e-4  # stage readings nearer than this are one
 
@@ -103,11 +109,17 @@ class LabelError:
 
 @dataclass(frozen=True)
 class _Label:
-    """One label: the group (n,) of each reading, -1 for none, and what an error of its group changes, (n, 2, k)."""
+    """One label.
+
+    Attributes:
+        group: (n,) of each reading, -1 for none. columns: (n, 2, k) changes by the errors of its group.
+        place: (n, d) of each reading, in extents: errors of near groups may be alike; None for independent errors.
+    """
 
     name: str
     group: IntArray
     columns: FloatArray
+    place: FloatArray | None = None
 
     @property
     def groups(self) -> int:
@@ -117,13 +129,49 @@ class _Label:
     def width(self) -> int:
         return self.groups * int(self.columns.shape[2])
 
-    def design(self, rows: IntArray) -> FloatArray:
-        """Columns (r, 2, groups * k)."""
-        columns, group = self.columns[rows], self.group[rows]
-        design = np.zeros((len(rows), 2, self.groups, columns.shape[2]))
-        labelled = np.flatnonzero(group >= 0)
-        design[labelled, :, group[labelled]] = columns[labelled]
-        return design.reshape(len(rows), 2, -1)
+    def design(self, axis: int) -> sparse.csr_array:
+        """Columns (n, groups * k) of one axis of the readings."""
+        labelled, k = np.flatnonzero(self.group >= 0), self.columns.shape[2]
+        column = (self.group[labelled, None] * k + np.arange(k)).ravel()
+        values = self.columns[labelled, axis].ravel(), (np.repeat(labelled, k), column)
+        design = sparse.csr_array(values, shape=(len(self.group), self.width))
+        design.eliminate_zeros()
+        return design
+
+    def correlations(self) -> Iterator[FloatArray]:
+        """Yield the correlation (width, width) of the errors for each length: Matern's of order 3/2."""
+        yield np.eye(self.width)
+        if self.place is not None:
+            labelled = self.group >= 0
+            place = means_by(self.group[labelled], self.place[labelled])
+            apart = np.sqrt(3.0) * np.linalg.norm(place[:, None] - place, axis=2)
+            for length in _LENGTHS:
+                yield np.kron((1.0 + apart / length) * np.exp(-apart / length), np.eye(self.columns.shape[2]))
+
+
+@dataclass(frozen=True)
+class _Statistics:
+    """Statistics of the readings on the errors of all labels.
+
+    Attributes:
+        score: u (k,). information: A (k, k).
+        plain: (k, k) information if all unknowns of the fit were known.
+        follow, of_side: how the fit follows these errors: changes (2, columns, k) of an output's coefficients, and
+            (side, k) of the unknowns of both outputs.
+    """
+
+    score: FloatArray
+    information: FloatArray
+    plain: FloatArray
+    follow: FloatArray
+    of_side: FloatArray
+
+    def absorbed(self, part: slice, root: FloatArray) -> "_Statistics":
+        """Return those of a fit with further unknowns: errors of one label, with the covariance root root'."""
+        by_error = self.information[:, part] @ root
+        gain = np.linalg.solve(np.eye(root.shape[1]) + root.T @ by_error[part], by_error.T).T
+        score = self.score - gain @ (root.T @ self.score[part])
+        return replace(self, score=score, information=self.information - gain @ by_error.T)
 
 
 def label_errors(
@@ -144,30 +192,32 @@ def label_errors(
         common = readings.common.columns(readings.slopes(smooth.polynomial))
     groups = [_Label("common", np.zeros(len(readings), np.int64), common), *labels]
     stated, *parts = (slice(*each) for each in pairwise(np.cumsum([0, *(each.width for each in groups)])))
-    score, information, follow, of_side = _score(smooth, groups)
-    score, information = _absorbed(score, information, stated, 1.0)
-    effect = _effect(smooth, follow, of_side)
+    found = _statistics(smooth, groups)
+    effect = _effect(smooth, found)
+    found = found.absorbed(stated, np.eye(stated.stop))
     noise, own = smooth.noise * float(np.median(readings.sigma)), smooth.own_arcmin(_sample(smooth))
     named: list[LabelError] = []
     left = list(zip(labels, parts, strict=True))
     while left:
         judged = []
         for label, part in left:
-            ratio, log10_odds, size = _judged(score[part], information[part, part], noise)
+            ratio, log10_odds, size, correlation = _judged(label, part, found, noise)
             log10_odds -= float(np.log10(len(labels)))
-            in_model = size * float(np.sqrt(np.sum(effect[:, :, part] ** 2) / len(effect)))
+            root = size * lower_root(correlation, 1e-9)
+            in_model = float(np.sqrt(np.sum((effect[:, :, part] @ root) ** 2) / len(effect)))
             sizes = float(np.sqrt(2.0)) * size, in_model
-            judged.append(LabelError(label.name, label.groups, ratio, log10_odds, *sizes, own))
-        best = int(np.argmax([each.log10_odds for each in judged]))
-        if not judged[best].stands_out:
-            return (*named, *sorted(judged, key=lambda each: -each.log10_odds)), response
-        named.append(judged[best])
-        part, size = left.pop(best)[1], judged[best].size_arcmin / np.sqrt(2.0)
-        few = size * principal(effect[:, :, part].reshape(-1, part.stop - part.start))
-        of_axes = (follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
-        sources = (judged[best].source,) * few.shape[1]
-        response = Response(sources, of_axes, (of_side[:parameters, part] @ few).T).beside(response)
-        score, information = _absorbed(score, information, part, size)
+            judged.append((LabelError(label.name, label.groups, ratio, log10_odds, *sizes, own), root))
+        best = int(np.argmax([each.log10_odds for each, _ in judged]))
+        error, root = judged[best]
+        if not error.stands_out:
+            return (*named, *sorted((each for each, _ in judged), key=lambda each: -each.log10_odds)), response
+        named.append(error)
+        _, part = left.pop(best)
+        few = root @ principal((effect[:, :, part] @ root).reshape(-1, root.shape[1]))
+        of_axes = (found.follow[:, : readings.coefficients, part] @ few).transpose(2, 0, 1)
+        sources = (error.source,) * few.shape[1]
+        response = Response(sources, of_axes, (found.of_side[:parameters, part] @ few).T).beside(response)
+        found = found.absorbed(part, root)
     return tuple(named), response
 
 
@@ -177,20 +227,22 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
     angle = np.eye(2) / readings.metric[:, None, None]
     tried = []
     if isinstance(captures, DisplayCaptures):
-        tried.append(_Label("cell of the panel", _cells(captures.pixel, _CELLS), angle))
+        tried.append(_Label("cell of the panel", _cells(captures.pixel, _CELLS), angle, _extents(captures.pixel)))
     else:
         away = captures.point - captures.viewpoint  # directions as stated: cells by the readings would sort their noise
-        tried.append(_Label("cell of the field", _cells(away[:, :2] / away[:, 2:], _CELLS), angle))
+        seen = away[:, :2] / away[:, 2:]
+        tried.append(_Label("cell of the field", _cells(seen, _CELLS), angle, _extents(seen)))
         tried += _of_dots(captures, angle / away[:, 2, None, None], angle)
     tried.append(_Label("visit", readings.capture, angle))
-    tried.append(_Label("time", _bins(captures.time_s, _TIMES), angle))
+    tried.append(_Label("time", _bins(captures.time_s, _TIMES), angle, _extents(captures.time_s[:, None])))
     if readings.motion is not None:
         shift = motion_columns(readings, smooth.polynomial)[:, :, :3]
         size = np.sqrt(0.5 * np.mean(np.sum(shift**2, axis=1) * readings.metric[:, None] ** 2, axis=0))
         shift = shift / np.maximum(size, 1e-300)
         for axis in range(3):
             reading = captures.viewpoint[:, axis]
-            tried.append(_Label(f"reading of stage axis {'xyz'[axis]}", _stage_bins(reading), shift[..., axis, None]))
+            name, by_axis = f"reading of stage axis {'xyz'[axis]}", shift[..., axis, None]
+            tried.append(_Label(name, _stage_bins(reading), by_axis, _extents(reading[:, None])))
         travel = np.where(np.isfinite(captures.travel), captures.travel > 0, -1).astype(np.int64)
         tried.append(_Label("direction of travel", _numbered(travel), shift[..., :1]))
     yield from (each for each in tried if each.groups > 1)
@@ -199,11 +251,18 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
 def _of_dots(captures: SeeThroughCaptures, shifted: FloatArray, turned: FloatArray) -> Iterator[_Label]:
     """Labels of the target, from the columns of a shift of a dot, of any size, and of a turn of its line of sight."""
     dot, pose = captures.target_point[:, :2], np.unique(captures.target_pose, return_inverse=True)[1]
-    size = np.sqrt(np.mean(shifted**2) / np.mean(turned**2))
-    yield _Label("dot", _cells(dot, _DOTS), shifted / size)
+    size, place = np.sqrt(np.mean(shifted**2) / np.mean(turned**2)), _extents(dot)
+    yield _Label("dot", _cells(dot, _DOTS), shifted / size, place)
     if pose.any():
         cell = _cells(dot, _DOTS_OF_POSE)
-        yield _Label("dot and pose", _numbered(np.where(cell < 0, -1, cell + (cell.max() + 1) * pose)), turned)
+        group = _numbered(np.where(cell < 0, -1, cell + (cell.max() + 1) * pose))
+        yield _Label("dot and pose", group, turned, np.column_stack([place, _FAR * pose]))
+
+
+def _extents(place: FloatArray) -> FloatArray:
+    """Return places (n, d) in units of their largest extent; unknown ones are NaN."""
+    known = place[np.isfinite(place).all(axis=1)]
+    return np.asarray(place / max(float(np.ptp(known, axis=0).max()), 1e-300)) if len(known) else place
 
 
 def _numbered(group: IntArray) -> IntArray:
@@ -233,46 +292,57 @@ def _cells(place: FloatArray, count: int) -> IntArray:
     return _numbered(np.where((columns < 0) | (rows < 0), -1, columns + count * rows))
 
 
-def _score(smooth: SmoothFit, labels: list[_Label]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return u = Z' K^-1 y (k,) and A = Z' K^-1 Z for the columns Z of all labels, and how the fit follows them.
-
-    The last two are the changes (2, columns, k) of an output's coefficients and (side, k) of the unknowns of both.
-    """
+def _statistics(smooth: SmoothFit, labels: list[_Label]) -> _Statistics:
+    """Return u, A and how the fit follows the errors of all labels."""
     readings, posterior, residual = smooth.readings, smooth.posterior, smooth.residual
-    width = sum(each.width for each in labels)
-    score, information = np.zeros(width), np.zeros((width, width))
+    designs = [sparse.hstack([each.design(axis) for each in labels], format="csr") for axis in (0, 1)]
+    width = designs[0].shape[1]
+    score, plain = np.zeros(width), np.zeros((width, width))
     by_axis, by_side = np.zeros((2, len(posterior.alone), width)), np.zeros((len(posterior.side_covariance), width))
     for rows, weight in readings.blocks_of_noise(smooth.kept):
-        columns = np.concatenate([each.design(rows) for each in labels], axis=2)
-        used = np.flatnonzero(columns.any(axis=(0, 1)))
-        columns, side = columns[:, :, used], smooth.side_columns(rows)
-        for axis in (0, 1):
-            white = weight_values(weight, columns[:, axis])
-            score[used] += white.T @ weight_values(weight, residual[rows, axis])
-            information[np.ix_(used, used)] += white.T @ white
-            weighted = weight_values(weight, white, transposed=True)
-            by_side[:, used] += side[:, axis].T @ weighted
-            if not readings.mixed:
-                by_axis[axis][:, used] += readings.design(rows).T @ weighted
+        inverse = weight**2 if isinstance(weight, np.ndarray) else [each.T @ each for each in weight]
+        side, known = smooth.side_columns(rows), _times(inverse, residual[rows])
+        own = None if readings.mixed else _times(inverse, readings.design(rows))
+        for axis, design in enumerate(designs):
+            used, touched = np.unique(design[rows].indices), np.flatnonzero(side[:, axis].any(axis=0))
+            columns = design[rows][:, used]
+            score[used] += columns.T @ known[:, axis]
+            product = columns.T @ _times(inverse, columns)
+            plain[np.ix_(used, used)] += product.toarray() if sparse.issparse(product) else product
+            by_side[np.ix_(touched, used)] += (columns.T @ _times(inverse, side[:, axis, touched])).T
+            if own is not None:
+                by_axis[axis][:, used] += (columns.T @ own).T
     square = smooth.noise**2
-    score, information, by_axis, by_side = (each / square for each in (score, information, by_axis, by_side))
+    score, plain, by_axis, by_side = (each / square for each in (score, plain, by_axis, by_side))
     follow = posterior.alone @ by_axis  # change of the coefficients, if the side unknowns were known
+    information = plain
     if not readings.mixed:
-        information -= sum(each.T @ moved for each, moved in zip(by_axis, follow, strict=True))
-        by_side = by_side + np.einsum("osc,ocg->sg", posterior.by_side, by_axis)
+        information = plain - sum(each.T @ moved for each, moved in zip(by_axis, follow, strict=True))
+        by_side = by_side + np.einsum("osc,ocg->sg", posterior.by_side, by_axis, optimize=True)
     of_side = posterior.side_covariance @ by_side
-    information -= by_side.T @ of_side
+    information = information - by_side.T @ of_side
     follow += posterior.by_side.transpose(0, 2, 1) @ of_side
-    return score, information, follow, of_side
+    return _Statistics(score, information, plain, follow, of_side)
 
 
-def _effect(smooth: SmoothFit, follow: FloatArray, of_side: FloatArray) -> FloatArray:
-    """Return the change (r, 2, k) of the model at some readings, arcminutes, from changes of its unknowns."""
+def _times(inverse: FloatArray | list[FloatArray], values: Any) -> Any:
+    """Return the inverse covariance of the readings' noise, its diagonal or its blocks, times values (r, k)."""
+    if isinstance(inverse, np.ndarray):
+        return sparse.diags_array(inverse) @ values
+    product, last = np.empty(values.shape), 0
+    for each in inverse:
+        first, last = last, last + len(each)
+        product[first:last] = each @ values[first:last]
+    return product
+
+
+def _effect(smooth: SmoothFit, found: _Statistics) -> FloatArray:
+    """Return the change (r, 2, k) of the model at some readings, arcminutes, by the errors of all labels."""
     readings, parameters, own = smooth.readings, smooth.readings.parameters, smooth.readings.coefficients
     rows = _sample(smooth)
-    change = readings.shared_columns(rows)[:, :, :parameters] @ of_side[:parameters]
+    change = readings.shared_columns(rows)[:, :, :parameters] @ found.of_side[:parameters]
     if own:
-        change += (readings.design(rows)[:, :own] @ follow[:, :own]).transpose(1, 0, 2)
+        change += (readings.design(rows)[:, :own] @ found.follow[:, :own]).transpose(1, 0, 2)
     return np.asarray(change * readings.metric[rows, None, None])
 
 
@@ -280,26 +350,31 @@ def _sample(smooth: SmoothFit) -> IntArray:
     return np.random.default_rng(0).permutation(len(smooth.readings))[:_SAMPLES]
 
 
-def _absorbed(score: FloatArray, information: FloatArray, part: slice, size: float) -> tuple[FloatArray, FloatArray]:
-    """Return u and A of a fit with further unknowns: the errors of one label, of a size."""
-    inner = information[part, part] + np.eye(part.stop - part.start) / size**2
-    gain = np.linalg.solve(inner, information[part]).T
-    return score - gain @ score[part], information - gain @ information[part]
-
-
-def _judged(score: FloatArray, information: FloatArray, noise: float) -> tuple[float, float, float]:
-    """Return what a label's part of u and A says of its errors.
+def _judged(label: _Label, part: slice, found: _Statistics, noise: float) -> tuple[float, float, float, FloatArray]:
+    """Return the evidence for the errors of a label.
 
     Returns:
-        The mean square of u over its expectation without errors, log10 odds for errors, and their most probable size
-        per axis in arcminutes, 0 where they are not more probable than none.
+        The mean square of u over its expectation without errors, log10 odds for errors, their most probable size per
+        axis in arcminutes, 0 where they are not more probable than none, and their most probable correlation.
     """
-    values, vectors = np.linalg.eigh(information)
-    determined = values >= _DETERMINED * values[-1]
-    values, power = np.maximum(values[determined], 0.0)[:, None], ((vectors[:, determined].T @ score) ** 2)[:, None]
-    square = (noise * _SIZES) ** 2
-    odds = 0.5 * np.sum(square * power / (1.0 + square * values) - np.log1p(square * values), axis=0)
-    best = float(odds.max())
-    mean = float(best + np.log(np.mean(np.exp(odds - best))))
-    size = noise * float(_SIZES[np.argmax(odds)]) if best > 0 else 0.0
-    return float(power.sum() / max(values.sum(), 1e-300)), mean / float(np.log(10.0)), size
+    lower = lower_root(found.plain[part, part], 1e-9)
+    left = solve_triangular(lower, found.information[part, part], lower=True)
+    values, vectors = np.linalg.eigh(solve_triangular(lower, left.T, lower=True))
+    determined = values >= max(_DETERMINED * float(values[-1]), 1e-9)
+    vectors, values = vectors[:, determined], values[determined]
+    score = vectors.T @ solve_triangular(lower, found.score[part], lower=True)
+    scaled = np.sqrt(values)[:, None] * (vectors.T @ lower.T)  # of the errors, to contrasts with a variance of 1
+    square, likely = (noise * _SIZES) ** 2, -0.5 * (np.log10(_SIZES / _USUAL) / _DECADES) ** 2
+    odds, correlations = [], list(label.correlations())
+    for each in correlations:
+        spread, axes = np.linalg.eigh(scaled @ each @ scaled.T)
+        power = (axes.T @ (score / np.sqrt(values))) ** 2
+        over = square[:, None] * np.maximum(spread, 0.0)
+        odds.append(0.5 * np.sum(over * power / (1.0 + over) - np.log1p(over), axis=1))
+    best = max(range(len(odds)), key=lambda each: float(odds[each].max()))
+    top = float(odds[best].max())
+    weights = np.exp(likely) / np.sum(np.exp(likely)) / len(odds)
+    mean = top + float(np.log(np.sum(np.exp(np.array(odds) - top) * weights)))
+    size = noise * float(_SIZES[np.argmax(odds[best])]) if top > 0 else 0.0
+    ratio = float(score @ score / max(values.sum(), 1e-300))
+    return ratio, mean / float(np.log(10.0)), size, correlations[best]
