@@ -18,6 +18,7 @@ from wlr_render.calibration.readings import (
 from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
+from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.planes import BasePlane
 from wlr_render.models.bundle import BundleSeeThrough
@@ -129,7 +130,7 @@ def _readings(
     place = without_thickness(place) if places and trend is None else place
     metric, dot = angular_metric(captures.tangents), captures.target_point[:, :2]
     is_noisy = bool(np.any(captures.sigma_arcmin > 0))
-    is_pose_fitted = captures.common is not None and captures.common.has_target_poses
+    is_pose_fitted = captures.common is not None and TARGET_POSES in captures.common.sources
     own = (
         print_term(dot, depth[:, 0], is_pose_fitted),
         drift_term(captures.time_s, captures.tangents, metric),

@@ -95,13 +95,19 @@ def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = 
     if moving:
         stated = readings.motion_prior
         expected[-2:, 1] = STAGE_REPEATABILITY_M.log_sigma if stated is None else stated.log_sigma
-    for name in set(names).intersection(stage or ()):
-        mean, sigma = (stage or {})[name]
+    prior = Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
+    _expect(prior, stage or {})
+    return prior
+
+
+def _expect(prior: Prior, stage: Stage) -> None:
+    """Change what a prior expects of the stage's errors to what other captures tell."""
+    for name in set(prior.names).intersection(stage):
+        row, (mean, sigma) = prior.names.index(name), stage[name]
         if sigma > 0:
-            expected[names.index(name)] = mean, sigma
+            prior.expected[row] = mean, sigma
         else:
-            bounds[names.index(name)] = mean, mean
-    return Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
+            prior.bounds[row] = mean
 
 
 def _bounds_of(term: LabelTerm) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from wlr_render.numerics.polynomial import Polynomial
 PANEL_PIXEL, REAL_POINT = 0, 1
 """Kinds of features."""
 TARGET_POSES = "targets"
-"""Source of the errors of the targets' poses among common errors."""
+"""Source of the errors of the targets' poses among common errors: who states them fitted the poses to the dots."""
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,6 @@ class CommonErrors:
             raise BadInputError(
                 f"common errors: 'lens' must have 2 variables and {2 * k} outputs, two of each variable."
             )
-
-    @property
-    def has_target_poses(self) -> bool:
-        """Whether errors of the targets' poses are stated: of poses that were fitted to the dots of the target."""
-        return TARGET_POSES in self.sources
 
     def of(self, capture: IntArray) -> FloatArray:
         """Return the motions (m, 6, k) of captures (m,), which may repeat.
