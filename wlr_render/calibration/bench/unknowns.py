@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from wlr_render import usual
-from wlr_render.calibration.bench.bench_blocks import EXACT, FALL, LENS, POSE, Block, Key
+from wlr_render.calibration.bench.blocks import EXACT, FALL, LENS, POSE, Block, Key
 from wlr_render.calibration.bench.board_shape import BOARD_SHAPE, BoardShape
 from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup, KnownPose
 from wlr_render.calibration.bench.state import AXIS_PARTS, SMOOTH_DEGREE, stated_twist
