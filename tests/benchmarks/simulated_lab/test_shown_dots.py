@@ -39,7 +39,7 @@ def test_the_target_is_drawn_in_the_shape_that_calibration_found():
     index = board.indices()
     nominal = board.point_of(index)
     own = np.random.default_rng(2).normal(0.0, 1e-5, nominal.shape)
-    low = np.array([2e-4, -1e-4, 5e-5, 3e-4, -4e-4, 2e-4])
+    low = np.array([2e-4, -1e-4, 5e-5, 3e-4, -4e-4])
     order = np.lexsort((index[:, 1], index[:, 0]))
     shape = BoardShape(np.abs(nominal[:, :2]).max(axis=0), low, index[order], own[order])
     pose = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.array([0.0, 0.0, -0.5]))
