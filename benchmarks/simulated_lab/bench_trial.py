@@ -138,7 +138,7 @@ def run_bench_trial(trial: BenchTrial, seed: int) -> BenchOutcome:
         return _judged(replace(outcome, refused=str(error)), failed, wanted)
     seconds = time.process_time() - begun
     sizes = bench.adjustment.sizes
-    found = dict(sizes.by)
+    found = {name: getattr(sizes, name) for name in ("turn", "shift", "smooth_turn", "smooth_shift")}
     found |= {f"noise {name}": value for name, value in sizes.noise.items()}
     found |= {f"features {name}": value for name, value in sizes.feature_m.items()}
     found |= {f"kind {name}": float(len(each.lens.names)) for name, each in bench.lenses.items()}

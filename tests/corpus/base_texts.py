@@ -151,7 +151,7 @@ scale = 0.5
 SCENE_WITH_MESH = SCENE + POINT_LIGHT_AND_MESH
 STATION = {
     "format": "wlr-station",
-    "version": 3,
+    "version": 2,
     "frame": "openxr",
     "units": {"length": "m", "angle": "rad", "pixel": "px"},
     "eyeball_camera": {

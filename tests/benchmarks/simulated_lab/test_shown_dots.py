@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.simulated_lab.drawn_target import target_scene, wholly_shown
-from wlr_render.calibration.bench.board_shape import BoardShape
+from wlr_render.calibration.bench.state import BoardShape
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device

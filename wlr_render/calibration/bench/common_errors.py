@@ -21,6 +21,7 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, Se
 from wlr_render.captures.feature_captures import TARGET_POSES, CaptureMotionPrior, CommonErrors, point_terms
 from wlr_render.captures.photo_session import BoardPhotograph, SessionEntry
 from wlr_render.geometry import transforms
+from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
@@ -109,7 +110,7 @@ def _errors(
 def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | None:
     """Change of the tangents at given pixels of the eyeball camera, see `CommonErrors.lens`."""
     lens = bench.eyeball
-    if not len(lens.values):
+    if not isinstance(lens, LensCamera):
         return None
     side = (np.arange(_LENS_GRID) + 0.5) / _LENS_GRID
     pixel = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) * lens.size_px
