@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from imperfect_bench import Imperfections, TrueBench, turned
 
-from wlr_render.calibration.bench.blocks import FEATURES, Layout
+from wlr_render.calibration.bench.bench_blocks import FEATURES, Layout
 from wlr_render.calibration.bench.board_views import EYEBALL
 from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.start import start_lens, start_state

@@ -271,14 +271,14 @@ def in_metres(content):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        (in_metres, r"'stage_mm (travel of [[bare]])' should be between 0.5 and 500 mm"),
+        (in_metres, r"'stage_mm' (travel of [[bare]]) should be between 0.5 and 500 mm"),
         (
             lambda content: content["eye_box"].update(size_mm=[0.01, 0.008, 0.006]),
             "'size_mm' has the value 0.01; it must be 0.5 or more",
         ),
         (
             lambda content: content["tracking_camera"].update(translation_mm=[0.0, 0.05, 0.06]),
-            "'translation_mm' should",
+            "'translation_mm' is",
         ),
         (lambda content: content.update(unit="m"), "'unit' is 'm'; a session is in mm: convert its lengths"),
         (lambda content: content["eyeball_camera"].update(bits=12), "check its 'bits'"),

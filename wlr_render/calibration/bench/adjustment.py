@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.calibration.bench.blocks import FEATURES, HYPER, USUAL_SIZES, Key, Layout, Sizes
+from wlr_render.calibration.bench.bench_blocks import FEATURES, HYPER, USUAL_SIZES, Key, Layout, Sizes
 from wlr_render.calibration.bench.normal_equations import Normal
 from wlr_render.calibration.bench.state import BenchState
 from wlr_render.calibration.poses import Pose, adjoint

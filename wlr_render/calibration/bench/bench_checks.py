@@ -9,7 +9,7 @@ from scipy.special import gammaln
 from scipy.stats import chi2, norm
 
 from wlr_render.calibration.bench.adjustment import Adjustment
-from wlr_render.calibration.bench.blocks import USUAL_SIZES, Key
+from wlr_render.calibration.bench.bench_blocks import USUAL_SIZES, Key
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
 from wlr_render.calibration.bench.normal_equations import residuals_of

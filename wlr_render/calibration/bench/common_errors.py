@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from wlr_render.calibration.bench.blocks import Key
+from wlr_render.calibration.bench.bench_blocks import Key
 from wlr_render.calibration.bench.board_views import EYEBALL
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, board_name, place_key
 from wlr_render.calibration.poses import adjoint

@@ -12,7 +12,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import Adjustment
-from wlr_render.calibration.bench.blocks import Key, Layout
+from wlr_render.calibration.bench.bench_blocks import Key, Layout
 from wlr_render.calibration.bench.board_views import APART, EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.bench.normal_equations import Normal
 from wlr_render.calibration.bench.state import BenchState

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from wlr_render.calibration.bench.blocks import Key, Layout, Sizes
+from wlr_render.calibration.bench.bench_blocks import Key, Layout, Sizes
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.state import BenchState, stretch_terms
 from wlr_render.geometry import transforms

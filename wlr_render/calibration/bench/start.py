@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from wlr_render import usual
-from wlr_render.calibration.bench.blocks import FEATURES, HELD_POSE, POSE, Block, Key
+from wlr_render.calibration.bench.bench_blocks import FEATURES, HELD_POSE, POSE, Block, Key
 from wlr_render.calibration.bench.board_views import (
     APART,
     EYEBALL,

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from wlr_render.calibration.bench.blocks import FEATURES, Block, Key
+from wlr_render.calibration.bench.bench_blocks import FEATURES, Block, Key
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.poses import adjoint, small_motion
 from wlr_render.captures.photo_session import StageAxis

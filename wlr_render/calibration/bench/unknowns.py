@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from wlr_render import usual
-from wlr_render.calibration.bench.blocks import EXACT, LENS, POSE, Block
+from wlr_render.calibration.bench.bench_blocks import EXACT, LENS, POSE, Block
 from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup, KnownPose
 from wlr_render.calibration.bench.state import AXIS_PARTS, stated_twist
 from wlr_render.captures.photo_session import StageAxis
