@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_triangular
 
-from wlr_render.calibration.label_terms import means_by
+from wlr_render.calibration.label_terms import means_by, reading_groups
 from wlr_render.calibration.posterior_spread import lower_root, principal
 from wlr_render.calibration.reading_sums import Response
 from wlr_render.calibration.readings import motion_columns
@@ -54,10 +54,9 @@ _USUAL, _DECADES = 0.1, 0.6  # usual size, and one sigma of its logarithm: large
 _LENGTHS = (0.1, 0.3)  # over which the correlation falls, in extents of the label's places
 _DETERMINED = 0.2  # least share of a contrast's information that the fit leaves, over the largest such share
 _CELLS, _DOTS, _DOTS_OF_POSE = 16, 16, 8  # along an axis of the image and of a board
-_BINS, _TIMES = 32, 24  # bins of a stage's reading and of time
+_TIMES = 24  # bins of time
 _FAR = 100.0  # distance, in extents, at which errors are independent
 _SAMPLES = 200  # readings at which the effect on the model is averaged
-_SAME_READING_M = 1e-4  # stage readings nearer than this are one
 
 
 @dataclass(frozen=True)
@@ -242,7 +241,7 @@ def _labels(smooth: SmoothFit, captures: DisplayCaptures | SeeThroughCaptures) -
         for axis in range(3):
             reading = captures.viewpoint[:, axis]
             name, by_axis = f"reading of stage axis {'xyz'[axis]}", shift[..., axis, None]
-            tried.append(_Label(name, _stage_bins(reading), by_axis, _extents(reading[:, None])))
+            tried.append(_Label(name, reading_groups(reading), by_axis, _extents(reading[:, None])))
         travel = np.where(np.isfinite(captures.travel), captures.travel > 0, -1).astype(np.int64)
         tried.append(_Label("direction of travel", _numbered(travel), shift[..., :1]))
     yield from (each for each in tried if each.groups > 1)
@@ -277,13 +276,6 @@ def _bins(value: FloatArray, count: int) -> IntArray:
         return np.where(finite, 0, -1)
     part = (value - value[finite].min()) / np.ptp(value[finite]) * count
     return _numbered(np.where(finite, np.minimum(np.nan_to_num(part), count - 1), -1).astype(np.int64))
-
-
-def _stage_bins(reading: FloatArray) -> IntArray:
-    """Group (n,) of each reading of a stage's axis: itself where the axis takes few, else its bin."""
-    distinct = np.round(reading / _SAME_READING_M).astype(np.int64)
-    distinct -= distinct.min()
-    return _numbered(distinct) if len(np.unique(distinct)) <= _BINS else _bins(reading, _BINS)
 
 
 def _cells(place: FloatArray, count: int) -> IntArray:

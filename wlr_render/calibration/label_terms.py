@@ -120,14 +120,14 @@ class StageLabels:
 
 def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:
     """Return the labels of the stage that captures have."""
-    groups = np.stack([_groups(captures.viewpoint[:, axis]) for axis in range(3)])
+    groups = np.stack([reading_groups(captures.viewpoint[:, axis]) for axis in range(3)])
     places = zip(groups, captures.viewpoint.T, strict=True)
     reading = tuple(means_by(group, along[:, None])[:, 0] for group, along in places)
     return StageLabels(groups, reading, np.nan_to_num(captures.travel))
 
 
-def _groups(reading: FloatArray) -> IntArray:
-    """Group (n,) of each reading of an axis: itself where the axis takes few, else its bin."""
+def reading_groups(reading: FloatArray) -> IntArray:
+    """Return the group (n,) of each reading of a stage's axis: itself where the axis takes few, else its bin."""
     group = np.unique(np.round(reading / _SAME_READING_M), return_inverse=True)[1].reshape(-1)
     if group.max() < _MOST_READINGS:
         return np.asarray(group)

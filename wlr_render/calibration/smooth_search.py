@@ -283,7 +283,7 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
 
 
 def _rough_axes(readings: FitReadings) -> tuple[FloatArray, IntArray]:
-    """Return what `_rough` is for motions for the unknowns that both outputs share, of which errors by axis are some.
+    """Return combinations of the unknowns that both outputs share, without smooth errors by reading of an axis.
 
     Returns:
         Combinations (mixed, k), and for each an unknown (k,) of the same prior size.

@@ -46,7 +46,7 @@ def test_a_capture_bumped_by_300_um_is_found():
 
 @pytest.mark.slow
 def test_a_capture_that_moved_by_3_mm_does_not_make_all_seem_to_move():
-    """Motions that strong optics imitate on a raster grew with it, until none stood out."""
+    """If motions that vary smoothly with the place told their size, all captures would move with this one."""
     captures, true = lab_captures("northstar", seed=22, bump_um=(3000.0, 3000.0))
     smooth = fit_display(captures.display).smooth
     assert [each.capture for each in smooth.moved] == true.bumped.tolist()
