@@ -21,7 +21,7 @@ from wlr_render.optics.device import (
 from wlr_render.optics.device_media import medium_content
 from wlr_render.optics.device_shapes import MM, Content, in_mm, shape_content
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.raised import Offset, RaisedSag, base_of, nesting
+from wlr_render.optics.raised import Offset, base_of, nesting
 from wlr_render.optics.surfaces import Shape
 
 
@@ -126,9 +126,9 @@ def _placed_base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurfac
 
 def _surface(surface: PlacedSurface, bases: dict[str, str]) -> Content:
     shape = surface.shape
-    if not isinstance(shape, Offset | RaisedSag):
+    if not isinstance(shape, Offset):
         content = shape_content(shape) | _pose(surface.device_from_surface)
-    elif isinstance(shape, Offset) and not shape.errors:
+    elif not shape.errors:
         content = {"shape": "offset", "of": bases[surface.name], "distance_mm": shape.distance / MM}
     else:
         errors = [

@@ -6,13 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse
-from wlr_render.numerics.arrays import BoolArray, FloatArray
-from wlr_render.optics.sag_surfaces import Gradient, LevelSurface, SagSurface
-from wlr_render.optics.surfaces import Shape, SurfaceIntersections, unit
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.sag_surfaces import SagSurface
+from wlr_render.optics.surfaces import Gradient, Shape, SurfaceIntersections, dot
 
 _RAISED_REACH = 1e-2  # metres by which form errors may move a root: they are far smaller
 _MAX_TURNS = 40
-_SETTLED = 1e-17  # change in metres at convergence: about ten rounding units of a shift of a few millimetres
+_SETTLED = 1e-14  # change in metres at convergence: the next one is smaller by distance / radius of curvature
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,23 +40,13 @@ class FormError:
         return height, pose[:2, :3].T @ np.stack([slope_x, slope_y])
 
 
-def _sums(errors: tuple[FormError, ...], point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the sum of the heights (n,) of form errors at points (3, n), and its gradient (3, n)."""
-    heights, gradients = zip(*(error.height_and_gradient(point) for error in errors), strict=True)
-    return np.sum(heights, axis=0), np.sum(gradients, axis=0)
-
-
 @dataclass(frozen=True)
-class Offset:
+class Offset(Shape):
     """A surface displaced from another one along its unit normals: by a distance, and by form errors.
 
-    Without errors it is the true parallel surface. A ray meets the displaced surface at p = q + d(p, q) where the ray
-    shifted by -d meets the base at q. Each iteration shrinks the error by about d / radius of curvature, or by the
-    slope of d.
-
-    The height h of the errors is a function of the point itself, not of its foot. Then the surface is F(p) = h(p),
-    where F is the distance of a point from the base, and its normal is grad F - grad h: independent of the curvature of
-    the base.
+    Without errors it is the true parallel surface. A point p of it has the foot q = p - (distance + h(p)) n(q) on the
+    base. The height h of the errors is a function of the point itself, not of its foot, so that its normal is n - grad
+    h, independent of the curvature of the base. Errors of a surface stated as z(x, y) raise it along its z instead.
 
     Attributes:
         base: the shape that it is displaced from.
@@ -68,13 +58,48 @@ class Offset:
     distance: float
     errors: tuple[FormError, ...] = ()
 
-    def _displacement(self, point: FloatArray, normal: FloatArray) -> FloatArray:
-        """Return the displacement (3, n) of points (3, n) from their feet, at which the unit normals are (3, n)."""
-        height = _sums(self.errors, point)[0] + self.distance if self.errors else self.distance
-        return np.asarray(height * normal)
+    @property
+    def _is_along_z(self) -> bool:
+        return isinstance(self.base, SagSurface) and not self.distance
+
+    def _heights(self, point: FloatArray) -> tuple[FloatArray | float, FloatArray | float]:
+        """Return the displacements (n,) of points (3, n) along normals, and their gradient (3, n)."""
+        heights = [error.height_and_gradient(point) for error in self.errors]
+        return sum((height for height, _ in heights), start=self.distance), sum(slopes for _, slopes in heights)
+
+    def level(self, point: FloatArray) -> tuple[FloatArray, Gradient]:
+        """Return the level at points by their settled feet on the base, as a distance, and its gradient."""
+        shift = np.zeros_like(point)
+        if not self._is_along_z:
+            height, _ = self._heights(point)
+            for _ in range(_MAX_TURNS):
+                previous, shift = shift, height * self.base.normal(point - shift)
+                if not (np.abs(shift - previous).max(axis=0) > _SETTLED).any():
+                    break
+        value, gradient, _ = self.level_near(point, shift)
+        return value, gradient
+
+    def level_near(self, point: FloatArray, shift: FloatArray) -> tuple[FloatArray, Gradient, FloatArray | float]:
+        """Improve the feet: their errors shrink by a factor of about the distance over the base's radius."""
+        height, slopes = self._heights(point)
+        value, gradient = self.base.level(point - shift)
+        inward = np.stack(np.broadcast_arrays(*gradient))
+        moved: FloatArray | float = 0.0
+        if not self._is_along_z:
+            length = np.sqrt(dot(inward, inward))
+            inward /= length
+            # To first order, the level at the feet by the new shift.
+            value = value / length + dot(inward, shift)
+            previous = shift.copy()
+            shift[:] = -height * inward
+            moved = np.abs(shift - previous).max(axis=0)
+        by_x, by_y, by_z = inward + slopes if self.errors else inward
+        return value + height, (by_x, by_y, by_z), moved
 
     def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """Return the intersections of rays with the displaced surface."""
+        """Return the intersections of rays with the displaced surface, by Newton's method from those with the base."""
+        if self._is_along_z:
+            return super().meet(origin, direction)
         start = self.base.meet(origin, direction)
         distance, converged = start.distance.copy(), start.converged.copy()
         # Roots of the base farther behind a ray stay behind it, except at grazing angles below 6 degrees.
@@ -83,75 +108,23 @@ class Offset:
             if row and np.array_equal(start.distance[row], start.distance[row - 1], equal_nan=True):
                 distance[row] = distance[row - 1]  # the only root with a plane fills both rows
                 continue
-            near = distance[row] > -reach
-            if near.any():
-                distance[row], settled = self._settle(row, origin, direction)
-                converged &= settled | ~near
+            near = np.flatnonzero(distance[row] > -reach)
+            if near.size:
+                distance[row, near], settled = self.root(distance[row, near], origin[:, near], direction[:, near])
+                converged[near] &= settled
         return SurfaceIntersections(distance, converged)
-
-    def _settle(self, row: int, origin: FloatArray, direction: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Follow one root of the base to the displaced surface; returns distance and convergence, (n,) each."""
-        shift = np.zeros_like(origin)
-        for _ in range(_MAX_TURNS):
-            shifted = origin - shift
-            distance = self.base.meet(shifted, direction).distance[row]
-            foot = shifted + distance * direction
-            new_shift = self._displacement(foot + shift, self.base.normal(foot))
-            moving = np.abs(new_shift - shift).max(axis=0) > _SETTLED
-            shift = new_shift
-            if not moving.any():
-                break
-        return distance, ~moving
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """Return the unit normals (3, n) at points (3, n), on the side of the base's normals.
-
-        The feet of the points are found by the same contraction.
-        """
-        shift = np.zeros_like(point)
-        for _ in range(_MAX_TURNS):
-            normal = self.base.normal(point - shift)
-            previous, shift = shift, self._displacement(point, normal)
-            if not (np.abs(shift - previous).max(axis=0) > _SETTLED).any():
-                break
-        return unit(normal - _sums(self.errors, point)[1]) if self.errors else normal
-
-
-@dataclass(frozen=True)
-class RaisedSag(LevelSurface):
-    """A surface stated as z(x, y), raised by form errors along its z.
-
-    Attributes:
-        base: the surface as prescribed.
-        errors: added to each other.
-    """
-
-    base: SagSurface
-    errors: tuple[FormError, ...]
-
-    def level(self, point: FloatArray) -> tuple[FloatArray, Gradient]:
-        """Return the height of the surface above points, and its gradient."""
-        below, (by_x, by_y, by_z) = self.base.level(point)
-        height, gradient = _sums(self.errors, point)
-        return below + height, (by_x + gradient[0], by_y + gradient[1], by_z + gradient[2])
 
 
 def raised(shape: Shape, *errors: FormError) -> Shape:
     """Return a shape with form errors, in addition to any that it has."""
-    match shape:
-        case Offset() | RaisedSag():
-            return replace(shape, errors=(*shape.errors, *errors))
-        case SagSurface():
-            return RaisedSag(shape, errors)
-        case _:
-            return Offset(shape, 0.0, errors)
+    return replace(shape, errors=(*shape.errors, *errors)) if isinstance(shape, Offset) else Offset(shape, 0.0, errors)
 
 
 def base_of(shape: Shape) -> Shape | None:
     """Return the shape that a displaced one is stated by: its base, or the offset that has errors; None for others."""
-    if isinstance(shape, Offset) and shape.errors and shape.distance:
-        return replace(shape, errors=())
-    return shape.base if isinstance(shape, Offset | RaisedSag) else None
+    if not isinstance(shape, Offset):
+        return None
+    return replace(shape, errors=()) if shape.errors and shape.distance else shape.base
 
 
 def nesting(shape: Shape) -> int:

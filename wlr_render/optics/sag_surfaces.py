@@ -1,4 +1,4 @@
-"""Surfaces z = sag(x, y), intersected by Newton's method: aspheres, toroid, biconic, XY polynomial, bump.
+"""Surfaces z = sag(x, y): aspheres, toroid, biconic, XY polynomial, bump.
 
 Same frame, units and column layout as `surfaces`.
 """
@@ -8,53 +8,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.optics.surfaces import SurfaceIntersections, unit
-
-_MAX_STEPS = 25
-_STEPS_OF_ALL = 6  # Newton steps on all rays; most have converged by then, and only the others go on
-# Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
-_LAST_STEP = 1e-10
-
-Gradient = tuple[FloatArray, FloatArray, FloatArray | float]
-"""Derivatives by x, y and z, (n,) each."""
+from wlr_render.optics.surfaces import Gradient, Shape
 
 
-class LevelSurface:
-    """A shape as the zero of a function near z = 0, solved by Newton's method from the point at z = 0; one root."""
-
-    def level(self, point: FloatArray) -> tuple[FloatArray, Gradient]:
-        """Return the height (n,) in metres of the shape above points (3, n), and the gradient of this height."""
-        raise NotImplementedError
-
-    @np.errstate(invalid="ignore", divide="ignore", over="ignore")  # beyond the edge of a shape: NaN
-    def meet(self, origin: FloatArray, direction: FloatArray) -> SurfaceIntersections:
-        """Return the intersection of rays with the shape."""
-        distance = -origin[2] / direction[2]
-        step = distance.copy()
-        rays: slice | NDArray[np.int64] = slice(None)  # all; soon, the few that have not converged
-        for number in range(_MAX_STEPS):
-            at, along = origin[:, rays], direction[:, rays]
-            value, (by_x, by_y, by_z) = self.level(at + distance[rays] * along)
-            step[rays] = value / (by_z * along[2] + by_x * along[0] + by_y * along[1])
-            distance[rays] -= step[rays]
-            going = np.abs(step) > _LAST_STEP
-            if not going.any():
-                break
-            if number >= _STEPS_OF_ALL:
-                rays = np.flatnonzero(going)
-        return SurfaceIntersections(distance[None], ~going)
-
-    def normal(self, point: FloatArray) -> FloatArray:
-        """Return the unit normals, which point to +z at the vertex."""
-        by_x, by_y, by_z = self.level(point)[1]
-        return unit(-np.stack([by_x, by_y, np.broadcast_to(by_z, by_x.shape)]))
-
-
-class SagSurface(LevelSurface):
-    """A shape by its height over x and y."""
+class SagSurface(Shape):
+    """A shape by its height over x and y, with normals that point to +z at the vertex."""
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the height z (n,) and its derivatives by x and y, in metres; NaN beyond the edge of the shape."""
