@@ -201,10 +201,22 @@ def test_display_and_see_through_are_of_one_stage():
     fit = calibrate(
         captured(truth, 5, 0.25, seed=102, grid=(25, 21)), "grey-box", prescription=prescription("birdbath28")
     )
-    for name, (size, _) in fit.display.smooth.stage.items():
-        assert fit.see_through.smooth.stage[name][0] == pytest.approx(size)
+    for name, (size, sigma) in fit.see_through.smooth.stage.items():
+        assert fit.display.smooth.stage[name][0] == pytest.approx(size, abs=sigma)
     assert fit.display.smooth.shift_m < 3e-6
     assert rms(display_errors(fit, truth)[0]) < 0.05
+
+
+@pytest.mark.parametrize("kind", ["planar", "grey-box"])
+def test_captures_of_a_display_on_a_worse_stage_are_not_accused(kind):
+    truth = wrong_headset(prescription("birdbath28"), np.random.default_rng(2), shape=0.002)
+    captures = captured(truth, 16, 0.25, seed=102, grid=(15, 13))
+    shift = np.random.default_rng(5).normal(0, 4e-5, (16, 3))[captures.display.capture]
+    display = dataclasses.replace(captures.display, viewpoint=captures.display.viewpoint + shift)
+    fit = calibrate(Captures(display, captures.see_through), kind, prescription=prescription("birdbath28"))
+    assert fit.display.smooth.moved == fit.see_through.smooth.moved == ()
+    error, predicted = map(rms, display_errors(fit, truth))
+    assert 0.7 < error / predicted < 1.4
 
 
 def with_motion(side):

@@ -15,7 +15,6 @@ from wlr_render.calibration.readings import (
     motion_of,
     without_thickness,
 )
-from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import DisplayCaptures, select
 from wlr_render.geometry.planes import BasePlane
@@ -41,7 +40,6 @@ def fit_display(
     trend: Trend | None = None,
     weights: FloatArray | None = None,
     stage: Stage | None = None,
-    before: SmoothFit | None = None,
 ) -> ModelFit[FittedDisplay]:
     """Fit a display model to captures of the panel by maximum evidence.
 
@@ -55,13 +53,12 @@ def fit_display(
         trend: (u px, v px, x m, y m) -> (tx, ty) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_search.fit`.
         stage: what other captures of the bench tell of the stage's errors; None to find them.
-        before: fit of this kind with another stage or trend, to start from; None for no such fit.
 
     Raises:
         BadInputError: an unknown kind, captures that determine nothing or contradict each other, or a model that may
             have two solutions; the sentence says what is missing.
     """
-    return DISPLAY.fit(captures, kind, degree, base_plane, trend, weights, stage, before)
+    return DISPLAY.fit(captures, kind, degree, base_plane, trend, weights, stage)
 
 
 def _on_plane(captures: DisplayCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:

@@ -267,8 +267,7 @@ def fit_with_trends(
     """Fit a grey box or a prescription to both sides, then each with what the other says of the assembly as prior.
 
     Both models then have the same posterior of the assembly errors. The evidence of all readings is that of the display
-    and that of see-through after it. The sizes of the stage's errors are those of see-through: from few positions,
-    motions of the captures can imitate what a display's optics change from place to place.
+    and that of see-through after it.
 
     Args:
         captures: of both.
@@ -285,8 +284,9 @@ def fit_with_trends(
     seen = see_through_fit.fit_see_through(
         see_through, kind, degrees[1], see_through_plane, trends.see_through, weights[1]
     )
-    stage = {name: (size, 0.0) for name, (size, _) in seen.smooth.stage.items()}
-    shown = display_fit.fit_display(display, kind, degrees[0], display_plane, trends.display, weights[0], stage)
+    shown = display_fit.fit_display(
+        display, kind, degrees[0], display_plane, trends.display, weights[0], seen.smooth.stage
+    )
     by_display, (mean, root) = shown.smooth.trend_parameters, seen.smooth.trend_parameters
     log_evidence = _log_evidence(shown)
     seen = see_through_fit.SEE_THROUGH.with_trend(seen, see_through_plane, trends.see_through.about(*by_display))

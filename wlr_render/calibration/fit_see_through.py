@@ -15,8 +15,6 @@ from wlr_render.calibration.readings import (
     motion_of,
     without_thickness,
 )
-from wlr_render.calibration.smooth_fit import SmoothFit
-from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.captures.correspondences import SeeThroughCaptures, select
 from wlr_render.captures.feature_captures import TARGET_POSES
 from wlr_render.errors import BadInputError
@@ -40,8 +38,6 @@ def fit_see_through(
     base_plane: BasePlane | None = None,
     trend: Trend | None = None,
     weights: FloatArray | None = None,
-    stage: Stage | None = None,
-    before: SmoothFit | None = None,
 ) -> ModelFit[FittedSeeThrough]:
     """Fit a see-through model to captures of real points, as deviation from straight rays, by maximum evidence.
 
@@ -53,14 +49,12 @@ def fit_see_through(
         base_plane: of a planar model; None for the plane of `choose_base_plane`.
         trend: (x m, y m, tx, ty) -> (A, B) on that plane; of a grey box or prescription.
         weights: (n,) of the captures' readings, see `smooth_search.fit`.
-        stage: what other captures of the bench tell of the stage's errors; None to find them.
-        before: fit of this kind with another stage or trend, to start from; None for no such fit.
 
     Raises:
         BadInputError: an unknown kind, a point behind the base plane, captures that determine nothing or contradict
             each other, or a model that may have two solutions; the sentence says what is missing.
     """
-    return SEE_THROUGH.fit(captures, kind, degree, base_plane, trend, weights, stage, before)
+    return SEE_THROUGH.fit(captures, kind, degree, base_plane, trend, weights)
 
 
 def _on_plane(captures: SeeThroughCaptures, plane: BasePlane, limits: Limits, trend: Trend | None) -> FitReadings:

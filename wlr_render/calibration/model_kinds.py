@@ -11,7 +11,6 @@ from wlr_render.calibration.base_plane import choose_base_plane
 from wlr_render.calibration.fit_report import AnyModel, ModelFit
 from wlr_render.calibration.reading_sums import UndeterminedModelError
 from wlr_render.calibration.readings import TREND_ALONE, FitReadings, Limits, Trend
-from wlr_render.calibration.smooth_fit import SmoothFit
 from wlr_render.calibration.smooth_prior import Stage
 from wlr_render.calibration.smooth_search import fit_within
 from wlr_render.captures.correspondences import AnyCaptures
@@ -81,8 +80,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
         base_plane: BasePlane | None,
         trend: Trend | None,
         weights: FloatArray | None,
-        stage: Stage | None,
-        before: SmoothFit | None,
+        stage: Stage | None = None,
     ) -> ModelFit[AnyModel]:
         """Fit a model by maximum evidence; see `fit_display.fit_display`."""
         if kind not in self.kinds:
@@ -102,7 +100,7 @@ class Side(Generic[AnyCaptures, AnyModel]):
             limits = (TREND_ALONE,)
         readings_within = partial(how.readings, plane=plane, trend=trend if how.needs_trend else None)
         try:
-            smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage, before)
+            smooth = fit_within(lambda limits: readings_within(used, limits=limits), limits, weights, stage)
         except UndeterminedModelError as error:
             raise self.undetermined(kind, self.lacking(used, kind)) from error
         except np.linalg.LinAlgError as error:

@@ -35,8 +35,7 @@ _LEAST_SHARE, _MOST_TIMES_USUAL = 7.0, 2.5  # logarithms of the bounds of an err
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
 Stage = Mapping[str, tuple[float, float]]
 """What other captures tell of the errors of a stage, by the names of their hyperparameters: mean and sigma of the
-natural logarithm of the size. "shift" and "turn" are in units of `motion_scale`, "axes" and "travel" in metres. A sigma
-of 0 holds the size."""
+natural logarithm of the size. "shift" and "turn" are in units of `motion_scale`, "axes" and "travel" in metres."""
 
 
 def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = None) -> Prior:
@@ -95,19 +94,10 @@ def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = 
     if moving:
         stated = readings.motion_prior
         expected[-2:, 1] = STAGE_REPEATABILITY_M.log_sigma if stated is None else stated.log_sigma
-    prior = Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
-    _expect(prior, stage or {})
-    return prior
-
-
-def _expect(prior: Prior, stage: Stage) -> None:
-    """Change what a prior expects of the stage's errors to what other captures tell."""
-    for name in set(prior.names).intersection(stage):
-        row, (mean, sigma) = prior.names.index(name), stage[name]
-        if sigma > 0:
-            prior.expected[row] = mean, sigma
-        else:
-            prior.bounds[row] = mean
+    for row, name in enumerate(names):
+        if stage and name in stage:
+            expected[row] = stage[name]
+    return Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
 
 
 def _bounds_of(term: LabelTerm) -> tuple[float, float]:

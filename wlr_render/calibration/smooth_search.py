@@ -52,7 +52,6 @@ def fit_within(
     limits: Sequence[Limits],
     weights: FloatArray | None = None,
     stage: Stage | None = None,
-    before: SmoothFit | None = None,
 ) -> SmoothFit:
     """Fit with the terms that matter, as the readings themselves tell.
 
@@ -64,16 +63,12 @@ def fit_within(
         readings_of: (limits) -> readings.
         limits: the narrowest first; a single one holds whatever the readings tell.
         weights, stage: as of `fit`.
-        before: fit to the same readings with another stage or trend, whose terms are the first; None for no such fit.
 
     Raises:
         BadInputError: as `fit`.
     """
     widest = readings_of(limits[-1])
-    if before is not None:
-        smooth = _fit_from(before, replace(widest, orders=before.readings.orders), weights, stage)
-    else:
-        smooth = _first_fit(readings_of, limits, weights, stage)
+    smooth = _first_fit(readings_of, limits, weights, stage)
     if len(limits) == 1:
         return smooth
     for _ in range(_WIDENINGS):
@@ -270,7 +265,7 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
     middle = means_by(readings.capture, readings.inputs[:, readings.is_place])[used]
     rest = _REST_IF_UNKNOWN if readings.motion_prior is None else _REST_IF_STATED
-    if (1.0 - rest) * len(used) < 1.0:
+    if (1.0 - rest) * len(used) < 1 + middle.shape[1]:  # motions that are linear in the place must go, too
         return np.zeros((6, captures, 0))
     values, extent, _ = np.linalg.svd(smooth_basis(middle, 1.0 - rest), full_matrices=False)
     values = values[:, extent > 1e-6 * extent[0]]
