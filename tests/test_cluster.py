@@ -27,7 +27,7 @@ from wlr_render import cluster
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
 from wlr_render.io import atomic_files
-from wlr_render.io.finished_files import LIST
+from wlr_render.io.kept import LEDGER
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.processes import WorkerPool, as_finished
@@ -152,7 +152,7 @@ def whole(folder):
     """All files of a folder by name but reports, which have dates; the list of finished files in any order."""
     files = {str(path.relative_to(folder)): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
     kept = {name: content for name, content in files.items() if not name.startswith(("report.", "diagnosis."))}
-    return {name: sorted(each.splitlines()) if name == LIST else each for name, each in kept.items()}
+    return {name: sorted(each.splitlines()) if name == LEDGER else each for name, each in kept.items()}
 
 
 def trials(folder):

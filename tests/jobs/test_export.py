@@ -25,8 +25,8 @@ from wlr_render.exports.formats import FORMATS, FormatName
 from wlr_render.extras import MissingExtraError, install_command
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.io.escapes import markdown_text
-from wlr_render.io.finished_files import FinishedFiles
 from wlr_render.io.input_files import LIMITS
+from wlr_render.io.kept import Kept
 from wlr_render.jobs.export import export, views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.headset import open_colours, open_eye
@@ -152,7 +152,7 @@ def test_a_file_that_was_changed_after_an_export_is_left(straight_device, tmp_pa
 
 def test_the_frames_of_render_are_no_earlier_export(straight_device, scene_file, tmp_path):
     render(RenderOptions(straight_device, scene_file, method="raytrace", out=tmp_path))
-    with pytest.raises(BadInputError, match="lists files of other options or inputs; choose another folder"):
+    with pytest.raises(BadInputError, match="belongs to other options: job was render and is export; choose another"):
         exported("stmap", straight_device, tmp_path)
     assert list(tmp_path.glob("*.png"))
 
@@ -169,7 +169,7 @@ def test_an_export_that_is_refused_leaves_the_earlier_one(straight_device, tmp_p
 def test_a_job_of_another_kind_does_not_replace_the_page(straight_device, tmp_path):
     exported("pfm", straight_device, tmp_path)
     page = (tmp_path / "report.md").read_bytes()
-    with pytest.raises(BadInputError, match=r"holds the files of another job, which finished\.jsonl lists"):
+    with pytest.raises(BadInputError, match="belongs to other options: job was export and is trace; choose another"):
         trace(TraceOptions(straight_device, out=tmp_path))
     assert (tmp_path / "report.md").read_bytes() == page
 
@@ -192,16 +192,16 @@ class Killed(BaseException):
 def test_an_export_that_was_killed_goes_on_where_it_ended(form, after, straight_device, tmp_path, monkeypatch):
     few = {"eye": "both", "pupils": 2}
     whole = exported(form, straight_device, tmp_path / "whole", **few)
-    written, adds = FinishedFiles.add, []
+    written, adds = Kept.add, []
 
-    def add_until_killed(finished, paths, remark=""):
+    def add_until_killed(finished, files, facts=None):
         if len(adds) == after:
             raise Killed
-        adds.append(paths)
-        written(finished, paths, remark)
+        adds.append(files)
+        written(finished, files, facts)
 
     with monkeypatch.context() as patch:
-        patch.setattr(FinishedFiles, "add", add_until_killed)
+        patch.setattr(Kept, "add", add_until_killed)
         with pytest.raises(Killed):
             exported(form, straight_device, tmp_path / "cut", **few)
     before = {path: path.stat().st_mtime_ns for paths in adds for path in paths}

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from jobs.test_render import metadata
 from small_headsets import changed_device
 
 from wlr_render.errors import BadInputError
@@ -168,9 +169,9 @@ def test_a_run_that_is_resumed_ends_up_with_the_same_files(labelled, tmp_path):
     assert {name: resumed[name] for name in whole if name not in reports} == {
         name: whole[name] for name in whole if name not in reports
     }
-    with pytest.raises(BadInputError, match=r"--layers has changed from \[.*\] to \['depth'\] since"):
+    with pytest.raises(BadInputError, match=r"--layers was \[.*\] and is \['depth'\];"):
         render(replace(job, layers=("depth",)))
-    with pytest.raises(BadInputError, match=r"--misalignment has changed from .* to None since"):
+    with pytest.raises(BadInputError, match=r"--misalignment was .* and is None;"):
         render(labelled)
     assert render(replace(job, layers=LAYERS[::-1])).record["frames_drawn"] == 0
 
@@ -201,11 +202,12 @@ def test_misalignment_of_each_frame_is_that_of_what_it_shows(
     given = {"head": head, "frame_limit": 1, "method": method, "misalignment": device}
     options = RenderOptions(model_file, scene_file, out=tmp_path / "frames", **given)
     report = render(options)
-    (found,) = json.loads((options.out / "misalignment.json").read_text())["frames"]
-    assert (found["file"], found["eye"], found["time_s"]) == ("right-000000.png", "right", 0.0)
+    (frame,) = metadata(options.out)
+    found = frame["misalignment"]
+    assert (frame["file_name"], frame["eye"], frame["time_s"]) == ("right-000000.png", "right", 0.0)
     truth, model = open_eye(device), open_eye(model_file)
     viewpoint = model.eye_box.centre
-    assert found["viewpoint_in_device_m"] == viewpoint.tolist()
+    assert frame["viewpoint_in_device_m"] == viewpoint.tolist()
     painter = TracedPainter(model, RayRenderer(load_scene(scene_file)))
     world_point = painter.paint(viewpoint, pose, with_geometry=True).position.astype(float)
     point = transforms.apply(transforms.inverse(pose), world_point)
@@ -222,13 +224,13 @@ def test_misalignment_of_each_frame_is_that_of_what_it_shows(
 def test_the_report_plots_misalignment_over_time(labelled):
     report = render(replace(labelled, layers=(), misalignment=labelled.headset))
     (plot,) = (block for block in report.blocks if isinstance(block, Plot))
-    frames = json.loads((labelled.out / "misalignment.json").read_text())["frames"]
+    frames = metadata(labelled.out)
     assert [line["name"] for line in plot.data] == [f"{eye} eye, {name}" for eye in EYES for name in ("median", "95 %")]
     for number, eye in enumerate(EYES):
         own = [frame for frame in frames if frame["eye"] == eye]
         for line, key in zip(plot.data[2 * number :], ("median_arcmin", "p95_arcmin"), strict=False):
             assert line["x"] == [frame["time_s"] for frame in own]
-            assert line["y"] == pytest.approx([frame[key] for frame in own], rel=1e-3)
+            assert line["y"] == pytest.approx([frame["misalignment"][key] for frame in own], rel=1e-3)
     still = replace(labelled, layers=(), head=None, misalignment=labelled.headset, out=labelled.out.with_name("still"))
     assert not [block for block in render(still).blocks if isinstance(block, Plot)]
 
@@ -239,7 +241,7 @@ def test_frames_that_show_nothing_have_no_misalignment_and_no_annotations(labell
     behind.write_text(text, encoding="utf-8")
     job = replace(labelled, scene=str(behind), misalignment=labelled.headset, out=tmp_path / "behind")
     report = render(job)
-    frames = json.loads((job.out / "misalignment.json").read_text())["frames"]
+    frames = [frame["misalignment"] for frame in metadata(job.out)]
     assert [(each["points"], each["median_arcmin"]) for each in frames] == [(0, None)] * 4
     assert json.loads((job.out / "instances.json").read_text())["annotations"] == []
     assert report.tables[0].rows[0][4:] == [None, None, None]
@@ -318,27 +320,12 @@ def test_labels_of_another_kind_are_refused(tmp_path):
     path = tmp_path / "right-000000-labels.json"
     path.write_text('{"format": "wlr-view", "version": 1}')
     with pytest.raises(BadInputError, match="is not the labels of a frame of version 1; draw the frames again"):
-        read_labels(path, "misalignment")
+        read_labels(path)
 
 
-NUMBERS = {"rms_arcmin": 1.0, "median_arcmin": 1, "p95_arcmin": None, "max_arcmin": 2.0}
-
-
-@pytest.mark.parametrize(
-    ("kind", "labels"),
-    [
-        ("misalignment", {}),
-        ("misalignment", {"misalignment": {"points": 3}}),
-        ("misalignment", {"misalignment": {"points": 3, **NUMBERS, "max_arcmin": "2"}}),
-        ("annotations", {"misalignment": {"points": 3, **NUMBERS}}),
-        ("annotations", {"annotations": [{"instance_id": 1}]}),
-        ("annotations", {"annotations": [3]}),
-        ("predicted_error", {"predicted_error": []}),
-        ("predicted_error", {"predicted_error": {"rms_arcmin": 1.0, "radius_arcmin": 2.0}}),
-    ],
-)
-def test_labels_without_what_is_asked_for_are_refused(tmp_path, kind, labels):
-    path = write_labels(tmp_path / "right-000000-labels.json", labels)
-    with pytest.raises(BadInputError, match=rf"labels\.json: '{kind}' is .*, which no frame of `render` has; draw the"):
-        read_labels(path, kind)
-    assert read_labels(write_labels(path, {"misalignment": {"points": 3, **NUMBERS}}), "misalignment")["points"] == 3
+@pytest.mark.parametrize("annotations", [None, {}, [{"instance_id": 1}], [3]])
+def test_labels_that_are_no_annotations_are_refused(tmp_path, annotations):
+    path = write_labels(tmp_path / "right-000000-labels.json", annotations)
+    with pytest.raises(BadInputError, match=r"labels\.json: 'annotations' is .*, which no frame of `render` has; draw"):
+        read_labels(path)
+    assert read_labels(write_labels(path, [])) == []

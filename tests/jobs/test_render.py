@@ -12,7 +12,8 @@ from wlr_render.budget.registration_budget import registration_covariance
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
-from wlr_render.jobs import frame_drawing, sequence_record
+from wlr_render.io import kept
+from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.budget import opened_with_sizes
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.demo import DemoOptions, demo
@@ -44,6 +45,11 @@ def moving_pupil(path, eye, times, centre, step_m=(0.001, 0.0005, 0.0)):
 def counts(report):
     """Frames drawn and kept."""
     return report.record["frames_drawn"], report.record["frames_kept"]
+
+
+def metadata(folder):
+    """Facts of each frame."""
+    return [json.loads(line) for line in (Path(folder) / "metadata.jsonl").read_text().splitlines()]
 
 
 def pictures(folder):
@@ -82,17 +88,18 @@ def fitted(tmp_path, model_file, scene_file, gl_context):
 @pytest.mark.slow
 def test_frames_cover_what_both_tracks_cover_and_the_record_says_from_where(moving):
     assert counts(render(moving)) == (5, 0)
-    record = json.loads((moving.out / "sequence.json").read_text())
-    assert [frame["file"] for frame in record["frames"]] == [f"right-{k:06d}.png" for k in range(5)]
-    assert sorted(pictures(moving.out)) == [frame["file"] for frame in record["frames"]]
-    times = np.array([frame["time_s"] for frame in record["frames"]])
+    frames = metadata(moving.out)
+    assert [frame["file_name"] for frame in frames] == [f"right-{k:06d}.png" for k in range(5)]
+    assert sorted(pictures(moving.out)) == [frame["file_name"] for frame in frames]
+    times = np.array([frame["time_s"] for frame in frames])
     np.testing.assert_allclose(times, [0.1, 0.2, 0.3, 0.4, 0.5])
     centre = open_eye(moving.headset).eye_box.centre
-    viewpoint = np.array([frame["viewpoint_in_device_m"] for frame in record["frames"]])
+    viewpoint = np.array([frame["viewpoint_in_device_m"] for frame in frames])
     np.testing.assert_allclose(viewpoint, centre + np.outer(times - 0.1, [0.001, 0.0005, 0.0]), atol=1e-12)
     turned = transforms.rigid(transforms.rotation_about("y", 0.05 * times[3]), np.zeros(3))
-    np.testing.assert_allclose(record["frames"][3]["world_from_device"], turned, atol=1e-9)
-    assert (record["format"], record["job"]["scene"]) == ("wlr-sequence", moving.scene)
+    np.testing.assert_allclose(frames[3]["world_from_device"], turned, atol=1e-9)
+    recipe = json.loads((moving.out / "finished.jsonl").read_text().splitlines()[0])["recipe"]
+    assert (recipe["job"], recipe["--scene"]["file"]) == ("render", moving.scene)
 
 
 @pytest.mark.slow
@@ -107,7 +114,7 @@ def test_an_interrupted_sequence_resumes_with_what_is_missing_and_ends_up_the_sa
     assert report.verdict == f"4 frames drawn, 1 kept from an earlier run: 5 PNG in {again.out}."
     assert (again.out / "right-000001.png").stat().st_mtime_ns == untouched
     assert pictures(again.out) == pictures(fitted.out)
-    assert (again.out / "sequence.json").read_bytes() == (fitted.out / "sequence.json").read_bytes()
+    assert (again.out / "metadata.jsonl").read_bytes() == (fitted.out / "metadata.jsonl").read_bytes()
     assert len(set(pictures(fitted.out).values())) == 5
 
 
@@ -164,7 +171,6 @@ def test_an_interruption_leaves_whole_frames_only(options, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         render(both, progress=interrupt)
     assert {path.name for path in both.out.iterdir()} == {
-        "sequence.json",
         "finished.jsonl",
         "left-000000.png",
         "right-000000.png",
@@ -230,8 +236,8 @@ def test_more_frames_than_a_disk_holds_are_refused(moving, tmp_path):
 
 
 def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is_drawn(moving, monkeypatch):
-    monkeypatch.setattr(sequence_record, "LIMITS", replace(sequence_record.LIMITS, record_bytes=2000))
-    with pytest.raises(BadInputError, match=r"sequence\.json of 5 frames has 0 MB.*; cut the trajectory"):
+    monkeypatch.setattr(kept, "LIMITS", replace(kept.LIMITS, record_bytes=2000))
+    with pytest.raises(BadInputError, match=r"finished\.jsonl of 5 files would have 0 MB.*; cut the job into several"):
         render(moving)
     assert not moving.out.exists()
 
@@ -239,10 +245,10 @@ def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"method": "raytrace", "backend": "auto"}, "--method has changed from raster to raytrace"),
-        ({"frames_per_second": 5.0}, "--fps has changed from 10.0 to 5.0"),
-        ({"maps": "tiff"}, "--maps has changed from None to tiff"),
-        ({"per_colour": True}, "--per-colour has changed from False to True"),
+        ({"method": "raytrace", "backend": "auto"}, "--method was raster and is raytrace"),
+        ({"frames_per_second": 5.0}, "--fps was 10.0 and is 5.0"),
+        ({"maps": "tiff"}, "--maps was None and is tiff"),
+        ({"per_colour": True}, "--per-colour was False and is True"),
     ],
     ids=lambda change: next(iter(change)),
 )
@@ -256,7 +262,7 @@ def test_a_folder_of_another_job_is_refused_and_left_as_it_is(options, tmp_path,
 def refuses(job, reason):
     """The folder of a job is refused for a reason, and left as it is."""
     before = {path.name: path.read_bytes() for path in job.out.iterdir()}
-    with pytest.raises(BadInputError, match=r"frames: holds the frames of another job .*; choose another") as got:
+    with pytest.raises(BadInputError, match=r"frames: belongs to other options: .*; choose another") as got:
         render(job)
     assert reason in str(got.value)
     assert {path.name: path.read_bytes() for path in job.out.iterdir()} == before
@@ -283,36 +289,36 @@ def test_a_file_that_has_changed_under_its_old_name_is_named(options, tmp_path, 
         write_png(changed, np.full((4, 4, 3), 201, np.uint8))
     else:
         changed.write_text(changed.read_text(encoding="utf-8") + "\n# the same, but another file\n")
-    refuses(job, f"{changed} has changed since they were drawn")
+    refuses(job, f"{changed} has changed")
 
 
 @pytest.mark.parametrize(
-    ("record", "sentence"),
+    ("ledger", "sentence"),
     [
-        ("no json", r"sequence\.json: cannot be read as the record of a sequence"),
-        ("[]", r"sequence\.json: is not the record of a sequence"),
-        ("{}", r"sequence\.json: cannot be read as the record of a sequence"),
-        ('{"version": 2, "job": [], "inputs": 1, "frames": null}', "cannot be read as the record of a sequence"),
-        ('{"version": ' + "[" * 100_000, "is nested too deeply to be the record of a sequence"),
-        (1_000_000_000, r"sequence\.json: has more than 256 MB"),
-        ("a pipe", r"sequence\.json: is a pipe"),
-        (None, "holds the frames of another job"),
+        ("no json", r"right-000000\.png: was written by another program or job"),
+        ('{"recipe": 3}\n[]', r"right-000000\.png: was written by another program or job"),
+        ('{"recipe": {}}', "belongs to other options: job was None and is render"),
+        ('{"file": "right-000000.png", "bytes": 9, "sha256": ""}', r"options: finished\.jsonl does not state them"),
+        ('{"recipe": ' + "[" * 100_000, r"right-000000\.png: was written by another program or job"),
+        (1_000_000_000, r"finished\.jsonl: has more than 256 MB"),
+        ("a pipe", r"finished\.jsonl: is a pipe"),
+        (None, r"right-000000\.png: was written by another program or job"),
     ],
     ids=lambda each: str(each)[:40],
 )
-def test_frames_of_unknown_origin_are_refused(options, record, sentence):
+def test_frames_of_unknown_origin_are_refused(options, ledger, sentence):
     options.out.mkdir()
     (options.out / "right-000000.png").write_bytes(b"a picture")
-    path = options.out / "sequence.json"
-    if record == "a pipe":
+    path = options.out / "finished.jsonl"
+    if ledger == "a pipe":
         if not hasattr(os, "mkfifo"):
             pytest.skip("makes a pipe")
         os.mkfifo(path)
-    elif isinstance(record, int):
+    elif isinstance(ledger, int):
         with path.open("wb") as file:
-            file.truncate(record)
-    elif record is not None:
-        path.write_text(record)
+            file.truncate(ledger)
+    elif ledger is not None:
+        path.write_text(ledger)
     with pytest.raises(BadInputError, match=rf"{sentence}.*; choose another folder or empty it"):
         render(options)
     assert (options.out / "right-000000.png").read_bytes() == b"a picture"
@@ -322,7 +328,7 @@ def test_a_disk_that_is_full_when_a_frame_is_listed_ends_the_run_and_the_next_on
     render(moving)
     whole = pictures(moving.out)
     listed = moving.out / "finished.jsonl"
-    second = listed.read_text().splitlines(keepends=True)[:2]
+    second = listed.read_text().splitlines(keepends=True)[:3]
     listed.write_text("".join(second) + "\n" * 100_000)
     with (
         file_size_limit(listed.stat().st_size + 50),
@@ -338,7 +344,7 @@ def test_backend_and_video_may_change_between_runs(options, gl_context):
     options = replace(options, backend="auto")
     render(options)
     assert counts(render(replace(options, backend=gl_context.backend, video=False))) == (0, 1)
-    with pytest.raises(BadInputError, match="--method has changed from raster to raytrace"):
+    with pytest.raises(BadInputError, match="--method was raster and is raytrace"):
         render(replace(options, backend="cpu"))
 
 
@@ -354,7 +360,7 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(fitted,
         assert found.shape == (16, 18, 3)
         assert np.sqrt(np.mean(found[..., 2].astype(float) ** 2)) == pytest.approx(stated["rms_arcmin"], rel=1e-5)
     mappings, sizes = opened_with_sizes(BudgetOptions(job.headset), "right")
-    viewpoint = json.loads((job.out / "sequence.json").read_text())["frames"][4]["viewpoint_in_device_m"]
+    viewpoint = metadata(job.out)[4]["viewpoint_in_device_m"]
     covariance = registration_covariance(mappings, mappings.display.panel.grid(18, 16), viewpoint, 0.5, sizes).total
     np.testing.assert_allclose(maps[4][..., 2], np.sqrt(np.trace(covariance, axis1=-2, axis2=-1)), rtol=0.01)
     assert "EYE-NNNNNN-error.tiff has the map of each frame" in report.tables[0].notes[0]
@@ -370,7 +376,7 @@ def test_predicted_errors_are_written_beside_the_frames_and_in_the_table(fitted,
     (job.out / "right-000002-error.tiff").write_bytes(b"")
     assert counts(render(job)) == (1, 4)
     np.testing.assert_array_equal(read_map(job.out / "right-000002-error.tiff"), maps[2])
-    # Kept frames have their errors in their labels: nothing is computed again.
+    # Kept frames have their errors in the ledger: nothing is computed again.
     monkeypatch.setattr(frame_drawing, "ErrorMap", None)
     assert render(job).record == {**report.record, "frames_drawn": 0, "frames_kept": 5}
 
@@ -384,17 +390,6 @@ def test_a_model_without_covariance_has_no_predicted_error_and_writes_no_frame(f
     with pytest.raises(BadInputError, match=r"old\.json.*has no covariance"):
         render(replace(fitted, headset=str(old), predicted_error=0.5))
     assert not fitted.out.exists()
-
-
-def test_frames_of_version_1_are_refused(options):
-    """It listed no finished files, and the hashes of the headset and the scene only."""
-    render(options)
-    record = json.loads((options.out / "sequence.json").read_text())
-    (options.out / "sequence.json").write_text(json.dumps(record | {"version": 1}))
-    with pytest.raises(
-        BadInputError, match=r"sequence\.json: is of version 1, and only version 2 can be continued; choo"
-    ):
-        render(options)
 
 
 def test_a_sequence_is_continued_whatever_the_spelling_of_its_paths(options, tmp_path, monkeypatch):
@@ -415,10 +410,10 @@ def test_a_sequence_is_continued_whatever_the_spelling_of_its_paths(options, tmp
     assert counts(render(replace(job, **moved))) == (0, 3)
     still_head(tmp_path / "longer.tum", [0.0, 0.2, 0.3])
     assert counts(render(replace(job, head=Path("longer.tum")))) == (1, 3)
-    refuses(replace(job, head=None), "--head has changed from longer.tum to None")
+    refuses(replace(job, head=None), "--head was head.tum and is None")
     shutil.copy(options.headset, tmp_path / "other.toml")
     (tmp_path / "other.toml").write_text((tmp_path / "other.toml").read_text() + "\n# another\n")
-    refuses(replace(job, headset="other.toml"), "--headset has changed from device.toml to other.toml")
+    refuses(replace(job, headset="other.toml"), "--headset was device.toml and is other.toml")
 
 
 def test_exchanged_models_are_another_job(options, model_file, tmp_path, small_panel_model):
@@ -428,7 +423,7 @@ def test_exchanged_models_are_another_job(options, model_file, tmp_path, small_p
     given = {"headset": model_file, "red_model": Path(model_file), "blue_model": other}
     job = replace(options, **given)
     render(job)
-    refuses(replace(job, red_model=other, blue_model=Path(model_file)), "--red-model has changed")
+    refuses(replace(job, red_model=other, blue_model=Path(model_file)), f"--red-model was {model_file} and is {other}")
 
 
 def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving):
@@ -443,8 +438,10 @@ def test_a_frame_that_is_not_as_it_was_drawn_is_drawn_again_and_named(moving):
     (job.out / "right-000004.json").unlink()
     finished = job.out / "finished.jsonl"
     lines = finished.read_text().splitlines(keepends=True)
-    assert len(lines) == 15
-    finished.write_text("".join(lines[1:]) + '{"file": "right-0000')  # as of a killed run, and one line lost
+    assert len(lines) == 16
+    finished.write_text(
+        "".join([lines[0], *lines[2:]]) + '{"file": "right-0000'
+    )  # as of a killed run, and one line lost
     report = render(job)
     assert counts(report) == (5, 0)
     (sentence,) = report.warnings
@@ -534,7 +531,7 @@ def test_path_traced_frames_resume_and_are_those_of_one_seed(mitsuba, options, t
     render(options)
     first = pictures(options.out)
     assert counts(render(options)) == (0, 1)
-    with pytest.raises(BadInputError, match="--seed has changed from 0 to 1"):
+    with pytest.raises(BadInputError, match="--seed was 0 and is 1"):
         render(replace(options, seed=1))
     for change, is_same in (({}, True), ({"seed": 1}, False), ({"bounces": 0}, False)):
         render(replace(options, out=tmp_path / f"again{change}", **change))
@@ -567,10 +564,10 @@ def test_a_pupil_outside_the_eye_box_is_held_marked_and_counted(options, tmp_pat
     job = replace(options, eye_track=track, frames_per_second=10.0)
     report = render(job)
     assert counts(report) == (11, 0)
-    frames = json.loads((job.out / "sequence.json").read_text())["frames"]
+    frames = metadata(job.out)
     at_mm = [1e3 * frame["viewpoint_in_device_m"][0] for frame in frames]
     np.testing.assert_allclose(at_mm, [-5, -5, -5, -4, -2, 0, 2, 4, 4, 4, 4], atol=1e-9)
-    assert [frame.get("held", False) for frame in frames] == [True] * 3 + [False] * 5 + [True] * 3
+    assert [frame["held"] for frame in frames] == [True] * 3 + [False] * 5 + [True] * 3
     (sentence,) = report.warnings
     assert f"{track}: the right pupil is outside the eye box in 6 of 11 frames, first at 0.0000 s" in sentence
 
@@ -582,10 +579,10 @@ def test_frames_in_a_gap_of_a_track_are_held_marked_and_counted(options, tmp_pat
     head = still_head(tmp_path / "head.tum", [0.0, 0.1, 0.2, 0.5, 0.6, 0.7])
     job = replace(options, head=head, eye_track=track, frames_per_second=10.0)
     report = render(job)
-    frames = json.loads((job.out / "sequence.json").read_text())["frames"]
+    frames = metadata(job.out)
     at_mm = [1e3 * (frame["viewpoint_in_device_m"][0] - centre[0]) for frame in frames]
     np.testing.assert_allclose(at_mm, [0, 0.1, 0.1, 0.1, 0.1, 0.5, 0.6, 0.7], atol=1e-9)
-    assert [frame.get("held", False) for frame in frames] == [False] * 2 + [True] * 3 + [False] * 3
+    assert [frame["held"] for frame in frames] == [False] * 2 + [True] * 3 + [False] * 3
     lost = "first at 0.2000 s", "first at 0.3000 s"
     assert [sentence.partition(";")[0] for sentence in report.warnings] == [
         f"{track}: the right pupil was not tracked in 3 of 8 frames, {lost[0]}, in gaps of up to 0.4 s",
@@ -665,8 +662,8 @@ def test_one_model_file_of_both_eyes_draws_both(options, model_file, tmp_path):
     moved = replace(right.mappings, eye="left", eye_box=EyeBox(box.centre + [0.001, 0.002, 0.0], box.size))
     both = save_eye_models(tmp_path / "both.json", [right, replace(right, mappings=moved)])
     assert counts(render(replace(options, headset=str(both), eye="both"))) == (2, 0)
-    frames = json.loads((options.out / "sequence.json").read_text())["frames"]
-    assert [frame["file"] for frame in frames] == ["left-000000.png", "right-000000.png"]
+    frames = metadata(options.out)
+    assert [frame["file_name"] for frame in frames] == ["left-000000.png", "right-000000.png"]
     left_viewpoint, right_viewpoint = (np.array(frame["viewpoint_in_device_m"]) for frame in frames)
     np.testing.assert_allclose(left_viewpoint - right_viewpoint, [0.001, 0.002, 0.0], atol=1e-12)
     assert len(set(pictures(options.out).values())) == 2
@@ -691,7 +688,7 @@ def test_a_head_trajectory_in_milliseconds_is_asked_about(options, tmp_path):
 def test_the_report_lists_frames_inputs_and_files(moving):
     report = render(moving)
     assert report.tables[0].rows == [["right", 5, 0.1, 0.5]]
-    written = ["sequence.json", "finished.jsonl", "report.html", "report.md", "report.json"]
+    written = ["finished.jsonl", "metadata.jsonl", "report.html", "report.md", "report.json"]
     assert list(report.files) == [moving.out / name for name in written]
     inputs = json.loads((moving.out / "report.json").read_text())["provenance"]["inputs"]
     assert [file["name"] for file in inputs] == [moving.headset, moving.scene, str(moving.head), str(moving.eye_track)]

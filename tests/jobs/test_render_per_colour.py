@@ -87,5 +87,5 @@ def test_the_picture_and_the_maps_are_those_of_the_three_colours(colourful, gl_c
     assert (drawn[..., 0] != drawn[..., 2]).any()
     for colour, source in zip(("red", "green", "blue"), frame.sources, strict=True):
         np.testing.assert_array_equal(read_map(colourful.out / f"right-000000-{colour}.tiff"), source)
-    # Frame, record, list of finished files and the report as three files; maps and from where they were drawn.
+    # Frame, metadata, ledger and the report as three files; maps and from where they were drawn.
     assert len(list(colourful.out.iterdir())) == 10

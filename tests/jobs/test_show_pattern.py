@@ -112,9 +112,11 @@ def test_the_photographs_are_those_of_the_code_and_an_interrupted_capture_contin
     assert paths[2].read_bytes() == whole
     assert report.warnings == [f"{paths[2]}: this photograph, one of 1, had changed; they were taken again."]
 
-    with pytest.raises(BadInputError, match="lists files of other options or inputs; choose another folder"):
+    with pytest.raises(BadInputError, match="belongs to other options: --channel was None and is red; choose another"):
         pattern(options(tmp_path, camera, channel="red"))
-    with pytest.raises(BadInputError, match=r"holds the files of another job, which finished\.jsonl lists"):
+    with pytest.raises(
+        BadInputError, match="belongs to other options: job was pattern --photograph and is pattern; choose"
+    ):
         pattern(PatternOptions(panel=(8, 4), out=given.out))
     (given.out / "finished.jsonl").unlink()
     with pytest.raises(BadInputError, match=r"000_white\.png: was written by another program"):

@@ -4,7 +4,7 @@ A photograph that cannot be read does not stop the others: it is excluded and li
 """
 
 import functools
-import hashlib
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -24,8 +24,8 @@ from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import BadPhotographError, check_photograph, file_note, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_arrays
-from wlr_render.io.finished_files import digest_of
 from wlr_render.io.input_files import LIMITS, read_arrays, read_bytes
+from wlr_render.io.kept import sha256_of
 from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress
 
@@ -277,19 +277,19 @@ def _kept(task: _Task, folder: Path) -> dict[str, NDArray[Any]] | None:
 def _kept_path(task: _Task, folder: Path) -> Path:
     # The hash distinguishes names that are otherwise equal; 50 characters are 200 bytes at most.
     name = task.name.replace("/", "__")[-50:]
-    return folder / f"{name}-{hashlib.sha256(task.name.encode()).hexdigest()[:16]}.npz"
+    return folder / f"{name}-{sha256_of(task.name.encode())[:16]}.npz"
 
 
 def _fingerprint(paths: Sequence[Path], how: object) -> str:
     """Return the SHA-256 of the names and contents of files, and of the settings of reading."""
     about = [(path.name, _sha256(path, path.stat().st_mtime_ns)) for path in paths]
-    return digest_of(_VERSION, about, repr(how))
+    return sha256_of(json.dumps([_VERSION, about, repr(how)]).encode())
 
 
 @functools.cache
 def _sha256(path: Path, date_ns: int) -> str:
     """Return the SHA-256 of a file, calculated once in a run unless the file changes."""
-    return hashlib.sha256(read_bytes(path, LIMITS.picture_bytes)).hexdigest()
+    return sha256_of(read_bytes(path, LIMITS.picture_bytes))
 
 
 def _why_nothing(decoded: Decoded) -> str:

@@ -39,7 +39,7 @@ class InputLimits:
     data_bytes: int = 64_000_000
     """JSON."""
     record_bytes: int = 256_000_000
-    """Records of frames and manifests of finished files, which the program writes to resume a job: 580,000 frames."""
+    """Ledgers of finished files, which the program writes to continue a job: 350,000 frames."""
     table_bytes: int = 256_000_000
     """CSV and trajectories, decompressed."""
     array_bytes: int = 512_000_000

@@ -27,8 +27,8 @@ from wlr_render.exports.export_view import (
 from wlr_render.exports.facts import not_held
 from wlr_render.exports.formats import format_of
 from wlr_render.io.atomic_files import output_folder
-from wlr_render.io.finished_files import LIST, FinishedFiles, digest_of
 from wlr_render.io.input_files import hashes_of_inputs
+from wlr_render.io.kept import LEDGER, Kept, recipe_of, signatures_of
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.export_page import export_page
 from wlr_render.jobs.frame_plan import gap_warnings, held_warnings, planned_frames
@@ -54,10 +54,7 @@ from wlr_render.report.save import save_report
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory
 
-_KIND = "export "
-"""Start of the digests of exports, in the list of finished files."""
 _NO_RAY, _OUTSIDE = "have no ray", "lie outside the source picture"
-_WITHOUT_EFFECT = ("out", "headset", "red_model", "blue_model", "eye_track")
 
 
 @job
@@ -76,42 +73,36 @@ def export(options: ExportOptions, *, progress: ProgressArgument = SILENT) -> Re
         track = read_eye_trajectory(options.eye_track) if options.eye_track else None
     views, warnings = _planned(options, channels, track, inputs)
     folder = output_folder(options.out)
-    finished = FinishedFiles(
-        folder, _KIND + digest_of(_stated(options), list(inputs.values()), __version__), kind=_KIND
-    )
-    missing = [view for view in views if finished.missing_or_changed([folder / name for name in form.files(view)])]
+    stated = options.recipe_values({"headset": ""}) | {"version": __version__}  # its file is an input
+    finished = Kept(folder, recipe_of("export", stated, inputs), replaces=True)
+    missing = [view for view in views if finished.unfinished([folder / name for name in form.files(view)])]
     first_of_eye = {view.eye: view for view in reversed(views)}
-    lost: list[str] = []
+    lost: list[tuple[str, str, float]] = []
     solved = _solved(progress(missing, len(missing), "views"), first_of_eye, lost)
     for path in form.write(solved, folder):
-        finished.add([path], "\n".join(lost))
+        finished.add(signatures_of([path]), {"lost": lost.copy()} if lost else {})
         lost.clear()
     maps = [folder / name for name in dict.fromkeys(name for view in views for name in form.files(view))]
     check = write_check(folder, views[0], form.holds)
-    finished.add(check)
+    finished.add(signatures_of(check))
     removed, changed = finished.remove_replaced()
     warnings = [
         *not_held(views[0], form),
         *effect_warnings(options.headset),
         *warnings,
-        *_lost_pixels([line for path in maps for line in finished.remark(path).splitlines()]),
+        *_lost_pixels([each for path in maps for each in finished.facts(path).get("lost", ())]),
         *([f"{removed} files of an earlier export were removed from {folder}."] if removed else []),
         *(f"{each}: was changed after an earlier export, and is left; remove it." for each in changed),
     ]
     read = [*_headset_files(options).values(), *filter(None, [options.eye_track])]
-    page = export_page(options, form, views, [*maps, *check, folder / LIST], read, len(views) - len(missing))
+    page = export_page(options, form, views, [*maps, *check, folder / LEDGER], read, len(views) - len(missing))
     return save_report(replace(page, warnings=warnings), folder)
 
 
-def _stated(options: ExportOptions) -> dict[str, str]:
-    """Return the options that determine the files' content; input files count by their content."""
-    return {name: str(value) for name, value in vars(options).items() if name not in _WITHOUT_EFFECT}
-
-
 def _solved(
-    shown: Iterable[ExportedView], first_of_eye: Mapping[str, ExportedView], lost: list[str]
+    shown: Iterable[ExportedView], first_of_eye: Mapping[str, ExportedView], lost: list[tuple[str, str, float]]
 ) -> Iterator[ExportedView]:
-    """Yield the views to write; append a line to `lost` for each map that leaves some panel pixels without a source.
+    """Yield the views to write; append kind, stem and share of the panel pixels without a source of each map to `lost`.
 
     The page needs the maps of each eye's first view. The other views are copies, whose maps are freed with the copy.
     """
@@ -122,19 +113,19 @@ def _solved(
             is_solved, is_inside = has_ray(position), view.source.camera.contains(position)
             for kind, lacks in ((_NO_RAY, ~is_solved), (_OUTSIDE, is_solved & ~is_inside)):
                 if lacks.any():
-                    lost.append(f"{stem} {lacks.mean():.3%} {kind}")
+                    lost.append((kind, stem, float(lacks.mean())))
         yield view
 
 
-def _lost_pixels(lines: Sequence[str]) -> list[str]:
-    """Return a sentence per kind of line from `_solved`: about its only map, or the number of maps and the worst."""
+def _lost_pixels(lost: Sequence[tuple[str, str, float]]) -> list[str]:
+    """Return a sentence per kind of lost pixels: about its only map, or the number of maps and the worst."""
     found = []
     for kind in (_NO_RAY, _OUTSIDE):
-        own = [line.split(" ", 2)[:2] for line in lines if line.endswith(kind)]
-        if own:
-            stem, share = max(own, key=lambda each: float(each[1].rstrip("%")))
-            others = f" It is the worst of {len(own)} such maps." if len(own) > 1 else ""
-            found.append(f"{stem}: {share} of the panel pixels {kind}.{others}")
+        shares = [(share, stem) for of, stem, share in lost if of == kind]
+        if shares:
+            share, stem = max(shares, key=lambda each: round(each[0], 5))
+            others = f" It is the worst of {len(shares)} such maps." if len(shares) > 1 else ""
+            found.append(f"{stem}: {share:.3%} of the panel pixels {kind}.{others}")
     return found
 
 

@@ -8,7 +8,7 @@ import contextlib
 import itertools
 import platform
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,8 @@ from typing import Any
 from wlr_render.budget.error_map import ErrorMap
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError
-from wlr_render.io.finished_files import Signature, signature_of
 from wlr_render.io.input_files import hashes_of_inputs, may_refer_outside, outside_references, prefix_errors
+from wlr_render.io.kept import Facts, Signature, signatures_of
 from wlr_render.jobs.budget import opened_with_sizes
 from wlr_render.jobs.budget_options import BudgetOptions
 from wlr_render.jobs.frame_labels import (
@@ -90,10 +90,11 @@ class OpenedFiles:
         }
         return {name: self.inputs[str(path)] for name, path in paths.items() if path}
 
-    def names(self) -> dict[str, str]:
-        """Names of the headset and of the scene, whatever their files are called."""
-        first = next(iter(self.middle().values()))
-        return {"headset": first.name.removesuffix(TRACED), "scene": self.scene.name}
+    def sources(self, options: RenderOptions) -> dict[str, str]:
+        """Return the names and hashes of the headset and of the scene, for people who have no use for their paths."""
+        hashes, first = self.of_options(options), next(iter(self.middle().values()))
+        names = {"headset": first.name.removesuffix(TRACED), "scene": self.scene.name}
+        return names | {f"{name}_sha256": hashes[name] for name in names}
 
     def middle(self) -> dict[str, Eye]:
         """Return the only or the green channel of each eye."""
@@ -173,21 +174,16 @@ def files_of(folder: Path, planned: PlannedFrame, options: RenderOptions) -> lis
     beside = [_view_file(folder, planned)] if maps else []
     predicted = [_error_file(folder, planned)] if options.predicted_error else []
     layers = [layers_file(folder, planned.stem)] if options.layers else []
-    labels = [labels_file(folder, planned.stem)] if _needs_labels(options) else []
+    labels = [labels_file(folder, planned.stem)] if "instance" in options.layers else []
     return [*maps, *beside, *predicted, *layers, *labels, picture_file(folder, planned)]
-
-
-def _needs_labels(options: RenderOptions) -> bool:
-    """Return whether each frame has a file of labels."""
-    return "instance" in options.layers or bool(options.misalignment) or bool(options.predicted_error)
 
 
 @dataclass(frozen=True)
 class DrawnFrame:
-    """The files of a frame, with their signatures, and whether it shows nothing."""
+    """The files of a frame with their signatures, the picture last, and its facts."""
 
     files: Mapping[Path, Signature]
-    is_blank: bool
+    facts: Facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,28 +266,31 @@ class FrameDrawing:
             write_map(path, source)
         if with_maps and frame.view is not None:
             write_view(_view_file(folder, planned), frame.view)
-        self._label(folder, planned, frame)
+        facts = planned.facts | {"blank": is_blank(frame.colour)} | self._label(folder, planned, frame)
         write_png(picture_file(folder, planned), frame.colour)
-        signatures = {path: signature_of(path) for path in files_of(folder, planned, options)}
-        return DrawnFrame(signatures, is_blank(frame.colour))
+        return DrawnFrame(signatures_of(files_of(folder, planned, options)), facts)
 
-    def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> None:
-        """Write the layers, the map of predicted errors and the labels of a frame, if they are asked for."""
-        labels: dict[str, Any] = {}
+    def _label(self, folder: Path, planned: PlannedFrame, frame: Frame) -> dict[str, Any]:
+        """Write the layers, the instances and the map of predicted errors of a frame, if they are asked for.
+
+        Returns:
+            The misalignment and the predicted error, if they are asked for.
+        """
+        facts: dict[str, Any] = {}
         layers, depth_m = self.options.layers, self.options.predicted_error
         if layers:
             channels = frame_layers(self._renderer, frame.ray_map, planned.world_from_device, layers)
             write_layers(layers_file(folder, planned.stem), planned, channels, layers)
             if "instance" in layers:
-                labels["annotations"] = named_annotations(channels[INSTANCE], self.opened.scene)
+                annotations = named_annotations(channels[INSTANCE], self.opened.scene)
+                write_labels(labels_file(folder, planned.stem), annotations)
         if self.opened.truths:
-            labels["misalignment"] = frame_misalignment(self.opened.truths[planned.eye], planned, frame)
+            facts["misalignment"] = frame_misalignment(self.opened.truths[planned.eye], planned, frame)
         if depth_m is not None:
             error = self._error_maps[planned.eye].at(planned.viewpoint, depth_m)
             write_map(_error_file(folder, planned), error.map_arcmin)
-            labels["predicted_error"] = error.record
-        if labels:
-            write_labels(labels_file(folder, planned.stem), labels)
+            facts["predicted_error"] = error.record
+        return facts
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,21 +324,13 @@ def draw_block(block: FrameBlock) -> list[DrawnFrame]:
 
 _kept: dict[tuple[object, ...], tuple[FrameDrawing, contextlib.ExitStack]] = {}
 """What this worker has opened for the last job whose frames it drew, and what closes it."""
-_NOT_OPENED: dict[str, Any] = {
-    "head": None,
-    "eye_track": None,
-    "frames_per_second": 30.0,
-    "frame_limit": None,
-    "video": False,
-    "workers": None,
-    "scheduler": None,
-    "out": Path(),
-}
-"""Options that select the frames and their folder, with one common value: workers do not depend on them."""
+_MOTION = ("--head", "--eye-track", "--fps")
+"""Options that select the frames, which workers do not depend on."""
 
 
 def _kept_drawing(block: FrameBlock) -> FrameDrawing:
-    key = (replace(block.options, **_NOT_OPENED), *sorted(block.inputs.items()))
+    stated = block.options.recipe_values() | {"backend": block.options.backend}
+    key = (*(item for item in stated.items() if item[0] not in _MOTION), *sorted(block.inputs.items()))
     if key not in _kept:
         for _, opened in _kept.values():
             opened.close()

@@ -1,9 +1,7 @@
-"""Layers and labels of a frame, and the files that join the labels of a sequence.
+"""Layers, instances and misalignment of a frame, and the file that joins the instances of a sequence.
 
-`STEM.exr` has the layers of `rendering/frame_layers.py`. `STEM-labels.json` has what instances the frame shows, how
-far it is misaligned, and its predicted error; it is a finished file of its frame, so that a run that is resumed need
-not look at old frames. `instances.json` (the layout of COCO) and `misalignment.json` are written at the end from the
-labels of all frames.
+`STEM.exr` has the layers of `rendering/frame_layers.py`, and `STEM-labels.json` the instances that the frame shows,
+which a ledger of all frames would be too long for. `instances.json` (the layout of COCO) joins them at the end.
 """
 
 import json
@@ -28,27 +26,13 @@ from wlr_render.rendering.frame_layers import MEANINGS, Layer
 from wlr_render.rendering.painters import Frame
 from wlr_render.rendering.scene import Scene
 
-INSTANCES, MISALIGNMENT = "instances.json", "misalignment.json"
+INSTANCES = "instances.json"
 _KIND = "the labels of a frame"
 _GRID = 60, 60
 """Pixels across and down whose misalignment is computed."""
 
-_TYPES: dict[str, dict[str, Any]] = {
-    "annotations": {
-        "instance": str,
-        "category": str,
-        "instance_id": int,
-        "bbox": list,
-        "area": int,
-        "segmentation": dict,
-    },
-    "misalignment": {"points": int}
-    | dict.fromkeys(("rms_arcmin", "median_arcmin", "p95_arcmin", "max_arcmin"), float | int | None),
-    "predicted_error": {"sources": list} | dict.fromkeys(("rms_arcmin", "radius_arcmin"), float | int | None),
-}
-"""Keys of the labels of each kind, with the types of their values."""
-
-Labels = Mapping[str, Any]
+_TYPES = {"instance": str, "category": str, "instance_id": int, "bbox": list, "area": int, "segmentation": dict}
+"""Types of the values of an annotation, by key."""
 
 
 def layers_file(folder: Path, stem: str) -> Path:
@@ -76,30 +60,30 @@ def write_layers(
     return write_exr(path, channels, texts | {layer: MEANINGS[layer] for layer in layers})
 
 
-def write_labels(path: Path, labels: Labels) -> Path:
-    """Write the labels of a frame."""
-    return write_text(path, json.dumps({"format": "wlr-frame-labels", "version": 1, **labels}) + "\n")
+def write_labels(path: Path, annotations: Sequence[dict[str, Any]]) -> Path:
+    """Write the instances that a frame shows."""
+    content = {"format": "wlr-frame-labels", "version": 1, "annotations": annotations}
+    return write_text(path, json.dumps(content) + "\n")
 
 
-def read_labels(path: Path, kind: str) -> Any:
-    """Read labels of one kind, "annotations", "misalignment" or "predicted_error", from a file of `write_labels`.
+def read_labels(path: Path) -> list[dict[str, Any]]:
+    """Read the instances that a frame shows from a file of `write_labels`.
 
     Raises:
-        BadInputError: the file is missing, is not a file of labels, or lacks these labels.
+        BadInputError: the file is missing, is not a file of labels, or lacks annotations.
     """
     remedy = "draw the frames again"
     labels = parse_json(path, read_text(path, _KIND, LIMITS.data_bytes, remedy), _KIND, remedy)
     if labels.get("format") != "wlr-frame-labels" or labels.get("version") != 1:
         raise BadInputError(f"{path}: is not {_KIND} of version 1; {remedy}.")
-    found = labels.get(kind)
-    several = found if kind == "annotations" and isinstance(found, list) else [found]
-    if not all(isinstance(each, dict) and _has_types(each, _TYPES[kind]) for each in several):
-        raise BadInputError(f"{path}: '{kind}' is {shown(found)}, which no frame of `render` has; {remedy}.")
+    found = labels.get("annotations")
+    if not isinstance(found, list) or not all(map(_is_annotation, found)):
+        raise BadInputError(f"{path}: 'annotations' is {shown(found)}, which no frame of `render` has; {remedy}.")
     return found
 
 
-def _has_types(labels: Labels, types: Mapping[str, Any]) -> bool:
-    return all(key in labels and isinstance(labels[key], of_key) for key, of_key in types.items())
+def _is_annotation(labels: object) -> bool:
+    return isinstance(labels, dict) and all(isinstance(labels.get(key), kind) for key, kind in _TYPES.items())
 
 
 def instance_annotations(instance: NDArray[np.uint32]) -> list[dict[str, Any]]:
@@ -197,15 +181,9 @@ def write_instances(folder: Path, scene: Scene, panels: Mapping[str, Panel], pla
     with written_whole(path) as temporary, disk_errors(path), temporary.open("w", encoding="utf-8") as file:
         file.write(json.dumps(head)[:-1] + ', "annotations": [')
         for number, planned in enumerate(plan, start=1):
-            for each in read_labels(labels_file(folder, planned.stem), "annotations"):
+            for each in read_labels(labels_file(folder, planned.stem)):
                 count += 1
                 numbers = {"id": count, "image_id": number, "category_id": category[each["instance_id"] - 1]}
                 file.write((",\n" if count > 1 else "\n") + json.dumps(numbers | each))
         file.write("\n]}\n")
     return path
-
-
-def write_misalignment(folder: Path, device: str, frames: Sequence[Mapping[str, Any]]) -> Path:
-    """Write `misalignment.json`: what `frame_misalignment` found for each frame, with its time and viewpoint."""
-    content = {"format": "wlr-misalignment", "version": 1, "frame": "openxr", "truth": device, "frames": frames}
-    return write_text(folder / MISALIGNMENT, json.dumps(content, indent=1) + "\n")

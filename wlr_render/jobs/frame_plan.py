@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -11,13 +11,14 @@ from wlr_render.io.input_files import shown
 from wlr_render.jobs import limits
 from wlr_render.jobs.headset import require_in_eye_box
 from wlr_render.jobs.options import Eyes, eyes_of
-from wlr_render.jobs.sequence_record import RECORD
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory
 
+METADATA = "metadata.jsonl"
+"""File with a row for each frame; Hugging Face's `datasets` expects this name."""
 LONGEST_GAP_S = 1.0
 """Between neighbouring samples of a trajectory; a longer one is a dropout, or a file in milliseconds."""
 
@@ -61,6 +62,18 @@ class PlannedFrame:
     def stem(self) -> str:
         """Name of its files without the suffix."""
         return f"{self.eye}-{self.index:06d}"
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """Eye, time stamp, viewpoint and head pose, as JSON has them."""
+        return {
+            "eye": self.eye,
+            "index": self.index,
+            "time_s": self.time_s,
+            "viewpoint_in_device_m": self.viewpoint.tolist(),
+            "world_from_device": self.world_from_device.tolist(),
+            "held": bool(self.held),
+        }
 
 
 def read_trajectories(options: MotionOptions) -> tuple[HeadTrajectory | None, EyeTrajectory | None]:
@@ -175,12 +188,12 @@ def held_warnings(options: MotionOptions, plan: list[PlannedFrame]) -> list[str]
             warnings.append(
                 f"{options.eye_track}: the {eye} pupil was not tracked in {_share(lost, own)}, in gaps of up to "
                 f"{max(planned.eye_gap_s for planned in lost):.3g} s; there it is held at the last sample ('held' in "
-                f"{RECORD})."
+                f"{METADATA})."
             )
         if outside:
             warnings.append(
                 f"{options.eye_track}: the {eye} pupil is outside the eye box in {_share(outside, own)}; there it is "
-                f"held at its last place inside ('held' in {RECORD})."
+                f"held at its last place inside ('held' in {METADATA})."
             )
     frames = list({planned.index: planned for planned in plan}.values())
     lost = [planned for planned in frames if planned.head_gap_s]

@@ -9,7 +9,7 @@ import inspect
 import math
 import types
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
@@ -19,6 +19,7 @@ from cyclopts import Group, Parameter, Token
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import shown
+from wlr_render.io.kept import file_of
 from wlr_render.processes import WorkerPool
 from wlr_render.progress import Progress
 
@@ -72,6 +73,11 @@ class OnlyWith:
     values: tuple[object, ...] = ()
 
 
+@dataclass(frozen=True)
+class NoEffect:
+    """The option does not change the content of the files that a job lists in its ledger (`io/kept.py`)."""
+
+
 def described(
     text: str,
     *,
@@ -114,6 +120,22 @@ class Options:
                     self._check_range(field.name, value, note)
                 elif isinstance(note, OnlyWith) and value != _default(field):
                     self._check_used(field.name, note)
+
+    def recipe_values(self, sha256: Mapping[str, str] | None = None) -> dict[str, Any]:
+        """Return the options that change a job's files, by flag, for `kept.recipe_of`.
+
+        Args:
+            sha256: hashes of the files that options name, by option.
+        """
+        hints, hashes = typing.get_type_hints(type(self), include_extras=True), sha256 or {}
+        names = [each.name for each in dataclasses.fields(self) if NoEffect() not in _notes(hints[each.name])]
+        values = {name: getattr(self, name) for name in names}
+        return {
+            flag_of(type(self), name): file_of(value, hashes.get(name, ""))
+            if isinstance(value, Path) or name in hashes
+            else value
+            for name, value in values.items()
+        }
 
     def _checked_type(self, name: str, hint: object) -> object:
         try:
@@ -258,6 +280,7 @@ Backend = Annotated[
         "traced.",
         group=WORK,
     ),
+    NoEffect(),
 ]
 SEEDS = Range(at_least=0, at_most=2**32 - 1)
 Seed = Annotated[int, described("Seed of all random numbers."), SEEDS]
@@ -266,6 +289,7 @@ Workers = Annotated[
     int | None,
     described("Number of processes (default: one per core, fewer where memory limits).", group=WORK),
     WORKERS,
+    NoEffect(),
 ]
 Scheduler = Annotated[
     str | None,
@@ -274,6 +298,7 @@ Scheduler = Annotated[
         "machine (docs/clusters.md).",
         group=WORK,
     ),
+    NoEffect(),
 ]
 
 

@@ -12,21 +12,19 @@ import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import disk_errors, output_folder, write_bytes, written_whole
 from wlr_render.io.input_files import LIMITS, read_bytes
 from wlr_render.jobs.frame_labels import labels_file, layers_file, read_labels
+from wlr_render.jobs.frame_plan import METADATA
+from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.progress import Progress
 
-Layout = Literal["webdataset", "huggingface"]
-METADATA = "metadata.jsonl"
 _SHARDS, _SHARD = "frames-*.tar", "frames-{:06d}.tar"
 _SPLIT = "train"
 _TEMPORARY = ".wlr-part-pack"
-_JUDGEMENTS = ("misalignment", "predicted_error")
-"""Labels of a frame as a whole, each with the name of its option."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +37,19 @@ class _Sample:
 
 
 def pack_frames(
-    folder: Path, record: Mapping[str, Any], layout: Layout, frames_per_shard: int, progress: Progress
+    folder: Path,
+    frames: Sequence[Mapping[str, Any]],
+    sources: Mapping[str, str],
+    options: RenderOptions,
+    progress: Progress,
 ) -> list[Path]:
     """Write finished frames as a data set into the subfolder with the layout's name, replacing an earlier one.
 
     Args:
         folder: folder of the frames.
-        record: record of the sequence, as `sequence_record` returns it.
-        layout: "webdataset" or "huggingface".
-        frames_per_shard: frames in each tar file of "webdataset".
+        frames: file name and facts of each frame.
+        sources: what all frames show, for their metadata.
+        options: options of `render`.
         progress: counts the frames.
 
     Returns:
@@ -56,16 +58,15 @@ def pack_frames(
     Raises:
         BadInputError: the subfolder has other files, a file of a frame is faulty, or the disk is full.
     """
-    final, temporary = folder / layout, output_folder(folder) / _TEMPORARY
+    final, temporary = folder / str(options.pack), output_folder(folder) / _TEMPORARY
     _refuse_others(final)
-    frames = record["frames"]
-    samples = progress(_samples(folder, record), len(frames), "frames of the data set")
+    samples = progress(_samples(folder, frames, sources, options), len(frames), "frames of the data set")
     shutil.rmtree(temporary, ignore_errors=True)  # left by a killed run; the lock keeps other runs out of this folder
     try:
         with disk_errors(temporary):
             temporary.mkdir()
-        if layout == "webdataset":
-            files = _write_shards(temporary, samples, frames_per_shard)
+        if options.pack == "webdataset":
+            files = _write_shards(temporary, samples, options.frames_per_shard)
         else:
             files = [_write_image_folder(temporary / _SPLIT, samples)]
         with disk_errors(final):
@@ -89,31 +90,17 @@ def _refuse_others(folder: Path) -> None:
         )
 
 
-def _samples(folder: Path, record: Mapping[str, Any]) -> Iterator[_Sample]:
-    job = record["job"]
-    has_labels = "instance" in job["layers"]
-    judged = [kind for kind in _JUDGEMENTS if job[kind] is not None]
-    # Names and hashes: who gets the data set has no use for paths of this machine.
-    sources = {what: record["names"][what] for what in ("headset", "scene")}
-    sources |= {f"{what}_sha256": record["files"][what] for what in ("headset", "scene")}
-    for frame in record["frames"]:
-        name = frame["file"]
-        key = Path(name).stem
-        eye, index = key.split("-")
-        labels = labels_file(folder, key)
-        metadata = {
-            "key": key,
-            "eye": eye,
-            "index": int(index),
-            **{what: frame[what] for what in ("time_s", "viewpoint_in_device_m", "world_from_device")},
-            "held": frame.get("held", False),
-            **sources,
-            **{kind: read_labels(labels, kind) for kind in judged},
-        }
-        if has_labels:
-            metadata["objects"] = read_labels(labels, "annotations")
-        layers = {"exr": layers_file(folder, key)} if job["layers"] else {}
-        yield _Sample(key, metadata, layers | {"png": folder / name})
+def _samples(
+    folder: Path, frames: Sequence[Mapping[str, Any]], sources: Mapping[str, str], options: RenderOptions
+) -> Iterator[_Sample]:
+    for frame in frames:
+        key = Path(frame["file_name"]).stem
+        facts = {name: value for name, value in frame.items() if name != "file_name"}
+        metadata = {"key": key, **facts, **sources}
+        if "instance" in options.layers:
+            metadata["objects"] = read_labels(labels_file(folder, key))
+        layers = {"exr": layers_file(folder, key)} if options.layers else {}
+        yield _Sample(key, metadata, layers | {"png": folder / frame["file_name"]})
 
 
 def _write_shards(out: Path, samples: Iterator[_Sample], count: int) -> list[Path]:

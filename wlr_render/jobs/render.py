@@ -1,17 +1,16 @@
 """Draw frames for a still or moving wearer, one PNG per eye and time stamp.
 
-Frames are written atomically and listed when they are finished, so that an interrupted sequence resumes where it
-stopped; `sequence.json` in the same folder has the options of the job, the hashes of the input files, and the time
-stamp, viewpoint and head pose of each frame. A frame does not depend on previously drawn frames. Layers and labels of a
-frame are in `frame_labels.py`.
+Frames are written atomically and listed with their facts when they are finished, so that an interrupted sequence
+resumes where it stopped. `metadata.jsonl` has a row for each frame in the end. A frame does not depend on previously
+drawn frames. Layers and labels of a frame are in `frame_labels.py`.
 """
 
 import contextlib
 import itertools
+import json
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +18,12 @@ from numpy.typing import NDArray
 from wlr_render.compositing.raster_painter import traced_instead
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
-from wlr_render.io.finished_files import LIST, FinishedFiles
+from wlr_render.io.kept import LEDGER, Facts, Kept, recipe_of
 from wlr_render.jobs.budget import source_table
 from wlr_render.jobs.frame_drawing import FrameDrawing, OpenedFiles, files_of, map_files, open_raster, picture_file
-from wlr_render.jobs.frame_labels import Labels, labels_file, read_labels, write_instances, write_misalignment
+from wlr_render.jobs.frame_labels import write_instances
 from wlr_render.jobs.frame_plan import (
+    METADATA,
     PlannedFrame,
     column_warnings,
     gap_warnings,
@@ -36,7 +36,6 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.jobs.pack import pack_frames
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.jobs.sequence_record import RECORD, record_text, require_same_job, sequence_record
 from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.frame_layers import LAYERS
 from wlr_render.rendering.image_files import read_png, write_video
@@ -48,8 +47,6 @@ from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
 
 _MOST_NAMES = 10  # largest number of changed frames in a warning
-_BLANK = "blank"
-"""Remark in the list of finished files on the files of a frame that shows nothing."""
 _MOST_PLOTTED = 1000  # frames of an eye in a plot, about
 
 
@@ -71,24 +68,22 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
     """Draw missing frames; `raster` is None if frames are ray traced."""
     head, eyes = read_trajectories(options)
     plan = planned_frames(options, opened.middle(), head, eyes)
-    frames = [_frame_record(planned) for planned in plan]
-    record = sequence_record(_job(options, raster), opened.names(), opened.of_options(options), opened.inputs, frames)
-    text = record_text(record)
     folder = output_folder(options.out)
-    require_same_job(folder, record, RenderOptions)
-    finished = FinishedFiles(folder)
-    missing = [planned for planned in plan if finished.missing_or_changed(files_of(folder, planned, options))]
+    finished = _kept(folder, options, opened, raster, plan)
+    missing = [planned for planned in plan if finished.unfinished(files_of(folder, planned, options))]
     changed = [planned for planned in missing if finished.changed(files_of(folder, planned, options))]
     drawn = FrameDrawing(options, opened, raster).frames(missing)
-    sequence = write_text(folder / RECORD, text)
+    finished.begin()
     for frame in progress(drawn, len(missing), "frames"):
-        finished.add_signed(frame.files, _BLANK if frame.is_blank else "")
+        finished.add(frame.files, frame.facts)
     pictures = [picture_file(folder, planned) for planned in plan]
-    predicted = _labels(folder, plan, "predicted_error") if options.predicted_error else []
-    misaligned = _labels(folder, plan, "misalignment") if options.misalignment else []
-    joined = _joined(folder, options, opened, plan, misaligned)
+    rows = [{"file_name": path.name, **finished.facts(path)} for path in pictures]
+    joined = [write_text(folder / METADATA, "".join(f"{json.dumps(row)}\n" for row in rows))]
+    if "instance" in options.layers:
+        panels = {eye: mappings.display.panel for eye, mappings in opened.middle().items()}
+        joined.append(write_instances(folder, opened.scene, panels, plan))
     videos = _videos(folder, plan, options) if options.video else []
-    packed = pack_frames(folder, record, options.pack, options.frames_per_shard, progress) if options.pack else []
+    packed = pack_frames(folder, rows, opened.sources(options), options, progress) if options.pack else []
     first = reversed([*zip(plan, pictures, strict=True)])
     warnings = [
         *opened.scene.warnings,
@@ -98,28 +93,43 @@ def _render(options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | N
         *column_warnings(head, eyes),
         *held_warnings(options, plan),
         *_redrawn_warnings(folder, changed),
-        *blank_warnings([path.name for path in pictures if finished.remark(path) == _BLANK], opened.scene.name),
+        *blank_warnings([row["file_name"] for row in rows if row.get("blank")], opened.scene.name),
         *saturation_warnings(opened.scene, map(read_png, {each.eye: path for each, path in first}.values())),
     ]
-    files = [sequence, folder / LIST, *joined, *videos, *packed]
-    report = _report(options, plan, len(missing), predicted, misaligned, files)
+    report = _report(options, plan, len(missing), rows, [folder / LEDGER, *joined, *videos, *packed])
     return save_report(replace(report, warnings=warnings), folder)
 
 
-def _labels(folder: Path, plan: list[PlannedFrame], kind: str) -> list[Labels]:
-    """Labels of one kind of each frame."""
-    return [read_labels(labels_file(folder, planned.stem), kind) for planned in plan]
+def _kept(
+    folder: Path, options: RenderOptions, opened: OpenedFiles, raster: SceneRaster | None, plan: list[PlannedFrame]
+) -> Kept:
+    """Open the ledger of the frames.
+
+    Trajectories are compared by the facts of the frames: a longer recording continues a sequence.
+
+    Raises:
+        BadInputError: the folder has frames of other options, files or trajectories.
+    """
+    method = "raytrace" if raster is None and options.method == "raster" else options.method
+    layers = [layer for layer in LAYERS if layer in options.layers]
+    stated = options.recipe_values(opened.of_options(options)) | {"--method": method, "--layers": layers}
+    planned: dict[Path, Facts] = {path: {} for each in plan for path in files_of(folder, each, options)}
+    planned |= {picture_file(folder, each): each.facts for each in plan}
+    finished = Kept(folder, recipe_of("render", stated, opened.inputs), planned)
+    for path, facts in planned.items():
+        listed = finished.facts(path)
+        if any(listed.get(name, value) != value for name, value in facts.items()):
+            tracks = [str(track) for track in (options.head, options.eye_track) if track]
+            raise finished.refusal(f"{' or '.join(tracks) or 'the eye box'} has changed")
+    return finished
 
 
 def _report(
-    options: RenderOptions,
-    plan: list[PlannedFrame],
-    drawn: int,
-    predicted: Sequence[Labels],
-    misaligned: Sequence[Labels],
-    files: list[Path],
+    options: RenderOptions, plan: list[PlannedFrame], drawn: int, frames: Sequence[Facts], files: list[Path]
 ) -> Report:
     kept = len(plan) - drawn
+    predicted = [frame["predicted_error"] for frame in frames if options.predicted_error]
+    misaligned = [frame["misalignment"] for frame in frames if options.misalignment]
     rows: list[list[Cell]] = []
     blocks: list[Block] = []
     for eye in eyes_of(options.eye):
@@ -150,10 +160,10 @@ def _report(
     blocks = [ReportTable("Frames by eye", columns, rows, notes), *_source_tables(predicted, plan), *blocks]
     truth = [headset_path(options.misalignment)] if options.misalignment else []
     by_frame = [{"file": f"{planned.stem}.png", **each} for planned, each in zip(plan, predicted, strict=False)]
-    frames = "1 frame" if drawn == 1 else f"{drawn} frames"
+    count = "1 frame" if drawn == 1 else f"{drawn} frames"
     return Report(
         f"Frames of {Path(options.scene).stem} on {Path(options.headset).stem}",
-        f"{frames} drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
+        f"{count} drawn, {kept} kept from an earlier run: {_counts_of_files(plan, options)} in {options.out}.",
         blocks=blocks,
         inputs=list(dict.fromkeys([*_drawn_from(options), *truth, *filter(None, (options.head, options.eye_track))])),
         files=files,
@@ -161,18 +171,18 @@ def _report(
     )
 
 
-def _source_tables(predicted: Sequence[Labels], plan: list[PlannedFrame]) -> list[ReportTable]:
+def _source_tables(predicted: Sequence[Facts], plan: list[PlannedFrame]) -> list[ReportTable]:
     """Return a table of the predicted errors by source, over all frames of each eye; none without predicted errors."""
     found = {}
     for eye in dict.fromkeys(planned.eye for planned in plan):
         own = [each for each in _of_eye(predicted, plan, eye) if each["rms_arcmin"] is not None]
         if own:
             found[eye] = _over_frames(own)
-    notes = ["Predicted registration error, rms over all frames of an eye; EYE-NNNNNN-labels.json has each frame's."]
+    notes = [f"Predicted registration error, rms over all frames of an eye; {METADATA} has each frame's."]
     return [source_table("Predicted error by source", found, "eye", notes)] if found else []
 
 
-def _over_frames(frames: Sequence[Labels]) -> Labels:
+def _over_frames(frames: Sequence[Facts]) -> Facts:
     """Return the rms over frames of their predicted errors, and of each source's, the largest first."""
     square = dict[str, float]()
     for frame in frames:
@@ -183,17 +193,17 @@ def _over_frames(frames: Sequence[Labels]) -> Labels:
     return {"rms_arcmin": whole, "sources": [{"name": name, "rms_arcmin": each**0.5} for name, each in largest_first]}
 
 
-def _of_eye(labels: Sequence[Labels], plan: list[PlannedFrame], eye: str) -> list[Labels]:
-    """Labels of the frames of an eye; none where no frame has any."""
+def _of_eye(labels: Sequence[Facts], plan: list[PlannedFrame], eye: str) -> list[Facts]:
+    """Facts of the frames of an eye; none where no frame has any."""
     return [each for each, planned in zip(labels, plan, strict=False) if planned.eye == eye]
 
 
-def _largest(labels: Sequence[Labels], names: Sequence[str]) -> list[Cell]:
+def _largest(labels: Sequence[Facts], names: Sequence[str]) -> list[Cell]:
     """Largest values over the frames that have one; none without labels."""
     return [max((each[name] for each in labels if each[name] is not None), default=None) for name in names if labels]
 
 
-def _misalignment_plot(plan: list[PlannedFrame], misaligned: Sequence[Labels]) -> list[Plot]:
+def _misalignment_plot(plan: list[PlannedFrame], misaligned: Sequence[Facts]) -> list[Plot]:
     """Misalignment over time, if there are several frames."""
     lines = {}
     for eye in dict.fromkeys(planned.eye for planned in plan):
@@ -229,44 +239,6 @@ def _redrawn_warnings(folder: Path, changed: list[PlannedFrame]) -> list[str]:
         f"{folder}: frames had changed since they were drawn, and were drawn again: "
         f"{', '.join(names[:_MOST_NAMES])}{more}."
     ]
-
-
-def _job(options: RenderOptions, raster: SceneRaster | None) -> dict[str, Any]:
-    """Return the options that change the content of a frame."""
-    job = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(options).items()}
-    if raster is None and options.method == "raster":
-        job["method"] = "raytrace"
-    job["layers"] = [layer for layer in LAYERS if layer in options.layers]
-    without = ("out", "video", "frame_limit", "pack", "frames_per_shard", "backend", "workers", "scheduler")
-    return {key: job[key] for key in job if key not in without}
-
-
-def _frame_record(planned: PlannedFrame) -> dict[str, Any]:
-    record = {
-        "file": picture_file(Path(), planned).name,
-        "time_s": planned.time_s,
-        "viewpoint_in_device_m": planned.viewpoint.tolist(),
-        "world_from_device": planned.world_from_device.tolist(),
-    }
-    return record | ({"held": True} if planned.held else {})
-
-
-def _joined(
-    folder: Path, options: RenderOptions, opened: OpenedFiles, plan: list[PlannedFrame], misaligned: Sequence[Labels]
-) -> list[Path]:
-    """Write the files that join the labels of all frames."""
-    files = []
-    if "instance" in options.layers:
-        panels = {eye: mappings.display.panel for eye, mappings in opened.middle().items()}
-        files.append(write_instances(folder, opened.scene, panels, plan))
-    if options.misalignment is not None:
-        records = [_frame_record(planned) for planned in plan]
-        frames = [
-            {**record, "eye": planned.eye, **of_frame}
-            for record, planned, of_frame in zip(records, plan, misaligned, strict=True)
-        ]
-        files.append(write_misalignment(folder, options.misalignment, frames))
-    return files
 
 
 def _videos(folder: Path, plan: list[PlannedFrame], options: RenderOptions) -> list[Path]:

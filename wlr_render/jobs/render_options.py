@@ -11,6 +11,7 @@ from wlr_render.jobs.options import (
     WORKERS,
     Backend,
     Eyes,
+    NoEffect,
     OnlyWith,
     Range,
     Scheduler,
@@ -19,9 +20,9 @@ from wlr_render.jobs.options import (
     described,
     option_group,
 )
-from wlr_render.jobs.pack import Layout
 from wlr_render.rendering.frame_layers import Layer
 
+Layout = Literal["webdataset", "huggingface"]
 _MOTION = option_group("Motion", 1)
 _DRAWING = option_group("Drawing", 2)
 _COLOURS = option_group("Colours", 3)
@@ -65,6 +66,7 @@ class RenderOptions(SpreadOptions):
             "Maximum number of frames along --head or --eye-track (default: all).", name="--frames", group=_MOTION
         ),
         Range(at_least=1, at_most=limits.FRAMES),
+        NoEffect(),
     ] = None
     method: Annotated[
         Literal["raster", "raytrace", "pathtrace"],
@@ -133,7 +135,7 @@ class RenderOptions(SpreadOptions):
         str | None,
         described(
             "Also compute how far each frame is misaligned to an eye that looks through the exact optics of this "
-            "device: misalignment.json.",
+            "device: metadata.jsonl has the angles.",
             group=_ALSO,
         ),
     ] = None
@@ -157,7 +159,9 @@ class RenderOptions(SpreadOptions):
     red_model: Annotated[Path | None, described("Model file in red light; needs --blue-model.", group=_COLOURS)] = None
     blue_model: Annotated[Path | None, described("Model file in blue light; needs --red-model.", group=_COLOURS)] = None
     video: Annotated[
-        bool, described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True, group=_ALSO)
+        bool,
+        described("Also write EYE.mp4 (VP9), and of both eyes stereo.mp4, side by side.", flag=True, group=_ALSO),
+        NoEffect(),
     ] = False
     pack: Annotated[
         Layout | None,
@@ -166,12 +170,14 @@ class RenderOptions(SpreadOptions):
             "WebDataset, or an image folder of Hugging Face's datasets.",
             group=_ALSO,
         ),
+        NoEffect(),
     ] = None
     frames_per_shard: Annotated[
         int,
         described("Frames in each tar file (--pack webdataset only).", group=_ALSO),
         Range(1, 1_000_000),
         OnlyWith("pack", ("webdataset",)),
+        NoEffect(),
     ] = 1000
     backend: Annotated[Backend, OnlyWith("method", ("raster",))] = "auto"
     workers: Annotated[
@@ -181,9 +187,10 @@ class RenderOptions(SpreadOptions):
             group=WORK,
         ),
         WORKERS,
+        NoEffect(),
     ] = None
     scheduler: Scheduler = None
-    out: Annotated[Path, described("Output folder; existing frames are kept.")] = Path("out/render")
+    out: Annotated[Path, described("Output folder; existing frames are kept."), NoEffect()] = Path("out/render")
 
     def __post_init__(self) -> None:
         """Check that the models of red and blue light come together, and that several frames have a trajectory."""

@@ -17,12 +17,13 @@ from wlr_render.captures.patterns.show_server import ShowServer
 from wlr_render.captures.photographs import SUFFIXES
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder
-from wlr_render.io.finished_files import FinishedFiles, digest_of
 from wlr_render.io.input_files import shown
+from wlr_render.io.kept import Kept, recipe_of, signatures_of
 from wlr_render.jobs import limits
-from wlr_render.jobs.job import job, require_unlisted
+from wlr_render.jobs.job import job
 from wlr_render.jobs.options import (
     Code,
+    NoEffect,
     OnlyWith,
     Options,
     ProgressArgument,
@@ -57,6 +58,7 @@ class PatternOptions(Options):
     out: Annotated[
         Path,
         described("Output folder, of the photographs with --photograph; an interrupted run continues there."),
+        NoEffect(),
     ] = Path("out/pattern")
     photograph: Annotated[
         str | None,
@@ -65,33 +67,41 @@ class PatternOptions(Options):
             '{path}, e.g. "gphoto2 --capture-image-and-download --filename {path}".',
             group=_CAMERA,
         ),
+        NoEffect(),
     ] = None
-    suffix: Annotated[Suffix, described("Ending of the photographs' names.", group=_CAMERA), OnlyWith("photograph")] = (
-        ".png"
-    )
+    suffix: Annotated[
+        Suffix,
+        described("Ending of the photographs' names.", group=_CAMERA),
+        OnlyWith("photograph"),
+        NoEffect(),
+    ] = ".png"
     port: Annotated[
         int,
         described("Port of the page at 127.0.0.1.", group=_CAMERA),
         Range(at_least=0, at_most=65535),
         OnlyWith("photograph"),
+        NoEffect(),
     ] = 8765
     settle_s: Annotated[
         float,
         described("Seconds from a picture's appearance to its photograph.", group=_CAMERA),
         Range(0, 3600),
         OnlyWith("photograph"),
+        NoEffect(),
     ] = 0.2
     timeout_s: Annotated[
         float,
         described("Longest wait for a photograph, in seconds.", group=_CAMERA),
         limits.WAIT_S,
         OnlyWith("photograph"),
+        NoEffect(),
     ] = 30.0
     page_timeout_s: Annotated[
         float,
         described("Longest wait for the page, in seconds.", group=_CAMERA),
         limits.WAIT_S,
         OnlyWith("photograph"),
+        NoEffect(),
     ] = 300.0
 
 
@@ -108,7 +118,7 @@ def pattern(options: PatternOptions, *, progress: ProgressArgument = SILENT) -> 
     """
     if options.photograph is not None:
         return _photographed(options, options.photograph, progress)
-    require_unlisted(options.out)
+    Kept(options.out, {"job": "pattern"})  # refuses a folder of photographs
     code = make_pattern(options.pattern, Panel(*options.panel))
     pictures = write_show_page(output_folder(options.out), code, options.channel)
     page = options.out / PAGE
@@ -125,9 +135,9 @@ def _photographed(options: PatternOptions, command: str, progress: Progress) -> 
         pictures = write_show_page(page_folder, code, options.channel)
         paths = [folder / f"{picture.stem}{options.suffix}" for picture in pictures]
         _refuse_others(folder, paths)
-        finished = FinishedFiles(folder, digest_of(options.pattern, options.panel, options.channel))
-        _refuse_unlisted(finished, paths)
-        missing = [number for number, path in enumerate(paths) if finished.missing_or_changed([path])]
+        recipe = recipe_of("pattern --photograph", options.recipe_values(), {})
+        finished = Kept(folder, recipe, {path: {} for path in paths})
+        missing = [number for number, path in enumerate(paths) if finished.unfinished([path])]
         changed = finished.changed(paths)
         if missing:
             with ShowServer(Path(page_folder), code.panel, options.port) as page:
@@ -135,9 +145,9 @@ def _photographed(options: PatternOptions, command: str, progress: Progress) -> 
                 for number in progress(missing, len(missing), "photographs"):
                     page.show(number, options.page_timeout_s)
                     time.sleep(options.settle_s)
-                    finished.add([])  # a photograph that a killed run did not list is then its own
+                    finished.begin()
                     take_photograph(command, paths[number], options.timeout_s)
-                    finished.add([paths[number]])
+                    finished.add(signatures_of([paths[number]]))
                 with contextlib.suppress(BadInputError):  # the photographs are complete, whether or not it turns black
                     page.show(len(paths), _BLACK_S)
     return Report(
@@ -163,15 +173,6 @@ def _refuse_others(folder: Path, paths: list[Path]) -> None:
     if others:
         raise BadInputError(
             f"{folder}: contains {others[0]}, which does not belong to this code; choose another folder."
-        )
-
-
-def _refuse_unlisted(finished: FinishedFiles, paths: list[Path]) -> None:
-    """Refuse a folder with photographs or pictures that another program wrote: they must not be replaced."""
-    if finished.is_new and (unlisted := [path for path in paths if os.path.lexists(path)]):
-        raise BadInputError(
-            f"{unlisted[0]}: was written by another program, or by `pattern` without --photograph, and would be "
-            "replaced; choose another folder."
         )
 
 

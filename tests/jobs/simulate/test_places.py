@@ -15,7 +15,7 @@ from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.simulation.photographs.photo_bench import half_travel
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, planned_session, true_camera_poses
-from wlr_render.simulation.photographs.recipe import difference, load_recipe, save_recipe
+from wlr_render.simulation.photographs.recipe import load_recipe, save_recipe, values_of
 from wlr_render.simulation.simulate_captures import CaptureSetup
 
 DEVICE = "birdbath28"
@@ -75,11 +75,10 @@ def test_the_recipe_keeps_the_places(options, tmp_path):
     recipe = options.recipe
     save_recipe(tmp_path, recipe)
     assert load_recipe(tmp_path) == recipe
+    before = values_of(recipe)
     options.places.write_text(HEADER + "\n1,1,0\n2,2,0\n1,2,0\n", encoding="utf-8")
-    apart = difference(load_recipe(tmp_path), options.recipe)
-    assert apart.startswith("places_mm 3 places (")
-    assert apart.endswith(") here")
-    assert "viewpoints" in difference(load_recipe(tmp_path), SimulateOptions(DEVICE).recipe)
+    now = values_of(options.recipe)
+    assert [name for name in before if before[name] != now[name]] == ["places_mm"]
 
 
 @pytest.mark.parametrize(

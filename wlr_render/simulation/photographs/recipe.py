@@ -1,6 +1,5 @@
 """Read and write simulation.toml: the recipe of a simulated session's photographs."""
 
-import hashlib
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_bytes
 from wlr_render.io.file_records import attributes, read_record
 from wlr_render.io.input_files import LIMITS, read_bytes
+from wlr_render.io.kept import file_of
 from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.optics.device_file import load_device
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
@@ -84,19 +84,9 @@ def _require_all(table: Table, kind: type) -> None:
             raise table.fail(f"key '{each.name}' is missing; write it.")
 
 
-def difference(first: SimulationRecipe, second: SimulationRecipe) -> str:
-    """Describe the difference between two sessions' photographs, wherever a device file lies; empty if equal."""
-    one, other = (_flat(recipe) for recipe in (first, second))
-    return ", ".join(f"{key} {one[key]} there, {other[key]} here" for key in one if one[key] != other[key])
-
-
-def _flat(recipe: SimulationRecipe) -> dict[str, Any]:
+def values_of(recipe: SimulationRecipe) -> dict[str, Any]:
+    """Return all values by name, for `kept.recipe_of`; a device file counts as an input."""
     content = asdict(recipe)
     bench = content.pop("bench")
-    flat: dict[str, Any] = content | bench.pop("imperfections") | bench
-    if places := recipe.bench.places_mm:
-        flat["places_mm"] = f"{len(places)} places ({hashlib.sha256(repr(places).encode()).hexdigest()[:8]})"
-    if Path(recipe.device).suffix == ".toml":
-        digest = hashlib.sha256(read_bytes(recipe.device, LIMITS.text_bytes)).hexdigest()[:8]
-        flat["device"] = f"a device file ({digest})"
-    return flat
+    device = file_of(recipe.device) if Path(recipe.device).suffix == ".toml" else recipe.device
+    return dict(content | {"device": device} | bench.pop("imperfections") | bench)

@@ -18,12 +18,11 @@ from wlr_render.captures.photo_session import BoardPhotograph, PhotoSession, Ses
 from wlr_render.captures.photo_session_file import FILE, save_photo_session
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder
-from wlr_render.io.finished_files import FinishedFiles, Signature, digest_of, signature_of
 from wlr_render.io.input_files import hashes_of_inputs
+from wlr_render.io.kept import Kept, Signature, recipe_of, signatures_of
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.processes import LOCAL, WorkerPool, as_finished
 from wlr_render.progress import SILENT, Progress
-from wlr_render.simulation.photographs import recipe as recipe_file
 from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import (
@@ -34,7 +33,7 @@ from wlr_render.simulation.photographs.photo_plan import (
     planned_session,
     true_camera_poses,
 )
-from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.simulation.photographs.recipe import SimulationRecipe, save_recipe, values_of
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
 
 BOARD = "board.toml"
@@ -70,28 +69,20 @@ def simulate_photo_session(
         bench = recipe.build()  # impossible options are refused before a folder is made
     root = output_folder(folder)
     pattern = make_pattern(recipe.pattern, bench.optics.panel.pixels)
-    if (root / recipe_file.FILE).is_file():
-        if apart := recipe_file.difference(recipe_file.load_recipe(root), recipe):
-            raise BadInputError(
-                f"{root}: holds a session that was simulated in another way ({apart}); choose another folder."
-            )
-    elif (root / FILE).is_file():
-        raise BadInputError(f"{root}: holds a session that was not simulated; choose another folder.")
-    else:
-        recipe_file.save_recipe(root, recipe)
-    # Device files are compared by content: the same file may lie elsewhere.
-    finished = FinishedFiles(root, digest_of(sorted(inputs.values())))
+    finished = Kept(root, recipe_of("simulate", values_of(recipe), inputs), {root / FILE: {}})
+    finished.begin()
+    save_recipe(root, recipe)
     plan = plan_photographs(bench, recipe.viewpoints)
     visits = true_camera_poses(bench, plan)
     session = planned_session(root, bench, plan, visits, pattern)
     tasks = [(pose, pose.paths()) for pose in camera_poses(session, bench, plan, visits)]
     total = sum(len(paths) for _, paths in tasks)
-    tasks = [(pose, missing) for pose, paths in tasks if (missing := finished.missing_or_changed(paths))]
+    tasks = [(pose, missing) for pose, paths in tasks if (missing := finished.unfinished(paths))]
     changed = finished.changed(path for _, missing in tasks for path in missing)
     taken = 0
     finishing = as_finished(_take, tasks, workers.at_most(_MOST_WORKERS), root)
     for signatures in progress(finishing, len(tasks), "camera poses"):
-        finished.add_signed(signatures)
+        finished.add(signatures)
         taken += len(signatures)
     save_board(session.board, root / BOARD)
     write_board_svg(session.board, root / "board.svg")
@@ -100,7 +91,7 @@ def simulate_photo_session(
 
 
 def _take(task: tuple[CameraPose, Sequence[Path]]) -> dict[Path, Signature]:
-    return {path: signature_of(path) for path in take(*task)}
+    return signatures_of(take(*task))
 
 
 def camera_poses(

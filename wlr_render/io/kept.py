@@ -1,0 +1,244 @@
+"""The ledger of a job's finished files, so that an interrupted job continues and no job replaces another one's files.
+
+The first line is the recipe: the options that change the files, and the input files by their hashes. A line for each
+finished file follows, with its length, its SHA-256 and facts for later runs; the last line of a file counts.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from wlr_render.errors import BadInputError
+from wlr_render.io.atomic_files import NO_DETOUR, disk_errors, write_text
+from wlr_render.io.input_files import LIMITS, read_bytes, shown
+
+LEDGER = "finished.jsonl"
+Facts = Mapping[str, Any]
+Recipe = Mapping[str, Any]
+"""Values by option, as JSON has them; a file is a dict of `file_of`, and its path has no effect."""
+Signature = tuple[int, str]
+"""Length and SHA-256 of a file."""
+_ABSENT: Signature = (-1, "")
+_REMEDY = "choose another folder or empty it"
+_INPUT = "input "
+"""Start of the keys of input files in a recipe."""
+_LINE_BYTES = 200  # length of a line without facts, about
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A file with its signature and facts; or a recipe, which has no name, as the facts."""
+
+    name: str
+    signature: Signature
+    facts: Facts
+
+
+class Kept:
+    """The finished files of one folder.
+
+    Args:
+        folder: folder of the ledger; the files are in it or below.
+        recipe: what determines the files, as `recipe_of` returns it.
+        planned: files that the job writes, with their facts: they must not exist where there is no ledger.
+        replaces: whether files of another recipe of the same job are replaced, rather than refused.
+
+    Raises:
+        BadInputError: the ledger cannot be read or would become too long, or the folder has files of other options.
+    """
+
+    def __init__(
+        self, folder: Path, recipe: Recipe, planned: Mapping[Path, Facts] | None = None, *, replaces: bool = False
+    ) -> None:
+        self._folder, self._path, self._recipe = folder, folder / LEDGER, recipe
+        self._listed: dict[str, _Line] = {}
+        self._replaced: dict[str, _Line] = {}
+        _require_room(self._path, planned or {})
+        content = read_bytes(self._path, LIMITS.record_bytes, _REMEDY) if os.path.lexists(self._path) else b""
+        self._is_torn = bool(content) and not content.endswith(b"\n")
+        stated: Recipe | None = None
+        for line in _lines(content):
+            if not line.name:
+                stated = line.facts
+            difference = f"{LEDGER} does not state them" if stated is None else _difference(stated, recipe)
+            if difference and not (replaces and stated and stated.get("job") == recipe["job"]):
+                raise self.refusal(difference)
+            if line.name:
+                (self._replaced if difference else self._listed)[line.name] = line
+        self._is_begun = stated is not None and not _difference(stated, recipe)
+        if stated is None and (unlisted := [path for path in planned or {} if os.path.lexists(path)]):
+            raise BadInputError(f"{unlisted[0]}: was written by another program or job; {_REMEDY}.")
+
+    def refusal(self, difference: str) -> BadInputError:
+        """Return the error of a folder whose files were made with other options or inputs."""
+        return BadInputError(f"{self._folder}: belongs to other options: {difference}; {_REMEDY}.")
+
+    def unfinished(self, paths: Iterable[Path]) -> list[Path]:
+        """Return the files that are not in the ledger, or do not match it."""
+        return [path for path in paths if not _has_signature(path, self._line(path).signature)]
+
+    def changed(self, paths: Iterable[Path]) -> list[Path]:
+        """Return the files that are in the ledger and exist, but do not match it."""
+        return [path for path in self.unfinished(paths) if self._line(path).name and os.path.lexists(path)]
+
+    def facts(self, path: Path) -> Facts:
+        """Return the facts of a file, listed by this run or an earlier one; none of a file that is not listed."""
+        return self._line(path).facts
+
+    def begin(self) -> None:
+        """State the recipe: files that a killed run does not list are then no other job's.
+
+        Raises:
+            BadInputError: the ledger cannot be written.
+        """
+        self.add({})
+
+    def add(self, files: Mapping[Path, Signature], facts: Facts | None = None) -> None:
+        """List finished files; the facts are those of the last one.
+
+        Raises:
+            BadInputError: the ledger cannot be written.
+        """
+        added = [_Line(self._name(path), signature, {}) for path, signature in files.items()]
+        added[-1:] = [_Line(last.name, last.signature, facts or {}) for last in added[-1:]]
+        stated = "" if self._is_begun else _recipe_text(self._recipe)
+        # A line cut off by a killed run or a full disk must not spoil the next one.
+        content = ("\n" * self._is_torn + stated + "".join(map(_text, added))).encode()
+        with disk_errors(self._path), open(self._path, "ab", buffering=0, opener=_open_no_detour) as file:
+            self._is_torn = True
+            while content:
+                content = content[file.write(content) :]  # a full disk may take only a part
+            os.fsync(file.fileno())
+        self._is_torn, self._is_begun = False, True
+        self._listed |= {line.name: line for line in added}
+
+    def remove_replaced(self) -> tuple[int, list[Path]]:
+        """Remove the files of the recipes that this one replaces, except files that it has written itself.
+
+        Returns:
+            The number of removed files, and the files that somebody has changed since, which are left.
+
+        Raises:
+            BadInputError: the ledger cannot be written.
+        """
+        removed, changed = 0, []
+        for name in self._replaced.keys() - self._listed.keys():
+            path = self._folder / name
+            if Path(name).name != name or not os.path.lexists(path):
+                continue
+            if _has_signature(path, self._replaced[name].signature):
+                path.unlink()
+                removed += 1
+            else:
+                changed.append(path)
+        if self._replaced:
+            write_text(self._path, _recipe_text(self._recipe) + "".join(map(_text, self._listed.values())))
+        return removed, sorted(changed)
+
+    def _name(self, path: Path) -> str:
+        return path.relative_to(self._folder).as_posix()
+
+    def _line(self, path: Path) -> _Line:
+        return self._listed.get(self._name(path), _Line("", _ABSENT, {}))
+
+
+def recipe_of(job: str, options: Mapping[str, Any], inputs: Mapping[str, str]) -> Recipe:
+    """Return the recipe of a job.
+
+    Args:
+        job: name of the job.
+        options: value of each option that changes the files; `file_of` for a file that is compared by content.
+        inputs: SHA-256 of every file that was read, by path, in the order of reading: files that are exchanged differ.
+    """
+    first = {sha256: path for path, sha256 in reversed(list(inputs.items()))}  # a file may be read by two paths
+    by_content = [file_of(first[sha256], sha256) for sha256 in dict.fromkeys(inputs.values())]
+    files = {f"{_INPUT}{number}": each for number, each in enumerate(by_content, start=1)}
+    return dict(json.loads(json.dumps({"job": job} | dict(options) | files)))
+
+
+def file_of(path: object, sha256: str = "") -> dict[str, str]:
+    """Return a file for a recipe: its content counts if its hash is given, else only that a file is given."""
+    return {"file": str(path), "sha256": sha256}
+
+
+def signatures_of(paths: Iterable[Path]) -> dict[Path, Signature]:
+    """Return the length and SHA-256 of files.
+
+    Raises:
+        BadInputError: a file cannot be read.
+    """
+    content = ((path, read_bytes(path, path.stat().st_size)) for path in paths)
+    return {path: (len(whole), sha256_of(whole)) for path, whole in content}
+
+
+def sha256_of(content: bytes) -> str:
+    """Return the SHA-256 of bytes, in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def _difference(was: Recipe, now: Recipe) -> str:
+    """Describe the first difference between two recipes; "" if they are equal."""
+    for key in dict.fromkeys([*now, *was]):
+        old, new = was.get(key), now.get(key)
+        if _content(old) != _content(new):
+            if key.startswith(_INPUT) or _shown(old) == _shown(new):
+                return f"{_shown(new or old)} has changed"
+            return f"{key} was {_shown(old)} and is {_shown(new)}"
+    return ""
+
+
+def _content(value: object) -> object:
+    return value.get("sha256") if isinstance(value, dict) else value
+
+
+def _shown(value: object) -> str:
+    value = value.get("file") if isinstance(value, dict) else value
+    return value if isinstance(value, str) else shown(value)
+
+
+def _require_room(path: Path, planned: Mapping[Path, Facts]) -> None:
+    size = sum(_LINE_BYTES + len(json.dumps(facts)) for facts in planned.values())
+    if size > LIMITS.record_bytes:
+        raise BadInputError(
+            f"{path} of {len(planned)} files would have {size / 1e6:.0f} MB, and at most "
+            f"{LIMITS.record_bytes / 1e6:.0f} MB can be read again to continue; cut the job into several, with an "
+            "output folder each."
+        )
+
+
+def _has_signature(path: Path, signature: Signature) -> bool:
+    try:
+        return path.stat().st_size == signature[0] and signatures_of([path])[path] == signature
+    except (OSError, BadInputError):
+        return False
+
+
+def _open_no_detour(path: str, flags: int) -> int:
+    return os.open(path, flags | NO_DETOUR, 0o666)
+
+
+def _recipe_text(recipe: Recipe) -> str:
+    return json.dumps({"recipe": recipe}) + "\n"
+
+
+def _text(line: _Line) -> str:
+    length, sha256 = line.signature
+    entry = {"file": line.name, "bytes": length, "sha256": sha256}
+    return json.dumps(entry | ({"facts": line.facts} if line.facts else {})) + "\n"
+
+
+def _lines(content: bytes) -> Iterator[_Line]:
+    """Yield the lines that are whole: the file of a line that is cut off or damaged counts as unfinished."""
+    for text in content.splitlines():
+        with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+            entry = json.loads(text)
+            if "recipe" in entry:
+                yield _Line("", _ABSENT, dict(entry["recipe"]))
+            else:
+                signature = int(entry["bytes"]), str(entry["sha256"])
+                yield _Line(str(entry["file"]) or ".", signature, dict(entry.get("facts", {})))
