@@ -21,6 +21,11 @@ from wlr_render.geometry.transforms import FRAMES, rigid
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.file_records import Keys, attributes, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, write_toml
+from wlr_render.mappings import Panel
+from wlr_render.optics.device import PlacedPanel, PlacedSurface
+from wlr_render.optics.raised import Offset
+from wlr_render.optics.sag_surfaces import GaussianBump, SumOfProfiles, Toroid
+from wlr_render.optics.surfaces import Conic, Ellipsoid
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 
@@ -40,6 +45,13 @@ DOCUMENTED = {
     "`april-grid`": AprilGrid,
     "`chessboard`": Chessboard,
     "`circles`": CircleGrid,
+    "device `[eye.panel]`": PlacedPanel,
+    "device `[[eye.surface]]`": PlacedSurface,
+    "`conic`": Conic,
+    "`ellipsoid`": Ellipsoid,
+    "`toroid`": Toroid,
+    "`sum_of_profiles`": SumOfProfiles,
+    "`offset`": Offset,
 }
 PLACE = BoardPlace(axes=FRAMES["opencv"])
 POSE = rigid(np.eye(3), np.array([0.01, 0.02, 0.6]))
@@ -64,6 +76,13 @@ RECORDS = [
     Chessboard(9, 6, 0.02423, 0.02),
     CircleGrid(9, 7, 0.02, 0.012, 0.02),
     DotBoard(0.02, 0.01, 0.005, 0.02, np.eye(3, dtype=bool)),
+    PlacedPanel(POSE, np.array([0.07, 0.04]), Panel(1920, 1080), np.array([0.3, -0.5])),
+    Conic(12.5, -0.4),
+    Ellipsoid(np.array([0.1, 0.12, 0.05])),
+    Toroid(-0.3, 0.2),
+    SumOfProfiles((5.0, -4.0), (0.5, -2.0)),
+    GaussianBump(1e-5, 4e-3),
+    Offset(Conic(5.0), 1e-3),
     BenchImperfections(),
     PhotoBenchOptions(places_mm=((0.0, 1.0, 2.0),)),
 ]

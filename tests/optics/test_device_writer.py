@@ -214,7 +214,7 @@ BACK = surface_at("back", Conic(0.0), 0.06)
         Asphere((0.5, 0.0, -300.0, 7.0), -3.0, 0.4),
         Asphere((0.0,)),
         SumOfProfiles((0.0, 3.0), (0.5, -2.0)),
-        AnamorphicAsphere((-4.0, 3.0), (0.1, -2.0), (AnamorphicTerm(40.0, -0.2, 2), AnamorphicTerm(-3e4, 1.5, 3))),
+        AnamorphicAsphere((-4.0, 3.0), (0.1, -2.0), (AnamorphicTerm(4, 4e-8, -0.2), AnamorphicTerm(6, -3e-11, 1.5))),
         Offset(Conic(5.0), 1.5e-3),
         Offset(Offset(Toroid(-0.3, 0.2), -1e-3), 2e-3),
         Offset(raised(Conic(5.0), BUMP), 1e-3),

@@ -93,7 +93,7 @@ SHAPES = {
     "xy polynomial": (XYPolynomial(COEFFICIENTS, -5.0, 0.4), polynomial_level),
     "anamorphic": (
         AnamorphicAsphere(
-            (-1 / 0.06, -1 / 0.09), (-0.1, -0.2), (AnamorphicTerm(500.0, -0.1, 2), AnamorphicTerm(-9e4, 0.5, 3))
+            (-1 / 0.06, -1 / 0.09), (-0.1, -0.2), (AnamorphicTerm(4, 5e-7, -0.1), AnamorphicTerm(6, -9e-11, 0.5))
         ),
         anamorphic_level,
     ),

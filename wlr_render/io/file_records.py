@@ -29,6 +29,7 @@ from wlr_render.io.toml_files import Table
 
 Array = NDArray[np.float64]
 RecordType = TypeVar("RecordType")
+_MOST_RECORDS = 100  # most records of an attribute
 
 MM = 1e-3
 """One millimetre in metres."""
@@ -191,11 +192,13 @@ class Keys:
         parts: the keys.
         join: (value of each part) -> value.
         split: value -> value of each part; the inverse of `join`.
+        absent: value of each part that may be left out of a file, and is left out in writing; None if none may.
     """
 
     parts: tuple[Key, ...]
     join: Callable[..., Any]
     split: Callable[[Any], Iterable[Any]]
+    absent: Any = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -204,11 +207,15 @@ class Keys:
 
     def read(self, table: Table, place: Place) -> Any:
         """Return the value; raises as `Key.read`."""
-        return self.join(*(part.read(table, place) for part in self.parts))
+        needed = self.absent is None
+        parts = [part.read(table, place) if needed or table.has(part.name) else self.absent for part in self.parts]
+        with prefix_errors(table.where):
+            return self.join(*parts)
 
     def keys(self, value: Any, place: Place) -> dict[str, Any]:
         """Return the keys of a value, the inverse of `read`."""
-        written = (part.keys(each, place) for part, each in zip(self.parts, self.split(value), strict=True))
+        parts = zip(self.parts, self.split(value), strict=True)
+        written = (part.keys(each, place) for part, each in parts if not np.array_equal(each, self.absent))
         return {name: each for keys in written for name, each in keys.items()}
 
 
@@ -292,3 +299,18 @@ def record_keys(record: Any, place: Place | None = None, defaults: bool = False)
         if value is not None and (defaults or not is_default or getattr(each.form, "always", False)):
             keys |= each.form.keys(value, place or Place())
     return keys
+
+
+@dataclass(frozen=True)
+class Records(Key):
+    """A tuple of records, each a table of an array of tables."""
+
+    record: Any = None
+
+    def read(self, table: Table, place: Place) -> tuple[Any, ...]:
+        """Return the records; raises as `Key.read`."""
+        return tuple(read_record(self.record, each, place) for each in table.tables(self.name, most=_MOST_RECORDS))
+
+    def keys(self, value: tuple[Any, ...], place: Place) -> dict[str, Any]:
+        """Return the tables, the inverse of `read`."""
+        return {self.name: [record_keys(each, place) for each in value]}

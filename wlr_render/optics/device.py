@@ -4,16 +4,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, partial
+from typing import Annotated
 
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse
 from wlr_render.html_summary import SummaryTable, html_summary
+from wlr_render.io.file_records import LENGTH, Key, Keys, Quantity, Rule
 from wlr_render.mappings import EyeBox, FieldOfView, Panel
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device_keys import FAR_MM, PANEL_POSE, SurfacePose
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Shape
 
+_COUNTS = Quantity(lambda counts, _: Panel(*map(int, counts)), lambda panel, _: (panel.width_px, panel.height_px))
+_WHOLE = Rule(
+    "two whole numbers of at least 1, width and height", lambda counts: bool(np.all((counts >= 1) & (counts % 1 == 0)))
+)
 MIRROR_X = np.diag([-1.0, 1.0, 1.0, 1.0])
 """Mirror image that maps one eye's half of the device to the other's."""
 
@@ -34,6 +41,16 @@ class ClearAperture:
     high: FloatArray
 
 
+_SIDE = partial(Key, quantity=LENGTH, shape=(2,), most=FAR_MM)
+_ASCENDING = Rule("[low, high] with low below high", lambda side: bool(side[0] < side[1]))
+_APERTURE = Keys(
+    tuple(_SIDE(f"aperture_{axis}_mm", rule=_ASCENDING) for axis in "xyz"),
+    lambda *sides: ClearAperture(*np.stack(sides, axis=1)),
+    lambda aperture: np.stack([aperture.low, aperture.high], axis=1),
+    absent=np.array([-np.inf, np.inf]),
+)
+
+
 @dataclass(frozen=True, eq=False)
 class PlacedSurface:
     """A surface with its pose in the device.
@@ -47,8 +64,8 @@ class PlacedSurface:
 
     name: str
     shape: Shape
-    device_from_surface: FloatArray
-    aperture: ClearAperture
+    device_from_surface: Annotated[FloatArray, SurfacePose()]
+    aperture: Annotated[ClearAperture, _APERTURE]
 
     @cached_property
     def surface_from_device(self) -> FloatArray:
@@ -89,10 +106,10 @@ class PlacedPanel:
         curvature: (2,) 1/m; a bowed panel is z = (curvature_u x^2 + curvature_v y^2) / 2, a flat one has zeros.
     """
 
-    device_from_panel: FloatArray
-    size: FloatArray
-    pixels: Panel
-    curvature: FloatArray = field(default_factory=partial(np.zeros, 2))
+    device_from_panel: Annotated[FloatArray, PANEL_POSE]
+    size: Annotated[FloatArray, Key("size_mm", LENGTH, shape=(2,), least=0.5, most=FAR_MM)]
+    pixels: Annotated[Panel, Key("pixels", _COUNTS, shape=(2,), rule=_WHOLE)]
+    curvature: Annotated[FloatArray, Key("curvature_per_m", shape=(2,))] = field(default_factory=partial(np.zeros, 2))
 
     @cached_property
     def panel_from_device(self) -> FloatArray:

@@ -64,13 +64,11 @@ def _cauchy(table: Table, name: str) -> Medium:
 
 
 def _abbe(table: Table, name: str) -> Medium:
-    index = _index(table, "'nd'", table.number("nd", above=0))
-    number = table.number("vd", least=_ABBE_NUMBERS[0], most=_ABBE_NUMBERS[1])
-    return Medium.abbe(name, index, number)
+    return Medium.abbe(name, _index(table, "nd"), table.number("vd", least=_ABBE_NUMBERS[0], most=_ABBE_NUMBERS[1]))
 
 
 _MEDIA: dict[str, Callable[[Table, str], Medium]] = {
-    "index": lambda table, name: Medium.constant(name, _index(table, "'index'", table.number("index", above=0))),
+    "index": lambda table, name: Medium.constant(name, _index(table, "index")),
     "formula": _named_glass,
     "sellmeier": _squared,
     "schott": _squared,
@@ -79,11 +77,8 @@ _MEDIA: dict[str, Callable[[Table, str], Medium]] = {
 }
 
 
-def _index(table: Table, what: str, index: float) -> float:
-    low, high = INDICES
-    if not low <= index <= high:
-        raise table.fail(f"{what} is {index:g}; a refractive index lies between {low:g} and {high:g}.")
-    return index
+def _index(table: Table, key: str) -> float:
+    return table.number(key, least=INDICES[0], most=INDICES[1])
 
 
 def medium_content(name: str, medium: Medium) -> dict[str, Any]:

@@ -2,26 +2,25 @@
 
 from dataclasses import replace
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 
+from wlr_render.io.file_records import Place, record_keys
 from wlr_render.io.toml_files import write_toml
-from wlr_render.mappings import FieldOfView
-from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import (
-    ClearAperture,
     Device,
     EyeOptics,
     Interaction,
     Path,
-    PlacedPanel,
     PlacedSurface,
     mirrored,
 )
+from wlr_render.optics.device_keys import EYE_BOX, FIELD, SurfacePose
 from wlr_render.optics.device_media import medium_content
-from wlr_render.optics.device_shapes import MM, Content, in_mm, shape_content
+from wlr_render.optics.device_shapes import shape_content
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.raised import Offset, base_of, nesting
+from wlr_render.optics.raised import FormError, Offset, base_of, nesting
 from wlr_render.optics.surfaces import Shape
 
 
@@ -34,7 +33,7 @@ def save_device(device: Device, path: str | FilePath) -> FilePath:
     return write_toml(path, device_content(device))
 
 
-def device_content(device: Device) -> Content:
+def device_content(device: Device) -> dict[str, Any]:
     """Return the content that `save_device` writes; two devices are the same if it is equal."""
     names = _medium_names(device)
     head = {"name": device.name, "source": device.source, "frame": "openxr"}
@@ -55,7 +54,7 @@ def _medium_names(device: Device) -> dict[Medium, str]:
     return names
 
 
-def _eyes(device: Device, names: dict[Medium, str]) -> list[Content]:
+def _eyes(device: Device, names: dict[Medium, str]) -> list[dict[str, Any]]:
     """Return one table for both eyes if one is the mirror image of the other, else one for each."""
     first, *others = device.eyes
     tables = {side: _eye(eye, names) for side, eye in device.eyes.items()}
@@ -64,18 +63,18 @@ def _eyes(device: Device, names: dict[Medium, str]) -> list[Content]:
     return [{"side": side} | table for side, table in tables.items()]
 
 
-def _eye(eye: EyeOptics, names: dict[Medium, str]) -> Content:
+def _eye(eye: EyeOptics, names: dict[Medium, str]) -> dict[str, Any]:
     return {
         "display_path": _path(eye.display, names),
         "see_through_path": _path(eye.see_through, names),
-        **({} if eye.field is None else {"field_deg": _field(eye.field)}),
-        "eye_box": {"centre_mm": in_mm(eye.eye_box.centre), "size_mm": in_mm(eye.eye_box.size)},
-        "panel": _panel(eye.panel),
+        **({} if eye.field is None else FIELD.keys(eye.field, Place())),
+        "eye_box": EYE_BOX.keys(eye.eye_box, Place()),
+        "panel": record_keys(eye.panel),
         **_surfaces(eye.surfaces()),
     }
 
 
-def _path(path: Path, names: dict[Medium, str]) -> list[Content]:
+def _path(path: Path, names: dict[Medium, str]) -> list[dict[str, Any]]:
     return [
         {"at": step.surface.name, "do": str(step.interaction)}
         | ({"into": names[step.medium]} if step.interaction is Interaction.REFRACT else {})
@@ -83,23 +82,7 @@ def _path(path: Path, names: dict[Medium, str]) -> list[Content]:
     ]
 
 
-def _field(field: FieldOfView) -> list[float]:
-    left_down, right_up = np.rad2deg(np.arctan(field.low)), np.rad2deg(np.arctan(field.high))
-    return np.stack([left_down, right_up], axis=-1).ravel().tolist()
-
-
-def _panel(panel: PlacedPanel) -> Content:
-    return {
-        "centre_mm": in_mm(panel.device_from_panel[:3, 3]),
-        "size_mm": in_mm(panel.size),
-        "pixels": [panel.pixels.width_px, panel.pixels.height_px],
-        "u_axis": panel.device_from_panel[:3, 0].tolist(),
-        "v_axis": panel.device_from_panel[:3, 1].tolist(),
-        **({"curvature_per_m": panel.curvature.tolist()} if panel.curvature.any() else {}),
-    }
-
-
-def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> Content:
+def _surfaces(surfaces: tuple[PlacedSurface, ...]) -> dict[str, Any]:
     """Return all surfaces and the bases that displaced ones need, each base before the surfaces that refer to it."""
     placed, bases = list(surfaces), dict[str, str]()
     for surface in placed:  # grows by the bases, which may be displaced too
@@ -124,32 +107,18 @@ def _placed_base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurfac
     return replace(surface, name=name, shape=shape)
 
 
-def _surface(surface: PlacedSurface, bases: dict[str, str]) -> Content:
-    shape = surface.shape
+def _surface(surface: PlacedSurface, bases: dict[str, str]) -> dict[str, Any]:
+    shape, keys = surface.shape, record_keys(surface)
     if not isinstance(shape, Offset):
-        content = shape_content(shape) | _pose(surface.device_from_surface)
-    elif not shape.errors:
-        content = {"shape": "offset", "of": bases[surface.name], "distance_mm": shape.distance / MM}
+        return {"name": surface.name} | shape_content(shape) | keys
+    content: dict[str, Any] = {"name": surface.name, "shape": "offset", "of": bases[surface.name]}
+    if shape.errors:
+        content |= {"shape": "raised", "error": [_error(surface, each) for each in shape.errors]}
     else:
-        errors = [
-            shape_content(each.sag) | _pose(surface.device_from_surface @ each.surface_from_error)
-            for each in shape.errors
-        ]
-        content = {"shape": "raised", "of": bases[surface.name], "error": errors}
-    return {"name": surface.name} | content | _aperture(surface.aperture)
+        content |= record_keys(shape)
+    return content | {key: keys[key] for key in keys if key.startswith("aperture")}
 
 
-def _pose(device_from_surface: FloatArray) -> Content:
-    rotation = device_from_surface[:3, :3]
-    return {
-        "origin_mm": in_mm(device_from_surface[:3, 3]),
-        "z_axis": rotation[:, 2].tolist(),
-        "x_axis": rotation[:, 0].tolist(),
-        **({"mirrored": True} if np.linalg.det(rotation) < 0 else {}),
-    }
-
-
-def _aperture(aperture: ClearAperture) -> Content:
-    """Return a pair (low, high) for each axis on which the aperture is bounded."""
-    sides = zip("xyz", aperture.low, aperture.high, strict=True)
-    return {f"aperture_{axis}_mm": in_mm(np.array(side)) for axis, *side in sides if np.isfinite(side).any()}
+def _error(surface: PlacedSurface, error: FormError) -> dict[str, Any]:
+    pose = surface.device_from_surface @ error.surface_from_error
+    return shape_content(error.sag) | SurfacePose().keys(pose, Place())

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
 from wlr_render.geometry.transforms import inverse
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device_keys import distance_key
 from wlr_render.optics.sag_surfaces import SagSurface
 from wlr_render.optics.surfaces import Gradient, Shape, SurfaceIntersections, dot
 
@@ -55,7 +57,7 @@ class Offset(Shape):
     """
 
     base: Shape
-    distance: float
+    distance: Annotated[float, distance_key("distance_mm")]
     errors: tuple[FormError, ...] = ()
 
     @property

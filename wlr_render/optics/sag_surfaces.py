@@ -5,12 +5,19 @@ Same frame, units and column layout as `surfaces`.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Annotated
 
 import numpy as np
 
+from wlr_render.io.file_records import LENGTH, MM, Key, Keys, Records, Rule
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.optics.device_keys import R_TERMS, XY_TERMS, curvature_key, radius_key
 from wlr_render.optics.surfaces import Gradient, Shape
+
+_pair = partial(Keys, join=lambda x, y: (x, y), split=tuple, absent=0.0)
+_CURVATURES = _pair((curvature_key("radius_x_mm"), curvature_key("radius_y_mm")))
+_CONICS = _pair((Key("conic_x"), Key("conic_y")))
 
 
 class SagSurface(Shape):
@@ -35,8 +42,8 @@ class Toroid(SagSurface):
         radius_y: metres, radius of the circle, positive with its centre at +z.
     """
 
-    radius_x: float
-    radius_y: float
+    radius_x: Annotated[float, radius_key("radius_x_mm")]
+    radius_y: Annotated[float, radius_key("radius_y_mm")]
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sag and slopes; see `SagSurface`."""
@@ -71,8 +78,8 @@ class Asphere(SagSurface):
         conic: k of the conic base.
     """
 
-    coefficients: tuple[float, ...]
-    curvature: float = 0.0
+    coefficients: Annotated[tuple[float, ...], R_TERMS]
+    curvature: Annotated[float, curvature_key("radius_mm")] = 0.0
     conic: float = 0.0
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -98,8 +105,8 @@ class SumOfProfiles(SagSurface):
         conic: (kx, ky).
     """
 
-    curvature: tuple[float, float]
-    conic: tuple[float, float] = (0.0, 0.0)
+    curvature: Annotated[tuple[float, float], _CURVATURES]
+    conic: Annotated[tuple[float, float], _CONICS] = (0.0, 0.0)
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sag and slopes; see `SagSurface`."""
@@ -119,8 +126,8 @@ class XYPolynomial(SagSurface):
         conic: k of the conic base.
     """
 
-    coefficients: FloatArray
-    curvature: float = 0.0
+    coefficients: Annotated[FloatArray, XY_TERMS]
+    curvature: Annotated[float, curvature_key("radius_mm")] = 0.0
     conic: float = 0.0
 
     @cached_property
@@ -156,17 +163,17 @@ def _horner(coefficients: Sequence[float], x: FloatArray) -> tuple[FloatArray | 
 
 @dataclass(frozen=True)
 class AnamorphicTerm:
-    """A ((1 - P) x^2 + (1 + P) y^2)^k.
+    """A ((1 - P) x^2 + (1 + P) y^2)^(order / 2) in millimetres.
 
     Attributes:
-        amplitude: A in metres^(1 - 2 k).
+        order: 4, 6, 8 or 10.
+        sag_mm: A.
         asymmetry: P.
-        power: k, at least 2.
     """
 
-    amplitude: float
-    asymmetry: float
-    power: int
+    order: Annotated[int, Key(rule=Rule("4, 6, 8 or 10", lambda order: order in (4, 6, 8, 10)))]
+    sag_mm: float
+    asymmetry: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -179,20 +186,20 @@ class AnamorphicAsphere(SagSurface):
         terms: terms that are added to the biconic sag.
     """
 
-    curvature: tuple[float, float]
-    conic: tuple[float, float] = (0.0, 0.0)
-    terms: tuple[AnamorphicTerm, ...] = ()
+    curvature: Annotated[tuple[float, float], _CURVATURES]
+    conic: Annotated[tuple[float, float], _CONICS] = (0.0, 0.0)
+    terms: Annotated[tuple[AnamorphicTerm, ...], Records("term", record=AnamorphicTerm)] = ()
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sag and slopes; see `SagSurface`."""
         sag, slope_x, slope_y = _conicoid(x, y, self.curvature, self.conic)
         for term in self.terms:
-            ax, ay = 1.0 - term.asymmetry, 1.0 + term.asymmetry
+            ax, ay = (1.0 - term.asymmetry) / MM**2, (1.0 + term.asymmetry) / MM**2
             inner = ax * x * x + ay * y * y
-            rest = term.amplitude * inner ** (term.power - 1)
+            rest = MM * term.sag_mm * inner ** (term.order // 2 - 1)
             sag = sag + rest * inner
-            slope_x = slope_x + 2.0 * term.power * ax * rest * x
-            slope_y = slope_y + 2.0 * term.power * ay * rest * y
+            slope_x = slope_x + term.order * ax * rest * x
+            slope_y = slope_y + term.order * ay * rest * y
         return sag, slope_x, slope_y
 
 
@@ -205,8 +212,8 @@ class GaussianBump(SagSurface):
         width: metres, standard deviation.
     """
 
-    height: float
-    width: float
+    height: Annotated[float, Key("height_mm", LENGTH)]
+    width: Annotated[float, Key("width_mm", LENGTH, above=0)]
 
     def sag_and_slopes(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the sag and slopes; see `SagSurface`."""

@@ -5,10 +5,13 @@ that each coordinate is contiguous. Shapes have no apertures and poses (see `dev
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from wlr_render.io.file_records import LENGTH, Key
 from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.optics.device_keys import FLAT_MM, curvature_key
 
 _STEPS, _ROUNDS = 7, 4  # Newton steps in a round, and rounds; each goes on with the rays that have not converged
 # Metres. Newton's next error is about step^2 * curvature / 2, so a step this short was the last one needed.
@@ -146,7 +149,7 @@ class Conic(_Quadric):
         conic: k; -1 is a paraboloid, -1 < k < 0 a prolate ellipsoid.
     """
 
-    curvature: float
+    curvature: Annotated[float, curvature_key("radius_mm")]
     conic: float = 0.0
 
     def _factors(self) -> tuple[FloatArray, float, float]:
@@ -169,7 +172,7 @@ class Ellipsoid(_Quadric):
         semi_axes: (3,) metres, along the frame's axes.
     """
 
-    semi_axes: FloatArray
+    semi_axes: Annotated[FloatArray, Key("semi_axes_mm", LENGTH, shape=(3,), above=0, most=FLAT_MM)]
 
     def _factors(self) -> tuple[FloatArray, float, float]:
         return -1.0 / (self.semi_axes * self.semi_axes)[:, None], 0.0, 1.0

@@ -16,7 +16,7 @@ ZEMAX: dict[str, tuple[str, str, str]] = {
     "a distance of 1e308": ("DISZ 45", "DISZ 1e308", "DISZ"),
     "a distance of 400 digits": ("DISZ 45", "DISZ " + "9" * 400, "DISZ"),
     "an image at infinity": ("DISZ 45", "DISZ INFINITY", "DISZ"),
-    "millimetres stated as metres": ("UNIT MM", "UNIT METER", "plausible|length"),
+    "millimetres stated as metres": ("UNIT MM", "UNIT METER", "plausible|length|convert its unit"),
     "an unknown unit": ("UNIT MM", "UNIT PARSEC", "parsec"),
     "rays that split": ("UNIT MM", "UNIT MM\nMODE NSC", "NSC"),
     "a surface twice": ("SURF 4", "SURF 3", "surface '3'"),
@@ -96,7 +96,7 @@ OF_RAYOPTICS: dict[str, tuple[Keys, Any, str]] = {
     "a glass without a class": ((*INTERFACES, "gaps", 2, "attributes", "medium"), {"attributes": {}}, "__instance_type__"),
     "a profile that is not there": ((*INTERFACES, "ifcs", 3, "attributes", "profile"), 5, "profile"),
     "furlongs": (("optical_model", "attributes", "system_spec", "attributes", "_dimensions"), "furlong", "furlong"),
-    "metres": (("optical_model", "attributes", "system_spec", "attributes", "_dimensions"), "m", "plausible|length"),
+    "metres": (("optical_model", "attributes", "system_spec", "attributes", "_dimensions"), "m", "plausible|length|convert its unit"),
 }  # fmt: skip
 
 
