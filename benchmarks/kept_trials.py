@@ -12,7 +12,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.io.input_files import as_bad_input, read_text
 from wlr_render.io.toml_files import parse_json
-from wlr_render.processes import WorkerPool, as_finished
+from wlr_render.work.workers import WorkerPool, as_finished
 
 
 class KeptTrial(Protocol):

@@ -24,10 +24,10 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import Eyes, Range, Scheduler, Seed, SpreadOptions, Workers, described, eyes_of
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.progress import Progress
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable, Section, Text
 from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import Progress
 
 AnyOwnTrial = TypeVar("AnyOwnTrial", bound=Trial)
 Lines = dict[str, tuple[Sequence[float], Sequence[float]]]

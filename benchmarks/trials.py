@@ -30,8 +30,6 @@ from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.processes import WorkerPool, as_finished
-from wlr_render.progress import Progress
 from wlr_render.simulation import viewpoints
 from wlr_render.simulation.simulate_captures import (
     CaptureSetup,
@@ -40,6 +38,8 @@ from wlr_render.simulation.simulate_captures import (
     simulate_see_through,
     with_camera_noise,
 )
+from wlr_render.work.progress import Progress
+from wlr_render.work.workers import WorkerPool, as_finished
 
 AnyFit = ModelFit[FittedDisplay] | ModelFit[FittedSeeThrough]
 BoxSize = tuple[float, float, float]

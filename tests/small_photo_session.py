@@ -43,7 +43,7 @@ for the lens: near dots are a twelfth of these small pictures, and rational term
 
 
 def in_this_process(run, tasks, spread, folder=None):
-    """As `processes.as_finished`, without the seconds that starting processes takes."""
+    """As `workers.as_finished`, without the seconds that starting processes takes."""
     return map(run, tasks)
 
 

@@ -10,11 +10,11 @@ from command_line import refused
 from wlr_render.captures.photographs import read_photograph, write_photograph
 from wlr_render.cli import main
 from wlr_render.jobs import simulate
-from wlr_render.processes import WorkerPool
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import TakenPhotographs
+from wlr_render.work.workers import WorkerPool
 
 
 def test_options_of_the_command_line_make_the_bench(monkeypatch, capsys):

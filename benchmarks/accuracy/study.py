@@ -20,9 +20,9 @@ from benchmarks.trial_study import Experiment, StudyOptions, run_study
 from wlr_render.io.atomic_files import write_text
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import OnlyWith, ProgressArgument, Range, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import markdown
+from wlr_render.work.progress import SILENT
 
 PartName = Literal[
     "camera-positions", "display", "see-through", "stage", "tracking", "prescribed", "time", "stuck", "labs"

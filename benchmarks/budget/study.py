@@ -23,9 +23,9 @@ from benchmarks.simulated_lab.bench_trial import DEVICES
 from wlr_render.budget.statement import REGIONS
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
+from wlr_render.work.progress import SILENT
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from benchmarks.intervals import mean_ratio
 from benchmarks.kept_trials import finished_trials
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 _FEW, _MANY, _CHOSEN = DESIGNS
 Headset = Literal["northstar", "freeform40", "birdbath28"]

@@ -15,9 +15,9 @@ from benchmarks.kept_trials import finished_trials
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 KindName = Literal[
     "clean",

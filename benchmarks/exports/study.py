@@ -32,9 +32,9 @@ from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
+from wlr_render.work.progress import SILENT
 
 _FAR_M = 1e4
 _JUDGED_PIXELS = 3000

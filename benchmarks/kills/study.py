@@ -18,9 +18,9 @@ import numpy as np
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 JobName = Literal["render", "export", "simulate", "calibrate"]
 _LONGEST_END_S = 120.0

@@ -18,9 +18,9 @@ from wlr_render.jobs.export import views_from_centres
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import Options, ProgressArgument, described
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 GOAL_CODES = 0.4
 _HERE = Path(__file__).parent

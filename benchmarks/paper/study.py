@@ -26,8 +26,8 @@ from benchmarks.paper.figures import (
 )
 from benchmarks.trial_study import Experiment, Findings, Study, StudyOptions, run_study
 from wlr_render.jobs.options import Degree, ProgressArgument, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
+from wlr_render.work.progress import SILENT
 
 
 def figures(study: Study) -> Findings:

@@ -26,9 +26,9 @@ from wlr_render.evaluation.code_quality import Lenses, fit_planes
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.decode import CodePhotographs, decode_and_assess, flatness_table
 from wlr_render.jobs.options import Options, ProgressArgument, described
-from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT, Progress
 
 _BASELINE_AGREES = 5e-3  # relative difference of baselines that the printed monitor and the camera model leave open
 

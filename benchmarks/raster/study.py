@@ -28,7 +28,6 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.image_files import write_map, write_png
 from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
 from wlr_render.rendering.raster_camera import RasterPlace
@@ -39,6 +38,7 @@ from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
 from wlr_render.report.plots import heat_map
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT, Progress
 
 HEAD_POSE = np.eye(4)
 COLUMNS = (

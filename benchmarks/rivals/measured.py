@@ -14,9 +14,9 @@ from benchmarks.rivals.viewpoints import viewpoint_table
 from benchmarks.rivals.views import view_table
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder
-from wlr_render.progress import Progress
 from wlr_render.report.blocks import Report, ReportTable, Text
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import Progress
 
 DataSet = Literal["alignments", "views", "viewpoints", "reliefs"]
 

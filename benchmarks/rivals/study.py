@@ -10,8 +10,8 @@ from benchmarks.rivals.measured import DataSet, compare_on_measurements
 from benchmarks.trial_study import StudyOptions, run_study
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.options import ProgressArgument, Range, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
+from wlr_render.work.progress import SILENT
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,6 @@ from wlr_render.jobs.verify import (
 from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import Progress
 from wlr_render.rendering.painters import Painter, TracedPainter
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_raster import open_scene_raster
@@ -55,6 +54,7 @@ from wlr_render.simulation.photographs.photo_plan import Visit, later_visits
 from wlr_render.simulation.photographs.recipe import load_recipe
 from wlr_render.simulation.photographs.take_photographs import PanelShots
 from wlr_render.simulation.viewpoints import random_in_eye_box
+from wlr_render.work.progress import Progress
 
 METHODS = ("raster + warp", "ray traced")
 """Without OpenGL the second alone."""

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.processes import WorkerPool, as_finished
-from wlr_render.progress import Progress
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import Visit
 from wlr_render.simulation.photographs.simulate_photo_session import poses_on
 from wlr_render.simulation.photographs.take_photographs import BoardShot, PanelShots, take
+from wlr_render.work.progress import Progress
+from wlr_render.work.workers import WorkerPool, as_finished
 
 
 @dataclass(frozen=True, eq=False)

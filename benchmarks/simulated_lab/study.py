@@ -22,11 +22,11 @@ from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions
 from wlr_render.jobs.calibrate.photos import calibrated
 from wlr_render.jobs.options import ProgressArgument
 from wlr_render.optics.device_file import load_device
-from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Block, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
 from wlr_render.simulation.photographs.photo_bench import design_photo_bench
 from wlr_render.simulation.photographs.recipe import load_recipe
+from wlr_render.work.progress import SILENT, Progress
 
 _DEVICE = "freeform40"  # its panel has 1920 x 1080 pixels
 _TRIALS = "trials"

@@ -27,10 +27,10 @@ from wlr_render.jobs.options import (
     eyes_of,
 )
 from wlr_render.mappings import Eye
-from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Picture, Report
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT, Progress
 
 LATEST_MS = 50.0
 """Latency that late correction can make good."""

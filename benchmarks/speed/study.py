@@ -20,11 +20,11 @@ from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import Backend, Options, ProgressArgument, described
 from wlr_render.mappings import Panel
-from wlr_render.processes import usable_cores
-from wlr_render.progress import SILENT
 from wlr_render.rendering import gl
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
+from wlr_render.work.workers import usable_cores
 
 _RAY_NOTE = "Baseline of the rays: embreex's own query of the same rays, shared out over the same threads."
 

@@ -12,9 +12,9 @@ from benchmarks.submission.measure import WAYS, Submission, measure
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.mappings import Eye
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 _COMMON = 12
 """Functions that the second table lists."""

@@ -23,10 +23,10 @@ from benchmarks.wear.simulated_wear import (
 )
 from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.options import ProgressArgument, Range, Scheduler, Seed, SpreadOptions, Workers, described
-from wlr_render.processes import as_finished
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Picture, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
+from wlr_render.work.workers import as_finished
 
 CLICKS = 5
 WANTED = 1.5

@@ -9,7 +9,7 @@ from small_photo_session import in_this_process
 
 from benchmarks import kept_trials
 from benchmarks.kept_trials import damaged_outcomes, finished_trials
-from wlr_render.processes import LOCAL
+from wlr_render.work.workers import LOCAL
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from wlr_render.captures.photographs import photographs_in, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.show_pattern import PatternOptions, pattern
 from wlr_render.mappings import Panel
-from wlr_render.progress import Progress
+from wlr_render.work.progress import Progress
 
 PANEL = Panel(8, 4)
 CODE = make_pattern("gray", PANEL)

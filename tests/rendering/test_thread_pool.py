@@ -3,8 +3,8 @@ import threading
 
 import pytest
 
-from wlr_render.processes import usable_cores
 from wlr_render.rendering.thread_pool import for_blocks
+from wlr_render.work.workers import usable_cores
 
 
 @pytest.mark.parametrize(("total", "block"), [(0, 4), (3, 4), (4, 4), (10, 4), (7, 1)])

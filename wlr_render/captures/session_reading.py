@@ -26,8 +26,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_arrays
 from wlr_render.io.input_files import LIMITS, read_arrays, read_bytes
 from wlr_render.io.kept import sha256_of
-from wlr_render.processes import LOCAL, WorkerPool, as_finished
-from wlr_render.progress import SILENT, Progress
+from wlr_render.work.progress import SILENT, Progress
+from wlr_render.work.workers import LOCAL, WorkerPool, as_finished
 
 _VERSION = 7  # version of the reader: results of another version are read again
 _THUMBNAIL_PX = 160  # width of the picture of rejections that is kept for a decoded set

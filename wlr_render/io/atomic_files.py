@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render import cluster
 from wlr_render.errors import BadInputError
 from wlr_render.io.escapes import plain_figure
 from wlr_render.io.input_files import shown
@@ -32,6 +31,8 @@ if sys.platform != "win32":
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+is_cluster_worker = False
+"""True while this process runs a task of a job on another machine, whose file locks it may not see."""
 _PACKAGE = Path(__file__).resolve().parents[1]
 _PART = ".wlr-part-"
 """Start of the names of temporary files."""
@@ -101,7 +102,7 @@ def output_folder(path: str | Path) -> Path:
     except OSError as error:
         reason = error.strerror or str(error)
         raise BadInputError(f"{folder}: cannot write to this output folder ({reason}); choose another.") from error
-    if not cluster.is_cluster_worker:  # locks of other machines may be invisible here
+    if not is_cluster_worker:
         remove_abandoned(folder.resolve())
     return folder
 

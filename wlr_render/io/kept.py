@@ -45,7 +45,7 @@ class Kept:
     Args:
         folder: folder of the ledger; the files are in it or below.
         recipe: what determines the files, as `recipe_of` returns it.
-        planned: files that the job writes, with their facts: they must not exist where there is no ledger.
+        planned: files that the job writes, with their facts: they must not exist without a ledger.
         replaces: whether files of another recipe of the same job are replaced, rather than refused.
 
     Raises:
@@ -99,7 +99,7 @@ class Kept:
         self.add({})
 
     def add(self, files: Mapping[Path, Signature], facts: Facts | None = None) -> None:
-        """List finished files; the facts are those of the last one.
+        """List finished files; the facts belong to the last one.
 
         Raises:
             BadInputError: the ledger cannot be written.

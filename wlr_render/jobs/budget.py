@@ -21,12 +21,12 @@ from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.progress import SILENT
 from wlr_render.rendering.choose_warp_grid import choose_warp_grid
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable, Section, Text, cell_text
 from wlr_render.report.plots import heat_map, small_heat_maps
 from wlr_render.report.save import save_report
 from wlr_render.simulation.viewpoints import volumetric
+from wlr_render.work.progress import SILENT
 
 _COLUMNS = 24  # cells across the panel
 _VIEWPOINTS = 16

@@ -24,9 +24,9 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Code, Options, ProgressArgument, Range, described, described_size
 from wlr_render.mappings import Panel
-from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT, Progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -61,7 +61,6 @@ from wlr_render.models.static import undeviated
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.progress import SILENT
 from wlr_render.rendering.image_files import write_png
 from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
 from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
@@ -75,6 +74,7 @@ from wlr_render.report.save import save_report
 from wlr_render.simulation import viewpoints as stage
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 from wlr_render.usual import CAMERA_NOISE_ARCMIN
+from wlr_render.work.progress import SILENT
 
 METHODS = ("naive", "static", "raster + warp", "ray traced")
 """Methods without OpenGL: all except the third."""

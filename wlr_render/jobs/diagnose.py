@@ -29,9 +29,9 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described, option_group
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report, Section
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 _BENCH = option_group("Bench to compare with", 1)
 _CAUSES = option_group("Causes", 2)

@@ -34,7 +34,6 @@ from wlr_render.jobs.options import eyes_of, seed_of
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.optics.traced_mappings import TRACED
-from wlr_render.processes import LOCAL, as_finished
 from wlr_render.rendering.exr_file import require_exr
 from wlr_render.rendering.frame_layers import INSTANCE, frame_layers
 from wlr_render.rendering.image_files import write_map, write_png
@@ -45,6 +44,7 @@ from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.rendering.view import write_view
+from wlr_render.work.workers import LOCAL, as_finished
 
 _FRAMES_OF_A_BLOCK = 8  # most frames per block; an interrupted run may lose as many with each worker
 _BLOCKS = 64  # fewest blocks if there are as many frames; with fewer, workers wait for the last block

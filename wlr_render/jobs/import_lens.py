@@ -22,9 +22,9 @@ from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, Importe
 from wlr_render.optics.lens_files.lens_file import read_lens_file
 from wlr_render.optics.lens_files.sequence import Ignored, LensFile
 from wlr_render.optics.surfaces import Shape
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 _MM = 1e-3
 _MOST_NAMED = 8  # surfaces in one sentence

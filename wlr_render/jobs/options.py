@@ -20,8 +20,8 @@ from cyclopts import Group, Parameter, Token
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import shown
 from wlr_render.io.kept import file_of
-from wlr_render.processes import WorkerPool
-from wlr_render.progress import Progress
+from wlr_render.work.progress import Progress
+from wlr_render.work.workers import WorkerPool
 
 Length = TypeVar("Length", int, float)
 

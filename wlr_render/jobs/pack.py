@@ -20,7 +20,7 @@ from wlr_render.io.input_files import LIMITS, read_bytes
 from wlr_render.jobs.frame_labels import labels_file, layers_file, read_labels
 from wlr_render.jobs.frame_plan import METADATA
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.progress import Progress
+from wlr_render.work.progress import Progress
 
 _SHARDS, _SHARD = "frames-*.tar", "frames-{:06d}.tar"
 _SPLIT = "train"

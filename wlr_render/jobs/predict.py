@@ -22,10 +22,10 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Plot, Report, capitalised, table
 from wlr_render.report.plots import arrow_map
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 _MOST_MAPS = 8
 _POSE_TOLERANCE_M = 1e-6

@@ -12,8 +12,8 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.toml_files import Table
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import OnlyWith, Options, ProgressArgument, Range, Seed, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
+from wlr_render.work.progress import SILENT
 
 Kind = Literal["dots", "charuco", "april-grid", "chessboard", "circles", "asymmetric-circles"]
 _CHARUCO = OnlyWith("kind", ("charuco",))

@@ -36,7 +36,6 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.jobs.pack import pack_frames
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.progress import SILENT, Progress
 from wlr_render.rendering.frame_layers import LAYERS
 from wlr_render.rendering.image_files import read_png, write_video
 from wlr_render.rendering.painters import blank_warnings, saturation_warnings
@@ -45,6 +44,7 @@ from wlr_render.rendering.scene_raster import SceneRaster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable
 from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT, Progress
 
 _MOST_NAMES = 10  # largest number of changed frames in a warning
 _MOST_PLOTTED = 1000  # frames of an eye in a plot, about

@@ -34,8 +34,8 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.jobs.simulate import retaken_warnings
 from wlr_render.mappings import Panel
-from wlr_render.progress import SILENT, Progress
 from wlr_render.report.blocks import Report
+from wlr_render.work.progress import SILENT, Progress
 
 _LOOK_S = 0.1
 _STABLE_S = 0.4  # camera programs write a file within one transfer; none pauses for so long

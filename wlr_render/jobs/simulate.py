@@ -27,13 +27,13 @@ from wlr_render.jobs.options import (
 from wlr_render.jobs.places_file import read_places
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections, LensKind
 from wlr_render.simulation.photographs.photo_bench import Family, PhotoBenchOptions, Sampling, half_travel
 from wlr_render.simulation.photographs.photo_plan import unreadable_targets
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 from wlr_render.simulation.photographs.simulate_photo_session import simulate_photo_session
+from wlr_render.work.progress import SILENT
 
 _PLACES = option_group("Photographs", 1)
 _CAMERAS = option_group("Cameras", 2)

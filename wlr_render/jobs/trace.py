@@ -21,9 +21,9 @@ from wlr_render.optics.first_order import FirstOrder, first_order
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
 from wlr_render.optics.ray_losses import SurfaceLosses, curvature_changes, display_losses, helpful_changes, on_panel
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, cell_text
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 MIN_PANEL_SHARE = 0.5
 """A prescription that shows less of its nominal field than this most likely has a wrong sign."""

@@ -20,9 +20,9 @@ from wlr_render.geometry.lens import Lens
 from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Options, ProgressArgument, described
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Cell, Picture, Report, ReportTable, cell_text
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 NOTES = (
     "Angle at the camera between a dot of the real target and the same dot as drawn, from two photographs.",

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from wlr_render.processes import usable_cores
+from wlr_render.work.workers import usable_cores
 
 _thread = threading.local()
 

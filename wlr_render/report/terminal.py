@@ -17,8 +17,8 @@ from rich.table import Table
 from rich.text import Text
 
 from wlr_render.io.escapes import printable, printable_lines
-from wlr_render.progress import Item, Progress
 from wlr_render.report.blocks import Report, ReportTable
+from wlr_render.work.progress import Item, Progress
 
 PIPE_WIDTH = 140
 """Width of output to a file or a pipe, characters."""

@@ -7,8 +7,8 @@ from PIL import Image
 
 from benchmarks.soak import report, study
 from benchmarks.soak.records import Cost, EyeMoment, FrameNote, Stream, StreamFrame
-from wlr_render.progress import Progress
 from wlr_render.tracking.viewpoint_filter import TrackingState
+from wlr_render.work.progress import Progress
 
 
 class Heard(Progress):

@@ -3,8 +3,8 @@
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, Subject
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
+from wlr_render.work.progress import SILENT
 
 
 @job

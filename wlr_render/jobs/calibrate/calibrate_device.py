@@ -20,10 +20,10 @@ from wlr_render.jobs.options import ProgressArgument, eyes_of, seed_of
 from wlr_render.mappings import Eye
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Block, Cell, Report, ReportTable, Section
 from wlr_render.report.save import save_report
 from wlr_render.simulation.simulate_captures import simulate
+from wlr_render.work.progress import SILENT
 
 
 def calibrate_device(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> Report:

@@ -16,9 +16,9 @@ from wlr_render.jobs.calibrate.calibrate_options import (
 )
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences, fit_warnings
 from wlr_render.jobs.options import ProgressArgument
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 
 def calibrate_captures(options: CalibrateOptions, *, progress: ProgressArgument = SILENT) -> Report:

@@ -29,9 +29,9 @@ from wlr_render.jobs.calibrate.fit_findings import fit_warnings
 from wlr_render.jobs.calibrate.photo_report import advice, headline, reading_blocks, session_blocks, set_names
 from wlr_render.jobs.options import ProgressArgument
 from wlr_render.models.model_file import remove_eye_models
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
+from wlr_render.work.progress import SILENT
 
 _REPORT = ("report.html", "report.md", "report.json")
 READ = "read"

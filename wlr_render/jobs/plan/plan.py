@@ -29,12 +29,12 @@ from wlr_render.jobs.plan.planned_bench import PlannedBench, ReadingOptions
 from wlr_render.jobs.plan.search import LEAST_PLACES, find_design
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.progress import SILENT
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
+from wlr_render.work.progress import SILENT
 
 _BENCH = option_group("Bench", 1)
 _ADD = option_group("Places to add to a calibration", 2)

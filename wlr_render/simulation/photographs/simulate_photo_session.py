@@ -21,8 +21,6 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import hashes_of_inputs
 from wlr_render.io.kept import Kept, Signature, recipe_of, signatures_of
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.processes import LOCAL, WorkerPool, as_finished
-from wlr_render.progress import SILENT, Progress
 from wlr_render.simulation.photographs.camera import SimulatedLens
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import (
@@ -35,6 +33,8 @@ from wlr_render.simulation.photographs.photo_plan import (
 )
 from wlr_render.simulation.photographs.recipe import SimulationRecipe, save_recipe, values_of
 from wlr_render.simulation.photographs.take_photographs import BoardShot, CameraPose, PanelShots, take
+from wlr_render.work.progress import SILENT, Progress
+from wlr_render.work.workers import LOCAL, WorkerPool, as_finished
 
 BOARD = "board.toml"
 _MOST_WORKERS = 4  # most workers by default: each takes up to 0.4 GB

@@ -1,4 +1,4 @@
-"""Work spread over the workers of a Dask cluster; the only module that imports Dask. Callers use `processes.py`.
+"""Work spread over the workers of a Dask cluster; the only module that imports Dask. Callers use `workers.py`.
 
 Every worker reads and writes the files of a job at the same paths as the program that started it, as on a cluster with
 a shared file system. A task checks this, and the versions of the libraries, before anything of it is unpickled.
@@ -11,28 +11,19 @@ import functools
 import os
 import pickle
 import platform
-import queue
 import re
 import socket
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
+from wlr_render.io import atomic_files
 
-if TYPE_CHECKING:
-    from distributed import Client, Future
-
-Task = TypeVar("Task")
-Result = TypeVar("Result")
-
-is_cluster_worker = False
-"""True while this process runs a task of a job on another machine, whose file locks it may not see."""
 LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS") + (
     ("VECLIB_MAXIMUM_THREADS",) if sys.platform == "darwin" else ()
 )
@@ -54,10 +45,6 @@ _LIBRARIES = (
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://(\[[0-9A-Fa-f:.%]+\]|[\w.-]+):([0-9]{1,5})/?")
 """Scheme, host and port of a scheduler."""
 _CONNECT_S = 10.0
-_NO_WORKER_S = 120.0
-"""Time for which a cluster may have no worker: a queue starts them later, a killed one is started again."""
-_WORKERS_EVERY_S = 1.0
-"""Interval between checks that the scheduler has workers, while no result arrives."""
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """Parameters of mallopt in glibc's malloc.h."""
 _KEPT_BYTES = 32 * 1024 * 1024
@@ -66,52 +53,35 @@ _MARK = ".wlr-part-shared-"
 """Prefix of the name of the file that workers look for; the next run removes the file of a killed run."""
 
 
-def as_finished_by_cluster(
-    run: Callable[[Task], Result], tasks: Sequence[Task], address: str, folder: Path | None
-) -> Iterator[Result]:
-    """Yield the results of all tasks, in the order of completion; see `processes.as_finished`.
-
-    Tasks of a lost worker are given to another one. When the caller stops iterating or is interrupted, waiting tasks
-    are dropped, and running tasks continue to their end.
-
-    Raises:
-        BadInputError: no scheduler answers at the address, it has no workers, a worker has other versions or does
-            not see the folder, or a task ended several workers.
-        MissingExtraError: Dask is not installed.
-    """
-    results = _results(run, tasks, address, folder)
-    next(results)
-    return results
-
-
-def _results(run: Callable[[Task], Result], tasks: Sequence[Task], address: str, folder: Path | None) -> Iterator[Any]:
-    """Yield None once the scheduler answers, before anything is written or begun, then each result."""
-    with _client(address) as client:
-        yield None
-        with _marked(folder) as mark:
-            conditions = {"versions": _versions(), "folder": str(Path.cwd()), "mark": mark}
-            futures = _submitted(client, [pickle.dumps((run, task)) for task in tasks], conditions)
-            try:
-                for future in _as_completed(client, futures, address):
-                    yield _result(future, address)
-                    future.release()
-            finally:
-                with contextlib.suppress(Exception):  # the scheduler may be gone
-                    client.cancel(futures)
+Submit = Callable[[Callable[[Any], Any], Any], Future[Any]]
+Pool = tuple[Submit, Callable[[], bool]]
+"""Function that gives a task to a pool of workers, and a function that returns whether the pool has workers."""
 
 
 @contextlib.contextmanager
-def _client(address: str) -> "Iterator[Client]":
+def dask_workers(address: str, folder: Path | None) -> Iterator[Pool]:
+    """Connect with the workers of a cluster for a `with` block, which drops waiting tasks if it ends early.
+
+    Raises:
+        BadInputError: no scheduler answers at the address, or an error of `workers.as_finished`.
+        MissingExtraError: Dask is not installed.
+    """
     with installed_by("dask", f"--scheduler {address}"):
         import distributed
     _require_scheduler(address)
     with _silent_log():
         client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
     try:
-        yield client
+        with _marked(folder) as mark, _sentences(address):
+            conditions = {"versions": _versions(), "folder": str(Path.cwd()), "mark": mark}
+            executor = client.get_executor(pure=False)
+            yield (
+                lambda run, task: executor.submit(_run_here, pickle.dumps((run, task)), conditions),
+                lambda: bool(client.scheduler_info(n_workers=1)["workers"]),
+            )
     finally:
         with _silent_log():
-            client.close(timeout=_CONNECT_S)
+            client.close(timeout=_CONNECT_S)  # drops the tasks that wait
 
 
 def _require_scheduler(address: str) -> None:
@@ -145,14 +115,6 @@ async def _shake_hands(address: str) -> None:
     arguments = Security().get_connection_args("client")
     comm = await asyncio.wait_for(connect(address, timeout=_CONNECT_S, **arguments), _CONNECT_S)
     comm.abort()
-
-
-def _submitted(client: "Client", payloads: list[bytes], conditions: dict[str, Any]) -> "list[Future]":
-    import dask
-
-    # Pickled tasks of some megabytes are not a problem.
-    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 GB"}):
-        return list(client.map(_run_here, payloads, [conditions] * len(payloads), pure=False))
 
 
 @contextlib.contextmanager
@@ -202,40 +164,13 @@ def _versions() -> dict[str, str]:
     return versions
 
 
-def _as_completed(client: "Client", futures: "list[Future]", address: str) -> "Iterator[Future]":
-    """Yield the futures in the order of completion.
-
-    Raises:
-        BadInputError: there has been no worker for long, or the scheduler is gone.
-    """
-    finished: queue.SimpleQueue[Future] = queue.SimpleQueue()
-    for future in futures:
-        future.add_done_callback(finished.put)
-    for _ in futures:
-        last_seen_s = time.monotonic()
-        while (ready := _next_of(finished)) is None:
-            if client.scheduler_info(n_workers=1)["workers"]:
-                last_seen_s = time.monotonic()
-            elif time.monotonic() - last_seen_s > _NO_WORKER_S:
-                raise BadInputError(
-                    f"--scheduler {address}: it has had no worker for {_NO_WORKER_S:.0f} s; start some with 'dask "
-                    f"worker {address} --nthreads 1', and continue."
-                )
-        yield ready
-
-
-def _next_of(finished: "queue.SimpleQueue[Future]") -> "Future | None":
-    try:
-        return finished.get(timeout=_WORKERS_EVERY_S)
-    except queue.Empty:
-        return None
-
-
-def _result(future: "Future", address: str) -> Any:
-    from distributed import CancelledError, KilledWorker
+@contextlib.contextmanager
+def _sentences(address: str) -> Iterator[None]:
+    """Convert the errors of a cluster in a `with` block to sentences."""
+    from distributed import KilledWorker
 
     try:
-        return future.result()
+        yield
     except KilledWorker as error:
         raise BadInputError(
             f"--scheduler {address}: one task has ended {error.allowed_failures + 1} workers, the last at "
@@ -248,7 +183,7 @@ def _result(future: "Future", address: str) -> Any:
             "continue."
         ) from error
     except (ImportError, RuntimeError) as error:
-        is_without_program = (error.name or "").startswith(__package__) if isinstance(error, ImportError) else False
+        is_without_program = (error.name or "").startswith("wlr_render") if isinstance(error, ImportError) else False
         if is_without_program or "deserializ" in str(error):
             raise _not_loaded(f"--scheduler {address}: the scheduler or a worker", error) from error
         raise
@@ -263,9 +198,8 @@ def _not_loaded(who: str, error: Exception) -> BadInputError:
 
 def _run_here(payload: bytes, conditions: dict[str, Any]) -> Any:
     """Run one task in a worker, in the folder that the caller runs in."""
-    global is_cluster_worker
     _check_worker(conditions)
-    is_cluster_worker = True
+    atomic_files.is_cluster_worker = True
     os.environ.setdefault(OPENGL_THREADS, "1")
     _keep_memory_for_arrays()
     try:
@@ -273,7 +207,7 @@ def _run_here(payload: bytes, conditions: dict[str, Any]) -> Any:
             run, task = _loaded(payload)
             return run(task)
     finally:
-        is_cluster_worker = False
+        atomic_files.is_cluster_worker = False
 
 
 def _loaded(payload: bytes) -> Any:

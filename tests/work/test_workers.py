@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from wlr_render.errors import BadInputError
-from wlr_render.processes import WorkerPool, as_finished, usable_cores
+from wlr_render.work.workers import WorkerPool, as_finished, usable_cores
 
 
 def test_every_task_is_done_once_with_one_thread_each(monkeypatch):
@@ -40,7 +40,7 @@ def test_a_fault_of_a_task_comes_back():
 
 WORK = """
 import os, signal, sys, time
-from wlr_render.processes import WorkerPool, as_finished
+from wlr_render.work.workers import WorkerPool, as_finished
 
 def work(number):
     open(f"begun {os.getpid()}", "w").close()

@@ -6,26 +6,31 @@ Not joblib: its loky prints a traceback on Ctrl-C, and its workers outlive a par
 import contextlib
 import multiprocessing
 import os
+import queue
 import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from wlr_render import cluster
 from wlr_render.errors import BadInputError
+from wlr_render.io import atomic_files
+from wlr_render.work import cluster
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 _GRACE_S = 1.0
 """Time for an abandoned task to remove its temporary files."""
+_WORKERS_EVERY_S = 1.0
+"""Interval between checks that there are workers, while no result arrives."""
+_NO_WORKER_S = 120.0
+"""Time for which a cluster may have no worker: a queue starts them later, a killed one is started again."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,7 @@ def as_finished(
     This returns only once the scheduler has answered; tasks begin when the first result is requested. Every process
     computes with one thread, so that the order of sums does not depend on the number of workers. Workers exit with this
     process, or when the caller stops iterating or is interrupted; running tasks are abandoned. The workers of a cluster
-    finish theirs.
+    finish theirs, and the tasks of a lost worker are given to another one.
 
     Args:
         run: function of a task; it and its results must be picklable.
@@ -66,27 +71,76 @@ def as_finished(
         folder: folder that they write into; the machines of a cluster have to share it.
 
     Raises:
-        BadInputError: a worker was killed, e.g. because the memory was full, or the cluster cannot run the tasks.
+        BadInputError: a worker was killed, e.g. because the memory was full; no scheduler answers, it has no workers, a
+            worker has other versions or does not see the folder, or a task ended several workers.
         MissingExtraError: there is a scheduler, and Dask is not installed.
     """
     if not tasks:
         return iter(())
-    if workers.scheduler is not None:
-        return cluster.as_finished_by_cluster(run, tasks, workers.scheduler, folder)
-    return _as_finished_here(run, tasks, workers.processes)
+    results = _results(run, tasks, workers, folder)
+    next(results)
+    return results
 
 
-def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], workers: int | None) -> Iterator[Result]:
+def _results(
+    run: Callable[[Task], Result], tasks: Sequence[Task], workers: WorkerPool, folder: Path | None
+) -> Iterator[Any]:
+    """Yield None once the scheduler answers, before a task begins, then each result."""
+    address = workers.scheduler or ""
+    pool = cluster.dask_workers(address, folder) if address else _own_processes(workers.processes)
+    with pool as (submit, has_workers):
+        yield None
+        futures = [submit(run, task) for task in tasks]
+        for future in _as_completed(futures, has_workers, address):
+            yield future.result()
+
+
+def _as_completed(
+    futures: Sequence[Future[Any]], has_workers: Callable[[], bool], address: str
+) -> Iterator[Future[Any]]:
+    """Yield the futures in the order of completion.
+
+    Raises:
+        BadInputError: there has been no worker for long.
+    """
+    finished: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
+    for future in futures:
+        future.add_done_callback(finished.put)
+    for _ in futures:
+        last_seen_s = time.monotonic()
+        while (ready := _next_of(finished)) is None:
+            if has_workers():
+                last_seen_s = time.monotonic()
+            elif time.monotonic() - last_seen_s > _NO_WORKER_S:
+                raise BadInputError(
+                    f"--scheduler {address}: it has had no worker for {_NO_WORKER_S:.0f} s; start some with 'dask "
+                    f"worker {address} --nthreads 1', and continue."
+                )
+        yield ready
+
+
+def _next_of(finished: queue.SimpleQueue[Future[Any]]) -> Future[Any] | None:
+    try:
+        return finished.get(timeout=_WORKERS_EVERY_S)
+    except queue.Empty:
+        return None
+
+
+@contextlib.contextmanager
+def _own_processes(count: int | None) -> Iterator[cluster.Pool]:
+    """Start processes of this machine for a `with` block, which abandons their tasks if it ends early."""
     context = multiprocessing.get_context("spawn")
     # Only this process has the write end: the workers read end-of-file when this process or the system closes it.
     watched, alive = context.Pipe(duplex=False)
     with watched, alive:
-        pool = ProcessPoolExecutor(workers or usable_cores(), context, _prepare_worker, (watched,))
-        try:
+        pool = ProcessPoolExecutor(count or usable_cores(), context, _prepare_worker, (watched,))
+
+        def submit(run: Callable[[Any], Any], task: Any) -> Future[Any]:
             with _inherited_by_workers():
-                futures = [pool.submit(partial(_run_or_end, run), task) for task in tasks]
-            for future in as_completed(futures):
-                yield future.result()
+                return pool.submit(_run_or_end, run, task)
+
+        try:
+            yield submit, lambda: True
             pool.shutdown()
         except BrokenProcessPool as error:
             raise BadInputError(
@@ -99,7 +153,7 @@ def _as_finished_here(run: Callable[[Task], Result], tasks: Sequence[Task], work
 
 def usable_cores() -> int:
     """Return the cores that this process may use; one core for a worker of another process."""
-    if cluster.is_cluster_worker or multiprocessing.parent_process() is not None:
+    if atomic_files.is_cluster_worker or multiprocessing.parent_process() is not None:
         return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

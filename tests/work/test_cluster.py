@@ -23,15 +23,15 @@ from small_photo_session import far_panel_device, small_plan
 
 from benchmarks.accuracy.study import AccuracyOptions
 from benchmarks.accuracy.study import run as accuracy
-from wlr_render import cluster
 from wlr_render.errors import BadInputError
 from wlr_render.extras import MissingExtraError
 from wlr_render.io import atomic_files
 from wlr_render.io.kept import LEDGER
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.jobs.simulate import SimulateOptions, simulate
-from wlr_render.processes import WorkerPool, as_finished
 from wlr_render.simulation.photographs import simulate_photo_session
+from wlr_render.work import cluster, workers
+from wlr_render.work.workers import WorkerPool, as_finished
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed; install it: pip install '.[dask]'")
 
@@ -308,7 +308,7 @@ def test_a_worker_that_does_not_see_the_folder(address, tmp_path, monkeypatch):
 
 
 def test_a_cluster_without_workers_is_not_waited_for_forever(monkeypatch):
-    monkeypatch.setattr(cluster, "_NO_WORKER_S", 0.2)
+    monkeypatch.setattr(workers, "_NO_WORKER_S", 0.2)
     with (
         distributed.SpecCluster({}, {"cls": distributed.Scheduler, "options": {"dashboard_address": ":0"}}) as empty,
         pytest.raises(BadInputError, match="it has had no worker for 0 s; start some with 'dask worker"),
@@ -345,7 +345,7 @@ def test_workers_and_scheduler_exclude_each_other():
 def test_results_are_taken_at_once_and_the_scheduler_is_seldom_asked_for_workers(address, monkeypatch):
     asked, before = [], distributed.Client.scheduler_info
     monkeypatch.setattr(distributed.Client, "scheduler_info", lambda *given, **named: asked.append(1) or before(*given))
-    monkeypatch.setattr(cluster, "_WORKERS_EVERY_S", 1000.0)  # longer than the time limit of the test run
+    monkeypatch.setattr(workers, "_WORKERS_EVERY_S", 1000.0)  # longer than the time limit of the test run
     assert sorted(done(address, abs, range(20))) == list(range(20))
     assert not asked
 
