@@ -123,38 +123,8 @@ class _Rays:
     box: Box
     wavelength_um: float
 
-    def traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Trace rays with assembly errors: pixels (n, 2) or deviations (n, 4), and which rays pass."""
-        raise NotImplementedError
 
-    def by_stepped_values(self, samples: _Samples, outputs: FloatArray) -> FloatArray:
-        """Return (n, outputs, 12) derivatives of what `traced` returns by the assembly errors, along fixed rays."""
-        stepped = self.values + _VALUE_STEP * np.eye(len(self.values))
-        changed = [self.traced(values, samples.place, samples.tangents)[0] for values in stepped]
-        return np.stack([moved - outputs for moved in changed], axis=-1) / _VALUE_STEP
-
-    def lattice(self, limits: Limits) -> tuple[FloatArray, FloatArray]:
-        """Return the places and tangents, (n, 2) each, enough for these orders."""
-        raise NotImplementedError
-
-    def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Return the places and tangents, (n, 2) each."""
-        raise NotImplementedError
-
-    def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
-        """Trace rays and keep the rays that pass, in the box grown by `border` of its size."""
-        raise NotImplementedError
-
-    def by_values(self, samples: _Samples) -> FloatArray:
-        """Return (n, outputs, 12) derivatives of the outputs by the assembly errors, at constant inputs."""
-        raise NotImplementedError
-
-    def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
-        """Return the angles (n,) of differences (n, outputs) of the outputs."""
-        raise NotImplementedError
-
-
-def _compiled(rays: _Rays, ladder: tuple[Limits, ...]) -> CompiledMap:
+def _compiled(rays: "_DisplayRays | _SeeThroughRays", ladder: tuple[Limits, ...]) -> CompiledMap:
     check = rays.samples(*rays.random(np.random.default_rng(0)))
     for limits in ladder:
         orders = limited_orders(2, limits[0], 2, limits[1], limits[2])
@@ -170,6 +140,13 @@ def _compiled(rays: _Rays, ladder: tuple[Limits, ...]) -> CompiledMap:
     by_values = rays.by_values(fitted)
     change = solve(by_values.reshape(len(by_values), -1)).reshape(len(orders), -1, len(ASSEMBLY_NAMES))
     return CompiledMap(polynomial, change, rms, check.reached)
+
+
+def _by_stepped_values(rays: "_DisplayRays | _SeeThroughRays", samples: _Samples, outputs: FloatArray) -> FloatArray:
+    """Return (n, outputs, 12) derivatives of traced outputs by the assembly errors, along fixed rays."""
+    stepped = rays.values + _VALUE_STEP * np.eye(len(rays.values))
+    changed = [rays.traced(values, samples.place, samples.tangents)[0] for values in stepped]
+    return np.stack([moved - outputs for moved in changed], axis=-1) / _VALUE_STEP
 
 
 def _ridge_regression(inputs: FloatArray, orders: IntArray, box: Box) -> Callable[[FloatArray], FloatArray]:
@@ -191,6 +168,7 @@ class _DisplayRays(_Rays):
     """Rays of the display, traced from the eye; each meets the panel in some pixel."""
 
     def traced(self, values: FloatArray, place: FloatArray, tangents: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Trace rays with assembly errors: pixels (n, 2), and which rays pass."""
         display = TracedDisplay(assembled(self.optics, values), self.wavelength_um)
         pixel, status = display.plane_pixel(dir_of_tangents(tangents), self.plane.lift(place))
         return pixel, np.asarray(status == Status.OK)
@@ -224,11 +202,13 @@ class _DisplayRays(_Rays):
         return np.repeat(place, len(unit), axis=0), (low + unit * (high - low)).reshape(-1, 2)
 
     def random(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Return random places and tangents, (n, 2) each."""
         place = rng.uniform(self.box.low[2:], self.box.high[2:], (_CHECKED, 2))
         reach = self._reach()
         return place, rng.uniform(reach[0], reach[-1], (_CHECKED, 2))
 
     def samples(self, place: FloatArray, tangents: FloatArray, border: float = 0.0) -> _Samples:
+        """Trace rays and keep the rays that pass, in the box grown by `border` of its size."""
         pixel, passes = self.traced(self.values, place, tangents)
         meant = self._in_box(pixel, border)
         kept = meant & passes
@@ -241,7 +221,7 @@ class _DisplayRays(_Rays):
         pixel = samples.inputs[:, :2]
         shifted = [self.traced(self.values, place, tangents + _TANGENT_STEP * axis)[0] for axis in np.eye(2)]
         by_tangents = np.stack([moved - pixel for moved in shifted], axis=-1) / _TANGENT_STEP
-        return np.asarray(-np.linalg.solve(by_tangents, self.by_stepped_values(samples, pixel)))
+        return np.asarray(-np.linalg.solve(by_tangents, _by_stepped_values(self, samples, pixel)))
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
         """Return the angles between the view directions."""
@@ -274,7 +254,7 @@ class _SeeThroughRays(_Rays):
         return _Samples(place, tangents, _joined(place, tangents), deviation[passes], float(passes.mean()))
 
     def by_values(self, samples: _Samples) -> FloatArray:
-        return self.by_stepped_values(samples, samples.outputs)
+        return _by_stepped_values(self, samples, samples.outputs)
 
     def error_arcmin(self, difference: FloatArray, samples: _Samples) -> FloatArray:
         """Return the larger of the errors at the nearest point and at infinity."""
