@@ -10,20 +10,21 @@ from wlr_render.io.input_files import shown
 from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
+from wlr_render.optics.device_keys import MOST_POWER
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.sequence import (
-    MOST_POWER,
     LensFile,
     LensReading,
     LensSurface,
     box_aperture,
+    by_power,
+    conic,
     constant_glass,
     number_of,
     require_surfaces,
-    toroid,
 )
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.sag_surfaces import SumOfProfiles, XYPolynomial
+from wlr_render.optics.sag_surfaces import SumOfProfiles
 from wlr_render.optics.surfaces import Conic, Shape
 
 _MM = 1e-3
@@ -68,7 +69,7 @@ def read_optiland(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFil
                 _aperture(entry, reading),
             )
         )
-    return LensFile(str(file.raw("name") or "")[:200], tuple(surfaces), tuple(reading.notes))
+    return reading.lens_file(str(file.raw("name") or "")[:200], surfaces)
 
 
 def _pose(frame: Table, infinite: bool, depth: int = 0) -> FloatArray:
@@ -96,7 +97,7 @@ def _medium(entry: Table, reading: LensReading) -> Medium:
     if kind == "Material":
         reference = material.raw("reference")
         makers = (reference,) if isinstance(reference, str) else ()
-        return reading.required_glass("material_post", material.text("name"), material.where, makers)
+        return reading.required_glass("material_post", material.text("name"), makers)
     raise material.fail(f"material {shown(kind)} is not read; write it as IdealMaterial, AbbeMaterial or Material.")
 
 
@@ -109,12 +110,10 @@ def _aperture(entry: Table, reading: LensReading) -> ClearAperture:
         low, high = ([_MM * number_of(aperture, f"{axis}_{end}") for axis in "xy"] for end in ("min", "max"))
         return box_aperture(low, high)
     if kind in ("RadialAperture", "OffsetRadialAperture"):
-        half = _MM * number_of(aperture, "r_max")
-        x, y = (_MM * number_of(aperture, key, 0.0) for key in ("offset_x", "offset_y"))
-        reading.ignore("aperture", kind, "a circle: the square around it is the clear aperture")
         if number_of(aperture, "r_min", 0.0) > 0:
             reading.ignore("r_min", number_of(aperture, "r_min"), "rays pass the middle of the ring")
-        return box_aperture((x - half, y - half), (x + half, y + half))
+        centre = [number_of(aperture, key, 0.0) for key in ("offset_x", "offset_y")]
+        return reading.circle("aperture", kind, centre, number_of(aperture, "r_max"))
     reading.ignore("aperture", kind, "this form is not read: the surface is open")
     return box_aperture()
 
@@ -139,30 +138,23 @@ def _coefficients(geometry: Table, key: str = "coefficients") -> FloatArray:
 def _shape(geometry: Table, reading: LensReading) -> Shape:
     kind = geometry.text("type")
     if kind not in _SHAPES:
-        reading.ignore("geometry", kind, "this shape is not read: its conic stands in its place", True, "shape")
+        reading.unread_shape("geometry", kind)
     return _SHAPES.get(kind, _conic)(geometry, reading)
 
 
 def _conic(geometry: Table, reading: LensReading) -> Conic:
-    return Conic(_curvature(geometry), number_of(geometry, "conic", 0.0))
+    return conic(_curvature(geometry), number_of(geometry, "conic", 0.0))
 
 
 def _asphere_of(step: int) -> Callable[[Table, LensReading], Shape]:
     """Return a reader of terms r^step, r^(2 step), ..."""
     return lambda geometry, reading: reading.asphere(
-        _conic(geometry, reading), step, _coefficients(geometry).ravel().tolist(), "coefficients"
+        _conic(geometry, reading), by_power(step, _coefficients(geometry).ravel().tolist()), "coefficients"
     )
 
 
 def _polynomial(geometry: Table, reading: LensReading) -> Shape:
-    in_mm, base = np.atleast_2d(_coefficients(geometry)), _conic(geometry, reading)
-    if not in_mm.any():
-        return base
-    m, n = np.indices(in_mm.shape)
-    if np.any(in_mm[m + n > MOST_POWER]):
-        reading.ignore("coefficients", f"above order {MOST_POWER}", "orders that a device file does not have", True)
-    coefficients = np.where(m + n > MOST_POWER, 0.0, in_mm) * _MM ** (1.0 - m - n)
-    return XYPolynomial(coefficients, base.curvature, base.conic if base.curvature else 0.0)
+    return reading.polynomial(_conic(geometry, reading), np.atleast_2d(_coefficients(geometry)), "coefficients")
 
 
 def _biconic(geometry: Table, reading: LensReading) -> Shape:
@@ -175,12 +167,8 @@ def _biconic(geometry: Table, reading: LensReading) -> Shape:
 
 def _toroid(geometry: Table, reading: LensReading) -> Shape:
     x, y = (_curvature(geometry, f"radius_{axis}") for axis in "xy")
-    conic, terms = number_of(geometry, "conic_yz", 0.0), _coefficients(geometry, "coeffs_poly_y")
-    if terms.any():
-        reading.ignore("coeffs_poly_y", terms.tolist(), "terms of y of a toroid are not read", True)
-    if x and y and conic:
-        reading.ignore("conic_yz", conic, "the conic of a toroid is not read: it is a circle", True)
-    return toroid((x, y), (0.0, conic))
+    terms = _coefficients(geometry, "coeffs_poly_y").ravel().tolist()
+    return reading.toroid((x, y), (0.0, number_of(geometry, "conic_yz", 0.0)), terms, ("conic_yz", "coeffs_poly_y"))
 
 
 _SHAPES: dict[str, Callable[[Table, LensReading], Shape]] = {

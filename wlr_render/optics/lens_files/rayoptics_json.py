@@ -18,12 +18,13 @@ from wlr_render.optics.lens_files.sequence import (
     LensReading,
     LensSurface,
     box_aperture,
+    by_power,
+    conic,
     constant_glass,
     finite,
     number_of,
     require_surfaces,
     shift,
-    toroid,
 )
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Conic, Shape
@@ -102,7 +103,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         if number == 0:
             thickness, decentre = 0.0, None
         before = decentre
-    return LensFile(str(system.raw("title") or "")[:200], tuple(surfaces), tuple(reading.notes))
+    return reading.lens_file(str(system.raw("title") or "")[:200], surfaces)
 
 
 def _class_of(entry: Table) -> str:
@@ -166,7 +167,7 @@ def _medium(gap: Table, reading: LensReading) -> Medium:
         if kind in _POWERS_OF_MAKERS and len(coefficients) == len(_POWERS_OF_MAKERS[kind]):
             powers = zip(coefficients, _POWERS_OF_MAKERS[kind], strict=True)
             return require_glass(Medium.squared(name, (), powers), where)
-    return reading.required_glass("medium", name, where, (kind.removesuffix("Glass"),))
+    return reading.required_glass("medium", name, (kind.removesuffix("Glass"),))
 
 
 def _aperture(surface: Table, reading: LensReading) -> ClearAperture:
@@ -174,18 +175,15 @@ def _aperture(surface: Table, reading: LensReading) -> ClearAperture:
     if not apertures:
         return box_aperture()
     first, kind = apertures[0].table("attributes"), _class_of(apertures[0])
-    x, y = (reading.unit * number_of(first, key, 0.0) for key in ("x_offset", "y_offset"))
-    if kind == "Circular":
-        half_x = half_y = reading.unit * number_of(first, "radius")
-        reading.ignore("clear_apertures", kind, "a circle: the square around it is the clear aperture")
-    elif kind == "Rectangular":
-        half_x, half_y = (reading.unit * number_of(first, f"{axis}_half_width") for axis in "xy")
-    else:
-        reading.ignore("clear_apertures", kind, "this form is not read: the surface is open")
-        half_x = half_y = np.inf
     if len(apertures) > 1 or first.raw("rotation"):
         reading.ignore("clear_apertures", len(apertures), "only the first, unturned, is read")
-    return box_aperture((x - half_x, y - half_y), (x + half_x, y + half_y))
+    centre = [number_of(first, f"{axis}_offset", 0.0) for axis in "xy"]
+    if kind == "Circular":
+        return reading.circle("clear_apertures", kind, centre, number_of(first, "radius"))
+    if kind == "Rectangular":
+        return reading.rectangle(centre, [number_of(first, f"{axis}_half_width") for axis in "xy"])
+    reading.ignore("clear_apertures", kind, "this form is not read: the surface is open")
+    return box_aperture()
 
 
 def _shape(surface: Table, profiles: Table | None, reading: LensReading) -> Shape:
@@ -197,21 +195,21 @@ def _shape(surface: Table, profiles: Table | None, reading: LensReading) -> Shap
         return Conic(0.0)
     kind, attributes = _class_of(profile), profile.table("attributes")
     curvature = number_of(attributes, "cv", 0.0) / reading.unit
-    conic = number_of(attributes, "cc", 0.0)
+    constant = number_of(attributes, "cc", 0.0)
     if attributes.raw("cc") is None and attributes.raw("ec") is not None:
-        conic = number_of(attributes, "ec") - 1.0
+        constant = number_of(attributes, "ec") - 1.0
     terms = _array(attributes, "coefs") if attributes.has("coefs") else []
+    base = conic(curvature, constant)
     if kind in ("EvenPolynomial", "RadialPolynomial"):
-        return reading.asphere(Conic(curvature, conic), 2 if kind == "EvenPolynomial" else 1, terms, "coefs")
+        return reading.asphere(base, by_power(2 if kind == "EvenPolynomial" else 1, terms), "coefs")
     if kind in ("XToroid", "YToroid"):
         around = number_of(attributes, "cR", 0.0) / reading.unit
-        if any(_array(attributes, "coefs")) or (conic and around) or (kind == "XToroid" and curvature and around):
-            reason = "taken as a toroid of two circles, turned about an axis along y"
-            reading.ignore("profile", kind, reason, True)
-        # Two circles make the same toroid about either axis, as its note says.
-        if kind == "YToroid" or (curvature and around):
-            return toroid((around, curvature), (0.0, conic))
-        return toroid((curvature, around), (conic, 0.0))
+        has_two_radii = curvature != 0.0 and around != 0.0
+        if kind == "XToroid" and has_two_radii:
+            reading.ignore("profile", kind, "taken as turned about an axis along y", True)
+        if kind == "YToroid" or has_two_radii:
+            return reading.toroid((around, curvature), (0.0, constant), terms, ("cc", "coefs"))
+        return reading.toroid((curvature, around), (constant, 0.0), terms, ("cc", "coefs"))
     if kind not in ("Spherical", "Conic"):
-        reading.ignore("profile", kind, "this shape is not read: its conic stands in its place", True, "shape")
-    return Conic(curvature, conic)
+        reading.unread_shape("profile", kind)
+    return base

@@ -17,6 +17,7 @@ from wlr_render.io.input_files import shown
 from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
+from wlr_render.optics.device_keys import MOST_POWER
 from wlr_render.optics.lens_files.glass_catalogues import (
     GlassCatalogue,
     model_glass,
@@ -24,7 +25,7 @@ from wlr_render.optics.lens_files.glass_catalogues import (
     unknown_glass_remedy,
 )
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.sag_surfaces import Asphere, SumOfProfiles, Toroid
+from wlr_render.optics.sag_surfaces import Asphere, SumOfProfiles, Toroid, XYPolynomial
 from wlr_render.optics.surfaces import Conic, Shape
 
 UNITS_M = {
@@ -32,9 +33,6 @@ UNITS_M = {
     **{"m": 1.0, "me": 1.0, "meter": 1.0, "meters": 1.0},
 }
 """Metres of the units of length that lens files name."""
-
-MOST_POWER = 20
-"""Largest power of a coordinate in a device file."""
 
 _MOST_SURFACES = 1000
 _LARGEST = 1e12
@@ -73,6 +71,7 @@ class LensReading:
         unit: metres of the file's unit of length.
         surface: number of the surface that is being read; None for the file as a whole.
         notes: keys without a counterpart in the device.
+        unknown_glasses: surfaces by the name of their glass, which no catalogue has.
     """
 
     path: Path
@@ -80,6 +79,7 @@ class LensReading:
     unit: float = 1e-3
     surface: int | None = None
     notes: list[Ignored] = field(default_factory=list)
+    unknown_glasses: dict[str, list[str]] = field(default_factory=dict)
 
     def ignore(self, key: str, value: object, reason: str, bends_rays: bool = False, part: Part = "other") -> None:
         """Note a key that is not read, or is read with another meaning than in the file."""
@@ -92,26 +92,78 @@ class LensReading:
             self.ignore(key, name, found.note, found.is_other, "glass" if found.is_other else "other")
         return None if found is None else found.medium
 
-    def required_glass(self, key: str, name: str, where: str, manufacturers: Sequence[str] = ()) -> Medium:
-        """Find a glass as `glass` does; refuse one that no catalogue has. `where` begins the sentence."""
-        medium = self.glass(key, name, manufacturers)
-        if medium is None:
-            raise BadInputError(f"{where}: no catalogue has the glass {shown(name)}. {unknown_glass_remedy()}")
-        return medium
+    def required_glass(self, key: str, name: str, manufacturers: Sequence[str] = ()) -> Medium:
+        """Find a glass as `glass` does; without one, `lens_file` refuses the file."""
+        return self.glass(key, name, manufacturers) or self.unknown_glass(name)
+
+    def unknown_glass(self, name: str) -> Medium:
+        """Return a medium in place of a glass that no catalogue has; `lens_file` refuses the file."""
+        self.unknown_glasses.setdefault(name, []).append(str(self.surface))
+        return Medium(name)
 
     def model_glass(self, key: str, index: float, abbe: float, where: str) -> Medium:
         """Return a glass that the file states by n_d and V_d, and note it."""
         self.ignore(key, f"{index:g}, {abbe:g}", "taken by n_d and V_d; between lines it may differ", part="glass")
         return model_glass(index, abbe, where)
 
-    def asphere(self, base: Conic, step: int, terms: Sequence[float], key: str) -> Shape:
-        """Return a conic with terms in r^step, r^(2 step), ... in file units; note the terms that are left out."""
-        by_power = {step * place: term for place, term in enumerate(terms, 1)}
-        if by_power.get(1):
-            self.ignore(f"{key}[0]", by_power[1], "the term in r, a tip on the axis, is not read", True)
-        if any(term for power, term in by_power.items() if power > MOST_POWER):
+    def asphere(self, base: Conic, terms: Mapping[int, float], key: str) -> Shape:
+        """Return a conic with terms by their power of r in file units; note the terms that are left out."""
+        if tip := terms.get(1):
+            self.ignore(key, tip, "the term in r, a tip on the axis, is not read", True)
+        if any(term for power, term in terms.items() if power > MOST_POWER):
             self.ignore(key, f"above r{MOST_POWER}", "powers that a device file does not have", True)
-        return asphere(base, by_power, self.unit)
+        last = max((power for power, term in terms.items() if term and 2 <= power <= MOST_POWER), default=0)
+        scaled = tuple(float(terms.get(power, 0.0)) * self.unit ** (1 - power) for power in range(2, last + 1))
+        return Asphere(scaled, base.curvature, base.conic) if last else base
+
+    def polynomial(self, base: Conic, terms: FloatArray, key: str) -> Shape:
+        """Return a conic with terms (m, n) of x^m y^n in file units; note the terms that are left out."""
+        m, n = np.indices(terms.shape)
+        if np.any(terms[m + n > MOST_POWER]):
+            self.ignore(key, f"above order {MOST_POWER}", "orders that a device file does not have", True)
+        scaled = np.where(m + n > MOST_POWER, 0.0, terms) * self.unit ** (1.0 - m - n)
+        return XYPolynomial(scaled, base.curvature, base.conic) if scaled.any() else base
+
+    def toroid(
+        self, curvature: tuple[float, float], conic: tuple[float, float], terms: Sequence[float], keys: tuple[str, str]
+    ) -> Shape:
+        """Return a toroid of curvatures along x and y in 1/m; a cylinder with its conic, or a plane, without one.
+
+        Notes the conics, and terms of y, that are left out, under the keys (of the conic, of the terms).
+        """
+        x, y = curvature
+        if any(terms):
+            self.ignore(keys[1], list(terms), "terms of y of a toroid are not read", True)
+        if not (x and y):
+            return SumOfProfiles(curvature, (conic[0] if x else 0.0, conic[1] if y else 0.0)) if x or y else Conic(0.0)
+        if any(conic):
+            self.ignore(keys[0], sum(conic), "the conic of a toroid is not read: it is a circle", True)
+        return Toroid(1.0 / x, 1.0 / y)
+
+    def unread_shape(self, key: str, kind: str, bends_rays: bool = True) -> None:
+        """Note a surface of a type that is not read."""
+        self.ignore(key, kind, "this type is not read: its conic stands in its place", bends_rays, "shape")
+
+    def rectangle(self, centre: Sequence[float], half: Sequence[float]) -> ClearAperture:
+        """Return an aperture by its centre and half sides in file units."""
+        low, high = (self.unit * (np.array(centre) + sign * np.array(half)) for sign in (-1.0, 1.0))
+        return box_aperture(low.tolist(), high.tolist())
+
+    def circle(self, key: str, value: object, centre: Sequence[float], radius: float) -> ClearAperture:
+        """Return the square around a circular aperture; lengths in file units."""
+        self.ignore(key, value, "a circle: the square around it is the clear aperture")
+        return self.rectangle(centre, (radius, radius))
+
+    def lens_file(self, title: str, surfaces: Sequence["LensSurface"]) -> "LensFile":
+        """Return the content of the file.
+
+        Raises:
+            BadInputError: no catalogue has one of the glasses.
+        """
+        if self.unknown_glasses:
+            names = "; ".join(f"{name} (surface {', '.join(each)})" for name, each in self.unknown_glasses.items())
+            raise BadInputError(f"{self.path}: no catalogue has these glasses: {names[:300]}. {unknown_glass_remedy()}")
+        return LensFile(title, tuple(surfaces), tuple(self.notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,27 +252,14 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> FloatArray:
     return rigid(np.eye(3), np.array([x, y, z]))
 
 
-def asphere(base: Conic, terms: Mapping[int, float], unit: float) -> Shape:
-    """Return a conic with terms by their power of r, from r^2 to the largest of a device file; others are left out.
-
-    Args:
-        base: the conic, in metres; returned as it is without terms.
-        terms: factors by power, in file units.
-        unit: metres of a file unit.
-    """
-    last = max((power for power, term in terms.items() if term and 2 <= power <= MOST_POWER), default=0)
-    if not last:
-        return base
-    scaled = tuple(float(terms.get(power, 0.0)) * unit ** (1 - power) for power in range(2, last + 1))
-    return Asphere(scaled, base.curvature, base.conic if base.curvature else 0.0)
+def by_power(step: int, terms: Sequence[float]) -> dict[int, float]:
+    """Return factors of r^step, r^(2 step), ... by their power."""
+    return {step * place: term for place, term in enumerate(terms, 1)}
 
 
-def toroid(curvature: tuple[float, float], conic: tuple[float, float]) -> Shape:
-    """Return the toroid of two curvatures along x and y in 1/m; a cylinder with its conic, or a plane, without one."""
-    x, y = curvature
-    if x and y:
-        return Toroid(1.0 / x, 1.0 / y)
-    return SumOfProfiles(curvature, (conic[0] if x else 0.0, conic[1] if y else 0.0)) if x or y else Conic(0.0)
+def conic(curvature: float, constant: float) -> Conic:
+    """Return a conic of a curvature in 1/m; a plane has no conic constant."""
+    return Conic(curvature, constant if curvature else 0.0)
 
 
 def constant_glass(index: float, where: str) -> Medium:

@@ -10,7 +10,7 @@ from wlr_render.geometry.transforms import rigid, rotation_about
 from wlr_render.io.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, unknown_glass_remedy
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass
 from wlr_render.optics.lens_files.lens_text import read_lens_lines
 from wlr_render.optics.lens_files.sequence import UNITS_M, LensFile, LensSurface, box_aperture, require_surfaces, shift
 from wlr_render.optics.lens_files.zemax_lines import ZemaxReading, ZemaxSurface
@@ -78,12 +78,7 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
         )
         if surface.number:
             pose = pose @ shift(z=thickness)
-    if reading.unknown_glasses:
-        names = "; ".join(
-            f"{name} (surface {', '.join(map(str, numbers))})" for name, numbers in reading.unknown_glasses.items()
-        )
-        raise BadInputError(f"{path}: no catalogue has these glasses: {names[:300]}. {unknown_glass_remedy()}")
-    return LensFile(title, tuple(taken), tuple(reading.notes))
+    return reading.lens_file(title, taken)
 
 
 def _split(reading: ZemaxReading) -> tuple[dict[str, tuple[list[str], int]], list[ZemaxSurface]]:
@@ -173,10 +168,7 @@ def _glass(surface: ZemaxSurface, before: Medium) -> tuple[bool, Medium]:
         return True, before
     is_model = words[1:2] == [_MODEL_GLASS] or re.fullmatch("_+BLANK", name.upper()) is not None
     medium = None if is_model else reading.glass("GLAS", name, reading.manufacturers)
-    medium = medium or _stated_glass(reading, words, line, is_model)
-    if medium is None:
-        reading.unknown_glasses.setdefault(name, []).append(surface.number)
-    return False, medium or Medium(name)
+    return False, medium or _stated_glass(reading, words, line, is_model) or reading.unknown_glass(name)
 
 
 def _stated_glass(reading: ZemaxReading, words: list[str], line: int, is_model: bool) -> Medium | None:
@@ -201,19 +193,17 @@ def _stated_glass(reading: ZemaxReading, words: list[str], line: int, is_model: 
 
 def _aperture(surface: ZemaxSurface) -> ClearAperture:
     """Return the aperture that stops rays; a circle becomes the square around it."""
-    ignore, unit = surface.reading.ignore, surface.reading.unit
+    ignore = surface.reading.ignore
     centre = surface.pair("OBDC") or (0.0, 0.0)
     for key in ("CLAP", "FLAP", "SQAP", "ELAP"):
         if pair := surface.pair(key):
             first, second = pair
-            half = pair if key in ("SQAP", "ELAP") else (second, second)
             if key == "ELAP":
                 ignore(key, f"{first:g} {second:g}", "an ellipse: the rectangle around it is clear")
-            elif key != "SQAP":
-                ignore(key, f"{second:g}", "a circle: the square around it is the clear aperture")
-                if first > 0:
-                    ignore(key, f"{first:g}", "inner radius of a ring: rays pass its middle")
-            if min(half) > 0:
-                low, high = (unit * np.array(centre) + sign * unit * np.array(half) for sign in (-1.0, 1.0))
-                return box_aperture(low.tolist(), high.tolist())
+            elif key != "SQAP" and first > 0:
+                ignore(key, f"{first:g}", "inner radius of a ring: rays pass its middle")
+            if key in ("CLAP", "FLAP") and second > 0:
+                return surface.reading.circle(key, f"{second:g}", centre, second)
+            if key in ("SQAP", "ELAP") and min(pair) > 0:
+                return surface.reading.rectangle(centre, pair)
     return box_aperture()

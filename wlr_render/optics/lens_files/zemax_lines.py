@@ -15,11 +15,9 @@ class ZemaxReading(LensReading):
 
     Attributes:
         manufacturers: names of glass catalogues in the header.
-        unknown_glasses: surfaces by the name of their glass, which no catalogue has.
     """
 
     manufacturers: tuple[str, ...] = ()
-    unknown_glasses: dict[str, list[int]] = field(default_factory=dict)
 
     def number(self, words: list[str], place: int, line: int, key: str, infinite: bool = False) -> float:
         """Return a number of a line, with a point or a comma."""
