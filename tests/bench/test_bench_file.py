@@ -14,8 +14,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import rigid
 from wlr_render.io.file_records import attributes
 from wlr_render.io.toml_files import read_toml
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.device_writer import device_content
+from wlr_render.optics.device_file import device_content, load_device
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "bench-session.md"
 TOML = """

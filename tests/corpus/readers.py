@@ -12,8 +12,7 @@ from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.captures.photographs import read_photograph
 from wlr_render.io.toml_files import Table
 from wlr_render.models.model_file import load_eye_models
-from wlr_render.optics.device_file import device_of, load_device
-from wlr_render.optics.device_writer import device_content
+from wlr_render.optics.device_file import device_content, device_of, load_device
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, headset_of_lens
 from wlr_render.optics.lens_files.lens_file import read_lens_file

@@ -12,8 +12,7 @@ from wlr_render.diagnosis.cause import Role
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.optics.assembly import ASSEMBLY_ERRORS, assembled
 from wlr_render.optics.device import Path
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.device_writer import save_device
+from wlr_render.optics.device_file import load_device, save_device
 from wlr_render.optics.tracer import trace
 
 NAMES = {

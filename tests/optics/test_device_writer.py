@@ -11,8 +11,7 @@ from wlr_render.io.atomic_files import shipped_names
 from wlr_render.mappings import Status
 from wlr_render.optics.assembly import combiner_middle
 from wlr_render.optics.device import ClearAperture, Interaction, Path, PlacedSurface, Step, mirrored
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.device_writer import save_device
+from wlr_render.optics.device_file import load_device, save_device
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.raised import FormError, Offset, raised
 from wlr_render.optics.sag_surfaces import (

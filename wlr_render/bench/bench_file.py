@@ -26,8 +26,7 @@ from wlr_render.io.file_records import Place, read_record, record_keys
 from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import Device
-from wlr_render.optics.device_file import load_device
-from wlr_render.optics.device_writer import device_content, save_device
+from wlr_render.optics.device_file import device_content, load_device, save_device
 
 _MOST_POSES = 10_000
 _MOST_SIGMA = 1e6

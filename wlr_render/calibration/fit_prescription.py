@@ -22,7 +22,7 @@ from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES, assembled
 from wlr_render.optics.compile_polynomials import CompiledMap, compile_display, compile_see_through
 from wlr_render.optics.device import Device, EyeOptics
-from wlr_render.optics.device_writer import device_content
+from wlr_render.optics.device_file import device_content
 from wlr_render.optics.traced_mappings import TracedDisplay
 from wlr_render.optics.tracer import trace
 

@@ -15,8 +15,7 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Options, ProgressArgument, Range, described, described_size, option_group
 from wlr_render.optics.device import Device
-from wlr_render.optics.device_file import device_of
-from wlr_render.optics.device_writer import device_content, save_device
+from wlr_render.optics.device_file import device_content, device_of, save_device
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, ImportedHeadset, headset_of_lens
 from wlr_render.optics.lens_files.lens_file import read_lens_file

@@ -1,15 +1,17 @@
-"""Read device prescriptions (format: devices/README.md). Converts millimetres and degrees to metres and radians."""
+"""Read and write device prescriptions (format: devices/README.md). Files have millimetres and degrees."""
 
+from dataclasses import replace
 from pathlib import Path as FilePath
+from typing import Any
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import named_or_path
-from wlr_render.io.file_records import MM, Place, read_part, read_record
+from wlr_render.io.file_records import MM, Place, read_part, read_record, record_keys
 from wlr_render.io.input_files import require_pixels, shown
-from wlr_render.io.toml_files import Table, read_toml
+from wlr_render.io.toml_files import Table, read_toml, write_toml
 from wlr_render.optics.device import (
     ClearAperture,
     Device,
@@ -22,18 +24,39 @@ from wlr_render.optics.device import (
     mirrored,
 )
 from wlr_render.optics.device_keys import EYE_BOX, FIELD, SurfacePose
-from wlr_render.optics.device_media import read_medium
-from wlr_render.optics.device_shapes import SAG_SHAPES, SHAPES, read_shape
+from wlr_render.optics.device_media import medium_content, read_medium
 from wlr_render.optics.media import AIR, Medium
-from wlr_render.optics.raised import FormError, Offset, nesting, raised
-from wlr_render.optics.sag_surfaces import SagSurface
-from wlr_render.optics.surfaces import Shape
+from wlr_render.optics.raised import FormError, Offset, base_of, nesting, raised
+from wlr_render.optics.sag_surfaces import (
+    AnamorphicAsphere,
+    Asphere,
+    GaussianBump,
+    SagSurface,
+    SumOfProfiles,
+    Toroid,
+    XYPolynomial,
+)
+from wlr_render.optics.surfaces import Conic, Ellipsoid, Shape
 
 _OPEN_MM = 10.0  # least half width of a surface without an aperture
 _STEEPEST_SLOPE = 20.0  # largest slope of a surface given by its sag: 87 degrees
 _MOST = 100  # most surfaces, steps of a path, media, or form errors
 _DEEPEST = 6  # deepest nesting of surfaces based on others: the time for a ray grows exponentially with it
 _OTHER_SIDE = {"right": "left", "left": "right"}
+_SHAPES: dict[str, type[Shape]] = {
+    "plane": Conic,
+    "conic": Conic,
+    "ellipsoid": Ellipsoid,
+    "toroid": Toroid,
+    "asphere": Asphere,
+    "xy_polynomial": XYPolynomial,
+    "sum_of_profiles": SumOfProfiles,
+    "anamorphic": AnamorphicAsphere,
+    "bump": GaussianBump,
+}
+"""Classes of the shapes that are stated without another surface, by their names in a device file."""
+_SAG_SHAPES = sorted(kind for kind, made in _SHAPES.items() if issubclass(made, SagSurface))
+"""Shapes that are heights over x and y, as form errors are."""
 
 
 def load_device(spec: str | FilePath) -> Device:
@@ -129,9 +152,9 @@ def _surface(table: Table, place: Place, earlier: dict[str, PlacedSurface], base
     name = table.text("name")
     if name in earlier:
         raise table.fail(f"there is already a surface '{name}'; choose another name.")
-    kind = table.text("shape", choices=[*SHAPES, "offset", "raised"])
-    if kind in SHAPES:
-        surface = read_record(PlacedSurface, table, place, shape=read_shape(table, kind))
+    kind = table.text("shape", choices=[*_SHAPES, "offset", "raised"])
+    if kind in _SHAPES:
+        surface = read_record(PlacedSurface, table, place, shape=_read_shape(table, kind))
     else:
         bases[name] = _named(table, "of", "earlier surface", earlier)
         base = earlier[bases[name]]
@@ -145,6 +168,18 @@ def _surface(table: Table, place: Place, earlier: dict[str, PlacedSurface], base
     if isinstance(surface.shape, SagSurface):
         _require_smooth(table, surface.shape, surface.aperture)
     return surface
+
+
+def _read_shape(table: Table, kind: str) -> Any:
+    """Read the keys of one kind of shape."""
+    if kind == "plane":
+        return Conic(0.0)
+    shape = read_part(_SHAPES[kind], table)
+    if table.has("conic") and not table.has("radius_mm"):
+        raise table.fail("'conic' is there without 'radius_mm'; write both, or neither.")
+    if isinstance(shape, AnamorphicAsphere | SumOfProfiles) and not any(shape.curvature):
+        raise table.fail("neither radius_x_mm nor radius_y_mm is there; write at least one.")
+    return shape
 
 
 def _require_smooth(table: Table, shape: SagSurface, aperture: ClearAperture) -> None:
@@ -168,7 +203,7 @@ def _require_smooth(table: Table, shape: SagSurface, aperture: ClearAperture) ->
 
 def _form_error(table: Table, place: Place, base: PlacedSurface) -> FormError:
     """Return one [[eye.surface.error]], a shape z(x, y) with its pose."""
-    sag = read_shape(table, table.text("shape", choices=SAG_SHAPES))
+    sag = _read_shape(table, table.text("shape", choices=_SAG_SHAPES))
     error = FormError(sag, base.surface_from_device @ SurfacePose().read(table, place))
     table.finish()
     return error
@@ -197,3 +232,111 @@ def _path(entries: list[Table], surfaces: dict[str, PlacedSurface], media: dict[
         entry.finish()
         steps.append(Step(surface, interaction, medium))
     return Path(tuple(steps))
+
+
+def save_device(device: Device, path: str | FilePath) -> FilePath:
+    """Write a device that `load_device` reads back, to the rounding of its numbers.
+
+    Media of one name that differ between the eyes get the side added to the name. A displaced surface gets a separate
+    base if its base has another pose or is not in a path.
+    """
+    return write_toml(path, device_content(device))
+
+
+def device_content(device: Device) -> dict[str, Any]:
+    """Return the content that `save_device` writes; two devices are the same if it is equal."""
+    names = _medium_names(device)
+    head = {"name": device.name, "source": device.source, "frame": "openxr"}
+    media = [medium_content(name, medium) for medium, name in names.items() if medium != AIR]
+    eyes = _eye_tables(device, names)
+    return head | ({"medium": media} if media else {}) | {"eye": eyes}
+
+
+def _medium_names(device: Device) -> dict[Medium, str]:
+    """Return a name for each medium in use: its own name, unless another medium has it."""
+    names = {AIR: AIR.name}
+    for side, eye in device.eyes.items():
+        for step in eye.display.steps + eye.see_through.steps:
+            name = step.medium.name
+            while name in names.values() and step.medium not in names:
+                name = f"{name}_{side}"
+            names.setdefault(step.medium, name)
+    return names
+
+
+def _eye_tables(device: Device, names: dict[Medium, str]) -> list[dict[str, Any]]:
+    """Return one table for both eyes if one is the mirror image of the other, else one for each."""
+    first, *others = device.eyes
+    tables = {side: _eye_content(eye, names) for side, eye in device.eyes.items()}
+    if others and tables[others[0]] == _eye_content(mirrored(device.eyes[first]), names):
+        return [{"side": first, "also_mirrored": True} | tables[first]]
+    return [{"side": side} | table for side, table in tables.items()]
+
+
+def _eye_content(eye: EyeOptics, names: dict[Medium, str]) -> dict[str, Any]:
+    return {
+        "display_path": _path_content(eye.display, names),
+        "see_through_path": _path_content(eye.see_through, names),
+        **({} if eye.field is None else FIELD.keys(eye.field, Place())),
+        "eye_box": EYE_BOX.keys(eye.eye_box, Place()),
+        "panel": record_keys(eye.panel),
+        **_surface_tables(eye.surfaces()),
+    }
+
+
+def _path_content(path: Path, names: dict[Medium, str]) -> list[dict[str, Any]]:
+    return [
+        {"at": step.surface.name, "do": str(step.interaction)}
+        | ({"into": names[step.medium]} if step.interaction is Interaction.REFRACT else {})
+        for step in path.steps
+    ]
+
+
+def _surface_tables(surfaces: tuple[PlacedSurface, ...]) -> dict[str, Any]:
+    """Return all surfaces and the bases that displaced ones need, each base before the surfaces that refer to it."""
+    placed, bases = list(surfaces), dict[str, str]()
+    for surface in placed:  # grows by the bases, which may be displaced too
+        if (shape := base_of(surface.shape)) is None:
+            continue
+        base = _placed_base(surface, shape, placed)
+        bases[surface.name] = base.name
+        if base not in placed:
+            placed.append(base)
+    ordered = sorted(placed, key=lambda surface: nesting(surface.shape))
+    return {"surface": [_surface_content(surface, bases) for surface in ordered]} if placed else {}
+
+
+def _placed_base(surface: PlacedSurface, shape: Shape, placed: list[PlacedSurface]) -> PlacedSurface:
+    """Return the surface that is the base of a displaced one: an existing surface in its place, or a new one."""
+    for other in placed:
+        if other.shape == shape and np.array_equal(other.device_from_surface, surface.device_from_surface):
+            return other
+    name = f"{surface.name}_base"
+    while any(name == other.name for other in placed):
+        name += "_base"
+    return replace(surface, name=name, shape=shape)
+
+
+def _surface_content(surface: PlacedSurface, bases: dict[str, str]) -> dict[str, Any]:
+    shape, keys = surface.shape, record_keys(surface)
+    if not isinstance(shape, Offset):
+        return {"name": surface.name} | _shape_content(shape) | keys
+    content: dict[str, Any] = {"name": surface.name, "shape": "offset", "of": bases[surface.name]}
+    if shape.errors:
+        content |= {"shape": "raised", "error": [_error_content(surface, each) for each in shape.errors]}
+    else:
+        content |= record_keys(shape)
+    return content | {key: keys[key] for key in keys if key.startswith("aperture")}
+
+
+def _error_content(surface: PlacedSurface, error: FormError) -> dict[str, Any]:
+    pose = surface.device_from_surface @ error.surface_from_error
+    return _shape_content(error.sag) | SurfacePose().keys(pose, Place())
+
+
+def _shape_content(shape: Shape) -> dict[str, Any]:
+    """Return the keys that `_read_shape` reads, with the kind as `shape`."""
+    if isinstance(shape, Conic) and not shape.curvature:
+        return {"shape": "plane"}
+    (kind,) = (kind for kind, made in _SHAPES.items() if type(shape) is made and kind != "plane")
+    return {"shape": kind} | record_keys(shape)

@@ -18,7 +18,7 @@ from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
 from wlr_render.jobs.calibrate.photos import calibrated, report_of
 from wlr_render.models.model_file import load_eye_model
-from wlr_render.optics.device_writer import save_device
+from wlr_render.optics.device_file import save_device
 from wlr_render.optics.traced_mappings import traced_eye
 from wlr_render.report.blocks import Plot, Section
 from wlr_render.simulation.photographs.photo_plan import true_camera_poses
