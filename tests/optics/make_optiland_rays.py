@@ -145,12 +145,13 @@ def _polynomial(coefficients: np.ndarray, curvature: float, conic: float) -> dic
 
 def _expanded(shape: AnamorphicAsphere) -> np.ndarray:
     """The anamorphic terms as coefficients of x^m y^n."""
-    order = 2 * max(term.power for term in shape.terms)
+    order = max(term.order for term in shape.terms)
     result = np.zeros((order + 1, order + 1))
     for term in shape.terms:
-        for k in range(term.power + 1):
-            weight = comb(term.power, k) * (1 - term.asymmetry) ** (term.power - k) * (1 + term.asymmetry) ** k
-            result[2 * (term.power - k), 2 * k] += term.amplitude * weight
+        power, amplitude = term.order // 2, term.sag_mm * _MM ** (term.order - 1)
+        for k in range(power + 1):
+            weight = comb(power, k) * (1 - term.asymmetry) ** (power - k) * (1 + term.asymmetry) ** k
+            result[2 * (power - k), 2 * k] += amplitude * weight
     return result
 
 

@@ -16,7 +16,7 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Eyes, Options, ProgressArgument, described, eyes_of
 from wlr_render.optics.device import Device, EyeOptics
 from wlr_render.optics.device_file import device_path, load_device
-from wlr_render.optics.drawing import draw_device, require_eye
+from wlr_render.optics.drawing import draw_device
 from wlr_render.optics.first_order import FirstOrder, first_order
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
 from wlr_render.optics.ray_losses import SurfaceLosses, curvature_changes, display_losses, helpful_changes, on_panel
@@ -57,7 +57,7 @@ def trace(options: TraceOptions, *, progress: ProgressArgument = SILENT) -> Repo
     device = load_device(options.device)
     eyes = eyes_of(options.eye)
     for eye in eyes:
-        require_eye(device, eye)
+        device.optics(eye)  # before anything is written
     folder = output_folder(options.out)
     traced = [_trace_eye(options.device, device, eye, folder) for eye in progress(eyes, len(eyes), "eyes")]
     blocks = [block for each in traced for block in each.blocks]

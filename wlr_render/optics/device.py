@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import inverse
 from wlr_render.html_summary import SummaryTable, html_summary
 from wlr_render.io.file_records import LENGTH, Key, Keys, Quantity, Rule
@@ -194,6 +195,19 @@ class Device:
     name: str
     source: str
     eyes: dict[str, EyeOptics]
+
+    def optics(self, eye: str) -> EyeOptics:
+        """Return the optics of an eye.
+
+        Raises:
+            BadInputError: the device has no such eye.
+        """
+        if eye not in self.eyes:
+            raise BadInputError(
+                f"Device '{self.name}' has no {eye} eye; choose {' or '.join(self.eyes)}, or add it: also_mirrored = "
+                "true in a device file makes the other eye of one."
+            )
+        return self.eyes[eye]
 
     def __repr__(self) -> str:
         return f"Device({self.name!r}, eyes: {', '.join(self.eyes)})"

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_figure
 from wlr_render.mappings import Status
 from wlr_render.numerics.arrays import FloatArray
@@ -70,8 +69,7 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
     """
     from matplotlib.figure import Figure
 
-    require_eye(device, eye)
-    optics = device.eyes[eye]
+    optics = device.optics(eye)
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     figure.suptitle(f"{device.name}, {eye} eye")
     for axes, view in zip(figure.subplots(1, 2), VIEWS, strict=True):
@@ -82,16 +80,6 @@ def draw_device(device: Device, eye: str, path: str | FilePath) -> None:
             handles.setdefault(label, handle)
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=5, frameon=False)
     write_figure(path, figure, 150)
-
-
-def require_eye(device: Device, eye: str) -> None:
-    """Refuse an eye that the device does not have.
-
-    Raises:
-        BadInputError: the device has no such eye.
-    """
-    if eye not in device.eyes:
-        raise BadInputError(f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}.")
 
 
 def _draw_view(axes: "Axes", optics: EyeOptics, view: DrawingView) -> None:

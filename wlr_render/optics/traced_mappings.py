@@ -112,12 +112,7 @@ def traced_eye(device: Device, eye: str = "right", wavelength_um: float = GREEN_
         raise BadInputError(
             f"the wavelength is {shown(wavelength_um)}; give micrometres from {shortest:g} to {longest:g}."
         )
-    if eye not in device.eyes:
-        raise BadInputError(
-            f"Device '{device.name}' has no {eye} eye; choose {' or '.join(device.eyes)}, or add it: also_mirrored = "
-            "true in a device file makes the other eye of one."
-        )
-    optics = device.eyes[eye]
+    optics = device.optics(eye)
     display, see_through = TracedDisplay(optics, wavelength_um, device.name), TracedSeeThrough(optics, wavelength_um)
     lost = count_unsolved([see_through.real_ray_of_view_dir(_AHEAD, optics.eye_box.centre).status])
     if sum(lost.values()) == len(_AHEAD):
