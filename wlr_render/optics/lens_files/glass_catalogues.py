@@ -129,14 +129,16 @@ def _glass_of(entry: GlassEntry, name: str, *source: str) -> Glass:
 
 
 def model_glass(index: float, abbe: float, where: str, name: str = "", deviation: float = 0.0) -> Medium:
-    """Return a glass by n_d and V_d, without dispersion unless V_d is positive, and its deviation from the normal line.
+    """Return a glass by n_d and V_d, and its deviation from the normal line.
+
+    Without a positive V_d it has no dispersion, and is air if its index is 1.
 
     Raises:
         BadInputError: no glass has such numbers; `where` begins the sentence.
     """
-    name = name or f"nd{index:g}_vd{abbe:g}"
-    medium = Medium.abbe(name, index, abbe, deviation) if abbe > 0 else Medium.constant(name, index)
-    return require_glass(medium, where)
+    if abbe > 0:
+        return require_glass(Medium.abbe(name or f"nd{index:g}_vd{abbe:g}", index, abbe, deviation), where)
+    return AIR if index == 1.0 else require_glass(Medium.constant(name or f"n{index:g}", index), where)
 
 
 def require_glass(medium: Medium, where: str) -> Medium:

@@ -6,8 +6,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import LIMITS, read_bytes
 from wlr_render.io.toml_files import read_json
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
-from wlr_render.optics.lens_files.optiland_json import is_optiland, read_optiland
-from wlr_render.optics.lens_files.rayoptics_json import is_rayoptics, read_rayoptics
+from wlr_render.optics.lens_files.optiland_json import read_optiland
+from wlr_render.optics.lens_files.rayoptics_json import read_rayoptics
 from wlr_render.optics.lens_files.sequence import LensFile
 from wlr_render.optics.lens_files.zemax import read_zemax
 
@@ -23,8 +23,8 @@ def read_lens_file(path: Path, catalogue: GlassCatalogue) -> tuple[str, LensFile
     if not read_bytes(path, LIMITS.data_bytes).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         return "Zemax", read_zemax(path, catalogue)
     content = read_json(path, _KINDS, "name another file")
-    if is_optiland(content):
+    if content.has("surface_group"):
         return "Optiland", read_optiland(path, content, catalogue)
-    if is_rayoptics(content):
+    if content.has("optical_model"):
         return "rayoptics", read_rayoptics(path, content, catalogue)
     raise BadInputError(f"{path}: is not {_KINDS}; name another file.")

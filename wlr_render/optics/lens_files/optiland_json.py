@@ -11,7 +11,7 @@ from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.device_keys import MOST_POWER
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass
 from wlr_render.optics.lens_files.sequence import (
     LensFile,
     LensReading,
@@ -19,7 +19,6 @@ from wlr_render.optics.lens_files.sequence import (
     box_aperture,
     by_power,
     conic,
-    constant_glass,
     number_of,
     require_surfaces,
 )
@@ -90,7 +89,7 @@ def _medium(entry: Table, reading: LensReading) -> Medium:
     material = entry.table("material_post")
     kind = material.text("type")
     if kind == "IdealMaterial":
-        return constant_glass(number_of(material, "index"), material.where)
+        return model_glass(number_of(material, "index"), 0.0, material.where)
     if kind == "AbbeMaterial":
         index, abbe = number_of(material, "index"), number_of(material, "abbe")
         return reading.model_glass(kind, index, abbe, material.where)
@@ -181,9 +180,3 @@ _SHAPES: dict[str, Callable[[Table, LensReading], Shape]] = {
     "ToroidalGeometry": _toroid,
 }
 """Readers by Optiland's class of geometry; other classes are read as their conic, with a note."""
-
-
-def is_optiland(content: Table) -> bool:
-    """Return whether a JSON file was written by Optiland."""
-    group = content.raw("surface_group")
-    return isinstance(group, dict) and "surfaces" in group

@@ -11,7 +11,7 @@ from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.glass_files import NIKON_POWERS, SCHOTT_POWERS
-from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, require_glass
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, require_glass
 from wlr_render.optics.lens_files.sequence import (
     UNITS_M,
     LensFile,
@@ -20,7 +20,6 @@ from wlr_render.optics.lens_files.sequence import (
     box_aperture,
     by_power,
     conic,
-    constant_glass,
     finite,
     number_of,
     require_surfaces,
@@ -38,11 +37,6 @@ _POWERS_OF_MAKERS = {
     "HikariGlass": NIKON_POWERS,
 }
 """Powers of the wavelength in the dispersion formulas of makers of glass."""
-
-
-def is_rayoptics(content: Table) -> bool:
-    """Return whether a JSON file was written by rayoptics."""
-    return isinstance(content.raw("optical_model"), dict)
 
 
 def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFile:
@@ -154,7 +148,7 @@ def _medium(gap: Table, reading: LensReading) -> Medium:
     if kind == "Air":
         return AIR
     if kind == "ConstantIndex":
-        return constant_glass(number_of(attributes, "n"), where)
+        return model_glass(number_of(attributes, "n"), 0.0, where)
     if kind == "ModelGlass":
         index, abbe = (number_of(attributes, key) for key in "nv")
         return reading.model_glass(kind, index, abbe, where)

@@ -21,7 +21,6 @@ from wlr_render.optics.device_keys import MOST_POWER
 from wlr_render.optics.lens_files.glass_catalogues import (
     GlassCatalogue,
     model_glass,
-    require_glass,
     unknown_glass_remedy,
 )
 from wlr_render.optics.media import AIR, Medium
@@ -260,15 +259,6 @@ def by_power(step: int, terms: Sequence[float]) -> dict[int, float]:
 def conic(curvature: float, constant: float) -> Conic:
     """Return a conic of a curvature in 1/m; a plane has no conic constant."""
     return Conic(curvature, constant if curvature else 0.0)
-
-
-def constant_glass(index: float, where: str) -> Medium:
-    """Return a medium without dispersion, or air for an index of 1.
-
-    Raises:
-        BadInputError: the index is implausible; `where` begins the sentence.
-    """
-    return AIR if index == 1.0 else require_glass(Medium.constant(f"n{index:g}", index), where)
 
 
 def box_aperture(low: Sequence[float] = (-np.inf, -np.inf), high: Sequence[float] = (np.inf, np.inf)) -> ClearAperture:
