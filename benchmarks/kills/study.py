@@ -17,6 +17,7 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
+from wlr_render.jobs.frame_plan import METADATA
 from wlr_render.jobs.options import Options, ProgressArgument, Range, Seed, described
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import save_report
@@ -183,7 +184,7 @@ def results(out: Path) -> dict[str, object]:
         name = str(path.relative_to(out))
         if path.name.startswith("."):
             continue
-        if path.suffix in _FILES:
+        if path.suffix in _FILES or path.name == METADATA:
             found[name] = path.read_bytes()
         elif path.suffix == ".json":
             content = json.loads(path.read_text(encoding="utf-8"))

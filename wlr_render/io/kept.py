@@ -9,7 +9,6 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +22,10 @@ Recipe = Mapping[str, Any]
 """Values by option, as JSON has them; a file is a dict of `file_of`, and its path has no effect."""
 Signature = tuple[int, str]
 """Length and SHA-256 of a file."""
-_ABSENT: Signature = (-1, "")
 _REMEDY = "choose another folder or empty it"
 _INPUT = "input "
 """Start of the keys of input files in a recipe."""
 _LINE_BYTES = 200  # length of a line without facts, about
-
-
-@dataclass(frozen=True)
-class _Line:
-    """A file with its signature and facts; or a recipe, which has no name, as the facts."""
-
-    name: str
-    signature: Signature
-    facts: Facts
 
 
 class Kept:
@@ -56,22 +45,23 @@ class Kept:
         self, folder: Path, recipe: Recipe, planned: Mapping[Path, Facts] | None = None, *, replaces: bool = False
     ) -> None:
         self._folder, self._path, self._recipe = folder, folder / LEDGER, recipe
-        self._listed: dict[str, _Line] = {}
-        self._replaced: dict[str, _Line] = {}
+        self._listed: dict[str, Facts] = {}
+        self._replaced: dict[str, Facts] = {}
         _require_room(self._path, planned or {})
         content = read_bytes(self._path, LIMITS.record_bytes, _REMEDY) if os.path.lexists(self._path) else b""
         self._is_torn = bool(content) and not content.endswith(b"\n")
-        stated: Recipe | None = None
+        stated: Recipe = {}
+        difference = f"{LEDGER} does not state them"
         for line in _lines(content):
-            if not line.name:
-                stated = line.facts
-            difference = f"{LEDGER} does not state them" if stated is None else _difference(stated, recipe)
-            if difference and not (replaces and stated and stated.get("job") == recipe["job"]):
+            if "recipe" in line:
+                stated = line["recipe"]
+                difference = _difference(stated, recipe)
+            if difference and not (replaces and stated.get("job") == recipe["job"]):
                 raise self.refusal(difference)
-            if line.name:
-                (self._replaced if difference else self._listed)[line.name] = line
-        self._is_begun = stated is not None and not _difference(stated, recipe)
-        if stated is None and (unlisted := [path for path in planned or {} if os.path.lexists(path)]):
+            if "file" in line:
+                (self._replaced if difference else self._listed)[line["file"]] = line
+        self._is_begun = not difference
+        if not stated and (unlisted := [path for path in planned or {} if os.path.lexists(path)]):
             raise BadInputError(f"{unlisted[0]}: was written by another program or job; {_REMEDY}.")
 
     def refusal(self, difference: str) -> BadInputError:
@@ -80,15 +70,16 @@ class Kept:
 
     def unfinished(self, paths: Iterable[Path]) -> list[Path]:
         """Return the files that are not in the ledger, or do not match it."""
-        return [path for path in paths if not _has_signature(path, self._line(path).signature)]
+        return [path for path in paths if not _is_whole(path, self._line(path))]
 
     def changed(self, paths: Iterable[Path]) -> list[Path]:
         """Return the files that are in the ledger and exist, but do not match it."""
-        return [path for path in self.unfinished(paths) if self._line(path).name and os.path.lexists(path)]
+        return [path for path in self.unfinished(paths) if self._line(path) and os.path.lexists(path)]
 
     def facts(self, path: Path) -> Facts:
         """Return the facts of a file, listed by this run or an earlier one; none of a file that is not listed."""
-        return self._line(path).facts
+        facts: Facts = self._line(path).get("facts", {})
+        return facts
 
     def begin(self) -> None:
         """State the recipe: files that a killed run does not list are then no other job's.
@@ -104,18 +95,19 @@ class Kept:
         Raises:
             BadInputError: the ledger cannot be written.
         """
-        added = [_Line(self._name(path), signature, {}) for path, signature in files.items()]
-        added[-1:] = [_Line(last.name, last.signature, facts or {}) for last in added[-1:]]
-        stated = "" if self._is_begun else _recipe_text(self._recipe)
+        signed = [(self._name(path), length, sha256) for path, (length, sha256) in files.items()]
+        added = {name: {"file": name, "bytes": length, "sha256": sha256} for name, length, sha256 in signed}
+        if facts:
+            added[signed[-1][0]]["facts"] = facts
         # A line cut off by a killed run or a full disk must not spoil the next one.
-        content = ("\n" * self._is_torn + stated + "".join(map(_text, added))).encode()
+        content = ("\n" * self._is_torn + self._text(added.values(), with_recipe=not self._is_begun)).encode()
         with disk_errors(self._path), open(self._path, "ab", buffering=0, opener=_open_no_detour) as file:
             self._is_torn = True
             while content:
                 content = content[file.write(content) :]  # a full disk may take only a part
             os.fsync(file.fileno())
         self._is_torn, self._is_begun = False, True
-        self._listed |= {line.name: line for line in added}
+        self._listed |= added
 
     def remove_replaced(self) -> tuple[int, list[Path]]:
         """Remove the files of the recipes that this one replaces, except files that it has written itself.
@@ -131,20 +123,24 @@ class Kept:
             path = self._folder / name
             if Path(name).name != name or not os.path.lexists(path):
                 continue
-            if _has_signature(path, self._replaced[name].signature):
+            if _is_whole(path, self._replaced[name]):
                 path.unlink()
                 removed += 1
             else:
                 changed.append(path)
         if self._replaced:
-            write_text(self._path, _recipe_text(self._recipe) + "".join(map(_text, self._listed.values())))
+            write_text(self._path, self._text(self._listed.values()))
         return removed, sorted(changed)
 
     def _name(self, path: Path) -> str:
         return path.relative_to(self._folder).as_posix()
 
-    def _line(self, path: Path) -> _Line:
-        return self._listed.get(self._name(path), _Line("", _ABSENT, {}))
+    def _line(self, path: Path) -> Facts:
+        return self._listed.get(self._name(path), {})
+
+    def _text(self, lines: Iterable[Facts], with_recipe: bool = True) -> str:
+        stated = [{"recipe": self._recipe}] if with_recipe else []
+        return "".join(f"{json.dumps(line)}\n" for line in [*stated, *lines])
 
 
 def recipe_of(job: str, options: Mapping[str, Any], inputs: Mapping[str, str]) -> Recipe:
@@ -211,10 +207,11 @@ def _require_room(path: Path, planned: Mapping[Path, Facts]) -> None:
         )
 
 
-def _has_signature(path: Path, signature: Signature) -> bool:
+def _is_whole(path: Path, line: Facts) -> bool:
     try:
-        return path.stat().st_size == signature[0] and signatures_of([path])[path] == signature
-    except (OSError, BadInputError):
+        is_as_long = path.stat().st_size == line["bytes"]
+        return is_as_long and signatures_of([path])[path] == (line["bytes"], line["sha256"])
+    except (KeyError, OSError, BadInputError):
         return False
 
 
@@ -222,23 +219,13 @@ def _open_no_detour(path: str, flags: int) -> int:
     return os.open(path, flags | NO_DETOUR, 0o666)
 
 
-def _recipe_text(recipe: Recipe) -> str:
-    return json.dumps({"recipe": recipe}) + "\n"
-
-
-def _text(line: _Line) -> str:
-    length, sha256 = line.signature
-    entry = {"file": line.name, "bytes": length, "sha256": sha256}
-    return json.dumps(entry | ({"facts": line.facts} if line.facts else {})) + "\n"
-
-
-def _lines(content: bytes) -> Iterator[_Line]:
+def _lines(content: bytes) -> Iterator[dict[str, Any]]:
     """Yield the lines that are whole: the file of a line that is cut off or damaged counts as unfinished."""
     for text in content.splitlines():
         with contextlib.suppress(ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
-            entry = json.loads(text)
-            if "recipe" in entry:
-                yield _Line("", _ABSENT, dict(entry["recipe"]))
+            line = json.loads(text)
+            if "recipe" in line:
+                yield {"recipe": dict(line["recipe"])}
             else:
-                signature = int(entry["bytes"]), str(entry["sha256"])
-                yield _Line(str(entry["file"]) or ".", signature, dict(entry.get("facts", {})))
+                entry = {"file": str(line["file"]), "bytes": int(line["bytes"]), "sha256": str(line["sha256"])}
+                yield entry | ({"facts": dict(line["facts"])} if "facts" in line else {})
