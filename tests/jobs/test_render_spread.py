@@ -99,3 +99,16 @@ def test_a_worker_keeps_what_it_has_opened_for_the_frames_of_one_job(moving, mon
     draw_block(replace(block, options=elsewhere))
     assert len(opened) == 3
     assert pictures(elsewhere.out) == pictures(moving.out)
+
+
+def test_a_worker_opens_the_models_of_the_colours_again_when_they_are_exchanged(moving, model_file, monkeypatch):
+    opened, before = [], frame_drawing._open
+    monkeypatch.setattr(frame_drawing, "_open", lambda block: opened.append(block) or before(block))
+    moving.out.mkdir()
+    other = moving.out / "other.json"
+    other.write_text(Path(model_file).read_text().replace('"fitted"', '"other"'))
+    colours = {"headset": model_file, "red_model": Path(model_file), "blue_model": other}
+    options = replace(moving, **colours, method="raytrace", eye_track=None)
+    for each in (options, options, replace(options, red_model=other, blue_model=Path(model_file))):
+        draw_block(block_of(each))
+    assert len(opened) == 2

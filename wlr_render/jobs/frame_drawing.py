@@ -322,7 +322,7 @@ def draw_block(block: FrameBlock) -> list[DrawnFrame]:
     return [drawing.draw(planned, block.options.out) for planned in block.plan]
 
 
-_kept: dict[tuple[object, ...], tuple[FrameDrawing, contextlib.ExitStack]] = {}
+_kept: dict[str, tuple[FrameDrawing, contextlib.ExitStack]] = {}
 """What this worker has opened for the last job whose frames it drew, and what closes it."""
 _MOTION = ("--head", "--eye-track", "--fps")
 """Options that select the frames, which workers do not depend on."""
@@ -330,7 +330,7 @@ _MOTION = ("--head", "--eye-track", "--fps")
 
 def _kept_drawing(block: FrameBlock) -> FrameDrawing:
     stated = block.options.recipe_values() | {"backend": block.options.backend}
-    key = (*(item for item in stated.items() if item[0] not in _MOTION), *sorted(block.inputs.items()))
+    key = repr([*(item for item in stated.items() if item[0] not in _MOTION), *sorted(block.inputs.items())])
     if key not in _kept:
         for _, opened in _kept.values():
             opened.close()
