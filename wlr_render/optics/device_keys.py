@@ -147,4 +147,4 @@ R_TERMS = SagTerms(
     variables="r",
     least=2,
 )
-"""Forms of the coefficients (m, n) of x^m y^n, and of those of r^2, r^3 and so on."""
+"""Forms of the coefficients of x^m y^n, and of the coefficients of r^2, r^3 and so on."""
