@@ -11,7 +11,6 @@ import pytest
 from jobs.test_render import metadata
 
 from wlr_render.errors import BadInputError
-from wlr_render.io.kept import LEDGER, Kept, signatures_of
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.rendering.image_files import read_png
@@ -200,19 +199,6 @@ def test_a_pack_that_ends_while_it_is_moved_leaves_nothing(frames_of, monkeypatc
     assert not (drawn.out / ".wlr-part-pack").exists()
     monkeypatch.undo()
     packed(drawn, "webdataset")
-
-
-def test_labels_that_lack_annotations_are_refused(labelled):
-    path = labelled.out / "left-000000-labels.json"
-    labels = json.loads(path.read_text())
-    del labels["annotations"]
-    path.write_text(json.dumps(labels))
-    ledger = labelled.out / LEDGER
-    recipe = json.loads(ledger.read_text().splitlines()[0])["recipe"]
-    Kept(labelled.out, recipe).add(signatures_of([path]))
-    for options in (replace(labelled, pack="webdataset"), labelled):
-        with pytest.raises(BadInputError, match=r"left-000000-labels\.json: 'annotations' is None, which no frame of"):
-            render(options)
 
 
 def test_a_folder_of_other_files_is_not_replaced(frames_of):

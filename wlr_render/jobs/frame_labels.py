@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import transforms
 from wlr_render.io.atomic_files import disk_errors, write_text, written_whole
-from wlr_render.io.input_files import LIMITS, read_text, shown
+from wlr_render.io.input_files import LIMITS, as_bad_input, read_text
 from wlr_render.io.toml_files import parse_json
 from wlr_render.jobs.frame_plan import PlannedFrame
 from wlr_render.mappings import Eye, Panel
@@ -30,9 +29,6 @@ INSTANCES = "instances.json"
 _KIND = "the labels of a frame"
 _GRID = 60, 60
 """Pixels across and down whose misalignment is computed."""
-
-_TYPES = {"instance": str, "category": str, "instance_id": int, "bbox": list, "area": int, "segmentation": dict}
-"""Types of the values of an annotation, by key."""
 
 
 def layers_file(folder: Path, stem: str) -> Path:
@@ -70,20 +66,12 @@ def read_labels(path: Path) -> list[dict[str, Any]]:
     """Read the instances that a frame shows from a file of `write_labels`.
 
     Raises:
-        BadInputError: the file is missing, is not a file of labels, or lacks annotations.
+        BadInputError: the file is missing, or is not a file of labels.
     """
     remedy = "draw the frames again"
     labels = parse_json(path, read_text(path, _KIND, LIMITS.data_bytes, remedy), _KIND, remedy)
-    if labels.get("format") != "wlr-frame-labels" or labels.get("version") != 1:
-        raise BadInputError(f"{path}: is not {_KIND} of version 1; {remedy}.")
-    found = labels.get("annotations")
-    if not isinstance(found, list) or not all(map(_is_annotation, found)):
-        raise BadInputError(f"{path}: 'annotations' is {shown(found)}, which no frame of `render` has; {remedy}.")
-    return found
-
-
-def _is_annotation(labels: object) -> bool:
-    return isinstance(labels, dict) and all(isinstance(labels.get(key), kind) for key, kind in _TYPES.items())
+    with as_bad_input(path, _KIND, remedy):
+        return list(labels["annotations"])
 
 
 def instance_annotations(instance: NDArray[np.uint32]) -> list[dict[str, Any]]:
