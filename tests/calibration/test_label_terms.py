@@ -8,26 +8,31 @@ from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane,
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.calibration.label_terms import print_term
+from wlr_render.calibration.label_terms import board_terms
 from wlr_render.captures.feature_captures import TARGET_POSES, CommonErrors
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 
 DEPTHS = (0.4, 0.8, 1.5)
 
 
-def printed(seed, size_m=2e-5):
-    """Captures of a board whose dots lie beside their places by random plane waves."""
+def printed(seed, size_m=2e-5, turns_deg=None):
+    """Captures of a board whose dots lie beside their places by random plane waves.
+
+    Its poses are fitted to its dots; or it is turned from pose to pose, and its poses are exact.
+    """
     rng = np.random.default_rng(seed)
     captures = see_through_captures(grid_in_plane(4, 4), DEPTHS, sigma_arcmin=0.1, seed=seed)
-    dot = captures.point[:, :2]
+    angle = np.deg2rad(turns_deg or (0.0, 0.0, 0.0))[captures.target_pose]
+    turn = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), 2, 0)
+    dot = np.einsum("nji,nj->ni", turn, captures.point[:, :2])
     waves, phase = rng.normal(0.0, 12.0, (2, 30, 2)), rng.uniform(0.0, 2 * np.pi, (2, 30))
     off = np.stack([np.cos(dot @ waves[axis].T + phase[axis]).sum(axis=1) for axis in (0, 1)], axis=-1)
-    for pose in range(len(DEPTHS)):  # a pose of the board is fitted to its dots
-        rows = captures.target_pose == pose
+    for pose in range(len(DEPTHS) if turns_deg is None else 1):
+        rows = captures.target_pose == pose if turns_deg is None else np.full(len(dot), True)
         affine = np.column_stack([np.ones(rows.sum()), dot[rows]])
         off[rows] -= affine @ np.linalg.lstsq(affine, off[rows], rcond=None)[0]
     stated = captures.point.copy()
-    stated[:, :2] -= size_m / np.sqrt(15.0) * off
+    stated[:, :2] -= size_m / np.sqrt(15.0) * np.einsum("nij,nj->ni", turn, off)
     target = np.column_stack([dot, np.zeros(len(dot))])
     return replace(captures, point=stated, target_point=target)
 
@@ -53,20 +58,36 @@ def test_the_predicted_error_contains_printing_errors():
             true, predicted = errors_arcmin(fit_see_through(captures, "planar", 4).mapping, np.random.default_rng(seed))
             squares.append([np.mean(true**2), np.mean(predicted**2)])
         ratios.append(np.sqrt(np.divide(*np.mean(squares, axis=0))))
-    print(ratios)
     assert 0.7 < ratios[0] < 1.4
     assert ratios[1] > 1.5 * ratios[0]
 
 
+def test_a_board_that_is_turned_tells_its_print_from_the_optics():
+    def rms(turn_deg):
+        fits = [fit_see_through(printed(seed, 6e-5, (0.0, turn_deg, 0.0)), "planar", 4) for seed in (1, 2)]
+        errors = [errors_arcmin(each.mapping, np.random.default_rng(seed)) for seed, each in enumerate(fits)]
+        return np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
+
+    straight = rms(0.0)
+    for turn_deg in (90.0, 180.0):
+        assert np.all(rms(turn_deg) < 0.85 * straight)
+
+
+def terms_of(dot, is_pose_fitted):
+    """Terms of a board at one pose, 2 m away and across the view."""
+    point = np.column_stack([dot, np.full(len(dot), -2.0)])
+    by_point = np.tile(np.eye(2, 3) / 2.0, (len(dot), 1, 1))
+    return board_terms(dot, point, np.zeros(len(dot), np.int64), by_point, is_pose_fitted)
+
+
 def test_a_board_that_fills_no_area_has_no_field():
     dot = np.stack([np.linspace(0.0, 1.0, 20), np.zeros(20)], axis=-1)
-    assert print_term(dot, np.ones(20), is_pose_fitted=True) is None
-    assert print_term(np.full((20, 2), np.nan), np.ones(20), is_pose_fitted=False) is None
+    assert terms_of(dot, is_pose_fitted=True) == terms_of(np.full((20, 2), np.nan), is_pose_fitted=False) == []
 
 
 def test_waves_do_what_no_pose_of_the_board_does_where_the_pose_was_fitted():
     dot = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 12), np.linspace(-0.4, 0.4, 9)), axis=-1).reshape(-1, 2)
-    fitted, stated = (print_term(dot, np.full(len(dot), 2.0), is_pose_fitted=each) for each in (True, False))
+    fitted, stated = (terms_of(dot, each)[0] for each in (True, False))
     affine = np.linalg.qr(np.column_stack([np.ones(len(dot)), dot]))[0]
     assert np.abs(affine.T @ fitted.columns).max() == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.norm(affine.T @ stated.columns) > 0.1 * np.linalg.norm(stated.columns)

@@ -335,7 +335,7 @@ def test_page_and_facts_state_the_predicted_error_by_source(model_file, tmp_path
     )
     (table,) = [each for each in report.tables if each.title == "Predicted error by source"]
     assert [row[1] for row in table.rows] == [*names, "all"]
-    assert table.rows[0][3] == "Print the board on glass, or measure its dots."
+    assert table.rows[0][3] == "Print the board on glass, measure its dots, or turn it by 90 degrees at one pose."
     assert "printing errors of the board" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 

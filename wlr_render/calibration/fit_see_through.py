@@ -3,7 +3,7 @@
 import numpy as np
 
 from wlr_render.calibration.fit_report import ModelFit
-from wlr_render.calibration.label_terms import drift_term, height_term, print_term, stage_labels
+from wlr_render.calibration.label_terms import board_terms, drift_term, stage_labels
 from wlr_render.calibration.model_kinds import ModelKind, Side
 from wlr_render.calibration.readings import (
     FitReadings,
@@ -125,11 +125,9 @@ def _readings(
     metric, dot = angular_metric(captures.tangents), captures.target_point[:, :2]
     is_noisy = bool(np.any(captures.sigma_arcmin > 0))
     is_pose_fitted = captures.common is not None and TARGET_POSES in captures.common.sources
-    own = (
-        print_term(dot, depth[:, 0], is_pose_fitted),
-        drift_term(captures.time_s, captures.tangents, metric),
-    )
-    heights = height_term(dot, captures.point, captures.target_pose, by_point(slice(None)))
+    drift = drift_term(captures.time_s, captures.tangents, metric)
+    of_board = board_terms(dot, captures.point, captures.target_pose, by_point(slice(None)), is_pose_fitted)
+    terms = [each for each in (*of_board, drift) if each is not None and is_noisy]
     return FitReadings(
         inputs=np.hstack([place, captures.tangents]),
         is_place=np.array([True] * places + [False, False]),
@@ -143,8 +141,8 @@ def _readings(
         trend=trend,
         motion_prior=captures.motion and captures.motion.of(visits),
         common=respond and common_of(captures, respond, by_point),
-        axis_terms=tuple(each for each in own if each is not None and is_noisy),
-        joint_terms=() if heights is None or not is_noisy else (heights,),
+        axis_terms=tuple(each for each in terms if each.columns.ndim == 2),
+        joint_terms=tuple(each for each in terms if each.columns.ndim == 3),
         stage=stage_labels(captures) if respond else None,
     )
 

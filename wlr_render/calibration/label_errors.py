@@ -36,7 +36,10 @@ SOURCES_BY_LABEL = {
         "shape of the board at each pose",
         "Hold the board flat at all poses, and let the camera's focus alone.",
     ),
-    "dot": ("printing errors of the board", "Print the board on glass, or measure its dots."),
+    "dot": (
+        "printing errors of the board",
+        "Print the board on glass, measure its dots, or turn it by 90 degrees at one pose.",
+    ),
     "visit": ("errors of each visit", "Let the stage settle before each photograph."),
     "time": ("drift", "Let camera and headset warm up, and visit the positions in random order."),
     "reading": ("stage axes", "Measure the errors of that axis, or track the camera."),

@@ -27,6 +27,7 @@ USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
 """Fall of the logarithm of a wave's size with its frequency, per radian in `_UNIT_M`, and its sigma."""
 _UNIT_M = 0.1
 _FINEST_M, _FINEST_HEIGHT_M = 0.095, 0.19  # half of the shortest wave: printers err over the width of a hand
+_ALONG = 0.25  # of an error of the print that does not lie along the camera's axes, over that along them
 _MOST_WAVES = 12  # along an axis
 _BEYOND = 1.15  # extent of the board over the extent of its dots
 _TIMES = 4  # orders of a drift in time; each is as much smaller as it is higher
@@ -175,53 +176,74 @@ def smooth_basis(place: FloatArray, share: float) -> FloatArray:
     return basis(place, next(allowed, np.zeros((1, place.shape[1]), np.int64)), Box.around(place))
 
 
-def print_term(dot: FloatArray, depth: FloatArray, is_pose_fitted: bool) -> LabelTerm | None:
-    """Return printing errors in the plane of a board; both of its axes have waves of their own.
-
-    Args:
-        dot: (n, 2) places on the board, metres; NaN where unknown.
-        depth: (n,) of the dots before the base plane, metres.
-        is_pose_fitted: whether the poses and the scale of the board were fitted to its dots, which leaves no linear
-            error of the print.
-    """
-    waves = _waves(dot, _FINEST_M, is_pose_fitted)
-    if waves is None:
-        return None
-    columns, frequency = waves
-    offset = -0.5 * np.log(0.25 * np.sum(np.exp(-2.0 * USUAL_FALL * frequency)))
-    return LabelTerm(
-        "print",
-        "printing errors of the board",
-        columns / depth[:, None],
-        np.full(len(frequency), offset),
-        BOARD_PRINT_M,
-        frequency,
-    )
-
-
-def height_term(dot: FloatArray, point: FloatArray, pose: IntArray, by_point: FloatArray) -> LabelTerm | None:
-    """Return heights of the board over the plane that fits it, the same at all poses.
+def board_terms(
+    dot: FloatArray, point: FloatArray, pose: IntArray, by_point: FloatArray, is_pose_fitted: bool
+) -> list[LabelTerm]:
+    """Return printing errors in the plane of a board, and its heights over the plane that fits it, at all poses alike.
 
     Args:
         dot: (n, 2) places on the board, metres; NaN where unknown.
         point: (n, 3) the same in the device frame. pose: (n,) number of the board's pose.
         by_point: (n, 2, 3) change of `observed` by the place of the point.
+        is_pose_fitted: whether the poses and the scale of the board were fitted to its dots, which leaves no linear
+            error of the print.
+    """
+    if not np.isfinite(dot).all():
+        return []
+    by_board = by_point @ _board_axes(dot, point, pose)
+    terms = (_print_term(dot, by_board[..., :2], is_pose_fitted), _height_term(dot, by_board[..., 2]))
+    return [each for each in terms if each is not None]
+
+
+def _print_term(dot: FloatArray, by_shift: FloatArray, is_pose_fitted: bool) -> LabelTerm | None:
+    """Return printing errors in the plane of a board; both of its axes have waves of their own.
+
+    Args:
+        dot: (n, 2) places on the board, metres.
+        by_shift: (n, 2, 2) change of `observed` by a shift along both axes of the board.
+        is_pose_fitted: as of `board_terms`.
+    """
+    waves = _waves(dot, _FINEST_M, is_pose_fitted)
+    if waves is None:
+        return None
+    columns, frequency = waves
+    offset = np.full(len(frequency), -0.5 * np.log(0.25 * np.sum(np.exp(-2.0 * USUAL_FALL * frequency))))
+    along, across = np.einsum("nkk->nk", by_shift), by_shift[:, [0, 1], [1, 0]]
+    if np.linalg.norm(across) < _ALONG * np.linalg.norm(along):  # unknowns that one output has alone cost little
+        columns = columns * along.mean(axis=1, keepdims=True)
+    else:
+        columns = (by_shift[..., None] * columns[:, None, None]).reshape(len(dot), 2, -1)
+        offset, frequency = np.tile(offset, 2), np.tile(frequency, 2)
+    return LabelTerm("print", "printing errors of the board", columns, offset, BOARD_PRINT_M, frequency)
+
+
+def _height_term(dot: FloatArray, by_height: FloatArray) -> LabelTerm | None:
+    """Return heights of a board over the plane that fits it.
+
+    Args:
+        dot: (n, 2) places on the board, metres.
+        by_height: (n, 2) change of `observed` by a shift out of the board's plane.
     """
     waves = _waves(dot, _FINEST_HEIGHT_M, is_pose_fitted=True)
     if waves is None:
         return None
     height, frequency = waves
-    normal = np.empty_like(point)
+    columns = by_height[:, :, None] * height[:, None]
+    size = np.exp(-USUAL_FALL * frequency)
+    offset = np.log(size / np.sqrt(0.25 * np.sum(size**2)))
+    return LabelTerm("heights", "shape of the board", columns, offset, BOARD_HEIGHT_M)
+
+
+def _board_axes(dot: FloatArray, point: FloatArray, pose: IntArray) -> FloatArray:
+    """Return the axes x, y and z (n, 3, 3) of the board in the device frame, as columns of unit vectors."""
+    axes = np.empty((len(point), 3, 3))
     for number in np.unique(pose):
         rows = pose == number
         flat = np.column_stack([dot[rows], np.ones(rows.sum())])
         along_x, along_y, _ = np.linalg.lstsq(flat, point[rows], rcond=None)[0]
-        across = np.cross(along_x, along_y)
-        normal[rows] = across / max(float(np.linalg.norm(across)), 1e-300)
-    columns = np.einsum("nok,nk->no", by_point, normal)[:, :, None] * height[:, None]
-    size = np.exp(-USUAL_FALL * frequency)
-    offset = np.log(size / np.sqrt(0.25 * np.sum(size**2)))
-    return LabelTerm("heights", "shape of the board", columns, offset, BOARD_HEIGHT_M)
+        own = np.stack([along_x, along_y, np.cross(along_x, along_y)], axis=-1)
+        axes[rows] = own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)
+    return axes
 
 
 def _waves(dot: FloatArray, finest_m: float, is_pose_fitted: bool) -> tuple[FloatArray, FloatArray] | None:
@@ -229,8 +251,6 @@ def _waves(dot: FloatArray, finest_m: float, is_pose_fitted: bool) -> tuple[Floa
 
     A fit of the board's pose and scale to all of its dots removes the linear part of the waves.
     """
-    if not np.isfinite(dot).all():
-        return None
     every, row = np.unique(dot, axis=0, return_inverse=True)
     middle, half = 0.5 * (dot.max(axis=0) + dot.min(axis=0)), 0.5 * _BEYOND * np.ptp(dot, axis=0)
     if half.min() <= 0:

@@ -415,7 +415,7 @@ def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
     fit = with_report(linear, shares=(board, own, drift))
     assert fit_advice(fit) == [
         "Display: 0.10' of the predicted 0.12' come from printing errors of the board (48 um in the fit, usually 50 "
-        "um). Print the board on glass, or measure its dots."
+        "um). Print the board on glass, measure its dots, or turn it by 90 degrees at one pose."
     ]
     captures = Captures(fit.display.captures, fit.see_through.captures)
     blocks = fit_blocks(KindComparison({"planar": fit}, "planar"), captures)

@@ -203,7 +203,11 @@ def _gains(search: DesignSearch) -> list[tuple[float, str, float]]:
 
 
 def _advice(search: DesignSearch) -> list[str]:
-    steps = ["Drive the stage to the places of places.csv, measured from the centre of the eye box."]
+    steps = [
+        "Drive the stage to the places of places.csv, measured from the centre of the eye box.",
+        "Turn the board by 90 degrees in its plane at one of its poses: its printing errors turn with it, and what the "
+        "optics bend does not.",
+    ]
     gains = [each for each in _gains(search) if each[0] > _WORTH]
     if not gains:
         return [*steps, "No single change of the bench improves registration by more than 5 %."]
