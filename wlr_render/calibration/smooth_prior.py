@@ -7,6 +7,7 @@ with a slope for each variable.
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import binom
@@ -32,6 +33,7 @@ _USUAL_SLOPES = (2.5, 1.5)  # of the prior by place and by pixel, for readings t
 _FOOTPRINT, _USUAL_FOOTPRINT = "footprint", (1.0, 0.5)  # exponent of `_log_ways`: its name, mean and sigma
 _FALL = "fall"  # of the size of waves with their frequency
 _LEAST_SHARE, _MOST_TIMES_USUAL = 7.0, 2.5  # logarithms of the bounds of an error by label over its usual size
+_MOTIONS = "shift", "turn"  # names of the sizes of motions
 _NO_SIZE = -25.0  # logarithm of a prior size that leaves no term
 Stage = Mapping[str, tuple[float, float]]
 """What other captures tell of the errors of a stage, by the names of their hyperparameters: mean and sigma of the
@@ -47,22 +49,16 @@ def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = 
         stage: of which the captures are, as others tell; None for what these captures state, or what is usual.
     """
     blocks, orders, free = readings.blocks, readings.orders, readings.free
-    sizes = [f"size {block}" for block in range(blocks)]
-    smooth_as = _smooth_as(readings)
+    smooth_as, ways = _smooth_as(readings), _log_ways(readings)
     axes = sorted(set(smooth_as))
-    slopes = [f"{'mu' if readings.is_place[axis] else 'lambda'} {axis}" for axis in axes]
-    ways = _log_ways(readings)
-    footprint = [_FOOTPRINT] if np.any(ways) else []
-    terms = readings.axis_terms + readings.shared_terms
-    falls = [_FALL] if any(each.frequency is not None for each in terms) else []
-    of_labels = [*(each.name for each in terms), *falls]
-    names = (*sizes, *slopes, *footprint, *of_labels, "noise", *(("shift", "turn") if moving else ()))
+    unknown = _hyperparameters(readings, axes, bool(np.any(ways)), moving, stage or {})
+    names = tuple(each.name for each in unknown)
     by_term = np.zeros((blocks, len(orders), len(names)))
     for block in range(blocks):
         by_term[block, ~free, block] = 1.0
         for axis, other in enumerate(smooth_as):
             by_term[block, ~free, blocks + axes.index(other)] -= orders[~free, axis]
-        if footprint:
+        if _FOOTPRINT in names:
             by_term[block, ~free, names.index(_FOOTPRINT)] = ways[~free]
     flat = by_term.reshape(-1, len(names))
     none = np.zeros((0, len(names)))
@@ -74,36 +70,50 @@ def smoothness_prior(readings: FitReadings, moving: bool, stage: Stage | None = 
     if moving:
         own[SHIFT, -2] = own[TURN, -1] = 1.0
         group_offset = np.log(motion_sizes(readings))
-    bounds = [(_NO_SIZE, 8.0)] * blocks + [(0.0, 8.0)] * len(slopes) + [(0.0, 2.0)] * len(footprint)
-    bounds += [_bounds_of(each) for each in terms] + [(0.0, 5.0)] * len(falls)
-    bounds += [(np.log(noise_floor(readings)), 12.0)]
-    if moving:
-        usual = motion_scale(readings)
-        most = np.maximum((LARGEST_SHIFT_M, LARGEST_TURN_RAD), _MOST_TIMES * usual)
-        bounds += [(low, high) for low, high in np.log([LEAST_MOTION / usual, most / usual]).T]
-    expected = np.tile([0.0, np.inf], (len(names), 1))
-    by_place = np.array([readings.is_place[axis] for axis in axes])
-    expected[blocks : blocks + len(slopes), 0] = np.where(by_place, *_USUAL_SLOPES)
-    expected[blocks : blocks + len(slopes), 1] = 1.0
-    if footprint:
-        expected[names.index(_FOOTPRINT)] = _USUAL_FOOTPRINT
+    bounds = np.array([[each.least, each.most] for each in unknown])
+    expected = np.array([[each.mean, each.sigma] for each in unknown])
+    return Prior(names, bounds, expected, features, mixed_features, own, group_offset, offset, mixed_offset)
+
+
+class _Hyperparameter(NamedTuple):
+    """A natural logarithm or a slope, with its bounds and what is expected of it."""
+
+    name: str
+    least: float
+    most: float
+    mean: float = 0.0
+    sigma: float = np.inf
+
+
+def _hyperparameters(
+    readings: FitReadings, axes: Sequence[int], has_footprint: bool, moving: bool, stage: Stage
+) -> list[_Hyperparameter]:
+    """Return sizes of the polynomials, slopes by the axes, sizes of errors by label, noise, and sizes of motions."""
+    unknown = [_Hyperparameter(f"size {block}", _NO_SIZE, 8.0) for block in range(readings.blocks)]
+    for axis in axes:
+        name, usual = ("mu", _USUAL_SLOPES[0]) if readings.is_place[axis] else ("lambda", _USUAL_SLOPES[1])
+        unknown.append(_Hyperparameter(f"{name} {axis}", 0.0, 8.0, usual, 1.0))
+    if has_footprint:
+        unknown.append(_Hyperparameter(_FOOTPRINT, 0.0, 2.0, *_USUAL_FOOTPRINT))
+    terms = readings.axis_terms + readings.shared_terms
     for term in terms:
-        expected[names.index(term.name)] = np.log(term.usual.value), term.usual.log_sigma
-    if falls:
-        expected[names.index(_FALL)] = USUAL_FALL, FALLS_DIFFER
+        usual = float(np.log(term.usual.value))
+        bounds = usual - _LEAST_SHARE, usual + _MOST_TIMES_USUAL  # what is larger is no ordinary error
+        unknown.append(_Hyperparameter(term.name, *bounds, usual, term.usual.log_sigma))
+    if any(each.frequency is not None for each in terms):
+        unknown.append(_Hyperparameter(_FALL, 0.0, 5.0, USUAL_FALL, FALLS_DIFFER))
+    unknown.append(_Hyperparameter("noise", float(np.log(noise_floor(readings))), 12.0))
     if moving:
         stated = readings.motion_prior
-        expected[-2:, 1] = STAGE_REPEATABILITY_M.log_sigma if stated is None else stated.log_sigma
-    for row, name in enumerate(names):
-        if stage and name in stage:
-            expected[row] = stage[name]
-    return Prior(names, np.array(bounds), expected, features, mixed_features, own, group_offset, offset, mixed_offset)
-
-
-def _bounds_of(term: LabelTerm) -> tuple[float, float]:
-    """Bounds of the logarithm of the size of an error by label: what is larger is no ordinary error."""
-    usual = float(np.log(term.usual.value))
-    return usual - _LEAST_SHARE, usual + _MOST_TIMES_USUAL
+        sigma = STAGE_REPEATABILITY_M.log_sigma if stated is None else stated.log_sigma
+        for name, size, most in zip(_MOTIONS, motion_scale(readings), (LARGEST_SHIFT_M, LARGEST_TURN_RAD), strict=True):
+            bounds = np.log(LEAST_MOTION / size), np.log(max(most / size, _MOST_TIMES))
+            unknown.append(_Hyperparameter(name, *bounds, 0.0, sigma))
+    for row, each in enumerate(unknown):
+        if each.name in stage:
+            mean, sigma = stage[each.name]
+            unknown[row] = each._replace(mean=mean, sigma=sigma)
+    return unknown
 
 
 def _with_terms(
@@ -216,8 +226,8 @@ def _start_hyper(prior: Prior, size: float, slope: float, by_place: float, noise
 def motion_start(sums: Sums, prior: Prior, still: dict[str, float]) -> dict[str, float]:
     """Return the best of a few sizes of the motion: the evidence may have several maxima."""
     mean, sigma = prior.expected[-2:].T
-    starts = [still | dict(zip(("shift", "turn"), mean + at * sigma, strict=True)) for at in product(_SHIFTS, _TURNS)]
-    starts.append(still | dict(zip(("shift", "turn"), prior.bounds[-2:, 0], strict=True)))
+    starts = [still | dict(zip(_MOTIONS, mean + at * sigma, strict=True)) for at in product(_SHIFTS, _TURNS)]
+    starts.append(still | dict(zip(_MOTIONS, prior.bounds[-2:, 0], strict=True)))
 
     def evidence(start: dict[str, float]) -> float:
         try:
