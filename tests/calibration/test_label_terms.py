@@ -8,7 +8,7 @@ from toy_device import EYE_BOX, PLANE, bend_of, display_captures, grid_in_plane,
 
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_see_through import fit_see_through
-from wlr_render.calibration.label_terms import board_terms
+from wlr_render.calibration.label_terms import board_terms, unseen_errors
 from wlr_render.captures.feature_captures import TARGET_POSES, CommonErrors
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
 
@@ -71,6 +71,17 @@ def test_a_board_that_is_turned_tells_its_print_from_the_optics():
     straight = rms(0.0)
     for turn_deg in (90.0, 180.0):
         assert np.all(rms(turn_deg) < 0.85 * straight)
+
+
+def test_errors_whose_labels_captures_lack_are_named():
+    seen = printed(0)
+    recorded = {"time_s": np.arange(len(seen)), "travel": 1.0, "visit": seen.capture}
+    visits = np.unique(seen.capture)
+    everything = replace(seen, common=CommonErrors(("lens",), visits, np.zeros((len(visits), 6, 1))), **recorded)
+    assert unseen_errors(everything) == ()
+    board = replace(everything, target_point=np.full(3, np.nan))
+    assert unseen_errors(board) == ("printing errors and shape of the board (places on the board)",)
+    assert [each.split()[0] for each in unseen_errors(seen)] == ["drift", "direction", "motions", "lens"]
 
 
 def terms_of(dot, is_pose_fitted):

@@ -8,6 +8,7 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 
 from wlr_render.calibration.label_errors import LabelError, label_errors
+from wlr_render.calibration.label_terms import unseen_errors
 from wlr_render.calibration.moved_captures import CaptureMotion, MotionAgreement
 from wlr_render.calibration.posterior_spread import label_response
 from wlr_render.calibration.reading_sums import Response
@@ -120,6 +121,7 @@ class FitReport:
         motion_agreement: what the captures state of these motions; None where they state nothing.
         labels: errors that the readings of a dot, visit, time and so on share beyond the fit; empty for exact data.
         shares: contributions to `predicted_arcmin`, the largest first.
+        unseen: errors that are not in it, because the captures lack what shows them.
     """
 
     kind: str
@@ -145,6 +147,7 @@ class FitReport:
     motion_agreement: MotionAgreement | None = None
     labels: tuple[LabelError, ...] = ()
     shares: tuple[ErrorShare, ...] = ()
+    unseen: tuple[str, ...] = ()
 
     @property
     def held_out_arcmin(self) -> tuple[float, float] | None:
@@ -219,6 +222,7 @@ class ModelFit(Generic[AnyModel]):
             motion_agreement=smooth.motion_agreement,
             labels=self.labels,
             shares=self._shares(),
+            unseen=unseen_errors(captures) if stated is not None else (),
         )
 
     @cached_property

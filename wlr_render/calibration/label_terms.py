@@ -127,6 +127,20 @@ def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:
     return StageLabels(groups, reading, np.nan_to_num(captures.travel))
 
 
+def unseen_errors(captures: DisplayCaptures | SeeThroughCaptures) -> tuple[str, ...]:
+    """Return the errors that are no unknowns of a fit, because captures lack what shows them (it is in brackets)."""
+    lacking = {
+        "drift (times)": not np.isfinite(captures.time_s).all(),
+        "direction of travel (travel)": not np.isfinite(captures.travel).any(),
+        "motions between photographs from one position (visits)": not captures.has_visits,
+        "lens and pose of the camera and whatever else all captures share (common errors)": captures.common is None,
+    }
+    if isinstance(captures, SeeThroughCaptures):
+        places = "printing errors and shape of the board (places on the board)"
+        lacking[places] = not np.isfinite(captures.target_point).all()
+    return tuple(name for name, is_lacking in lacking.items() if is_lacking)
+
+
 def reading_groups(reading: FloatArray) -> IntArray:
     """Return the group (n,) of each reading of a stage's axis: itself where the axis takes few, else its bin."""
     group = np.unique(np.round(reading / _SAME_READING_M), return_inverse=True)[1].reshape(-1)

@@ -412,7 +412,7 @@ def test_a_row_of_positions_is_advised_where_it_pays(linear):
 def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
     board = ErrorShare("printing errors of the board", 0.1, 4.8e-5, 5e-5, "m")
     own, drift = ErrorShare("noise and stage", 0.05), ErrorShare("drift", 0.04, 0.1, 0.1, "arcmin")
-    fit = with_report(linear, shares=(board, own, drift))
+    fit = with_report(linear, shares=(board, own, drift), unseen=("heat (thermometers)",))
     assert fit_advice(fit) == [
         "Display: 0.10' of the predicted 0.12' come from printing errors of the board (48 um in the fit, usually 50 "
         "um). Print the board on glass, measure its dots, or turn it by 90 degrees at one pose."
@@ -421,6 +421,10 @@ def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
     blocks = fit_blocks(KindComparison({"planar": fit}, "planar"), captures)
     (shares,) = (block for block in blocks if block.title == "Predicted error by source")
     assert shares.rows[2] == ["display", "drift", 0.04, "0.10'", "0.10'"]
+    assert shares.notes[1] == (
+        "Display: the predicted error does not contain the following errors, because the captures lack what shows them "
+        "(in brackets): heat (thermometers)."
+    )
 
 
 def test_a_prescription_is_compared_with_no_prescription_and_the_best_kind_is_saved(calibrated, tmp_path):

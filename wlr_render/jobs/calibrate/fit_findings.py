@@ -247,10 +247,16 @@ def _share_table(fit: Calibration) -> ReportTable:
             size, usual = (None if value is None else _size_text(value, each.unit) for value in (each.size, each.usual))
             rows.append([name, each.source, each.arcmin, size, usual])
     columns = ["mapping", "source", "part of the predicted error (arcmin)", "size found", "usual size"]
-    notes = (
+    notes = [
         "Squares of the parts add up to the square of the predicted error. Sizes are rms of the source's own errors; "
-        "where the captures do not tell them, they are the usual ones.",
-    )
+        "where the captures do not tell them, they are the usual ones."
+    ]
+    notes += [
+        f"{name.capitalize()}: the predicted error does not contain the following errors, because the captures lack "
+        f"what shows them (in brackets): {'; '.join(report.unseen)}."
+        for name, report in _reports(fit)
+        if report.unseen
+    ]
     return ReportTable("Predicted error by source", columns, rows, notes)
 
 
