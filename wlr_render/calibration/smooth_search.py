@@ -264,8 +264,11 @@ def _rough(readings: FitReadings, kept: FloatArray) -> FloatArray:
     captures = int(readings.capture.max()) + 1
     used = np.flatnonzero(np.bincount(readings.capture, kept > 0, captures))
     middle = means_by(readings.capture, readings.inputs[:, readings.is_place])[used]
-    rest = _REST_IF_UNKNOWN if readings.motion_prior is None else _REST_IF_STATED
-    if (1.0 - rest) * len(used) < 1 + middle.shape[1]:  # motions that are linear in the place must go, too
+    # Motions that are linear in the place must be among the smooth ones, unless the sizes of motions are stated.
+    rest, fewest = (
+        (_REST_IF_STATED, 1) if readings.motion_prior is not None else (_REST_IF_UNKNOWN, 1 + middle.shape[1])
+    )
+    if (1.0 - rest) * len(used) < fewest:
         return np.zeros((6, captures, 0))
     values, extent, _ = np.linalg.svd(smooth_basis(middle, 1.0 - rest), full_matrices=False)
     values = values[:, extent > 1e-6 * extent[0]]
