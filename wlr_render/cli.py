@@ -52,7 +52,7 @@ VERBS = (
         "import-lens",
         HEADSET,
         "import_lens:import_lens",
-        "Convert a lens file of Zemax, Optiland or rayoptics into a device file.",
+        "Convert a lens file of Zemax, CODE V, Optiland or rayoptics into a device file.",
     ),
     Verb(
         "plan",

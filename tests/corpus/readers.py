@@ -77,6 +77,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "lens.cameramodel": load_lens,
     "codes/03.png": read_photograph,
     "lens.zmx": _read_optics,
+    "lens.seq": _read_optics,
     "optiland.json": _read_optics,
     "rayoptics.roa": _read_optics,
     "glasses.agf": lambda path: _read_optics(path.with_name("lens.zmx")),

@@ -85,6 +85,16 @@ def test_a_loupe_becomes_a_headset_with_an_upright_picture(tmp_path):
     assert report.tables[0].rows[2][:3] == [2, None, "s2"]
 
 
+def test_the_same_loupe_of_code_v_is_the_same_headset(tmp_path):
+    _, device = imported(tmp_path, LOUPE)
+    file = tmp_path / "lens.seq"
+    file.write_text("RDM;LEN\nDIM M\nSO 0 1e11\nS 0 20; STO\nS 50 5 1.5 60\nS -50 45; SPS QBF; SCO C3 0.1\nSI 0 0\n")
+    report = import_lens(ImportLensOptions(file, panel=(800, 600), panel_mm=(16.0, 12.0), out=tmp_path / "seq"))
+    np.testing.assert_allclose(pixels(load_device(tmp_path / "seq" / "lens.toml")), pixels(device), atol=1e-9)
+    assert "the type of surface 3 (QBF) is not read" in report.verdict
+    assert "2 surfaces of CODE V's lens.seq are the display path" in report.verdict
+
+
 def test_a_file_that_starts_at_the_panel_gives_the_same_headset(tmp_path):
     _, forwards = imported(tmp_path, LOUPE)
     _, backwards = imported(tmp_path, BACKWARDS, starts_at="panel")
@@ -229,8 +239,8 @@ def test_the_help_says_that_there_are_no_glass_files_by_default(capsys):
     assert "[default: ]" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["HoO-V2C18Ex27.zmx", "Sasian Triplet.roa", "shapes.json"])
-def test_files_of_three_programs_by_the_verb(tmp_path, name, capsys):
+@pytest.mark.parametrize("name", ["HoO-V2C18Ex27.zmx", "codev-decentres.seq", "Sasian Triplet.roa", "shapes.json"])
+def test_files_of_four_programs_by_the_verb(tmp_path, name, capsys):
     shutil.copy(LENSES / name, tmp_path)
     out = tmp_path / "out"
     command = ["import-lens", str(tmp_path / name), "--panel", "640x480", "--panel-mm", "8x6", "--out", str(out)]

@@ -23,7 +23,13 @@ OPTILAND = {
     "shapes.json": (4.0, 0.05),
     "zemax-aspheres.zmx": (4.0, 0.05),
 }
-RAYOPTICS = {"Sasian Triplet.roa": (3.0, 0.05), "decentred.roa": (2.0, 0.05), "zemax-toroids.zmx": (4.0, 0.05)}
+RAYOPTICS = {
+    "Sasian Triplet.roa": (3.0, 0.05),
+    "decentred.roa": (2.0, 0.05),
+    "zemax-toroids.zmx": (4.0, 0.05),
+    "codev-decentres.seq": (3.0, 0.03),
+    "three-mirrors.seq": (45.0, 0.02),
+}
 
 
 def starting_rays(width_mm, tangent, seed=5):
@@ -107,15 +113,19 @@ def make_decentred():
 
 def trace_with_rayoptics(path, origin, direction):
     """As `trace_with_optiland`."""
+    from rayoptics.codev import cmdproc
     from rayoptics.gui.roafile import open_roa
     from rayoptics.raytr.raytrace import trace
-    from rayoptics.zemax.zmxread import read_lens_file
+    from rayoptics.zemax import zmxread
 
-    whole = open_roa(path) if path.suffix == ".roa" else read_lens_file(path)[0]
+    readers = {".roa": open_roa, ".zmx": lambda path: zmxread.read_lens_file(path)[0]}
+    whole = readers.get(path.suffix, lambda path: cmdproc.read_lens(path)[0])(path)
     breaks = [each for each in whole["seq_model"].ifcs if each.interact_mode == "phantom"]
     for each in breaks:  # Zemax's tilts about x and y are right-handed; rayoptics takes them for its own, left-handed
         each.decenter.euler[:2] *= -1
         each.decenter.update()
+    if path.suffix == ".seq":  # the thickness of CODE V's image, by which rayoptics does not place it
+        whole["seq_model"].gaps[-1].thi += whole["optical_spec"]["focus"].focus_shift
     whole["seq_model"].gaps[0].thi = 20.0  # from 1e10 mm, rays would lose their digits
     whole.update_model()
     model = whole["seq_model"]

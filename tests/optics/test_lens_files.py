@@ -1,4 +1,4 @@
-"""Lens files of Zemax, Optiland and rayoptics: rays as these programs trace them, and what is said of a file's faults.
+"""Lens files of Zemax, CODE V, Optiland and rayoptics: rays as these programs trace them; faults.
 
 Stored rays and their origin: data/lens_files/README.md, make_lens_file_rays.py.
 """

@@ -1,4 +1,4 @@
-"""Convert a sequential prescription of Zemax, Optiland or rayoptics into a device file."""
+"""Convert a sequential prescription of Zemax, CODE V, Optiland or rayoptics into a device file."""
 
 import re
 import shlex
@@ -38,7 +38,9 @@ _FILE = option_group("Reading of the file", 2)
 class ImportLensOptions(Options):
     """Options of `import-lens`."""
 
-    file: Annotated[Path, described("Lens file: Zemax (.zmx, sequential), Optiland (.json) or rayoptics (.roa).")]
+    file: Annotated[
+        Path, described("Lens file: Zemax (.zmx, sequential), CODE V (.seq), Optiland (.json), rayoptics (.roa).")
+    ]
     _: KW_ONLY
     panel: Annotated[
         tuple[int, int], described_size("Pixels of the panel, e.g. 1920x1080.", group=_HEADSET), limits.PIXELS

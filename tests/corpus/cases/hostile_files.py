@@ -95,6 +95,7 @@ READERS = (
         Reader(f"optics {file}", file, ("import-lens", lens, *OPTICS), (lens, "glasses.agf"))
         for file, lens in (
             ("lens.zmx", "lens.zmx"),
+            ("lens.seq", "lens.seq"),
             ("optiland.json", "optiland.json"),
             ("rayoptics.roa", "rayoptics.roa"),
             ("glasses.agf", "lens.zmx"),
@@ -209,8 +210,8 @@ def _expected(reader: Reader, title: str, may_pass: bool) -> Literal["read", "an
 def _forgiving(reader: Reader, title: str) -> bool:
     """One table of a session is enough, and the numbers of a code's photographs say which is missing.
 
-    Zemax writes UTF-16; trimesh reads it where charset_normalizer is installed.
+    Zemax writes UTF-16, which is read of all lens programs; trimesh reads it where charset_normalizer is installed.
     """
-    if reader.file in ("lens.zmx", "glasses.agf", "box.obj") and title == "is UTF-16":
+    if reader.file in ("lens.zmx", "lens.seq", "glasses.agf", "box.obj") and title == "is UTF-16":
         return True
     return title == "missing" and reader.kind in ("bench table", "bench packed table", "photograph of code")

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from corpus.base_texts import GLASSES, LENS_ZMX, OPTILAND, RAYOPTICS
+from corpus.base_texts import GLASSES, LENS_SEQ, LENS_ZMX, OPTILAND, RAYOPTICS
 from corpus.case import Case, Change, replaced, written
 from corpus.cases.hostile_files import OPTICS
 from corpus.damage import Keys, with_value
@@ -45,6 +45,38 @@ ZEMAX: dict[str, tuple[str, str, str]] = {
         + "SURF 152\n",
         "surface",
     ),
+}
+# By name: old and new text of the CODE V file, and a word of the sentence.
+CODE_V: dict[str, tuple[str, str, str]] = {
+    "a radius of nan": ("S 50.0", "S nan", "line 12"),
+    "a radius of 1e-320": ("S 50.0", "S 1e-320", "lens.seq"),
+    "a thickness of 1e308": ("S 50.0 5.0", "S 50.0 1e308", "line 12"),
+    "a thickness of 400 digits": ("S 50.0 5.0", "S 50.0 " + "9" * 400, "line 12"),
+    "no thickness": ("S 0.0 45.0", "S 0.0", "line 19"),
+    "metres stated as millimetres": ("S 0.0 45.0", "S 0.0 0.045e6", "plausible|length|convert its unit"),
+    "an unknown unit": ("DIM M", "DIM PARSEC", "PARSEC"),
+    "an open quote": ("TITLE 'lens'", "TITLE 'lens", "line 2"),
+    "no object": ("SO 0.0 0.1e14\n", "", "SO"),
+    "a surface of number 999": ("S 0.0 45.0", "S999 0.0 45.0", "S999"),
+    "a command of surface 999999": ("CIR 18", "CIR S999999 18", "S999999"),
+    "a surface behind the image": ("GO", "S 0 1", "follows SI"),
+    "a glass that is missing": ("CORPUS_MAKER", "NO-SUCH-1", "NO-SUCH-1"),
+    "a glass of escapes": ("CORPUS_MAKER", "\x1b[31m\u202e", "catalogue"),
+    "a glass of index 0": ("CORPUS_MAKER", "0.0 60", "index"),
+    "a glass of index nan": ("1.61 1.62", "nan 1.62", "MINE"),
+    "a glass of 400 digits": ("CORPUS_MAKER", "517." + "9" * 400, "lens.seq"),
+    "a glass of two indices": ("1.62 &\n   1.63", "", "PWL"),
+    "a glass at no wavelength": ("PWL 656.3 587.6 486.1", "PWL 0 1e-300 1e12", "PWL"),
+    "a glass by an unknown formula": ("'MINE' 1.61", "'MINE' XYZ 1.61", "LAU"),
+    "a normalisation of 1e-30": ("XYP 10", "XYP 1e-30", "NRADIUS"),
+    "a term of 1e12": ("A 1e-6", "J 1e12", "lens.seq"),
+    "a coefficient of nan": ("C4 1e-4", "C4 nan", "SCO"),
+    "a turn of inf": ("ADE 1.0", "ADE inf", "ADE"),
+    "an aperture of -18": ("CIR 18", "CIR -18", "CIR"),
+    "no stop": ("  STO\n", "", "--pupil-surface"),
+    "no surface": (LENS_SEQ, "RDM;LEN\nDIM M\nGO\n", "0 surfaces"),
+    "300000 surfaces": (LENS_SEQ, "SO 0 1e11\n" + "S 0 1\n" * 300_000, "300002 surfaces"),
+    "continued without end": (LENS_SEQ, "RDM;LEN\nSO 0 " + "&\n" * 100_000, "surfaces"),
 }
 # By name: old and new text of the catalogue, and a word of the sentence.
 CATALOGUES: dict[str, tuple[str, str, str]] = {
@@ -105,6 +137,10 @@ def cases() -> Iterator[Case]:
     zemax = ("import-lens", "lens.zmx", *OPTICS)
     for title, (old, new, word) in ZEMAX.items():
         yield Case(f"Zemax: {title}", zemax, files, replaced("lens.zmx", old, new), ("lens.zmx", word))
+    code_v = ("import-lens", "lens.seq", *OPTICS)
+    for title, (old, new, word) in CODE_V.items():
+        change = replaced("lens.seq", old, new)
+        yield Case(f"CODE V: {title}", code_v, ("lens.seq", "glasses.agf"), change, ("lens.seq", word))
     for title, (old, new, word) in CATALOGUES.items():
         change = replaced("glasses.agf", old, new)
         yield Case(f"glass catalogue: {title}", zemax, files, change, ("glasses.agf|lens.zmx", word))

@@ -9,7 +9,7 @@ from wlr_render.io.input_files import LIMITS, as_bad_input, read_bytes
 
 
 def read_lens_lines(path: Path, kind: str) -> list[str]:
-    """Read the lines of a Zemax file.
+    """Read the lines of a text file.
 
     Unlike `str.splitlines`, it splits only at line ends, not at separators such as Latin-1's 0x85.
 

@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.geometry.transforms import inverse, rigid, rotation_about
 from wlr_render.io.input_files import shown
 from wlr_render.io.toml_files import Table
-from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.glass_files import NIKON_POWERS, SCHOTT_POWERS
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass, require_glass
 from wlr_render.optics.lens_files.sequence import (
+    INFINITE,
     UNITS_M,
+    Decentre,
     LensFile,
     LensReading,
     LensSurface,
@@ -28,7 +28,6 @@ from wlr_render.optics.lens_files.sequence import (
 from wlr_render.optics.media import AIR, Medium
 from wlr_render.optics.surfaces import Conic, Shape
 
-_INFINITE = 1e10  # distance that rayoptics writes for an object at infinity, in the file's unit
 _SELLMEIER_MAKERS = ("SchottGlass", "OharaGlass")
 _POWERS_OF_MAKERS = {
     "HoyaGlass": SCHOTT_POWERS,
@@ -66,11 +65,11 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
     has_stop = sequence.raw("stop_surface") is not None
     stop = sequence.whole("stop_surface", most=len(entries) - 1) if has_stop else None
     surfaces: list[LensSurface] = []
-    pose, medium, thickness, before = np.eye(4), AIR, 0.0, None
+    pose, medium, thickness, before = np.eye(4), AIR, 0.0, Decentre()
     for number, entry in enumerate(entries):
         reading.surface, surface = number, entry.table("attributes")
-        decentre = surface.table("decenter").table("attributes") if surface.raw("decenter") else None
-        pose = pose @ _step(before, thickness, decentre, unit)
+        decentre = _decentre(surface.table("decenter").table("attributes") if surface.raw("decenter") else None, unit)
+        pose = pose @ before.step(unit * thickness, decentre)
         mode = surface.text("interact_mode")
         if mode not in ("transmit", "reflect", "dummy", "phantom"):
             reading.ignore("interact_mode", mode, "taken as a surface that light passes", True)
@@ -80,7 +79,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
         if mode != "reflect":
             medium = _medium(gaps[number], reading) if number < len(gaps) else medium
         thickness = number_of(gaps[number].table("attributes"), "thi") if number < len(gaps) else 0.0
-        infinite = number == 0 and abs(thickness) >= _INFINITE
+        infinite = number == 0 and abs(thickness) >= INFINITE
         surfaces.append(
             LensSurface(
                 number,
@@ -95,7 +94,7 @@ def read_rayoptics(path: Path, file: Table, catalogue: GlassCatalogue) -> LensFi
             )
         )
         if number == 0:
-            thickness, decentre = 0.0, None
+            thickness, decentre = 0.0, Decentre()
         before = decentre
     return reading.lens_file(str(system.raw("title") or "")[:200], surfaces)
 
@@ -115,30 +114,13 @@ def _array(table: Table, key: str, size: int | None = None) -> list[float]:
     return [finite(each, f"{table.where}: '{key}'") for each in value]
 
 
-def _step(before: Table | None, thickness: float, decentre: Table | None, unit: float) -> FloatArray:
-    """Return the pose (4, 4) of the next surface in the frame behind one: rotation, shift along the gap, rotation."""
-    turn_before, shift_before = _decentre(before, "after", unit)
-    turn_after, shift_after = _decentre(decentre, "before", unit)
-    return np.asarray(turn_before @ shift_before @ shift(z=unit * thickness) @ shift_after @ turn_after)
-
-
-def _decentre(table: Table | None, side: str, unit: float) -> tuple[FloatArray, FloatArray]:
-    """Return the rotation and shift of a decentre before or after its surface."""
+def _decentre(table: Table | None, unit: float) -> Decentre:
     if table is None:
-        return np.eye(4), np.eye(4)
+        return Decentre()
     stated = table.raw("_dtype") or table.raw("dtype")
-    kind = str(stated)
-    alpha, beta, gamma = np.deg2rad(_array(table, "euler", 3))
-    # About x and y the angles are left-handed, as in CODE V.
-    rotation = rigid(rotation_about("x", -alpha) @ rotation_about("y", -beta) @ rotation_about("z", gamma), np.zeros(3))
-    moved = shift(*(unit * each for each in _array(table, "dec", 3)))
-    nothing, back = (np.eye(4), np.eye(4)), (rotation.T, inverse(moved))
-    after = {"decenter": nothing, "bend": (rotation, np.eye(4)), "dec and return": back, "reverse": back}
-    if kind not in after:
-        raise table.fail(f"the decentre is {shown(stated)}; it must be one of {', '.join(sorted(after))}.")
-    if side == "after":
-        return after[kind]
-    return nothing if kind == "reverse" else (rotation, moved)
+    if str(stated) not in Decentre.KINDS:
+        raise table.fail(f"the decentre is {shown(stated)}; it must be one of {', '.join(Decentre.KINDS)}.")
+    return Decentre.of(str(stated), [unit * each for each in _array(table, "dec", 3)], _array(table, "euler", 3))
 
 
 def _medium(gap: Table, reading: LensReading) -> Medium:

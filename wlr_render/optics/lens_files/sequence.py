@@ -7,12 +7,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from wlr_render.errors import BadInputError
-from wlr_render.geometry.transforms import rigid
+from wlr_render.geometry.transforms import inverse, rigid, rotation_about
 from wlr_render.io.input_files import shown
 from wlr_render.io.toml_files import Table
 from wlr_render.numerics.arrays import FloatArray
@@ -32,6 +32,11 @@ UNITS_M = {
     **{"m": 1.0, "me": 1.0, "meter": 1.0, "meters": 1.0},
 }
 """Metres of the units of length that lens files name."""
+
+INFINITE = 1e10
+"""Distance that CODE V and rayoptics write for an object at infinity, in the file's unit."""
+NORMS = 1e-9, 1e9
+"""Shortest and longest length that divides the coordinates of a polynomial, in the file's unit."""
 
 _MOST_SURFACES = 1000
 _LARGEST = 1e12
@@ -143,6 +148,11 @@ class LensReading:
         """Note a surface of a type that is not read."""
         self.ignore(key, kind, "this type is not read: its conic stands in its place", bends_rays, "shape")
 
+    def other_environment(self, key: str, value: str) -> None:
+        """Note a temperature or pressure at which the indices differ from the catalogues."""
+        reason = "the indices are those at 20 degrees Celsius and 1 atmosphere; another environment is not read"
+        self.ignore(key, value, reason, True)
+
     def rectangle(self, centre: Sequence[float], half: Sequence[float]) -> ClearAperture:
         """Return an aperture by its centre and half sides in file units."""
         low, high = (self.unit * (np.array(centre) + sign * np.array(half)) for sign in (-1.0, 1.0))
@@ -163,6 +173,42 @@ class LensReading:
             names = "; ".join(f"{name} (surface {', '.join(each)})" for name, each in self.unknown_glasses.items())
             raise BadInputError(f"{self.path}: no catalogue has these glasses: {names[:300]}. {unknown_glass_remedy()}")
         return LensFile(title, tuple(surfaces), tuple(self.notes))
+
+
+@dataclass(frozen=True, eq=False)
+class Decentre:
+    """A shift and tilts of a surface, in the convention of CODE V and rayoptics.
+
+    Attributes:
+        kind: one of `KINDS`: the axes behind the surface stay decentred, are tilted once more (at a mirror, they follow
+            the light), or return; or the inverse decentre is behind the surface and none before it.
+        shift: (4, 4), metres.
+        rotation: (4, 4).
+    """
+
+    KINDS: ClassVar = ("bend", "dec and return", "decenter", "reverse")
+
+    kind: str = "decenter"
+    shift: FloatArray = field(default_factory=lambda: np.eye(4))
+    rotation: FloatArray = field(default_factory=lambda: np.eye(4))
+
+    @classmethod
+    def of(cls, kind: str, place: Sequence[float], degrees: Sequence[float]) -> "Decentre":
+        """Return a decentre by a shift along x, y and z in metres, then tilts about x, y and z in degrees."""
+        alpha, beta, gamma = np.deg2rad(degrees)
+        # About x and y the angles are left-handed.
+        rotation = rotation_about("x", -alpha) @ rotation_about("y", -beta) @ rotation_about("z", gamma)
+        return cls(kind, shift(*place), rigid(rotation, np.zeros(3)))
+
+    def step(self, thickness: float, following: "Decentre") -> FloatArray:
+        """Return the pose (4, 4) of the next surface, which has the decentre `following`, in the axes of this one."""
+        turn, moved = np.eye(4), np.eye(4)
+        if self.kind == "bend":
+            turn = self.rotation
+        elif self.kind != "decenter":
+            turn, moved = self.rotation.T, inverse(self.shift)
+        behind = turn @ moved @ shift(z=thickness)
+        return behind if following.kind == "reverse" else behind @ following.shift @ following.rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,6 +300,11 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> FloatArray:
 def by_power(step: int, terms: Sequence[float]) -> dict[int, float]:
     """Return factors of r^step, r^(2 step), ... by their power."""
     return {step * place: term for place, term in enumerate(terms, 1)}
+
+
+def xy_powers() -> list[tuple[int, int]]:
+    """Return the powers of x and y in the order x, y, x^2, xy, y^2, ... up to `MOST_POWER`."""
+    return [(order - n, n) for order in range(1, MOST_POWER + 1) for n in range(order + 1)]
 
 
 def conic(curvature: float, constant: float) -> Conic:

@@ -11,7 +11,6 @@ from wlr_render.io.input_files import shown
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device import ClearAperture
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue, model_glass
-from wlr_render.optics.lens_files.lens_text import read_lens_lines
 from wlr_render.optics.lens_files.sequence import UNITS_M, LensFile, LensSurface, box_aperture, require_surfaces, shift
 from wlr_render.optics.lens_files.zemax_lines import ZemaxReading, ZemaxSurface
 from wlr_render.optics.lens_files.zemax_shapes import shape_of
@@ -39,15 +38,15 @@ _ROOM = 20.0, 1.0
 """Temperature in degrees Celsius and pressure in atmospheres that the indices of catalogues are stated for."""
 
 
-def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
-    """Read a .zmx file of sequential mode.
+def read_zemax(path: Path, lines: list[str], catalogue: GlassCatalogue) -> LensFile:
+    """Read the lines of a .zmx file of sequential mode.
 
     Raises:
         BadInputError: the file is not a Zemax file, is not sequential, has a value that is not a number, or names a
             glass that no catalogue has.
     """
     reading = ZemaxReading(path, catalogue)
-    header, surfaces = _split(reading)
+    header, surfaces = _split(reading, lines)
     require_surfaces(path, len(surfaces))
     title = _read_header(reading, header)
     taken: list[LensSurface] = []
@@ -81,12 +80,12 @@ def read_zemax(path: Path, catalogue: GlassCatalogue) -> LensFile:
     return reading.lens_file(title, taken)
 
 
-def _split(reading: ZemaxReading) -> tuple[dict[str, tuple[list[str], int]], list[ZemaxSurface]]:
+def _split(reading: ZemaxReading, lines: list[str]) -> tuple[dict[str, tuple[list[str], int]], list[ZemaxSurface]]:
     """Return the keys of the header, and the lines of each surface."""
     header: dict[str, tuple[list[str], int]] = {}
     surfaces: list[ZemaxSurface] = []
     within, path = False, reading.path
-    for number, line in enumerate(read_lens_lines(path, _KIND), 1):
+    for number, line in enumerate(lines, 1):
         key, *words = line.split() or [""]
         if key == "SURF":
             stated = words[0] if words else ""
@@ -127,8 +126,7 @@ def _note_environment(reading: ZemaxReading, header: dict[str, tuple[list[str], 
     """Note a temperature and pressure at which the indices differ from the catalogues."""
     words, line = header.get("ENVD", ([], 0))
     if len(words) > 1 and tuple(reading.number(words, place, line, "ENVD") for place in (0, 1)) != _ROOM:
-        reason = "the indices are those at 20 degrees Celsius and 1 atmosphere; another environment is not read"
-        reading.ignore("ENVD", " ".join(words), reason, True)
+        reading.other_environment("ENVD", " ".join(words))
 
 
 def _kind(surface: ZemaxSurface) -> str:

@@ -6,12 +6,11 @@ import numpy as np
 
 from wlr_render.errors import BadInputError
 from wlr_render.optics.device_keys import MOST_POWER
-from wlr_render.optics.lens_files.sequence import conic
+from wlr_render.optics.lens_files.sequence import NORMS, conic, xy_powers
 from wlr_render.optics.lens_files.zemax_lines import MOST_NUMBERED, ZemaxSurface
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere
 from wlr_render.optics.surfaces import Conic, Shape
 
-_NORMS = 1e-9, 1e9
 _CONIC_WITHOUT_TERMS = {
     *("BINARY_1", "BINARY_2", "DGRATING", "FZERNPHA", "FZERNSAG", "IRREGULA", "QED_TYPE", "SZERNPHA", "SZERNSAG"),
     *("XODDASPH",),
@@ -52,10 +51,10 @@ def _extended_asphere(surface: ZemaxSurface, base: Conic) -> Shape:
 def _terms_and_norm(surface: ZemaxSurface, values: dict[int, float]) -> tuple[int, float]:
     """Return the number of terms in `XDAT`, and the length that divides their coordinates."""
     norm = values.get(2, 1.0) or 1.0
-    if not _NORMS[0] <= abs(norm) <= _NORMS[1]:
+    if not NORMS[0] <= abs(norm) <= NORMS[1]:
         raise BadInputError(
             f"{surface.reading.path}: surface {surface.number}: XDAT 2 is {norm:g}; a normalisation radius lies "
-            f"between {_NORMS[0]:g} and {_NORMS[1]:g} lens units: correct it."
+            f"between {NORMS[0]:g} and {NORMS[1]:g} lens units: correct it."
         )
     return int(min(max(values.get(1, 0.0), 0.0), MOST_NUMBERED)), norm
 
@@ -82,7 +81,7 @@ def _extended_polynomial(surface: ZemaxSurface, base: Conic) -> Shape:
     values = surface.numbered("XDAT")
     count, norm = _terms_and_norm(surface, values)
     terms = np.zeros((MOST_POWER + 1, MOST_POWER + 1))
-    powers = [(order - n, n) for order in range(1, MOST_POWER + 1) for n in range(order + 1)]
+    powers = xy_powers()
     if count > len(powers):
         surface.reading.ignore("XDAT 1", count, f"only the terms up to order {MOST_POWER} are read", True)
     for place, (m, n) in enumerate(powers[:count]):
