@@ -11,6 +11,7 @@ from make_lens_file_rays import FOLDER
 from test_lens_files import CATALOGUE, path_of
 
 from wlr_render.errors import BadInputError
+from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.lens_file import read_lens_file
 from wlr_render.optics.sag_surfaces import AnamorphicAsphere
 from wlr_render.optics.surfaces import Conic
@@ -56,7 +57,7 @@ BACK = "S -100.0 30.0\n"
 def lens_of(tmp_path, text, name="lens.seq"):
     path = tmp_path / name
     path.write_text(text)
-    return read_lens_file(path, CATALOGUE)[1]
+    return read_lens_file(path, GlassCatalogue(CATALOGUE.files))[1]
 
 
 def rays(lens):
@@ -75,6 +76,7 @@ def rays(lens):
     [
         ("", ""),
         ("CON\nK -0.5", "CONI -0.5"),
+        ("CYL; RDX 0; CON; K -0.5", "CONI -0.5"),
         ("asp; k -0.5; a 1e-6; b -2e-8 ; c 1E-10", "TYPE EVENASPH\nCONI -0.5\nPARM 2 1e-6\nPARM 3 -2e-8\nPARM 4 1e-10"),
         ("ASP\nJ 1e-18", "TYPE XASPHERE\nXDAT 1 10\nXDAT 2 1\nXDAT 12 1e-18"),
         ("SPS ODD 0.0\nSCO K -0.5\nSCO AR2 1e-4; SCO AR3 2e-5", "TYPE ODDASPHE\nCONI -0.5\nPARM 2 1e-4\nPARM 3 2e-5"),
@@ -120,6 +122,7 @@ def test_a_surface_traces_as_that_of_zemax(tmp_path, commands, lines):
         (BACK, "S -100.0 30.0\nRDY S2 40 ! again\n"),
         ("SI 0.0 0.0\n", ""),
         ("SI 0.0 0.0\n", "SI 0.0 0.0\nTHI S3 30; SLB S1 'eye!; no comment'\n"),
+        ("SI 0.0 0.0\n", "SI 0.0 0.0\nS4 0.0 0.0\n"),
         ("S -100.0 30.0", "S -100.0 28.5"),
     ],
 )
@@ -229,6 +232,7 @@ def test_three_decentred_mirrors_are_in_focus(tmp_path):
         ("REX 5; ARO 30", "ARO", False, "other"),
         ("REX L'A' 5; REX L'B' 6", "REX", False, "other"),
         ("FOO 3", "FOO", False, "other"),
+        ("'' 3; ' ' 4", "''", False, "other"),
     ],
 )
 def test_commands_that_are_not_read_are_named(tmp_path, commands, key, bends_rays, part):
@@ -279,6 +283,25 @@ def test_a_mirror_has_the_medium_before_it_behind_it(tmp_path, mirror):
     assert lens.surfaces[3].medium == lens.surfaces[2].medium
 
 
+@pytest.mark.parametrize(
+    ("name", "asked"),
+    [
+        ("NSF99_SCHOTT", ("N-SF99", ("schott",))),
+        ("SF99_SCHOTT", ("SF99", ("schott",))),
+        ("SLAL99_OHARA", ("S-LAL99", ("ohara",))),
+        ("NSF99", ("NSF99", ())),
+    ],
+)
+def test_glasses_are_looked_up_as_their_makers_write_them(tmp_path, monkeypatch, name, asked):
+    queries = []
+    monkeypatch.setattr(
+        "wlr_render.optics.lens_files.glass_catalogues._glass_of_optiland", lambda *query: queries.append(query)
+    )
+    with pytest.raises(BadInputError, match=asked[0]):
+        lens_of(tmp_path, SEQ.replace("1.5168 64.17", name))
+    assert queries == [asked]
+
+
 PRIVATE = "PRV\n  PWL 656.2725 587.5618 486.1327\n  {}\nEND\n"
 
 
@@ -314,13 +337,14 @@ def test_many_private_indices_are_fitted(tmp_path):
         (FRONT, f"{FRONT}K S9 -1\n", "line 11: surface S9 does not exist yet"),
         (FRONT, f"{FRONT}CIR -3\n", "line 11: CIR is -3; it must be larger than 0"),
         (FRONT, f"{FRONT}SPS XYP 1e-30\n", "line 11: NRADIUS is 1e-30"),
-        ("S 40.0 4.0", "S7 40.0 4.0", "line 10: surface 'S7' follows S; surfaces are stated in their order"),
+        ("S 40.0 4.0", "S7 40.0 4.0", "line 10: surface 'S7' follows S1; surfaces are stated in their order"),
         ("SO 0.0 0.1e14\n", "", "line 7: surface 'S' follows nothing"),
-        ("GO", "S 0 1", "line 13: surface 'S' follows SI"),
+        ("GO", "S 0 1", "line 13: surface 'S' follows the image SI"),
         ("DIM M", "DIM FURLONG", "line 4: DIM is 'FURLONG'; it must be M"),
         ("TITLE 'one lens'", "TITLE 'one lens", "line 2: a text in quotes does not end in its line"),
         ("1.5168 64.17", "15.168 64.17", "line 10: glass '15.168': the index"),
-        ("1.5168 64.17", "NOSUCH_SCHOTT", r"no catalogue has these glasses: NOSUCH .surface 2"),
+        ("1.5168 64.17", "XSUCH_SCHOTT", r"no catalogue has these glasses: XSUCH .surface 2"),
+        ("1.5168 64.17", "_SCHOTT", r"no catalogue has these glasses: _SCHOTT .surface 2"),
         ("1.5168 64.17", "NOSUCH\n" + PRIVATE.format("NOSUCH SEL 1 2 3"), "line 13: glass 'NOSUCH': a private glass"),
         ("1.5168 64.17", "NOSUCH\n" + PRIVATE.format("NOSUCH 1.5 1.6"), "line 13: glass 'NOSUCH': a private glass"),
         (SEQ, "LEN\nSO 0 1\nSI 0 0\n", "has 2 surfaces"),

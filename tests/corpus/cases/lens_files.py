@@ -59,7 +59,7 @@ CODE_V: dict[str, tuple[str, str, str]] = {
     "no object": ("SO 0.0 0.1e14\n", "", "SO"),
     "a surface of number 999": ("S 0.0 45.0", "S999 0.0 45.0", "S999"),
     "a command of surface 999999": ("CIR 18", "CIR S999999 18", "S999999"),
-    "a surface behind the image": ("GO", "S 0 1", "follows SI"),
+    "a surface behind the image": ("GO", "S 0 1", "follows the image SI"),
     "a glass that is missing": ("CORPUS_MAKER", "NO-SUCH-1", "NO-SUCH-1"),
     "a glass of escapes": ("CORPUS_MAKER", "\x1b[31m\u202e", "catalogue"),
     "a glass of index 0": ("CORPUS_MAKER", "0.0 60", "index"),
@@ -75,7 +75,7 @@ CODE_V: dict[str, tuple[str, str, str]] = {
     "an aperture of -18": ("CIR 18", "CIR -18", "CIR"),
     "no stop": ("  STO\n", "", "--pupil-surface"),
     "no surface": (LENS_SEQ, "RDM;LEN\nDIM M\nGO\n", "0 surfaces"),
-    "300000 surfaces": (LENS_SEQ, "SO 0 1e11\n" + "S 0 1\n" * 300_000, "300002 surfaces"),
+    "50000 surfaces": (LENS_SEQ, "SO 0 1e11\n" + "S 0 1\n" * 50_000, "50002 surfaces"),
     "continued without end": (LENS_SEQ, "RDM;LEN\nSO 0 " + "&\n" * 100_000, "surfaces"),
 }
 # By name: old and new text of the catalogue, and a word of the sentence.

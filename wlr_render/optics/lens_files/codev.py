@@ -37,30 +37,14 @@ _SOLVES = {"PIM", "PIK", "RED"}
 _SOLVED = {"THI", "CUY", "CUX", "RDY", "RDX"}
 """Commands that state a solve if they have a qualifier, such as THI HMY."""
 _BENDING = {
-    *(
-        "RET",
-        "GLB",
-        "XOD",
-        "YOD",
-        "ZOD",
-        "NSS",
-        "INS",
-        "DEL",
-        "SCA",
-        "FLY",
-        "IN",
-        "RES",
-        "CUF",
-        "GRC",
-        "BIR",
-        "INT",
-        "PAR",
-    ),
+    *("RET", "GLB", "XOD", "YOD", "ZOD", "NSS", "INS", "DEL", "SCA", "FLY", "IN", "RES", "CUF", "GRC", "BIR", "INT"),
     *("AP", "BP", "CP", "DP", "CUX", "RDX", "GL1", "GL2", "XDE", "YDE", "ZDE", "ADE", "BDE", "CDE"),
-    *("SCO", "K", *"ABCDEFGHJ"),
+    *("SCO", "PAR", "K", *"ABCDEFGHJ"),
 }
 """Commands that bend rays where they are not read, and have no effect where their numbers are 0."""
 _MORE_THAN_A_SHAPE = {"DIF", "HOE", "GRT", "GRI", "MOD", "FRN"}
+_PREFIXES = {"SCHOTT": "N", "OHARA": "S", "HIKARI": "J", "CDGM": "HD"}
+"""First letters of glasses, by maker, that a dash follows; CODE V writes names without it."""
 _ROOM = {"TEM": (20.0, 22.0), "PRE": (760.0,)}
 """Temperatures in degrees Celsius and pressure in millimetres of mercury for which catalogues state indices."""
 _PRIVATE_UM = 0.1, 100.0
@@ -180,7 +164,7 @@ def _glass(file: CodevFile, surface: CodevSurface, before: Medium) -> tuple[bool
     mode = [*words[1:], *surface.words("RMD")]
     if [each for each in (*words[:1], *mode) if each.upper() in ("REFL", "TIR")]:
         return True, before
-    if not words:
+    if not "".join(words[:1]):
         return False, AIR
     name, reading = words[0], surface.reading
     where = f"{reading.path}: line {command.line}: glass {shown(name)}"
@@ -192,7 +176,9 @@ def _glass(file: CodevFile, surface: CodevSurface, before: Medium) -> tuple[bool
     if re.match(r"[-+.\d]", name):
         numbers = [number_of(reading, command, words, place) for place in range(min(len(words), 2))]
         return False, reading.model_glass("GLA", numbers[0], numbers[1] if len(numbers) > 1 else 0.0, where)
-    name, _, maker = name.partition("_")
+    name, _, maker = name.partition("_") if name.strip("_") == name else (name, "", "")
+    if name[0].upper() in _PREFIXES.get(maker.upper(), ""):
+        name = f"{name[0]}-{name[1:]}"
     return False, reading.required_glass("GLA", name, (maker,) if maker else ())
 
 

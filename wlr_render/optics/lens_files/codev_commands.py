@@ -34,8 +34,8 @@ class Command:
 
     @property
     def name(self) -> str:
-        """The name in capitals: at most three letters are significant."""
-        return self.words[0][:3].upper()
+        """The name in capitals: at most three letters are significant; never blank."""
+        return "".join(self.words[0].split())[:3].upper() or "''"
 
 
 def commands_of(path: Path, lines: Iterable[str]) -> Iterator[Command]:
@@ -134,6 +134,8 @@ class CodevFile:
     _has_radius: bool = False
     _is_private: bool = False
     _wavelengths: Command | None = None
+    _has_image: bool = False
+    _stop: CodevSurface | None = None
 
     def take(self, command: Command) -> None:
         """Sort a command.
@@ -157,7 +159,7 @@ class CodevFile:
 
     def end(self) -> None:
         """Add the image, which a file may leave out: a plane behind the thickness of the last surface."""
-        if len(self.surfaces) > 1 and self.surfaces[-1].line.words[0].upper() != "SI":
+        if len(self.surfaces) > 1 and not self._has_image:
             image = Command(("SI", "0", "0"), self.surfaces[-1].line.line)
             self.surfaces.append(CodevSurface(self.reading, len(self.surfaces), image))
 
@@ -167,12 +169,13 @@ class CodevFile:
         if stated < len(self.surfaces):
             self.surfaces[stated].line, self.surfaces[stated].has_radius = command, self._has_radius
             return
-        last = self.surfaces[-1].line.words[0].upper() if self.surfaces else "nothing"
-        if stated > len(self.surfaces) or last == "SI" or (not self.surfaces and text not in ("O", "0")):
+        if stated > len(self.surfaces) or self._has_image or (not self.surfaces and text not in ("O", "0")):
+            last = "the image SI" if self._has_image else f"S{len(self.surfaces) - 1}" if self.surfaces else "nothing"
             raise BadInputError(
                 f"{self.reading.path}: line {command.line}: surface {shown(command.words[0])} follows {last}; "
                 "surfaces are stated in their order, from SO to SI."
             )
+        self._has_image = text == "I"
         self.surfaces.append(CodevSurface(self.reading, stated, command, self._has_radius))
 
     def _sort(self, command: Command) -> None:
@@ -195,8 +198,9 @@ class CodevFile:
         if command.name == "PIK":
             owner, qualifiers = self.whole, [str(command.line)]
         if command.name == "STO":
-            for surface in self.surfaces:
-                surface.commands.pop("STO", None)
+            if self._stop is not None:
+                self._stop.commands.pop("STO", None)
+            self._stop = owner
         key = " ".join([command.name, *qualifiers])[:40]
         labels = {word for word in words if _LABEL.match(word)}
         if key in owner.commands and labels.difference(owner.commands[key].words):

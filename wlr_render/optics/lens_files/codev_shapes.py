@@ -14,6 +14,7 @@ from wlr_render.optics.surfaces import Conic, Shape
 _MM = 1e-3
 _LETTERS = "ABCDEFGHJ"
 """Commands of the terms of an asphere in r^4, r^6, ... r^20."""
+_TYPES = {"SPH", "CON", "ASP", "CYL", "XTO", "YTO", "AAS", "SPS", "SPL"}
 _CONIC_WITHOUT_TERMS = {"SPS ZRN", "SPS ZFR", "SPS QBF", "SPS QCN", "SPS ASP"}
 """Unsupported types that equal their conic if all their coefficients are 0."""
 
@@ -24,9 +25,7 @@ def shape_of(surface: CodevSurface) -> Shape:
     Raises:
         BadInputError: a value is not a number.
     """
-    types = [key for key in surface.commands if key in ("SPH", "CON", "ASP", "CYL", "XTO", "YTO", "AAS")]
-    types += [key for key in surface.commands if key.startswith(("SPS", "SPL"))]
-    kind = max(types, key=list(surface.commands).index, default="SPH")
+    kind = next((key for key in reversed(surface.commands) if key.split()[0] in _TYPES), "SPH")
     surface.used.add(kind)
     curvature = _curvature(surface, "Y")
     if kind == "SPH":
