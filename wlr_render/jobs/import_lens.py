@@ -251,7 +251,7 @@ def _ignored_table(headset: ImportedHeadset) -> list[ReportTable]:
     if not headset.ignored:
         return []
     rows = [_ignored_row(note) for note in headset.ignored]
-    notes = ("Keys of drawing, coating, solves and tolerances, of fields and wavelengths are not listed.",)
+    notes = ("Keys of drawing, coating and tolerances, of fields and wavelengths, and Zemax's solves are not listed.",)
     columns = ("surface", "key", "value", "bends rays", "reason")
     return [ReportTable("Keys ignored, or read otherwise than the file states them", columns, rows, notes)]
 
