@@ -1,6 +1,6 @@
 """Command line: verbs generated from the options of the jobs.
 
-A new verb is a job (options, function, report) and its row in `VERBS`.
+A new verb is a job (options, function, report) and its help text in `HELP`.
 """
 
 import contextlib
@@ -37,85 +37,52 @@ START, HEADSET, LAB, MODELS, PICTURES = GROUPS = "Start", "Headset", "Lab", "Mod
 
 @dataclass(frozen=True)
 class Verb:
-    """A verb: its name on the command line, its group in --help, the function it calls, and its help text."""
+    """A verb: its name on the command line, its group in --help, and its help text."""
 
     words: str
     group: str
-    function: str
     help: str
 
+    @property
+    def function(self) -> str:
+        """Module in `wlr_render.jobs` and name of the function that the verb calls, e.g. "trace:trace"."""
+        name = self.words.replace("-", "_")
+        return f"{_MODULES.get(name, name)}:{name}"
 
-VERBS = (
-    Verb("demo", START, "demo:demo", "Draw a scene four ways for one headset and measure the misalignment of each."),
-    Verb("trace", HEADSET, "trace:trace", "Draw a device with its rays and tabulate its optical figures."),
-    Verb(
-        "import-lens",
-        HEADSET,
-        "import_lens:import_lens",
-        "Convert a lens file of Zemax, CODE V, Optiland or rayoptics into a device file.",
-    ),
-    Verb(
-        "plan",
-        LAB,
-        "plan.plan:plan",
-        "Plan a session: where to put the camera, and how many photographs reach an accuracy.",
-    ),
-    Verb(
-        "board", LAB, "print_board:board", "Design a calibration board and write it for printing and for calibration."
-    ),
-    Verb(
-        "pattern",
-        LAB,
-        "show_pattern:pattern",
-        "Write the pictures of a panel code with a page that shows them, or photograph each with your camera.",
-    ),
-    Verb("decode", LAB, "decode:decode", "Decode photographs of a panel or projector that shows a code."),
-    Verb("simulate", LAB, "simulate:simulate", "Simulate a session of photographs, as a lab would deliver it."),
-    Verb(
-        "calibrate",
-        MODELS,
-        "calibrate.calibrate:calibrate",
-        "Fit the models of one or both eyes to photographs, a bench session or captures, or to a simulated device.",
-    ),
-    Verb(
-        "verify",
-        MODELS,
-        "verify:verify",
-        "Measure the misalignment in your own photographs of the drawn target, display off and on.",
-    ),
-    Verb(
-        "budget",
-        MODELS,
-        "budget:budget",
-        "State the error budget of a headset: arcminutes by source, pixel by pixel, and what to improve first.",
-    ),
-    Verb(
-        "diagnose",
-        MODELS,
-        "diagnose:diagnose",
-        "Compare a measured session with the bench model, find the physical causes of any difference, and write a "
-        "corrected bench model.",
-    ),
-    Verb(
-        "predict",
-        MODELS,
-        "predict:predict",
-        "Predict the captures of a session with a bench model found elsewhere, e.g. the corrected bench of another "
-        "session.",
-    ),
-    Verb(
-        "render",
-        PICTURES,
-        "render:render",
-        "Draw the frames of one or both eyes for a still or moving wearer; pack them as a data set.",
-    ),
-    Verb(
-        "export",
-        PICTURES,
-        "export:export",
-        "Write a headset's warp maps for other programs, with a page that explains them.",
-    ),
-)
+
+_MODULES = {"plan": "plan.plan", "board": "print_board", "pattern": "show_pattern", "calibrate": "calibrate.calibrate"}
+"""Modules of the verbs that have another name than their module."""
+HELP = {
+    START: {"demo": "Draw a scene four ways for one headset and measure the misalignment of each."},
+    HEADSET: {
+        "trace": "Draw a device with its rays and tabulate its optical figures.",
+        "import-lens": "Convert a lens file of Zemax, CODE V, Optiland or rayoptics into a device file.",
+    },
+    LAB: {
+        "plan": "Plan a session: where to put the camera, and how many photographs reach an accuracy.",
+        "board": "Design a calibration board and write it for printing and for calibration.",
+        "pattern": "Write the pictures of a panel code with a page that shows them, or photograph each with your "
+        "camera.",
+        "decode": "Decode photographs of a panel or projector that shows a code.",
+        "simulate": "Simulate a session of photographs, as a lab would deliver it.",
+    },
+    MODELS: {
+        "calibrate": "Fit the models of one or both eyes to photographs, a bench session or captures, or to a "
+        "simulated device.",
+        "verify": "Measure the misalignment in your own photographs of the drawn target, display off and on.",
+        "budget": "State the error budget of a headset: arcminutes by source, pixel by pixel, and what to improve "
+        "first.",
+        "diagnose": "Compare a measured session with the bench model, find the physical causes of any difference, and "
+        "write a corrected bench model.",
+        "predict": "Predict the captures of a session with a bench model found elsewhere, e.g. the corrected bench of "
+        "another session.",
+    },
+    PICTURES: {
+        "render": "Draw the frames of one or both eyes for a still or moving wearer; pack them as a data set.",
+        "export": "Write a headset's warp maps for other programs, with a page that explains them.",
+    },
+}
+VERBS = tuple(Verb(words, group, text) for group, verbs in HELP.items() for words, text in verbs.items())
 
 RENAMED = {
     "calibrate photos": "calibrate PATH",

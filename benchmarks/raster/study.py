@@ -12,7 +12,7 @@ from benchmarks.raster.mesh_painter import MeshWarpedPainter
 from benchmarks.raster.raster_error import RasterError, raster_error
 from wlr_render.compositing.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import transforms
 from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.headset import headset_path, open_eye, require_in_eye_box
@@ -35,21 +35,20 @@ from wlr_render.rendering.ray_intersections import SceneTracer
 from wlr_render.rendering.ray_tracing import RayRenderer
 from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
-from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
+from wlr_render.report.blocks import Block, Picture, Plot, Report, Section, cell_text, table
 from wlr_render.report.plots import heat_map
 from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT, Progress
 
 HEAD_POSE = np.eye(4)
-COLUMNS = (
-    "method",
-    "median (arcmin)",
-    "95 % (arcmin)",
-    "max (arcmin)",
-    "disoccluded (%)",
-    "only in one (%)",
-    "colour difference (8 bit)",
-)
+COLUMNS = {
+    "median (arcmin)": "angle.median",
+    "95 % (arcmin)": "angle.p95",
+    "max (arcmin)": "angle.maximum",
+    "disoccluded (%)": "disoccluded",
+    "only in one (%)": "only_one",
+    "colour difference (8 bit)": "colour",
+}
 NOTES = (
     "Errors are angles at the eye between the world points that the two frames show at a pixel, over pixels that are "
     "not disoccluded. Disoccluded: from where the intermediate image is drawn, something hides the point that the "
@@ -63,6 +62,7 @@ METHODS: dict[str, tuple[RasterPlace, bool, float]] = {
     "camera at the viewpoint, map from the mesh (paper)": ("viewpoint", True, 1.0),
 }
 """Rows of the table: raster camera, whether the warp map comes from the mesh, and resolution; the first is drawn."""
+_FIRST = next(iter(METHODS))
 ERROR_LIMITS_ARCMIN = (1e-3, 10.0)
 """First and last colour of the error maps."""
 
@@ -122,8 +122,8 @@ def run(options: RasterOptions, *, progress: ProgressArgument = SILENT) -> Repor
             title = f"Raster against ray tracing: {scene.name} on {mappings.name}, {eye} eye"
             drawn = compared.write(output_folder(folder_of_eye(folder, eye, options.eye)), title)
             picture = Picture(f"Both frames and their difference, {eye} eye", drawn[-1], "Red: disoccluded.")
-            table = ReportTable(title, COLUMNS, compared.rows, NOTES)
-            blocks += [Section(f"The {eye} eye"), table, compared.plot(eye), picture]
+            figures = table(title, compared.figures.items(), COLUMNS, NOTES, name="method")
+            blocks += [Section(f"The {eye} eye"), figures, compared.plot(eye), picture]
             files += drawn
             verdicts.append(compared.verdict(eye))
             blank += [f"the frame of the {eye} eye"] if is_blank(compared.traced) else []
@@ -148,7 +148,7 @@ def _compare_eye(
     progress: Progress,
 ) -> "_Compared":
     traced = TracedPainter(mappings, renderer).paint(viewpoint, HEAD_POSE, with_geometry=True)
-    rows: list[list[Cell]] = []
+    figures: dict[str, _Figures] = {}
     first: tuple[Frame, _Error] | None = None
     for method in progress(iter(METHODS), len(METHODS), f"{mappings.eye} eye, methods"):
         raster_camera, from_mesh, resolution = METHODS[method]
@@ -159,10 +159,10 @@ def _compare_eye(
         )
         frame = painter.paint(viewpoint, HEAD_POSE, with_geometry=True)
         error = _error(frame, traced, renderer.tracer)
-        rows.append(_row(method, error, frame.colour, traced.colour))
+        figures[method] = _Figures.of(error, frame.colour, traced.colour)
         first = first or (frame, error)
     assert first is not None
-    return _Compared(first[0].colour, traced.colour, first[1], rows)
+    return _Compared(first[0].colour, traced.colour, first[1], figures)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,18 +173,38 @@ class _Error:
     disoccluded: NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class _Figures:
+    """Errors of the pixels that are not disoccluded, shares of pixels in percent, and mean difference in colour."""
+
+    angle: Summary
+    disoccluded: float
+    only_one: float
+    colour: float
+
+    @classmethod
+    def of(cls, error: _Error, drawn: NDArray[np.uint8], truth: NDArray[np.uint8]) -> "_Figures":
+        angle, only_one = error.raster.registration_arcmin, error.raster.only_one
+        shown = max(1, int(np.isfinite(angle).sum() + only_one.sum()))
+        difference = float(np.abs(drawn.astype(np.int16) - truth).mean())
+        hidden, single = (100.0 * float(mask.sum()) / shown for mask in (error.disoccluded, only_one))
+        return cls(summary(angle[~error.disoccluded]), hidden, single, difference)
+
+
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """Both frames of an eye, the error of the first method, and a row of figures for each way."""
+    """Both frames of an eye, the error of the first method, and the figures of each method."""
 
     rastered: NDArray[np.uint8]
     traced: NDArray[np.uint8]
     error: _Error
-    rows: list[list[Cell]]
+    figures: dict[str, _Figures]
 
     def verdict(self, eye: str) -> str:
         """Return the result of the first method in one sentence."""
-        _, median, p95, maximum, hidden, *_ = (cell_text(cell) for cell in self.rows[0])
+        first = self.figures[_FIRST]
+        values = (first.angle.median, first.angle.p95, first.angle.maximum, first.disoccluded)
+        median, p95, maximum, hidden = map(cell_text, values)
         return (
             f"The rastered frame of the {eye} eye shows world points {median}' off in the median ({p95}' at 95 %, "
             f"{maximum}' at most) against ray tracing; {hidden} % of its pixels are disoccluded."
@@ -203,7 +223,7 @@ class _Compared:
     def plot(self, eye: str) -> Plot:
         """Plot the error map."""
         title, angle = f"Registration error, {eye} eye", self.error.raster.registration_arcmin
-        caption = f"Error on the panel ({self.rows[0][0]}), disoccluded pixels included; empty without content."
+        caption = f"Error on the panel ({_FIRST}), disoccluded pixels included; empty without content."
         return heat_map(title, angle, "arcmin", limits=ERROR_LIMITS_ARCMIN, log=True, caption=caption)
 
     def _draw(self, path: Path, title: str) -> Path:
@@ -212,7 +232,7 @@ class _Compared:
 
         figure = Figure(figsize=(15, 6), dpi=110, layout="constrained")
         axes = figure.subplots(1, 3)
-        for place, picture, name in ((axes[0], self.traced, "ray traced"), (axes[1], self.rastered, self.rows[0][0])):
+        for place, picture, name in ((axes[0], self.traced, "ray traced"), (axes[1], self.rastered, _FIRST)):
             place.imshow(picture, interpolation="none")
             place.set_title(name)
         low, high = ERROR_LIMITS_ARCMIN
@@ -236,12 +256,3 @@ def _error(frame: Frame, traced: Frame, tracer: SceneTracer) -> _Error:
     eye_in_world = transforms.apply(HEAD_POSE, frame.ray_map.viewpoint_in_device)
     hidden = disoccluded(tracer, frame.view.position_in_world, traced.ray_map, HEAD_POSE, traced.position)
     return _Error(raster_error(frame.position, traced.position, eye_in_world), hidden)
-
-
-def _row(method: str, error: _Error, drawn: NDArray[np.uint8], truth: NDArray[np.uint8]) -> list[Cell]:
-    angle, only_one = error.raster.registration_arcmin, error.raster.only_one
-    s = summary(angle[~error.disoccluded])
-    shown = max(1, int(np.isfinite(angle).sum() + only_one.sum()))
-    difference = float(np.abs(drawn.astype(np.int16) - truth).mean())
-    hidden, single = (100.0 * float(mask.sum()) / shown for mask in (error.disoccluded, only_one))
-    return [method, s.median, s.p95, s.maximum, hidden, single, difference]

@@ -83,7 +83,7 @@ class Registration:
     @property
     def verdict(self) -> str:
         """A sentence for each method."""
-        return verdict(self._overall())
+        return verdict(self.judged)
 
     def blocks(self, folder: Path) -> list[Block]:
         """Return tables over everything, by target where there are several, and of each pair; draws into `folder`."""

@@ -22,7 +22,7 @@ from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.rendering.choose_warp_grid import choose_warp_grid
-from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable, Section, Text, cell_text
+from wlr_render.report.blocks import Block, Cell, Columns, Plot, Report, ReportTable, Section, Text, cell_text, table
 from wlr_render.report.plots import heat_map, small_heat_maps
 from wlr_render.report.save import save_report
 from wlr_render.simulation.viewpoints import volumetric
@@ -283,33 +283,31 @@ def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
 
 def _eye_blocks(found: EyeBudget, eye: Eye, depth_m: float) -> list[Block]:
     cell = eye.display.panel.width_px / _COLUMNS
-    rows: list[list[Cell]] = [
-        [each.name, each.rms_arcmin, each.worst_arcmin, 100 * each.share, each.radius_if_halved_arcmin]
-        for each in found.sources
-    ]
-    rows.append(["all", found.rms_arcmin, found.worst_arcmin, 100.0, found.radius_arcmin])
-    owners: list[list[Cell]] = [
-        [each.name, each.rms_arcmin, 100 * each.share, each.radius_if_halved_arcmin] for each in found.owners
-    ]
-    halved = "95 % within, if halved (arcmin)"
+    everything = SourceShare("all", found.rms_arcmin, found.worst_arcmin, 1.0, found.radius_arcmin)
+    rms, worst = {"rms (arcmin)": "rms_arcmin"}, {"worst pixel (arcmin)": "worst_arcmin"}
+    share: Columns = {
+        "share of variance (%)": lambda each: 100 * each.share,
+        "95 % within, if halved (arcmin)": "radius_if_halved_arcmin",
+    }
     shown = {name: each for name, each in found.rms_maps.items() if np.nanmax(each) > 0}
     return [
         Section(f"The {found.eye} eye"),
-        ReportTable("By owner", ["owner", "rms (arcmin)", "share of variance (%)", halved], owners),
-        ReportTable(
+        table("By owner", found.owners, {"owner": "name", **rms, **share}),
+        table(
             f"By source, at {depth_m:g} m",
-            ["source", "rms (arcmin)", "worst pixel (arcmin)", "share of variance (%)", halved],
-            rows,
+            [*found.sources, everything],
+            {"source": "name", **rms, **worst, **share},
             [
                 "Rms lengths of the error, over both axes. If halved: the radius that contains 95 % of all errors if "
                 "this source's standard deviation were half as large; in the last row, the radius now."
             ],
         ),
-        ReportTable(
+        table(
             "By region of the panel",
-            ["region", "95 % within (arcmin)"],
-            [[name, radius] for name, radius in found.regions.items()],
+            found.regions.items(),
+            {"95 % within (arcmin)": float},
             ["Edge, corner: one or both coordinates lie in the outer fifth on either side."],
+            name="region",
         ),
         heat_map(
             f"95 % of errors lie within, {found.eye} eye",
@@ -328,13 +326,13 @@ def _source_maps(eye: str, maps: Mapping[str, FloatArray], cell: float) -> Plot:
 
 
 def _disparity_table(found: Sequence[DisparityShare], depth_m: float) -> ReportTable:
-    rows: list[list[Cell]] = [[each.source, each.horizontal_arcmin, each.vertical_arcmin] for each in found]
-    return ReportTable(
-        f"Errors of disparity at {depth_m:g} m",
-        ["source", "horizontal, rms (arcmin)", "vertical, rms (arcmin)"],
-        rows,
-        ["Registration error of the right eye less the left eye's. Errors common to both eyes partly cancel."],
-    )
+    columns = {
+        "source": "source",
+        "horizontal, rms (arcmin)": "horizontal_arcmin",
+        "vertical, rms (arcmin)": "vertical_arcmin",
+    }
+    note = "Registration error of the right eye less the left eye's. Errors common to both eyes partly cancel."
+    return table(f"Errors of disparity at {depth_m:g} m", found, columns, [note])
 
 
 _METHOD = (

@@ -24,7 +24,7 @@ from wlr_render.jobs import limits
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Code, Options, ProgressArgument, Range, described, described_size
 from wlr_render.mappings import Panel
-from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable
+from wlr_render.report.blocks import Block, Columns, Picture, Report, ReportTable, table
 from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT, Progress
 
@@ -148,55 +148,44 @@ def _camera_format(options: DecodeVerbOptions) -> PhotographFormat:
 
 def _rejection_table(decoded: Decoded) -> ReportTable:
     """Tabulate the number of camera pixels by the result of decoding."""
-    rows: list[list[Cell]] = [
-        [reason.sentence, count, 100.0 * count / decoded.rejection.size] for reason, count in decoded.counts().items()
-    ]
-    return ReportTable("Camera pixels", ("result", "pixels", "share (%)"), rows)
+    counts = [(reason.sentence, count) for reason, count in decoded.counts().items()]
+    columns: Columns = {"pixels": int, "share (%)": lambda count: 100.0 * count / decoded.rejection.size}
+    return table("Camera pixels", counts, columns, name="result")
 
 
 def _strength_table(strengths: Sequence[BitStrength]) -> ReportTable:
     """Strength of each bit over the lit pixels, and which are weak."""
-    rows = [
-        [bit.name, bit.median, bit.percentile_5, bit.percentile_1, 100.0 * bit.unsure_share, "weak" if bit.weak else ""]
-        for bit in strengths
-    ]
-    columns = ("bit", "median", "5 %", "1 %", "unsure (%)", "verdict")
+    columns: Columns = {
+        "bit": "name",
+        "median": "median",
+        "5 %": "percentile_5",
+        "1 %": "percentile_1",
+        "unsure (%)": lambda bit: 100.0 * bit.unsure_share,
+        "verdict": lambda bit: "weak" if bit.weak else "",
+    }
     notes = (
         "Strength is |picture - inverse| / (white - black) over the well-lit camera pixels; a bit is weak if its "
         f"median is below {WEAK}. Pixels that see a stripe's border are faint in any case.",
     )
-    return ReportTable("Strength of the bits", columns, rows, notes)
+    return table("Strength of the bits", strengths, columns, notes)
 
 
 def flatness_table(survey: PlaneSurvey, title: str = "Homographies of flat surfaces") -> ReportTable:
     """Return the residuals of the homographies of flat surfaces, in panel pixels."""
-    rows: list[list[Cell]] = [
-        [
-            number,
-            100.0 * plane.share,
-            plane.rms_per_axis,
-            plane.residual.median,
-            plane.residual.p95,
-            plane.smooth_per_axis,
-            plane.scatter_per_axis,
-        ]
-        for number, plane in enumerate(survey.planes, 1)
-    ]
-    columns = (
-        "surface",
-        "of accepted (%)",
-        "rms per axis (px)",
-        "median (px)",
-        "95 % (px)",
-        "smooth part (px)",
-        "scatter (px)",
-    )
+    columns: Columns = {
+        "of accepted (%)": lambda plane: 100.0 * plane.share,
+        "rms per axis (px)": "rms_per_axis",
+        "median (px)": "residual.median",
+        "95 % (px)": "residual.p95",
+        "smooth part (px)": "smooth_per_axis",
+        "scatter (px)": "scatter_per_axis",
+    }
     notes = (
         f"Panel pixels between decoded and predicted; members of a surface lie within {TOLERANCE_PX} px of it.",
         "Smooth part: rms per axis of means over 16 x 16 camera pixels, from lenses and bent surfaces; scatter: "
         "about these means. Whole panel pixels would scatter by 0.29 px.",
     )
-    return ReportTable(title, columns, rows, notes)
+    return table(title, enumerate(survey.planes, 1), columns, notes, name="surface")
 
 
 def _draw_positions(path: Path, decoded: Decoded) -> Path:

@@ -13,8 +13,9 @@ the planar models is also predicted, from their fit and its left-out camera posi
 """
 
 import contextlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Annotated
 
@@ -29,7 +30,7 @@ from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.captures.correspondences import Captures
 from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import directions
 from wlr_render.geometry.pinhole import Pinhole
@@ -68,7 +69,7 @@ from wlr_render.rendering.scene import Scene
 from wlr_render.rendering.scene_file import load_scene, scene_path
 from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.rendering.srgb import decode_srgb, encode_srgb
-from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable, Section, cell_text
+from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, cell_text, table
 from wlr_render.report.plots import curves, small_heat_maps
 from wlr_render.report.save import save_report
 from wlr_render.simulation import viewpoints as stage
@@ -114,6 +115,10 @@ class _View:
     misalignment: dict[str, FloatArray]
     predicted: FloatArray
 
+    @property
+    def place_mm(self) -> str:
+        return ", ".join(f"{each:.1f}" for each in 1e3 * self.viewpoint)
+
 
 @job
 def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = SILENT) -> Report:
@@ -147,12 +152,12 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
             frames += seen[0].shown.values()
             own = output_folder(folder_of_eye(folder, eye, options.eye))
             files += _save_views(own, device.name, truth, renderer, seen[1])
-            overall = _overall(truth, scene, seen)
-            verdicts.append(_verdict(overall, f"{scene.name} on {device.name}, {eye} eye"))
+            errors = {method: summary(each) for method, each in _misalignments(seen).items()}
+            verdicts.append(_verdict(errors, f"{scene.name} on {device.name}, {eye} eye"))
             blocks += [
                 Section(f"The {eye} eye"),
                 Picture("What the eye sees", files[-1], CAPTION),
-                overall,
+                _overall(truth, scene, len(seen), errors),
                 _by_viewpoint(seen),
                 _predictions(seen),
                 _prediction_maps(truth, seen),
@@ -176,9 +181,11 @@ def demo(options: DemoOptions = DemoOptions(), *, progress: ProgressArgument = S
     return save_report(report, folder)
 
 
-def _verdict(overall: ReportTable, what: str) -> str:
-    rows = {str(row[0]): [cell_text(cell) for cell in row[1:4]] for row in overall.rows}
-    planar, static, naive = rows[_planar_of(rows)], rows["static"], rows["naive"]
+def _verdict(errors: Mapping[str, Summary], what: str) -> str:
+    planar, static, naive = (
+        [cell_text(each) for each in (errors[method].median, errors[method].p95, errors[method].maximum)]
+        for method in (_planar_of(errors), "static", "naive")
+    )
     return (
         f"{what}: misalignment with planar models is {planar[0]}' in the median ({planar[1]}' at 95 %, {planar[2]}' at "
         f"most); with one static map {static[0]}' ({static[1]}', {static[2]}'), with a naive flat picture {naive[0]}' "
@@ -251,38 +258,34 @@ def _shown_points(frame: Frame, pixel: FloatArray) -> FloatArray:
     return np.asarray(frame.position[pixel[..., 1].astype(int), pixel[..., 0].astype(int)], np.float64)
 
 
-def _overall(truth: Eye, scene: Scene, seen: list[_View]) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for method in seen[0].misalignment:
-        s = summary(np.concatenate([view.misalignment[method] for view in seen]))
-        rows.append([method, s.median, s.p95, s.maximum, s.count])
-    columns = ["method", "median (arcmin)", "95 % (arcmin)", "max (arcmin)", "points"]
-    title = f"Misalignment of {scene.name} on {truth.name}, {len(seen)} viewpoints in the eye box"
-    return ReportTable(title, columns, rows)
+def _misalignments(seen: list[_View]) -> dict[str, FloatArray]:
+    """Misalignments (n, 48) of all viewpoints, by method."""
+    return {method: np.concatenate([view.misalignment[method] for view in seen]) for method in seen[0].misalignment}
+
+
+def _overall(truth: Eye, scene: Scene, viewpoints: int, errors: Mapping[str, Summary]) -> ReportTable:
+    columns = {"median (arcmin)": "median", "95 % (arcmin)": "p95", "max (arcmin)": "maximum", "points": "count"}
+    title = f"Misalignment of {scene.name} on {truth.name}, {viewpoints} viewpoints in the eye box"
+    return table(title, errors.items(), columns, name="method")
 
 
 def _by_viewpoint(seen: list[_View]) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for view in seen:
-        x, y, z = view.viewpoint * 1e3
-        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *(summary(each).median for each in view.misalignment.values())])
-    columns = ["viewpoint (mm)", *seen[0].misalignment]
-    return ReportTable("Median misalignment (arcmin) by viewpoint", columns, rows)
+    medians = [
+        (view.place_mm, {method: summary(each).median for method, each in view.misalignment.items()}) for view in seen
+    ]
+    columns = {method: itemgetter(method) for method in seen[0].misalignment}
+    return table("Median misalignment (arcmin) by viewpoint", medians, columns, name="viewpoint (mm)")
 
 
 def _predictions(seen: list[_View]) -> ReportTable:
     planar = _planar_of(seen[0].misalignment)
-    rows: list[list[Cell]] = []
-    for view in seen:
-        x, y, z = view.viewpoint * 1e3
-        rows.append([f"{x:.1f}, {y:.1f}, {z:.1f}", *_predicted_and_true([view])])
-    rows.append(["all", *_predicted_and_true(seen)])
+    groups = [(view.place_mm, _predicted_and_true([view])) for view in seen] + [("all", _predicted_and_true(seen))]
     note = (
         f"For '{planar}', at the same pixels. Predicted from the calibration alone: covariance and truncation error of "
         "both models, and the error of raster frames. True: through the device's exact optics."
     )
-    columns = ["viewpoint (mm)", "predicted", "true"]
-    return ReportTable("Predicted and true misalignment of the planar models, rms (arcmin)", columns, rows, [note])
+    title = "Predicted and true misalignment of the planar models, rms (arcmin)"
+    return table(title, groups, {"predicted": itemgetter(0), "true": itemgetter(1)}, [note], name="viewpoint (mm)")
 
 
 def _predicted_and_true(seen: list[_View]) -> tuple[float, float]:
@@ -312,8 +315,7 @@ def _prediction_maps(truth: Eye, seen: list[_View]) -> Plot:
 
 def _distribution(seen: list[_View]) -> Plot:
     percent = np.linspace(0, 100, 201)
-    errors = {method: np.concatenate([view.misalignment[method] for view in seen]) for method in seen[0].misalignment}
-    lines = {method: (np.nanpercentile(each, percent), percent) for method, each in errors.items()}
+    lines = {method: (np.nanpercentile(each, percent), percent) for method, each in _misalignments(seen).items()}
     axes = ("misalignment (arcmin)", "points with less (%)")
     return curves("Distribution of misalignment", lines, axes, log_x=True, caption="All viewpoints.")
 

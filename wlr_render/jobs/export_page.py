@@ -10,7 +10,7 @@ from wlr_render.jobs.budget import source_table
 from wlr_render.jobs.export_options import ExportOptions
 from wlr_render.jobs.options import eyes_of
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import Block, Cell, Picture, Report, ReportTable, Section, Text
+from wlr_render.report.blocks import Block, Cell, Columns, Picture, Report, ReportTable, Section, Text, table
 
 _LISTED = 30
 """Views that the page lists."""
@@ -127,18 +127,14 @@ def _source_cameras(views: list[ExportedView]) -> ReportTable:
 
 
 def _loss_table(options: ExportOptions, form: Format, views: list[ExportedView]) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for eye in eyes_of(options.eye):
-        view = next(each for each in views if each.eye == eye)
-        rows += [
-            [view.stem, loss.case, loss.rms_arcmin, loss.max_arcmin] for loss in losses(view, form, view.middle_colour)
-        ]
-    columns = ["map", "used for", "rms (arcmin)", "max (arcmin)"]
+    first = [next(each for each in views if each.eye == eye) for eye in eyes_of(options.eye)]
+    lost = [(view.stem, loss) for view in first for loss in losses(view, form, view.middle_colour)]
+    columns = {"used for": "case", "rms (arcmin)": "rms_arcmin", "max (arcmin)": "max_arcmin"}
     notes = [
         "Against this headset's own mappings, over the panel, in green light unless another colour is named; pupils "
         "moved to the right, left, top and bottom end of the eye box. Of several pupils, the first of each eye."
     ]
-    return ReportTable("Misalignment by a map", columns, rows, notes)
+    return table("Misalignment by a map", lost, columns, notes, name="map")
 
 
 def _predicted_table(options: ExportOptions, views: list[ExportedView]) -> list[ReportTable]:
@@ -157,19 +153,15 @@ def _predicted_table(options: ExportOptions, views: list[ExportedView]) -> list[
 
 
 def _views_table(form: Format, views: list[ExportedView]) -> ReportTable:
-    rows: list[list[Cell]] = [
-        [
-            ", ".join(form.files(view)),
-            view.eye,
-            view.time_s,
-            _millimetres(view.viewpoint),
-            _millimetres(view.source.position_in_device),
-        ]
-        for view in views[:_LISTED]
-    ]
-    columns = ["files", "eye", "time (s)", "viewpoint (mm)", "source camera (mm)"]
+    columns: Columns = {
+        "files": lambda view: ", ".join(form.files(view)),
+        "eye": "eye",
+        "time (s)": "time_s",
+        "viewpoint (mm)": lambda view: _millimetres(view.viewpoint),
+        "source camera (mm)": lambda view: _millimetres(view.source.position_in_device),
+    }
     more = [f"The first {_LISTED} of {len(views)}."] if len(views) > _LISTED else []
-    return ReportTable("Views", columns, rows, ["Positions x, y, z in the device frame.", *more])
+    return table("Views", views[:_LISTED], columns, ["Positions x, y, z in the device frame.", *more])
 
 
 def _millimetres(place: FloatArray) -> str:

@@ -1,7 +1,7 @@
 """Predict the captures of a session with a bench model found elsewhere, and say how well that succeeds."""
 
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -22,7 +22,7 @@ from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import Options, ProgressArgument, described
-from wlr_render.report.blocks import Block, Cell, Plot, Report, capitalised, table
+from wlr_render.report.blocks import Block, Columns, Plot, Report, capitalised, table
 from wlr_render.report.plots import arrow_map
 from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT
@@ -189,13 +189,13 @@ def _tables(found: BenchPrediction) -> Iterator[Block]:
         "the small motions of the camera from capture to capture, whose sizes are the repeatability.",
     )
     sizes = {"repeatability (um)": "shift_um", "of turns (urad)": "turn_urad"}
-    yield table("Parts", found.parts, _columns("part", found) | sizes, notes)
+    yield table("Parts", found.parts, {**_columns("part", found), **sizes}, notes)
     if found.distances:
         yield table("Distances of the target from the camera", found.distances, _columns("distance", found))
     yield table("Captures", found.captures, _columns("capture", found))
 
 
-def _columns(first: str, found: BenchPrediction) -> dict[str, str | Callable[[PredictedGroup], Cell]]:
+def _columns(first: str, found: BenchPrediction) -> Columns:
     """Return the columns of a table of groups; the session's own bench has one if it is known."""
     own = {} if found.by_own_bench is None else {"by the session's own bench": "by_own_bench"}
     has_errors = any(part.effects_arcmin > 0.0 for part in found.parts)

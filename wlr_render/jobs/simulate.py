@@ -168,21 +168,14 @@ class SimulateOptions(SpreadOptions):
             BadInputError: an unknown device or eye, or a faulty file of places.
         """
         places = self._read_places()
+        same = {each.name for each in fields(PhotoBenchOptions)} & {each.name for each in fields(self)}
         bench = PhotoBenchOptions(
-            self.camera,
-            self.bits,
-            self.pupil_mm,
-            self.focus_m,
-            self.snr,
-            self.depths_m,
-            self.seed,
-            self._imperfections,
-            self.stage,
-            self.sampling,
-            self.stated_axes_deg,
-            self.tracking_camera,
-            places,
-            self.family,
+            camera_px=self.camera,
+            tracking_px=self.tracking_camera,
+            target_depths_m=self.depths_m,
+            places_mm=places,
+            imperfections=self._imperfections,
+            **{name: getattr(self, name) for name in same},
         )
         return SimulationRecipe(self.device, self.eye, len(places) or self.viewpoints, self.pattern, bench)
 

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated
 
@@ -14,13 +15,13 @@ from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_file import load_board
 from wlr_render.captures.photographs import Photograph, describe_pixels, photographs_in, read_photograph
 from wlr_render.errors import BadInputError
-from wlr_render.evaluation.metrics import summary
+from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
 from wlr_render.geometry.lens import Lens
 from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Options, ProgressArgument, described
-from wlr_render.report.blocks import Cell, Picture, Report, ReportTable, cell_text
+from wlr_render.report.blocks import Cell, Columns, Picture, Report, ReportTable, cell_text, table
 from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT
 
@@ -31,7 +32,15 @@ NOTES = (
 _OFF = re.compile(r"(?P<name>.+)_off")
 _ON = re.compile(r"(?P<name>.+)_on(_(?P<method>.+))?")
 _CLOSE_UP_PX = 260  # side of the detail
-_COLUMNS = ("dots", "median (arcmin)", "rms (arcmin)", "p95 (arcmin)", "max (arcmin)", "sigma per dot (arcmin)")
+_COLUMNS = {
+    "dots": "angle.count",
+    "median (arcmin)": "angle.median",
+    "rms (arcmin)": "angle.rms",
+    "p95 (arcmin)": "angle.p95",
+    "max (arcmin)": "angle.maximum",
+    "sigma per dot (arcmin)": "sigma_arcmin",
+}
+"""Columns of a table of `_DotErrors`."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,24 @@ class JudgedPair:
     complaint: str = ""
 
 
+@dataclass(frozen=True)
+class _DotErrors:
+    """Misalignment of the dots of some pairs, the first of which is `first`, and the median of their sigmas."""
+
+    first: JudgedPair
+    angle: Summary
+    sigma_arcmin: float | None
+
+    @classmethod
+    def of(cls, pairs: Sequence[JudgedPair]) -> "_DotErrors":
+        matched = [pair.misalignment for pair in pairs if pair.misalignment is not None]
+        angle, sigma = (
+            np.concatenate([getattr(each, name) for each in matched] or [np.empty(0)])
+            for name in ("arcmin", "sigma_arcmin")
+        )
+        return cls(pairs[0], summary(angle), float(np.median(sigma)) if len(sigma) else None)
+
+
 @job
 def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Report:
     """Measure the distance between drawn and real dots; write pictures and the report into `options.out`.
@@ -87,7 +114,7 @@ def verify(options: VerifyOptions, *, progress: ProgressArgument = SILENT) -> Re
     pictures = misalignment_pictures(judged, folder)
     report = Report(
         f"Verification of {name}",
-        verdict=verdict(overall),
+        verdict=verdict(judged),
         warnings=complaints(judged),
         blocks=[overall, table_of_pairs(judged), *pictures],
         inputs=[options.photographs, options.board, station],
@@ -150,9 +177,8 @@ def judge_pair(name: str, method: str, photographs: tuple[Path, Path], board: Bo
     return JudgedPair(name, method, off, on, pair_misalignment(real, virtual, camera))
 
 
-def by_method(pair: JudgedPair) -> Cell:
-    """Return how the picture was drawn; a column of `misalignment_table`."""
-    return pair.method
+by_method: Callable[[JudgedPair], Cell] = attrgetter("method")
+"""A column of `misalignment_table`: how the picture was drawn."""
 
 
 def misalignment_table(
@@ -165,23 +191,32 @@ def misalignment_table(
     groups: dict[tuple[Cell, ...], list[JudgedPair]] = {}
     for pair in judged:
         groups.setdefault(tuple(value(pair) for value in heads.values()), []).append(pair)
-    return ReportTable(title, (*heads, *_COLUMNS), [[*key, *_figures(pairs)] for key, pairs in groups.items()], notes)
+
+    def of_first(value: Callable[[JudgedPair], Cell]) -> Callable[[_DotErrors], Cell]:
+        return lambda errors: value(errors.first)
+
+    columns: Columns = {**{head: of_first(value) for head, value in heads.items()}, **_COLUMNS}
+    return table(title, map(_DotErrors.of, groups.values()), columns, notes)
 
 
 def table_of_pairs(judged: Sequence[JudgedPair]) -> ReportTable:
     """Return figures of each pair of photographs, and why a pair has none."""
-    heads = {"photographs": lambda pair: pair.name, "method": by_method}
-    table = misalignment_table(judged, "By photograph", heads)
-    rows = [[*row, pair.complaint or None] for row, pair in zip(table.rows, judged, strict=True)]
-    return ReportTable(table.title, (*table.columns, "error"), rows)
+    heads = {"photographs": "first.name", "method": "first.method"}
+    columns: Columns = {**heads, **_COLUMNS, "error": lambda errors: errors.first.complaint or None}
+    return table("By photograph", [_DotErrors.of([pair]) for pair in judged], columns)
 
 
-def verdict(overall: ReportTable) -> str:
-    """Return a sentence for each row of a table by method."""
+def verdict(judged: Sequence[JudgedPair]) -> str:
+    """Return a sentence for each method."""
+    by_method = {method: [pair for pair in judged if pair.method == method] for method in _methods(judged)}
     return " ".join(
-        f"{method}: drawn dots lie {cell_text(median)} arcmin (median) from the real ones."
-        for method, _, median, *_ in overall.rows
+        f"{method}: drawn dots lie {cell_text(_DotErrors.of(pairs).angle.median)} arcmin (median) from the real ones."
+        for method, pairs in by_method.items()
     )
+
+
+def _methods(judged: Sequence[JudgedPair]) -> list[str]:
+    return list(dict.fromkeys(pair.method for pair in judged))
 
 
 def complaints(judged: Sequence[JudgedPair]) -> list[str]:
@@ -199,23 +234,12 @@ def misalignment_pictures(judged: Sequence[JudgedPair], folder: Path) -> list[Pi
     ]
 
 
-def _figures(judged: Sequence[JudgedPair]) -> list[Cell]:
-    matched = [pair.misalignment for pair in judged if pair.misalignment is not None]
-    angle, sigma = (
-        np.concatenate([getattr(each, name) for each in matched] or [np.empty(0)])
-        for name in ("arcmin", "sigma_arcmin")
-    )
-    figures = summary(angle)
-    noise = float(np.median(sigma)) if len(sigma) else None
-    return [len(angle), figures.median, figures.rms, figures.p95, figures.maximum, noise]
-
-
 def _draw_misalignment(path: Path, judged: Sequence[JudgedPair]) -> Path:
     """Draw photographs with an arrow from each real dot to the drawn one, enlarged; a row for each method."""
     from matplotlib.figure import Figure
 
     places = list(dict.fromkeys(one.name for one in judged))
-    methods = list(dict.fromkeys(one.method for one in judged))
+    methods = _methods(judged)
     figure = Figure(figsize=(3.2 * len(places), 3.4 * len(methods)), layout="constrained")
     axes = figure.subplots(len(methods), len(places), squeeze=False)
     for one in judged:

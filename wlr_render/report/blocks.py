@@ -11,6 +11,8 @@ from typing import Any
 from wlr_render.html_summary import SummaryTable, html_summary
 
 Cell = str | float | int | None
+Columns = Mapping[str, str | Callable[[Any], Cell]]
+"""Content of the columns of a table by head: an attribute of the row's record, e.g. "before.rms", or a function."""
 
 
 @dataclass(frozen=True)
@@ -70,19 +72,25 @@ class ReportTable:
 def table(
     title: str,
     records: Iterable[Any],
-    columns: Mapping[str, str | Callable[[Any], Cell]],
+    columns: Columns,
     notes: Sequence[str] = (),
+    *,
+    name: str = "",
 ) -> ReportTable:
     """Return a table with one row per record.
 
     Args:
         title: one line.
-        records: objects of one kind.
-        columns: content of each column by its head: an attribute of the record, e.g. "before.rms", or a function of it.
+        records: objects of one kind, or pairs of a name and an object if `name` is given.
+        columns: content of each column.
         notes: sentences under the table.
+        name: head of a first column with the names.
     """
     cells = [attrgetter(each) if isinstance(each, str) else each for each in columns.values()]
-    return ReportTable(title, tuple(columns), [[cell(record) for cell in cells] for record in records], notes)
+    if not name:
+        return ReportTable(title, tuple(columns), [[cell(record) for cell in cells] for record in records], notes)
+    rows = [[first, *(cell(record) for cell in cells)] for first, record in records]
+    return ReportTable(title, (name, *columns), rows, notes)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Report of a fit: predicted error, noise and stage as found, warnings and advice, and tables."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from wlr_render.captures.correspondences import Captures
 from wlr_render.jobs.calibrate.fit_plots import position_names, predicted_maps, residual_plots
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.optics.assembly import ASSEMBLY_NAMES, ASSEMBLY_SIZES
-from wlr_render.report.blocks import Block, Cell, ReportTable
+from wlr_render.report.blocks import Block, Cell, Columns, ReportTable, table
 
 AS_STATED = 1.5
 """Noise found over the stated one, or the reverse, from which a report warns."""
@@ -225,28 +226,30 @@ def fit_blocks(comparison: KindComparison, captures: Captures, display_names: Se
 
 
 def _fit_table(fit: Calibration) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for name, report in _reports(fit):
-        residual, moving = report.residual_arcmin, report.repeatability_um > 0
-        motion: list[Cell] = [report.repeatability_um, report.wobble_urad] if moving else [None, None]
-        noise = [report.noise_arcmin, report.stated_noise_arcmin]
-        rows.append([name, report.kind, report.predicted_arcmin, residual.rms, residual.p95, *noise, *motion])
-    columns = ["mapping", "model", "predicted rms error (arcmin)", "residual rms (arcmin)", "residual p95 (arcmin)"]
-    columns += ["noise found (arcmin)", "noise stated (arcmin)", "repeatability (um)", "wobble (urad)"]
+    columns: Columns = {
+        "model": "kind",
+        "predicted rms error (arcmin)": "predicted_arcmin",
+        "residual rms (arcmin)": "residual_arcmin.rms",
+        "residual p95 (arcmin)": "residual_arcmin.p95",
+        "noise found (arcmin)": "noise_arcmin",
+        "noise stated (arcmin)": "stated_noise_arcmin",
+        "repeatability (um)": lambda report: report.repeatability_um or None,
+        "wobble (urad)": lambda report: report.wobble_urad if report.repeatability_um > 0 else None,
+    }
     notes = (
         "Predicted error: the standard error of the fit over the eye box. Residuals include the noise.",
         "Noise, repeatability of the camera's positions and wobble of its turns are standard deviations per axis.",
     )
-    return ReportTable("Fit", columns, rows, notes)
+    return table("Fit", _reports(fit), columns, notes, name="mapping")
 
 
 def _share_table(fit: Calibration) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for name, report in _reports(fit):
-        for each in report.shares:
-            size, usual = (None if value is None else _size_text(value, each.unit) for value in (each.size, each.usual))
-            rows.append([name, each.source, each.arcmin, size, usual])
-    columns = ["mapping", "source", "part of the predicted error (arcmin)", "size found", "usual size"]
+    columns: Columns = {
+        "source": "source",
+        "part of the predicted error (arcmin)": "arcmin",
+        "size found": lambda share: _size_text(share.size, share.unit),
+        "usual size": lambda share: _size_text(share.usual, share.unit),
+    }
     notes = [
         "Squares of the parts add up to the square of the predicted error. Sizes are rms of the source's own errors; "
         "where the captures do not tell them, they are the usual ones."
@@ -257,7 +260,12 @@ def _share_table(fit: Calibration) -> ReportTable:
         for name, report in _reports(fit)
         if report.unseen
     ]
-    return ReportTable("Predicted error by source", columns, rows, notes)
+    return table("Predicted error by source", _each(fit, "shares"), columns, notes, name="mapping")
+
+
+def _each(fit: Calibration, name: str) -> list[tuple[str, Any]]:
+    """Each item of a list in the reports, with the name of the mapping."""
+    return [(mapping, item) for mapping, report in _reports(fit) for item in getattr(report, name)]
 
 
 def _sizes(share: ErrorShare) -> str:
@@ -267,8 +275,10 @@ def _sizes(share: ErrorShare) -> str:
     return f" ({_size_text(share.size, share.unit)} in the fit, usually {_size_text(share.usual, share.unit)})"
 
 
-def _size_text(value: float, unit: str) -> str:
+def _size_text(value: float | None, unit: str) -> str | None:
     """Size of an error in words, e.g. "48 um" or "0.12'"."""
+    if value is None:
+        return None
     return f"{_digits(1e6 * value)} um" if unit == "m" else f"{_digits(value)}'"
 
 
@@ -288,75 +298,89 @@ def _motion_table(fit: Calibration) -> ReportTable:
 
 
 def _size_table(fit: Calibration) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for name, report in _reports(fit):
-        size: list[Cell] = [report.orders, f"{report.determined:.0f} of {report.coefficients}"]
-        counts: list[Cell] = [report.viewpoints, report.samples, report.outliers, len(report.moved), report.unsolved]
-        rows.append([name, *size, *counts, report.contraction, f"{report.log_evidence:.1f}"])
-    columns = ["mapping", "highest orders", "coefficients determined", "viewpoints", "samples", "outliers"]
-    columns += ["captures that moved", "unsolved", "contraction", "log evidence"]
+    columns: Columns = {
+        "highest orders": "orders",
+        "coefficients determined": lambda report: f"{report.determined:.0f} of {report.coefficients}",
+        "viewpoints": "viewpoints",
+        "samples": "samples",
+        "outliers": "outliers",
+        "captures that moved": lambda report: len(report.moved),
+        "unsolved": "unsolved",
+        "contraction": "contraction",
+        "log evidence": lambda report: f"{report.log_evidence:.1f}",
+    }
     notes = (
         "Coefficients that the captures determine; the smoothness of the optics holds the others.",
         "Contraction: below 1, every query has one solution. Log evidence is natural; of models of the same captures, "
         "the one with the largest is the most probable.",
     )
-    return ReportTable("Sizes", columns, rows, notes)
+    return table("Sizes", _reports(fit), columns, notes, name="mapping")
 
 
 def _held_out_table(fit: Calibration) -> ReportTable:
-    rows: list[list[Cell]] = []
+    columns: Columns = {
+        "left out": "left_out",
+        "captures": "captures",
+        "error found, rms (arcmin)": "rms_arcmin",
+        "error expected (arcmin)": "expected_arcmin",
+        "ratio": lambda each: each.rms_arcmin / each.expected_arcmin,
+    }
     notes = []
     for name, report in _reports(fit):
-        for each in report.held_out:
-            ratio = each.rms_arcmin / each.expected_arcmin
-            rows.append([name, each.left_out, each.captures, each.rms_arcmin, each.expected_arcmin, ratio])
         if report.held_out_arcmin is not None:
             error, expected = map(_digits, report.held_out_arcmin)
             notes.append(f"{name.capitalize()}: left-out positions are predicted to {error}' ({expected}' expected).")
-    columns = ["mapping", "left out", "captures", "error found, rms (arcmin)", "error expected (arcmin)", "ratio"]
     notes.append("Each row and column of camera positions was left out and predicted from the others, noise included.")
-    return ReportTable("Held-out camera positions", columns, rows, notes)
+    return table("Held-out camera positions", _each(fit, "held_out"), columns, notes, name="mapping")
 
 
 def _label_table(fit: Calibration) -> ReportTable:
-    rows: list[list[Cell]] = [
-        [name, each.label, each.groups, each.ratio, f"{each.log10_odds:.1f}", each.size_arcmin, each.in_model_arcmin]
-        for name, report in _reports(fit)
-        for each in report.labels
-    ]
-    columns = ["mapping", "label", "groups", "mean square over the expected one", "log10 odds", "errors, rms (arcmin)"]
-    columns.append("error of the model that they cause (arcmin)")
+    columns: Columns = {
+        "label": "label",
+        "groups": "groups",
+        "mean square over the expected one": "ratio",
+        "log10 odds": lambda each: f"{each.log10_odds:.1f}",
+        "errors, rms (arcmin)": "size_arcmin",
+        "error of the model that they cause (arcmin)": "in_model_arcmin",
+    }
     notes = (
         "Weighted means of residuals by group; the expected one is what noise, motions and the fit explain. Log10 odds "
         f"above {STANDS_OUT:.0f}: its readings share errors that the model lacks, beside those of the labels above. "
         f"A warning names those that cause more than {MATTERS:.1f} of the error that the fit expects of its own.",
     )
-    return ReportTable("Errors by label", columns, rows, notes)
+    return table("Errors by label", _each(fit, "labels"), columns, notes, name="mapping")
 
 
 def _one_more_table(fit: Calibration) -> ReportTable:
-    rows: list[list[Cell]] = [
-        [name, report.one_more.positions, report.predicted_arcmin, report.one_more.predicted_arcmin]
-        for name, report in _reports(fit)
-        if report.one_more is not None
-    ]
-    columns = ["mapping", "positions to add", "predicted rms error now (arcmin)", "with them (arcmin)"]
-    return ReportTable("Gain of one more row of positions", columns, rows)
+    columns: Columns = {
+        "positions to add": "one_more.positions",
+        "predicted rms error now (arcmin)": "predicted_arcmin",
+        "with them (arcmin)": "one_more.predicted_arcmin",
+    }
+    known = [(name, report) for name, report in _reports(fit) if report.one_more is not None]
+    return table("Gain of one more row of positions", known, columns, name="mapping")
 
 
 def _kinds_table(comparison: KindComparison) -> ReportTable:
-    rows: list[list[Cell]] = []
-    for kind, fit in comparison.fits.items():
-        predicted = [report.predicted_arcmin for _, report in _reports(fit)]
-        held_out = [report.held_out_arcmin for _, report in _reports(fit)]
-        noise = [report.noise_arcmin for _, report in _reports(fit)]
-        mark = "saved" if kind == comparison.best else ""
-        odds = f"{comparison.log10_odds(kind):.1f}"
-        rows.append([kind, mark, odds, *predicted, *(each[0] if each else None for each in held_out), *noise])
-    columns = ["model", "", "log10 odds against planar", "display predicted (arcmin)", "see-through predicted (arcmin)"]
-    columns += ["display held-out (arcmin)", "see-through held-out (arcmin)"]
-    columns += ["display noise found (arcmin)", "see-through noise found (arcmin)"]
-    return ReportTable("Gain of the prescription", columns, rows, (comparison.sentence,))
+    def of(side: str, value: Callable[[FitReport], Cell]) -> Callable[[str], Cell]:
+        return lambda kind: value(comparison.fits[kind].sides[side].report)
+
+    figures: dict[str, Callable[[FitReport], Cell]] = {
+        "predicted": lambda report: report.predicted_arcmin,
+        "held-out": lambda report: None if report.held_out_arcmin is None else report.held_out_arcmin[0],
+        "noise found": lambda report: report.noise_arcmin,
+    }
+    columns: Columns = {
+        "model": str,
+        "": lambda kind: "saved" if kind == comparison.best else "",
+        "log10 odds against planar": lambda kind: f"{comparison.log10_odds(kind):.1f}",
+        **{
+            f"{side} {name} (arcmin)": of(side, figures[name])
+            for name in figures
+            for side in ("display", "see-through")
+        },
+    }
+    return table("Gain of the prescription", comparison.fits, columns, (comparison.sentence,))
 
 
 def _digits(value: float, count: int = 2) -> str:

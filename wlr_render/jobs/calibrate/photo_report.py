@@ -17,7 +17,7 @@ from wlr_render.io.atomic_files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
 from wlr_render.jobs.decode import rejection_colours
-from wlr_render.report.blocks import Block, Cell, Picture, Plot, ReportTable, Section
+from wlr_render.report.blocks import Block, Cell, Columns, Picture, Plot, ReportTable, Section, table
 from wlr_render.report.plots import bars
 
 _ACROSS = 6  # small pictures side by side
@@ -116,8 +116,7 @@ def _read_table(session: PhotoSession, reading: Reading) -> ReportTable:
 
 
 def _excluded_table(excluded: Iterable[Excluded]) -> ReportTable:
-    rows: list[list[Cell]] = [[each.name, each.reason] for each in excluded]
-    return ReportTable("Excluded", ["photograph", "reason"], rows)
+    return table("Excluded", excluded, {"photograph": "name", "reason": "reason"})
 
 
 def _decoded_table(session: PhotoSession, reading: Reading) -> ReportTable:
@@ -226,32 +225,32 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
 
 def _chi_squared_table(found: SessionCalibration) -> ReportTable:
     pulls = [*reading_pulls(found.bench.adjustment), *prior_pulls(found.bench.adjustment)]
-    rows: list[list[Cell]] = [[each.kind, each.reduced, each.freedom, each.probability] for each in pulls]
-    columns = ["of", "reduced chi-squared", "degrees of freedom", "probability by chance"]
+    columns = {
+        "of": "kind",
+        "reduced chi-squared": "reduced",
+        "degrees of freedom": "freedom",
+        "probability by chance": "probability",
+    }
     notes = (
         "Features: against their stated sigma, which is known to a factor of two.",
         "Stage: against the repeatability found.",
         "Stated values (poses, known lenses, the board's file): against their stated sigma.",
     )
-    return ReportTable("Reduced chi-squared", columns, rows, notes)
+    return table("Reduced chi-squared", pulls, columns, notes)
 
 
 def _checks_table(found: SessionCalibration) -> ReportTable:
-    rows: list[list[Cell]] = [
-        [
-            "passed" if check.ok else "FAILED",
-            check.step,
-            check.quantity,
-            float(check.value),
-            float(check.sigma),
-            float(check.limit),
-            check.sentence,
-        ]
-        for check in sorted(found.bench.checks, key=lambda check: check.ok)
-    ]
-    columns = ["check", "step", "quantity", "value", "sigma", "limit", "what it says"]
+    columns: Columns = {
+        "check": lambda check: "passed" if check.ok else "FAILED",
+        "step": "step",
+        "quantity": "quantity",
+        "value": lambda check: float(check.value),
+        "sigma": lambda check: float(check.sigma),
+        "limit": lambda check: float(check.limit),
+        "what it says": "sentence",
+    }
     notes = ("A value beyond its limit by no more than a few sigma passes.", *found.bench.unchecked)
-    return ReportTable("Checks of the bench", columns, rows, notes)
+    return table("Checks of the bench", sorted(found.bench.checks, key=lambda check: check.ok), columns, notes)
 
 
 def _draw_coverage(path: Path, found: EyeCalibration) -> Path:

@@ -21,7 +21,7 @@ from wlr_render.jobs.plan.planned_errors import FAR_M, NEAR_M, EyeTests, Planned
 from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.report.blocks import Block, Cell, Report, ReportTable
+from wlr_render.report.blocks import Block, Cell, Columns, Report, table
 
 _ROWS = 220  # rows of each capture, with a smaller sigma for the same information at less cost
 _TESTS = 800
@@ -142,26 +142,21 @@ def _report(
     if target is not None and target[1] < 1.0 - _WORTH:
         gain = 100.0 * (1.0 - target[1])
         advice.append(f"Photograph the board from them at {target[0]:g} m, too: this lowers the error by {gain:.0f} %.")
-    rows: list[list[Cell]] = []
-    for number, step in enumerate(steps):
-        at: list[Cell] = [None, None, None]
-        if number:
-            at = [f"{1e3 * each:+.3f}" for each in step.places[-1] - box.centre]
-        rows.append([number, *at, step.errors.median, step.errors.p95])
-    columns = [
-        "places added",
-        "x (mm)",
-        "y (mm)",
-        "z (mm)",
-        "registration, median (arcmin)",
-        "registration, 95 % (arcmin)",
-    ]
+
+    def of_last(k: int) -> Callable[[_Step], Cell]:
+        return lambda step: f"{1e3 * (step.places[-1] - box.centre)[k]:+.3f}" if len(step.places) else None
+
+    columns: Columns = {
+        **{f"{axis} (mm)": of_last(k) for k, axis in enumerate("xyz")},
+        "registration, median (arcmin)": "errors.median",
+        "registration, 95 % (arcmin)": "errors.p95",
+    }
     notes = (
         "Each place lowers the predicted error most, given the places above it. The choice ignores errors that all "
         "captures share; the predictions include them if the captures state them.",
     )
     blocks: list[Block] = [
-        ReportTable("Places to add, one by one", columns, rows, notes),
+        table("Places to add, one by one", enumerate(steps), columns, notes, name="places added"),
         error_map(*first.models, box, last.places, tests),
     ]
     if len(last.places):
