@@ -22,11 +22,11 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry import rays, transforms
 from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.budget_options import BudgetOptions
-from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.mappings import Eye
 from wlr_render.models.registration import right_and_up
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from wlr_render.jobs.plan.designs import CHOSEN, SPREAD, spread
 from wlr_render.jobs.plan.plan import PlanOptions
-from wlr_render.jobs.plan.planned_bench import PlannedBench, ReadingOptions
-from wlr_render.jobs.plan.planned_errors import DesignPredictor, EyeTests, PlannedFit, simulated_captures
-from wlr_render.jobs.plan.search import PILOT_PLACES, chosen_design
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.planning.designs import CHOSEN, SPREAD, spread
+from wlr_render.planning.planned_bench import PlannedBench, ReadingOptions
+from wlr_render.planning.planned_errors import DesignPredictor, EyeTests, PlannedFit, simulated_captures
+from wlr_render.planning.search import PILOT_PLACES, chosen_design
 
 FEW, MANY = 16, 25
 """Numbers of camera places."""

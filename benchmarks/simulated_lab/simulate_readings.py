@@ -22,8 +22,8 @@ from wlr_render.captures.session_reading import PanelReading, Reading
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import passes_optics
 from wlr_render.simulation.photographs.photo_plan import PhotoPlan, plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import SimulationRecipe

@@ -12,8 +12,8 @@ from wlr_render.calibration.calibrate_session import RefusedCalibrationError, ca
 from wlr_render.captures.correspondences import Captures, DisplayCaptures
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.errors import BadInputError
-from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.mappings import EyeBox, Panel
+from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 

@@ -1,17 +1,16 @@
 """The error budget of a headset: arcminutes of registration error by source, and what to improve first."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from wlr_render.budget.error_sizes import ErrorSizes, Truncation
-from wlr_render.budget.registration_budget import MODEL, TRACKING_CAMERA, disparity_covariance, registration_covariance
-from wlr_render.budget.statement import REGIONS, SourceShare, by_owner, radius_within, region_of, shares, variance
+from wlr_render.budget.eye_budget import PANEL_CELLS, DisparityShare, EyeBudget, disparity_shares, eye_budget
+from wlr_render.budget.registration_budget import MODEL, TRACKING_CAMERA
+from wlr_render.budget.statement import SourceShare
 from wlr_render.calibration.label_errors import REMEDIES
-from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.io.input_files import prefix_errors
 from wlr_render.jobs.budget_options import BudgetOptions
@@ -25,43 +24,11 @@ from wlr_render.rendering.choose_warp_grid import choose_warp_grid
 from wlr_render.report.blocks import Block, Cell, Columns, Plot, Report, ReportTable, Section, Text, cell_text, table
 from wlr_render.report.plots import heat_map, small_heat_maps
 from wlr_render.report.save import save_report
-from wlr_render.simulation.viewpoints import volumetric
 from wlr_render.work.progress import SILENT
 
-_COLUMNS = 24  # cells across the panel
-_VIEWPOINTS = 16
 _ADVISED = 3  # sources that are named as worth improving
 _LEAST_SHARE = 0.005  # smallest share of the variance for which an owner is named
 _LEAST_GAIN = 0.02  # smallest gain in radius for which the report advises to halve a source
-
-
-@dataclass(frozen=True, eq=False)
-class EyeBudget:
-    """Error budget of one eye.
-
-    Attributes:
-        eye: "left" or "right". region: region of the budget, in words.
-        radius_arcmin: radius that contains 95 % of the errors. rms_arcmin, worst_arcmin: rms length over all errors,
-            and largest rms length.
-        owners, sources: contributions, largest first.
-        regions: radius by region of the panel.
-        sizes: sizes of the errors, except model errors.
-        left_out: share of the field's pixels and viewpoints that need extrapolation or have no answer.
-        radius_map: (rows, columns) radius by panel cell. rms_maps: rms of each source by panel cell.
-    """
-
-    eye: str
-    region: str
-    radius_arcmin: float
-    rms_arcmin: float
-    worst_arcmin: float
-    owners: list[SourceShare]
-    sources: list[SourceShare]
-    regions: dict[str, float]
-    sizes: ErrorSizes
-    left_out: float
-    radius_map: FloatArray
-    rms_maps: dict[str, FloatArray]
 
 
 @job
@@ -84,7 +51,7 @@ def budget(options: BudgetOptions, *, progress: ProgressArgument = SILENT) -> Re
     blocks: list[Block] = []
     for each, mappings in zip(found, eyes, strict=True):
         blocks += _eye_blocks(each, mappings, options.depth_m)
-    disparity = _disparity(eyes, sizes, options.depth_m) if len(eyes) == 2 else []
+    disparity = disparity_shares(eyes, sizes, options.depth_m) if len(eyes) == 2 else []
     if disparity:
         blocks += [Section("Disparity of both eyes"), _disparity_table(disparity, options.depth_m)]
     blocks += [Section("How it is computed"), Text(_METHOD)]
@@ -117,82 +84,6 @@ def opened_with_sizes(options: BudgetOptions, eye: str) -> tuple[Eye, ErrorSizes
     return mappings, options.sizes(grid.bound_arcmin, truncation)
 
 
-def eye_budget(eye: Eye, depth_m: float, sizes: ErrorSizes, in_camera_frame: bool = False) -> EyeBudget:
-    """Compute the budget of an eye over its eye box and nominal field, or its panel if it states no field.
-
-    Args:
-        eye: display and see-through mappings.
-        depth_m: depth of the real points.
-        sizes: sizes of the errors, except model errors.
-        in_camera_frame: see `RegistrationCovariance.in_camera_frame`.
-
-    Raises:
-        BadInputError: a model without covariance, or an eye that sees no pixel.
-    """
-    panel = eye.display.panel
-    pixel = panel.grid(_COLUMNS, max(4, round(_COLUMNS * panel.height_px / panel.width_px)))
-    viewpoint = volumetric(eye.eye_box, _VIEWPOINTS)[:, None, None]
-    found = registration_covariance(eye, pixel, viewpoint, depth_m, sizes)
-    found = found.in_camera_frame() if in_camera_frame else found
-    known = found.is_inside & np.isfinite(found.total).all(axis=(-2, -1))
-    wanted = np.ones(known.shape, bool) if eye.field is None else eye.field.contains(found.view_dir)
-    known &= wanted
-    if not known.any():
-        raise BadInputError(f"{eye.name}: no pixel is seen at {depth_m:g} m from the eye box; check depth and model.")
-    total = np.where(known[..., None, None], found.total, np.nan)
-    of_pixels = np.moveaxis(total, 0, 2)  # populations are the viewpoints
-    seen = known.any(axis=0)
-    radius = np.full(seen.shape, np.nan)
-    radius[seen] = radius_within(of_pixels[seen])
-    maps = {}
-    for name, each in found.by_source.items():
-        squared = np.where(known, variance(each), 0.0).sum(axis=0)
-        maps[name] = np.where(seen, np.sqrt(squared / np.maximum(known.sum(axis=0), 1)), np.nan)
-    by_source = {name: each[known] for name, each in found.by_source.items()}
-    region = np.broadcast_to(region_of(panel, pixel), known.shape)
-    regions = {
-        name: float(radius_within(total[known & (region == number)]))
-        for number, name in enumerate(REGIONS)
-        if np.any(known & (region == number))
-    }
-    own_field = None if eye.field is None else f"the nominal field of view ({eye.field})"
-    return EyeBudget(
-        eye.eye,
-        f"{own_field or 'the whole panel'} and an eye box of {_millimetres(eye.eye_box.size)}",
-        float(radius_within(total[known])),
-        float(np.sqrt(variance(total[known]).mean())),
-        float(np.sqrt(variance(total[known]).max())),
-        shares(by_owner(by_source)),
-        shares(by_source),
-        regions,
-        sizes,
-        1.0 - float(known.sum() / wanted.sum()),
-        radius,
-        maps,
-    )
-
-
-@dataclass(frozen=True)
-class DisparityShare:
-    """Rms horizontal and vertical disparity error by one source, arcminutes."""
-
-    source: str
-    horizontal_arcmin: float
-    vertical_arcmin: float
-
-
-def _disparity(eyes: Sequence[Eye], sizes: Sequence[ErrorSizes], depth_m: float) -> list[DisparityShare]:
-    """Return the disparity error by source, averaged over the first eye's panel and both eye boxes."""
-    viewpoints = [volumetric(eye.eye_box, _VIEWPOINTS)[:, None] for eye in eyes]
-    first = registration_covariance(
-        eyes[0], eyes[0].display.panel.grid(12, 8).reshape(-1, 2), eyes[0].eye_box.centre, depth_m, ErrorSizes()
-    )
-    by_source = disparity_covariance(eyes, first.point[first.is_inside], viewpoints, sizes)
-    found = [(name, np.nanmean(each, axis=(0, 1))) for name, each in by_source.items()]
-    found.append(("all", np.asarray(sum(each for _, each in found))))
-    return [DisparityShare(name, float(each[0, 0]) ** 0.5, float(each[1, 1]) ** 0.5) for name, each in found]
-
-
 def source_table(title: str, found: Mapping[str, Mapping[str, Any]], head: str, notes: Sequence[str]) -> ReportTable:
     """Return a table of predicted errors by source.
 
@@ -216,10 +107,6 @@ _SOURCES = (
     "Squares of the sources add up. model: truncation is the error of camera positions that the calibration left out, "
     "as far as no other source explains it."
 )
-
-
-def _millimetres(size_m: FloatArray) -> str:
-    return " x ".join(f"{1e3 * each:g}" for each in size_m) + " mm"
 
 
 def _verdict(found: Sequence[EyeBudget], depth_m: float) -> str:
@@ -282,7 +169,7 @@ def _warnings(headset: str, found: Sequence[EyeBudget]) -> list[str]:
 
 
 def _eye_blocks(found: EyeBudget, eye: Eye, depth_m: float) -> list[Block]:
-    cell = eye.display.panel.width_px / _COLUMNS
+    cell = eye.display.panel.width_px / PANEL_CELLS
     everything = SourceShare("all", found.rms_arcmin, found.worst_arcmin, 1.0, found.radius_arcmin)
     rms, worst = {"rms (arcmin)": "rms_arcmin"}, {"worst pixel (arcmin)": "worst_arcmin"}
     share: Columns = {

@@ -6,7 +6,7 @@ from benchmarks.__main__ import main
 from benchmarks.design import trial as design_trial
 from benchmarks.design.study import design_table
 from benchmarks.design.trial import DESIGNS, DesignOutcome, DesignTrial, run_trial
-from wlr_render.jobs.plan import planned_bench
+from wlr_render.planning import planned_bench
 
 
 def outcome(headset, number, *p95):

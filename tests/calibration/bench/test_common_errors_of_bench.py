@@ -11,7 +11,7 @@ from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.poses import adjoint
 from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import ARCMIN
-from wlr_render.jobs.plan.planned_bench import ReadingOptions
+from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 

@@ -17,7 +17,7 @@ from wlr_render.calibration.poses import adjoint
 from wlr_render.captures.photo_session import StageDescription
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
-from wlr_render.jobs.plan.planned_bench import ReadingOptions
+from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 

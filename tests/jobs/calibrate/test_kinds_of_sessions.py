@@ -18,9 +18,9 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.jobs.calibrate.calibrate_options import CalibrateOptions, FitOptions
 from wlr_render.jobs.calibrate.photos import report_of
-from wlr_render.jobs.plan.planned_bench import ReadingOptions
 from wlr_render.models.model_file import load_eye_model, load_eye_models
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.planning.planned_bench import ReadingOptions
 from wlr_render.simulation.photographs.imperfections import BenchImperfections
 from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe

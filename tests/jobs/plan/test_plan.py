@@ -14,16 +14,16 @@ from wlr_render.cli import main
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.places_file import places_csv
 from wlr_render.jobs.plan import plan as plan_job
-from wlr_render.jobs.plan import planned_bench
-from wlr_render.jobs.plan.designs import grids, offered, places_of, spread
-from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan import PLACES_FILE, PlanOptions, plan
-from wlr_render.jobs.plan.planned_bench import PlannedBench, ReadingOptions
-from wlr_render.jobs.plan.planned_errors import PlannedFit, Scales, simulated_captures
-from wlr_render.jobs.plan.search import chosen_design, find_design
 from wlr_render.numerics.polynomial import Box, Polynomial
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.planning import planned_bench
+from wlr_render.planning.designs import grids, offered, places_of, spread
+from wlr_render.planning.place_choice import PlaceChoice, further_distance
+from wlr_render.planning.planned_bench import PlannedBench, ReadingOptions
+from wlr_render.planning.planned_errors import PlannedFit, Scales, simulated_captures
+from wlr_render.planning.search import chosen_design, find_design
 from wlr_render.report.blocks import Plot
 
 DEVICE = "birdbath28"

@@ -9,10 +9,10 @@ from small_photo_session import far_panel_device, make_small
 from wlr_render.captures.photo_session_file import load_photo_session
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.places_file import in_random_order, places_csv, read_places
-from wlr_render.jobs.plan.designs import grids, offered, places_of, spread
 from wlr_render.jobs.simulate import SimulateOptions, simulate
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.planning.designs import grids, offered, places_of, spread
 from wlr_render.simulation.photographs.photo_bench import half_travel
 from wlr_render.simulation.photographs.photo_plan import plan_photographs, planned_session, true_camera_poses
 from wlr_render.simulation.photographs.recipe import load_recipe, save_recipe, values_of

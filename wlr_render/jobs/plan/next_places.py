@@ -13,14 +13,14 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, se
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import rays
-from wlr_render.jobs.plan.designs import offered, places_of
-from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
 from wlr_render.jobs.plan.plan_report import error_map, places_table
-from wlr_render.jobs.plan.planned_bench import PlannedBench
-from wlr_render.jobs.plan.planned_errors import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
 from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.planning.designs import offered, places_of
+from wlr_render.planning.place_choice import PlaceChoice, further_distance
+from wlr_render.planning.planned_bench import PlannedBench
+from wlr_render.planning.planned_errors import FAR_M, NEAR_M, EyeTests, PlannedFit, registration_variance
 from wlr_render.report.blocks import Block, Cell, Columns, Report, table
 
 _ROWS = 220  # rows of each capture, with a smaller sigma for the same information at less cost

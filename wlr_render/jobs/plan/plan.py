@@ -25,10 +25,10 @@ from wlr_render.jobs.options import (
 from wlr_render.jobs.places_file import places_csv
 from wlr_render.jobs.plan.next_places import plan_next_places
 from wlr_render.jobs.plan.plan_report import plan_report
-from wlr_render.jobs.plan.planned_bench import PlannedBench, ReadingOptions
-from wlr_render.jobs.plan.search import LEAST_PLACES, find_design
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.planning.planned_bench import PlannedBench, ReadingOptions
+from wlr_render.planning.search import LEAST_PLACES, find_design
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
 from wlr_render.simulation.photographs.imperfections import BenchImperfections

@@ -7,11 +7,11 @@ import numpy as np
 
 from wlr_render.evaluation.metrics import Summary
 from wlr_render.jobs.places_file import in_random_order
-from wlr_render.jobs.plan.planned_errors import DesignErrors, EyeTests, place_variance
-from wlr_render.jobs.plan.search import DesignSearch
 from wlr_render.mappings import EyeBox
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.planning.planned_errors import DesignErrors, EyeTests, place_variance
+from wlr_render.planning.search import DesignSearch
 from wlr_render.report.blocks import Block, Cell, Plot, Report, ReportTable
 from wlr_render.report.plots import axis, curves
 

@@ -13,11 +13,11 @@ from wlr_render.captures.correspondences import Captures
 from wlr_render.evaluation import mapping_error
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
-from wlr_render.jobs.plan.planned_bench import PlannedBench
 from wlr_render.mappings import Eye
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.models.registration import model_registration_covariance
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.planning.planned_bench import PlannedBench
 from wlr_render.simulation import viewpoints
 
 _VIEWPOINTS, _EACH = 150, 8

@@ -10,9 +10,9 @@ from wlr_render.captures.correspondences import Captures
 from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import ARCMIN, arcmin_between
-from wlr_render.jobs.plan.designs import places_of
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.planning.designs import places_of
 from wlr_render.simulation.photographs.photo_bench import PhotoBench
 from wlr_render.simulation.photographs.photo_plan import bare_steps, plan_photographs, stage_axis_count
 from wlr_render.simulation.photographs.recipe import SimulationRecipe

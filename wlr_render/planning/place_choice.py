@@ -15,10 +15,10 @@ from wlr_render.calibration.readings import design_of
 from wlr_render.captures.correspondences import DisplayCaptures, SeeThroughCaptures
 from wlr_render.captures.feature_captures import CaptureMotionPrior
 from wlr_render.geometry import rays
-from wlr_render.jobs.plan.planned_errors import FAR_M, NEAR_M, PlannedFit
 from wlr_render.models.fitted_model import FittedDisplay, FittedSeeThrough
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.polynomial import basis
+from wlr_render.planning.planned_errors import FAR_M, NEAR_M, PlannedFit
 
 _READINGS = 110  # readings of a capture, with a smaller sigma for the same information
 _DISTANCES_M = (0.3, 0.6, 1.5, 3.0)  # candidate distances of one more target

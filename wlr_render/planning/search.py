@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wlr_render.jobs.plan.designs import CHOSEN, GRID, SPREAD, Design, grids, offered, spread
-from wlr_render.jobs.plan.place_choice import PlaceChoice, further_distance
-from wlr_render.jobs.plan.planned_bench import PlannedBench
-from wlr_render.jobs.plan.planned_errors import (
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.planning.designs import CHOSEN, GRID, SPREAD, Design, grids, offered, spread
+from wlr_render.planning.place_choice import PlaceChoice, further_distance
+from wlr_render.planning.planned_bench import PlannedBench
+from wlr_render.planning.planned_errors import (
     DesignErrors,
     DesignPredictor,
     EyeTests,
@@ -16,7 +17,6 @@ from wlr_render.jobs.plan.planned_errors import (
     Scales,
     simulated_captures,
 )
-from wlr_render.numerics.arrays import FloatArray
 
 LEAST_PLACES = 9
 PILOT_PLACES = 30
