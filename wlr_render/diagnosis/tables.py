@@ -13,7 +13,7 @@ from wlr_render.diagnosis.observations import PART_NAMES
 from wlr_render.diagnosis.outliers import MovedCapture
 from wlr_render.diagnosis.report_warnings import stated_prior
 from wlr_render.diagnosis.verdict_sentences import AXES_NOTE, RESIDUALS, odds_text, undetermined_parts, value_text
-from wlr_render.report.blocks import Cell, ReportTable, quantity, table
+from wlr_render.report.blocks import Cell, ReportTable, quantity, table, value_and_error
 
 _UNCHANGED = 0.05  # percent: rounds to 0.0
 _RANKED = 6  # candidates of each place that the table shows
@@ -129,8 +129,8 @@ def parameters_table(diagnosis: Diagnosis) -> ReportTable:
         {
             "cause": "cause.name",
             "parameter": "each.name",
-            "value": lambda row: quantity(row.each.value, row.each.sigma, 2).partition(" +- ")[0],
-            "one sigma": lambda row: quantity(row.each.value, row.each.sigma, 2).partition(" +- ")[2] or "-",
+            "value": lambda row: value_and_error(row.each.value, row.each.sigma, 2)[0],
+            "one sigma": lambda row: value_and_error(row.each.value, row.each.sigma, 2)[1] or "-",
             "unit": "each.unit",
             "value / sigma": lambda row: abs(row.each.value) / row.each.sigma if row.each.sigma > 0 else None,
             size: prior,

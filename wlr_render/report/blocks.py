@@ -189,14 +189,19 @@ def decimals(error: float, digits: int) -> int:
 
 
 def quantity(value: float, error: float, digits: int = 1) -> str:
-    """Return a value with its standard error, e.g. "9.1 +- 0.3", to `digits` digits of the error.
+    """Return a value with its standard error, e.g. "9.1 +- 0.3"; the value alone if the error is unknown."""
+    return " +- ".join(filter(None, value_and_error(value, error, digits)))
 
-    An error that is not finite and positive is unknown; the text is then the value alone.
+
+def value_and_error(value: float, error: float, digits: int = 1) -> tuple[str, str]:
+    """Return the texts of a value and its standard error, to `digits` digits of the error.
+
+    An error that is not finite and positive is unknown; its text is then empty.
     """
     if not (math.isfinite(value) and 0.0 < error < math.inf):
-        return cell_text(value)
+        return cell_text(value), ""
     places = decimals(error, digits)
-    return f"{value:.{places}f} +- {error:.{places}f}"
+    return f"{value:.{places}f}", f"{error:.{places}f}"
 
 
 def capitalised(text: str) -> str:
