@@ -30,12 +30,11 @@ from wlr_render.calibration.bench.station_file import SavedStation, load_station
 from wlr_render.captures.boards.board import BoardObservation
 from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
 from wlr_render.errors import BadInputError
+from wlr_render.evaluation.photograph_pair import JudgedPair, judge_pair
 from wlr_render.jobs.verify import (
     NOTES,
-    JudgedPair,
     by_method,
     complaints,
-    judge_pair,
     misalignment_pictures,
     misalignment_table,
     table_of_pairs,

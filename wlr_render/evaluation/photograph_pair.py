@@ -2,11 +2,14 @@
 
 from collections.abc import Set
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.boards.board import BoardObservation
+from wlr_render.captures.boards.board import Board, BoardObservation
+from wlr_render.captures.photographs import describe_pixels, read_photograph
+from wlr_render.errors import BadInputError
 from wlr_render.geometry.directions import arcmin_between
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
@@ -55,3 +58,55 @@ def pair_misalignment(real: BoardObservation, virtual: BoardObservation, camera:
     arcmin = arcmin_between(camera.dir_of_pixel(real_px), camera.dir_of_pixel(virtual_px))
     across = arcmin_between(camera.dir_of_pixel(real_px), camera.dir_of_pixel(real_px + [1.0, 0.0]))
     return PairMisalignment(real.index[first], real_px, virtual_px, arcmin, sigma_px * across)
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedPair:
+    """The misalignment in a pair of photographs.
+
+    Attributes:
+        name: camera position and target, in words.
+        method: how the picture on the display was drawn.
+        off, on: the photographs.
+        misalignment: of their dots; None if one of them shows too little.
+        complaint: why it shows too little, else empty.
+    """
+
+    name: str
+    method: str
+    off: Path
+    on: Path
+    misalignment: PairMisalignment | None
+    complaint: str = ""
+
+
+def judge_pair(name: str, method: str, photographs: tuple[Path, Path], board: Board, camera: Lens) -> JudgedPair:
+    """Match the dots of two photographs.
+
+    Args:
+        name: camera position and target, in words.
+        method: of drawing.
+        photographs: with the display off, and on.
+        board: the target.
+        camera: that took them.
+
+    Raises:
+        BadInputError: a photograph cannot be read, has another size than the camera's, or another depth than the other.
+    """
+    off, on = photographs
+    images = [read_photograph(path) for path in photographs]
+    for path, image in zip(photographs, images, strict=True):
+        if image.shape[::-1] != tuple(camera.size_px):
+            raise BadInputError(
+                f"{path}: is {describe_pixels(image)}, but its camera was calibrated for {camera.size_px[0]} x "
+                f"{camera.size_px[1]}; take both photographs with the camera of the calibration."
+            )
+    if images[0].dtype != images[1].dtype:
+        raise BadInputError(
+            f"{on}: is {describe_pixels(images[1])}, {off.name} has another depth; take both in the same format."
+        )
+    try:
+        real, virtual = (board.find(image, path.name) for path, image in zip(photographs, images, strict=True))
+    except BadInputError as error:
+        return JudgedPair(name, method, off, on, None, str(error))
+    return JudgedPair(name, method, off, on, pair_misalignment(real, virtual, camera))

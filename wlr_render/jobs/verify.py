@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.calibration.bench.station_file import load_station
-from wlr_render.captures.boards.board import Board
 from wlr_render.captures.boards.board_file import load_board
-from wlr_render.captures.photographs import Photograph, describe_pixels, photographs_in, read_photograph
+from wlr_render.captures.photographs import Photograph, photographs_in, read_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary, summary
-from wlr_render.evaluation.photograph_pair import PairMisalignment, pair_misalignment
-from wlr_render.geometry.lens import Lens
+from wlr_render.evaluation.photograph_pair import JudgedPair, judge_pair
 from wlr_render.io.atomic_files import output_folder, write_figure
 from wlr_render.jobs.job import job
 from wlr_render.jobs.options import EyeName, Options, ProgressArgument, described
@@ -58,26 +56,6 @@ class VerifyOptions(Options):
     )
     eye: Annotated[EyeName, described("Eye that the camera was calibrated for.")] = "right"
     out: Annotated[Path, described("Output folder.")] = Path("out/verify")
-
-
-@dataclass(frozen=True, eq=False)
-class JudgedPair:
-    """The misalignment in a pair of photographs.
-
-    Attributes:
-        name: camera position and target, in words.
-        method: how the picture on the display was drawn.
-        off, on: the photographs.
-        misalignment: of their dots; None if one of them shows too little.
-        complaint: why it shows too little, else empty.
-    """
-
-    name: str
-    method: str
-    off: Path
-    on: Path
-    misalignment: PairMisalignment | None
-    complaint: str = ""
 
 
 @dataclass(frozen=True)
@@ -143,38 +121,6 @@ def _judge_pairs(folder: Path, board_file: Path, station: Path) -> list[JudgedPa
             f"{folder}: holds no pairs of photographs named NAME_off.png and NAME_on.png; name them so."
         )
     return judged
-
-
-def judge_pair(name: str, method: str, photographs: tuple[Path, Path], board: Board, camera: Lens) -> JudgedPair:
-    """Match the dots of two photographs.
-
-    Args:
-        name: camera position and target, in words.
-        method: of drawing.
-        photographs: with the display off, and on.
-        board: the target.
-        camera: that took them.
-
-    Raises:
-        BadInputError: a photograph cannot be read, has another size than the camera's, or another depth than the other.
-    """
-    off, on = photographs
-    images = [read_photograph(path) for path in photographs]
-    for path, image in zip(photographs, images, strict=True):
-        if image.shape[::-1] != tuple(camera.size_px):
-            raise BadInputError(
-                f"{path}: is {describe_pixels(image)}, but its camera was calibrated for {camera.size_px[0]} x "
-                f"{camera.size_px[1]}; take both photographs with the camera of the calibration."
-            )
-    if images[0].dtype != images[1].dtype:
-        raise BadInputError(
-            f"{on}: is {describe_pixels(images[1])}, {off.name} has another depth; take both in the same format."
-        )
-    try:
-        real, virtual = (board.find(image, path.name) for path, image in zip(photographs, images, strict=True))
-    except BadInputError as error:
-        return JudgedPair(name, method, off, on, None, str(error))
-    return JudgedPair(name, method, off, on, pair_misalignment(real, virtual, camera))
 
 
 by_method: Callable[[JudgedPair], Cell] = attrgetter("method")
