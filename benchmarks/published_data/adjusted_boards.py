@@ -7,6 +7,7 @@ import numpy as np
 
 from benchmarks.published_data.board_sets import PhotographSet
 from wlr_render.calibration.bench.adjustment import Adjustment, adjust
+from wlr_render.calibration.bench.board_shape import BOARD_SHAPE
 from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, BoardView, CameraSetup
 from wlr_render.calibration.bench.lenses import sound_views
 from wlr_render.calibration.bench.start import start_lens, start_state
@@ -38,7 +39,7 @@ def adjusted_row(of: PhotographSet, seen: Sequence[BoardObservation], size_px: t
         (one, first), (other, second) = (_values(_fit(known, half)) for half in halves)
         apart.append((one - other) / np.hypot(first, second))
     value, sigma = _values(whole)
-    shape = 1e3 * whole.state.shape["board"].low
+    shape = 1e3 * whole.state.shape["board"].low[: len(BOARD_SHAPE)]
     shape_sigma = 1e3 * np.sqrt(np.diag(whole.covariance_of([("shape", "board")])))
     pairs = zip(("fx", "fy", "cx", "cy"), value, sigma, strict=True)
     bows = zip(("bow x", "bow y", "twist"), shape, shape_sigma, strict=False)
@@ -47,7 +48,7 @@ def adjusted_row(of: PhotographSet, seen: Sequence[BoardObservation], size_px: t
         {"set": of.title, "lens": kind}
         | {f"{name} (px)": f"{each:.2f} +- {own:.2f}" for name, each, own in pairs}
         | {f"{name} (mm)": f"{each:.2f} +- {own:.2f}" for name, each, own in bows}
-        | {"stretch": f"{whole.sizes.stretch:.1e}"}
+        | {"stretch": f"{whole.sizes['stretch']:.1e}"}
         | {"halves, fx fy cx cy (sigma)": ratios}
     )
 

@@ -15,18 +15,22 @@ from wlr_render.calibration.photograph_captures import (
     within_field,
 )
 from wlr_render.captures.correspondences import Captures, SeeThroughCaptures, concatenate
-from wlr_render.evaluation.truth_tests import TruthTests
+from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TruthTests
 from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.jobs.options import seed_of
+from wlr_render.models.fitted_model import FittedModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
 
 CALIBRATED, EXACT, NOMINAL = "calibrated", "exact", "exact, stage's random motion unknown"
 """Sources of the captures that models are fitted to."""
+PREDICTED = "predicted"
+"""Errors that the calibrated models predict for themselves."""
 
 
 def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int) -> dict[str, dict[str, float]]:
-    """Return rms errors against the traced headset, by source of the captures and name of the error.
+    """Return rms errors against the traced headset, by source of the captures (or `PREDICTED`) and name of the error.
 
     Captures of all sources have the same readings. Exact captures have the true lenses, board and target poses, and
     either the true camera poses or the poses of the stage without its random errors. The calibrated model is compared
@@ -41,10 +45,26 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
         EXACT: (_exact(simulated, simulated.truth.display, simulated.truth.see_through), tests),
         NOMINAL: (_exact(simulated, *_nominal(simulated)), tests),
     }
-    return {
-        name: {error: each.rms for error, each in own.errors(calibrate(captures, "planar").mappings).items()}
-        for name, (captures, own) in sources.items()
+    fits = {name: calibrate(captures, "planar") for name, (captures, _) in sources.items()}
+    errors = {
+        name: {error: each.rms for error, each in own.errors(fits[name].mappings).items()}
+        for name, (_, own) in sources.items()
     }
+    shown, seen = tests.display, tests.see_through
+    display, see_through = (each.mapping for each in fits[CALIBRATED].both)
+    predicted = {
+        PIXEL_DIRECTION: _predicted(display, shown.pixel, shown.viewpoint),
+        POINT_DIRECTION: _predicted(see_through, seen.point, seen.viewpoint),
+    }
+    return errors | {PREDICTED: predicted}
+
+
+def _predicted(model: FittedModel, subject: FloatArray, viewpoint: FloatArray) -> float:
+    """Predicted rms error, arcminutes, in the frame of the tracking camera: without what its stated pose adds."""
+    errors = model.direction_errors(subject, viewpoint, model.view_dir(subject, viewpoint).value)
+    counted = np.array([source != "tracking camera" for source in errors.sources], dtype=np.bool_)
+    square = np.trace(errors.unshared, axis1=-2, axis2=-1) + np.sum(errors.shared[..., counted] ** 2, axis=(-2, -1))
+    return float(np.sqrt(np.nanmean(square)) / ARCMIN)
 
 
 def _nominal(simulated: SimulatedReadings) -> tuple[FloatArray, FloatArray]:

@@ -102,20 +102,8 @@ class _Compared:
         return result
 
     def _camera(self, place: str, true: FloatArray) -> _Pose:
-        state, sizes = self._adjustment.state, self._adjustment.sizes
-        pose = state.device_from_camera(place)
-        to_device = adjoint(pose)
-        random = np.repeat([sizes.turn**2, sizes.shift**2], 3) * (place not in state.of("offset"))
-        return _Pose(pose, true, self._motion(place), to_device @ np.diag(random) @ to_device.T)
-
-    def _motion(self, place: str) -> FloatArray:
-        """(6, unknowns) small motion of device_from_camera, device frame."""
-        state, layout = self._adjustment.state, self._adjustment.layout
-        rows = np.zeros((6, self._unknowns))
-        to_device = adjoint(state.device_from_camera(place))
-        for key, columns in state.camera_motion(place).items():
-            rows[:, layout.where[key]] = to_device @ columns
-        return rows
+        (found,), (rows,), (own,) = self._adjustment.camera_rows([place])
+        return _Pose(found, true, rows, own)
 
     def _from_tracking(self, pose: _Pose) -> _Pose:
         """Return the pose in the tracking camera's frame."""
@@ -210,10 +198,10 @@ class _Compared:
                 places = dict(state.observations.places) | {"end": CameraPlace(reading)}
                 there = replace(state, observations=replace(state.observations, places=places))
                 adjustment = replace(self._adjustment, state=there)
-                rows = _Compared(replace(self._bench, adjustment=adjustment), self._truth)._motion("end")
+                (found,), (rows,), _ = adjustment.camera_rows(["end"])
                 full = np.zeros(3)
                 full[: len(reading)] = reading
-                ends.append((there.device_from_camera("end"), self._truth.bench.camera_at(full), rows))
+                ends.append((found, self._truth.bench.camera_at(full), rows))
             (low, true_low, low_rows), (high, true_high, high_rows) = ends
             back = transforms.inverse(low)
             rows = adjoint(back) @ (high_rows - low_rows)

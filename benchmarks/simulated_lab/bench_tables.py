@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.intervals import INTERVAL, interval_percent, ratio_interval
-from benchmarks.simulated_lab.bench_models import CALIBRATED, EXACT, NOMINAL
+from benchmarks.simulated_lab.bench_models import CALIBRATED, EXACT, NOMINAL, PREDICTED
 from benchmarks.simulated_lab.bench_trial import DEVICES, FAULTY, BenchOutcome, BenchTrialKind
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, ReportTable
@@ -40,8 +40,8 @@ def _accepted(outcomes: Sequence[BenchOutcome]) -> ReportTable:
                 [device, len(own), accepted, alarmed, interval_percent(alarmed, len(own)), seconds],
             )
     notes = (
-        "Ordinary imperfections (`BenchImperfections`), readings as of 8-bit photographs. Wanted: all accepted, a "
-        "failed check in at most 2 %.",
+        "Ordinary imperfections (`BenchImperfections` or `Workshop`), readings as of 8-bit photographs. "
+        "Wanted: all accepted, a failed check in at most 2 %.",
         "Accepted: no check contradicts the session. Seconds: of one processor, for the calibration of the bench; a "
         "busy machine lengthens them.",
     )
@@ -137,13 +137,14 @@ def _models(outcomes: Sequence[BenchOutcome]) -> ReportTable:
         ratios = []
         for each in own:
             found = [each.errors[source][error] for source in (CALIBRATED, EXACT, NOMINAL)]
-            ratios.append([found[0] / found[1], found[2] / found[1], found[0] / found[2]])
+            predicted = each.errors[PREDICTED].get(error, np.nan)
+            ratios.append([found[0] / found[1], found[2] / found[1], found[0] / found[2], found[0] / predicted])
             session = f"{each.trial.device} {each.trial.number}"
             rows.append([error, session, *found, *ratios[-1]])
         median = [float(one) for one in np.median(ratios, axis=0)]
         rows.append([error, "median", None, None, None, *median])
     columns = ["error, rms", "session", CALIBRATED, EXACT, NOMINAL]
-    columns += ["calibrated / exact", "random motion / exact", "calibrated / random motion"]
+    columns += ["calibrated / exact", "random motion / exact", "calibrated / random motion", "calibrated / predicted"]
     notes = (
         "Models of the same readings: with the calibrated bench; with the true lenses, board, target and camera poses; "
         "and with these, but camera poses without the stage's random errors (10 urad, 5 um, and its creep). Errors are "

@@ -15,12 +15,14 @@ from benchmarks.simulated_lab.simulate_readings import SimulatedReadings, simula
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench, calibrate_bench
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.errors import BadInputError
-from wlr_render.simulation.photographs.photo_bench import PhotoBenchOptions
+from wlr_render.planning.planned_bench import ReadingOptions
+from wlr_render.simulation.photographs.photo_bench import Family, PhotoBenchOptions
 from wlr_render.simulation.photographs.recipe import SimulationRecipe
 
 DEVICES = ("northstar", "freeform40", "birdbath28")
 
 _SHIFT_MM, _TURN_DEG, _AXIS_DEG = (0.5, 2.0), (0.05, 0.2), 2.0
+_DOTS, _SAMPLES = ReadingOptions.most_dots, ReadingOptions.panel_samples
 _NOTHING: tuple[tuple[str, ...], ...] = ()
 _APART_M = 1e-3  # readings that are exchanged differ by more
 
@@ -48,10 +50,14 @@ class BenchTrial:
     Attributes:
         kind: the fault, or the measurement.
         number: number of the session; devices alternate.
+        family: of the errors of stage, board, lenses and warm-up.
+        dots: largest number of dots of a photograph.
     """
 
     kind: BenchTrialKind
     number: int
+    family: Family = "polynomial"
+    dots: int = ReadingOptions.most_dots
 
     @property
     def device(self) -> str:
@@ -61,7 +67,7 @@ class BenchTrial:
     @property
     def file(self) -> str:
         """Name of the file of its outcome."""
-        return f"{self.kind.replace(' ', '-')}-{self.number:03d}-{self.device}.json"
+        return f"{self.kind.replace(' ', '-')}-{self.number:03d}-{self.device}-{self.family}-{self.dots}.json"
 
 
 @dataclass(frozen=True)
@@ -123,12 +129,13 @@ def run_bench_trial(trial: BenchTrial, seed: int) -> BenchOutcome:
     bench_seed = int(np.random.default_rng([seed, zlib.crc32(trial.kind.encode()), trial.number]).integers(1, 2**31))
     if trial.kind in (BenchTrialKind.CLEAN, BenchTrialKind.MODELS):
         bench_seed = 1000 * seed + trial.number
-    recipe = SimulationRecipe(trial.device, bench=PhotoBenchOptions(seed=bench_seed))
+    recipe = SimulationRecipe(trial.device, bench=PhotoBenchOptions(seed=bench_seed, family=trial.family))
+    options = ReadingOptions(most_dots=trial.dots, panel_samples=_SAMPLES * trial.dots // _DOTS)
     faults, truth, wanted = NO_FAULTS, "", _NOTHING
     if trial.kind in FAULTY:
-        clean = simulate_readings(recipe)
+        clean = simulate_readings(recipe, options)
         faults, truth, wanted = _fault(trial.kind, clean, np.random.default_rng([bench_seed, 77]))
-    simulated = simulate_readings(recipe, faults=faults)
+    simulated = simulate_readings(recipe, options, faults=faults)
     outcome = BenchOutcome(trial, truth)
     begun = time.process_time()
     try:
@@ -138,7 +145,7 @@ def run_bench_trial(trial: BenchTrial, seed: int) -> BenchOutcome:
         return _judged(replace(outcome, refused=str(error)), failed, wanted)
     seconds = time.process_time() - begun
     sizes = bench.adjustment.sizes
-    found = {name: getattr(sizes, name) for name in ("turn", "shift", "smooth_turn", "smooth_shift")}
+    found = dict(sizes.by)
     found |= {f"noise {name}": value for name, value in sizes.noise.items()}
     found |= {f"features {name}": value for name, value in sizes.feature_m.items()}
     found |= {f"kind {name}": float(len(each.lens.names)) for name, each in bench.lenses.items()}

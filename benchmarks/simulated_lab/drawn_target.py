@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.calibration.bench.state import BoardShape
+from wlr_render.calibration.bench.board_shape import BoardShape
 from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye

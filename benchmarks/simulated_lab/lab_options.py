@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import Backend, OnlyWith, Range, Scheduler, Seed, SpreadOptions, Workers, described
+from wlr_render.planning.planned_bench import ReadingOptions
+from wlr_render.simulation.photographs.photo_bench import Family
 
 PartName = Literal["codes", "truth", "registration", "bench", "faults", "models"]
 TargetPose = Literal["frontal", "tilted", "shifted"]
@@ -34,6 +36,17 @@ class SimulatedLabOptions(SpreadOptions):
     models: Annotated[
         int, described("Sessions whose models are fitted."), Range(at_least=1), OnlyWith("part", ("models",))
     ] = 6
+    family: Annotated[
+        Family,
+        described("Errors of stage, board, lenses and warm-up, as of `simulate`."),
+        OnlyWith("part", ("bench", "faults", "models")),
+    ] = "polynomial"
+    dots: Annotated[
+        int,
+        described("Largest number of dots of a photograph; positions on the panel are fewer in the same ratio."),
+        Range(at_least=50),
+        OnlyWith("part", ("bench", "faults", "models")),
+    ] = ReadingOptions.most_dots
     resume: Annotated[
         bool,
         described("Keep the trials of benches that an earlier run of the same program left there.", flag=True),

@@ -95,7 +95,11 @@ def bench_trials(options: SimulatedLabOptions) -> list[BenchTrial]:
         counts |= dict.fromkeys(FAULTY, options.faults)
     if "models" in options.part:
         counts[BenchTrialKind.MODELS] = options.models
-    trials = [BenchTrial(kind, number) for kind, count in counts.items() for number in range(count)]
+    trials = [
+        BenchTrial(kind, number, options.family, options.dots)
+        for kind, count in counts.items()
+        for number in range(count)
+    ]
     return sorted(trials, key=lambda trial: (trial.number + 0.5) / counts[trial.kind])
 
 

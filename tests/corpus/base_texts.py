@@ -151,7 +151,7 @@ scale = 0.5
 SCENE_WITH_MESH = SCENE + POINT_LIGHT_AND_MESH
 STATION = {
     "format": "wlr-station",
-    "version": 2,
+    "version": 3,
     "frame": "openxr",
     "units": {"length": "m", "angle": "rad", "pixel": "px"},
     "eyeball_camera": {

@@ -50,6 +50,9 @@ class Lens(Protocol):
     def values(self) -> FloatArray:
         """Values (P,) of the parameters that a fit can estimate."""
 
+    def with_values(self, values: FloatArray) -> "Lens":
+        """Copy of this lens with other values (P,) of its parameters."""
+
     def project(self, point_in_camera: FloatArray) -> Projection:
         """Project points (n, 3), with derivatives."""
 

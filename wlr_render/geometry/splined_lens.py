@@ -64,6 +64,10 @@ class SplinedLens:
         """Values of the parameters: an empty array (0,)."""
         return np.zeros(0)
 
+    def with_values(self, values: FloatArray) -> "SplinedLens":
+        """Return this lens: it has no values."""
+        return self
+
     def project(self, point_in_camera: FloatArray) -> Projection:
         """Project points (n, 3), with derivatives by the points."""
         image, slope = self._image_and_slope(STEREOGRAPHIC.position(point_in_camera))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.simulated_lab.drawn_target import target_scene, wholly_shown
-from wlr_render.calibration.bench.state import BoardShape
+from wlr_render.calibration.bench.board_shape import BoardShape
 from wlr_render.captures.boards.board_design import design_board
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
@@ -39,7 +39,7 @@ def test_the_target_is_drawn_in_the_shape_that_calibration_found():
     index = board.indices()
     nominal = board.point_of(index)
     own = np.random.default_rng(2).normal(0.0, 1e-5, nominal.shape)
-    low = np.array([2e-4, -1e-4, 5e-5, 3e-4, -4e-4])
+    low = np.array([2e-4, -1e-4, 5e-5, 3e-4, -4e-4, 2e-4])
     order = np.lexsort((index[:, 1], index[:, 0]))
     shape = BoardShape(np.abs(nominal[:, :2]).max(axis=0), low, index[order], own[order])
     pose = transforms.rigid(transforms.OPENXR_FROM_OPENCV, np.array([0.0, 0.0, -0.5]))

@@ -56,8 +56,8 @@ def test_errors_of_poses_are_as_large_as_their_sigmas(solved):
 
 
 def test_the_stage_is_as_good_as_it_is(solved):
-    turn = np.exp(np.mean([np.log(found.sizes.turn) for _, found in solved]))
-    shift = np.exp(np.mean([np.log(found.sizes.shift) for _, found in solved]))
+    turn = np.exp(np.mean([np.log(found.sizes["turn"]) for _, found in solved]))
+    shift = np.exp(np.mean([np.log(found.sizes["shift"]) for _, found in solved]))
     dots = np.mean([found.sizes.feature_m["board"] for _, found in solved])
     assert turn == pytest.approx(1e-5, rel=0.3)
     # Seen from half a metre, few photographs tell a shift from a turn: what is expected of stages (3 um) counts, too.
@@ -76,8 +76,8 @@ def test_a_stage_that_turns_by_ordinary_amounts_passes_all_checks(solved):
 def test_a_perfect_bench_is_found_to_the_noise_of_its_dots():
     bench = TrueBench(7, PERFECT)
     found = adjusted(thinned(bench.observations(lens_photographs=6)))
-    assert found.sizes.turn < 3e-6
-    assert found.sizes.shift < 1e-6
+    assert found.sizes["turn"] < 3e-6
+    assert found.sizes["shift"] < 1e-6
     for k, true in bench.targets.items():
         assert np.all(np.abs(over_sigma(true, found.target_pose(k))) < 4.0)
 
@@ -104,7 +104,7 @@ def test_photographs_by_hand_tell_how_much_they_are_stretched():
         found = adjusted(alone)
         sigma = np.sqrt(np.diag(found.covariance_of([("lens", EYEBALL)])))[:4]
         errors.append((found.state.lens[EYEBALL].values - bench.lens[EYEBALL].values)[:4] / sigma)
-        sizes.append(found.sizes.stretch)
+        sizes.append(found.sizes["stretch"])
     assert 3e-4 < np.exp(np.mean(np.log(sizes))) < 2e-3
     # Eight cameras, of which fx and fy err together: a standard deviation to about a fifth.
     assert 0.6 < rms(errors) < 1.5

@@ -78,7 +78,6 @@ class Adjustment:
             covariance (n, 6, 6) of what no unknown is of: the stage's random error where no view measured the place.
         """
         poses, rows, own = [], [], []
-        random = np.repeat([self.sizes.turn**2, self.sizes.shift**2], 3)
         for place in places:
             state = self.state
             pose = state.device_from_camera(place)
@@ -88,9 +87,21 @@ class Adjustment:
                 row[:, self.layout.where[key]] = to_device @ columns
             poses.append(pose)
             rows.append(row)
-            unmeasured = place not in state.of("offset") and place not in state.of("free")
-            own.append(to_device @ np.diag(random * unmeasured) @ to_device.T)
+            own.append(to_device @ self._unmeasured(place) @ to_device.T)
         return np.array(poses), np.array(rows), np.array(own)
+
+    def _unmeasured(self, place: str) -> FloatArray:
+        """(6, 6) covariance, camera's frame, of the stage's errors at a place that no view measured."""
+        state, reading = self.state, self.state.observations.places[place].reading
+        covariance = np.zeros((6, 6))
+        if reading is None:
+            return covariance
+        if place not in state.of("offset"):
+            covariance += np.diag(self.sizes.visit**2)
+        for key, along in state.screws(reading).items():
+            if key not in state.blocks:
+                covariance += self.sizes["screw"] ** 2 * along @ along.T
+        return covariance
 
     def camera_pose(self, place: str) -> Pose:
         """device_from_camera at a place, with its covariance."""
@@ -115,8 +126,8 @@ def adjust(start: BenchState) -> Adjustment:
     """
     state, layout = start, Layout.of(start.blocks)
     prior = layout.prior
-    hyper = np.array([*(np.log(size.value) for size in USUAL_SIZES.values()), 0.0])
-    sizes = _sizes(
+    hyper = prior.expected[:, 0]
+    sizes = Sizes.of(
         hyper,
         {name: start.observations.tolerances[name].print_error_m for name in state.shape},
         {name: 1.0 for name in state.lens},
@@ -132,7 +143,7 @@ def adjust(start: BenchState) -> Adjustment:
         if layout.has_sizes and normal.count:
             hyper = _best_hyper(normal, layout, prior, hyper, everywhere=number < 3)
         feature_m = {name: _feature_size(state, name, normal, sizes) for name in state.shape}
-        sizes = _sizes(hyper, feature_m, _noise(normal, sizes, found))
+        sizes = Sizes.of(hyper, feature_m, _noise(normal, sizes, found))
         normal = Normal(state, layout, sizes, {})
         if (away < _SETTLED or is_stuck) and _alike(before, sizes):
             break
@@ -147,11 +158,6 @@ def _alike(one: Sizes, other: Sizes) -> bool:
     pairs = [(one.noise[name], other.noise[name]) for name in one.noise]
     pairs += [(one.feature_m[name], other.feature_m[name]) for name in one.feature_m]
     return all(abs(np.log(first / second)) < _SAME for first, second in pairs)
-
-
-def _sizes(hyper: FloatArray, feature_m: Mapping[str, float], noise: Mapping[str, float]) -> Sizes:
-    turn, shift, smooth_turn, smooth_shift, stretch = (float(one) for one in np.exp(hyper[:-1]))
-    return Sizes(turn, shift, smooth_turn, smooth_shift, stretch, feature_m, noise)
 
 
 def _stepped(
@@ -209,17 +215,17 @@ def _cost(state: BenchState, layout: Layout, width: FloatArray, sizes: Sizes, no
 
 
 def _noise(normal: Normal, sizes: Sizes, found: Posterior) -> dict[str, float]:
-    """Factor on the stated sigmas, by camera."""
-    known = found.determined + sum(normal.determined_features(name, sizes.feature_m[name]) for name in normal.features)
-    free = max(1.0 - known / max(normal.count, 1), 0.1)
-    return {
-        name: float(
-            sizes.noise[name] * np.sqrt(max(normal.chi_square[name], 1e-12) / max(free * normal.values[name], 1.0))
-        )
-        if normal.values[name]
-        else sizes.noise[name]
-        for name in normal.chi_square
-    }
+    """Return the factor on the stated sigmas by camera: of the readings that its unknowns leave free."""
+    determined = 1.0 - np.diag(found.side_covariance) / found.sizes[: len(found.side_used)] ** 2
+    features = sum(normal.determined_features(name, sizes.feature_m[name]) for name in normal.features)
+    every, factors = sum(normal.informed.values()), dict(sizes.noise)
+    for name, count in normal.values.items():
+        if count:
+            part = count / normal.count
+            share = np.where(every > 0, normal.informed[name] / np.maximum(every, 1e-300), part)
+            free = max(count - float(determined @ share) - part * features, 0.1 * count)
+            factors[name] *= float(np.sqrt(max(normal.chi_square[name], 1e-12) / free))
+    return factors
 
 
 def _feature_size(state: BenchState, name: str, normal: Normal, sizes: Sizes) -> float:
@@ -233,10 +239,13 @@ def _feature_size(state: BenchState, name: str, normal: Normal, sizes: Sizes) ->
 
 
 def _best_hyper(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray, everywhere: bool) -> FloatArray:
-    """Hyperparameters of greatest evidence. Unknowns that meet no error of the stage are integrated out first."""
-    gone_keys = [key for key in layout.where if key[0] in ("board pose", "lens")]
-    gone = layout.columns(gone_keys)
-    kept = np.setdiff1d(np.arange(len(layout.size)), gone)
+    """Return hyperparameters of greatest evidence, and no noise: `_noise` finds one for each camera.
+
+    Unknowns whose priors do not depend on them are integrated out first. The search has a common noise, so that
+    no size takes up readings that scatter more than `normal` expects.
+    """
+    is_kept = np.any(layout.features, axis=1)
+    kept, gone = np.flatnonzero(is_kept), np.flatnonzero(~is_kept)
     sums = normal.sums(layout)
     block = sums.side_gram[np.ix_(gone, gone)] + np.eye(len(gone))
     follow = np.linalg.solve(block, sums.side_gram[np.ix_(gone, kept)])
@@ -247,12 +256,10 @@ def _best_hyper(normal: Normal, layout: Layout, prior: Prior, hyper: FloatArray,
     rest.side_moment = sums.side_moment[kept] - follow.T @ sums.side_moment[gone]
     smaller = replace(prior, mixed_features=prior.mixed_features[kept])
     starts = [dict(zip(HYPER, hyper, strict=True))]
-    others = _STARTS if everywhere else ()
-    starts += [
-        starts[0] | {name: np.log(size) for name, size in zip(HYPER[:-1], other, strict=True)} for other in others
-    ]
+    for factor in _STARTS if everywhere else ():
+        starts.append(starts[0] | {name: np.log(factor * size.value) for name, size in USUAL_SIZES.items()})
     best = maximise(rest, smaller, starts)
-    return np.array([best.hyper[name] for name in HYPER])
+    return np.array([best.hyper[name] * (name != "noise") for name in HYPER])
 
 
-_STARTS = ((1e-6, 5e-7, 1e-5, 1e-6, 1e-5), (5e-5, 1e-5, 1e-4, 1e-5, 1e-3))
+_STARTS = (0.2, 4.0)  # sizes over the usual ones from which the search for sizes starts, too

@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,12 @@ import numpy as np
 from wlr_render import usual
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens import Lens
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.numerics.arrays import FloatArray, IntArray
 from wlr_render.numerics.evidence import Prior
 
 Key = tuple[str, int | str]
-"""Name of a block of unknowns: what it is, and of which camera, board, target, axis, place or view."""
+"""Name of a block of unknowns: its kind, and its camera, board, target, axis, place or view."""
 EXACT = 1e-9
 """Prior size of what counts as exact: radians, metres, per unit."""
 FEATURES = "features"
@@ -28,12 +27,23 @@ USUAL_SIZES = {
     "shift": usual.STAGE_REPEATABILITY_M,
     "smooth turn": usual.STAGE_SMOOTH_TURN_RAD,
     "smooth shift": usual.STAGE_SMOOTH_SHIFT_M,
+    "screw": usual.STAGE_SCREW_M,
     "stretch": usual.BOARD_STRETCH,
+    "print": usual.BOARD_PRINT_M,
+    "height": usual.BOARD_HEIGHT_M,
+    "drift": replace(usual.CAMERA_DRIFT_ARCMIN, value=usual.CAMERA_DRIFT_ARCMIN.value * ARCMIN, unit="rad"),
 }
 """Sizes of ordinary benches by hyperparameter."""
-HYPER = (*USUAL_SIZES, "noise")
-_LEAST, _MOST = 1e-9, 1e-2  # bounds of sizes, radians, metres or ratios: exact, and no stage or board
-_NOISE_DIFFERS = 0.3  # sigma of the logarithm of a camera's noise over the stated one, which detection measures
+FALL = "smooth fall"
+"""Hyperparameter: fall of the logarithm of the stage's smooth errors from one degree to the next."""
+_BOUNDS = np.log(1e-9), np.log(1e-2)  # least and largest size, radians, metres or ratios: exact, and no stage or board
+_HYPERPRIORS = {
+    **{name: (np.log(each.value), each.log_sigma, *_BOUNDS) for name, each in USUAL_SIZES.items()},
+    FALL: (0.7, 0.3, 0.1, 2.0),  # rails bend more than they wave: by a factor of 2 with each degree
+    "noise": (0.0, 0.3, -2.0, 2.0),  # common factor in the search for sizes; `Sizes.noise` has one for each camera
+}
+"""Mean and sigma of each hyperparameter beforehand, and its bounds."""
+HYPER = tuple(_HYPERPRIORS)
 
 
 @dataclass(frozen=True)
@@ -49,10 +59,6 @@ class Chart:
     apart: Callable[[Any, Any], FloatArray]
 
 
-def _moved_lens(lens: Lens, step: FloatArray) -> Lens:
-    return lens.with_values(lens.values + step) if isinstance(lens, LensCamera) else lens
-
-
 def _motion_after(nominal: FloatArray, pose: FloatArray) -> FloatArray:
     """(6,) small motion m with pose = nominal @ small_motion(m)."""
     return motion_between(np.eye(4), transforms.inverse(nominal) @ pose)
@@ -62,7 +68,9 @@ NUMBERS = Chart(lambda value, step: value + step.reshape(value.shape), lambda mi
 POSE = Chart(lambda pose, step: pose @ small_motion(step), _motion_after)
 HELD_POSE = Chart(lambda pose, step: small_motion(step) @ pose, motion_between)
 """Steps of a pose in the frame from which it maps, or to which it maps."""
-LENS = Chart(_moved_lens, lambda middle, lens: np.asarray(lens.values - middle))
+LENS = Chart(
+    lambda lens, step: lens.with_values(lens.values + step), lambda middle, lens: np.asarray(lens.values - middle)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +81,7 @@ class Block:
         value: numbers, a pose (4, 4), or a lens.
         size: (k,) prior sizes; of unknowns with a hyperparameter, multiples of its size.
         middle: of the prior, like `value`, of a lens its values. NaN or None where nothing is known beforehand.
-        hyper: (k,) name of the hyperparameter of each unknown; empty without any.
+        hyper: (k,) or a number, change of the logarithm of each prior size by a hyperparameter, by its name.
         source: of the errors that all captures share, as a budget names it; "" of errors of one photograph.
         chart: how steps move the value.
     """
@@ -81,7 +89,7 @@ class Block:
     value: Any
     size: FloatArray
     middle: Any = None
-    hyper: Sequence[str] = ()
+    hyper: Mapping[str, Any] = field(default_factory=dict)
     source: str = ""
     chart: Chart = NUMBERS
 
@@ -99,57 +107,68 @@ class Block:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Variance components of a bench, standard deviations per axis.
+    """Variance components of a bench.
 
     Attributes:
-        turn, shift: random error of the stage in each visit, radians and metres.
-        smooth_turn, smooth_shift: its smooth error over the travel.
-        stretch: of the image of a board held freely, relative; each of the four parts.
-        feature_m: error of a feature on each board.
+        by: standard deviations per axis of the errors that `USUAL_SIZES` names.
+        feature_m: error of a feature on each board beyond its smooth field.
         noise: factor on the stated sigma of the features, by camera.
     """
 
-    turn: float
-    shift: float
-    smooth_turn: float
-    smooth_shift: float
-    stretch: float
+    by: Mapping[str, float]
     feature_m: Mapping[str, float]
     noise: Mapping[str, float]
+
+    @classmethod
+    def of(cls, hyper: FloatArray, feature_m: Mapping[str, float], noise: Mapping[str, float]) -> "Sizes":
+        """Return the sizes by the hyperparameters, logarithms of the sizes."""
+        values = dict(zip(HYPER, map(float, hyper), strict=True))
+        return cls({name: float(np.exp(values[name])) for name in USUAL_SIZES}, feature_m, noise)
+
+    def __getitem__(self, name: str) -> float:
+        return self.by[name]
+
+    @property
+    def visit(self) -> FloatArray:
+        """(6,) random error of the stage in each visit: rotation (rad), then position (m)."""
+        return np.repeat([self["turn"], self["shift"]], 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where each block of unknowns lies, and its prior.
+    """Columns of each block of unknowns in one vector, and its prior.
 
     Attributes:
         where: columns of each block.
         size: (unknowns,) prior sizes, of those with a hyperparameter as a multiple of it.
-        hyper: (unknowns,) index into `HYPER`, or -1.
+        features: (unknowns, hyperparameters) change of the logarithms of the prior sizes by each of `HYPER`.
     """
 
     where: Mapping[Key, slice]
     size: FloatArray
-    hyper: IntArray
+    features: FloatArray
 
     @classmethod
     def of(cls, blocks: Mapping[Key, Block]) -> "Layout":
         """Return the places of all blocks but `FEATURES`."""
         where: dict[Key, slice] = {}
         size: list[FloatArray] = []
-        hyper: list[int] = []
+        features: list[FloatArray] = []
         for key, block in blocks.items():
             if key[0] == FEATURES:
                 continue
-            where[key] = slice(len(hyper), len(hyper) + len(block.size))
+            start = sum(map(len, size))
+            where[key] = slice(start, start + len(block.size))
             size.append(np.maximum(block.size, EXACT))
-            hyper += [HYPER.index(name) for name in block.hyper] or [-1] * len(block.size)
-        return cls(where, np.concatenate(size), np.array(hyper, dtype=np.int64))
+            features.append(np.zeros((len(block.size), len(HYPER))))
+            for name, change in block.hyper.items():
+                features[-1][:, HYPER.index(name)] = change
+        return cls(where, np.concatenate(size), np.concatenate(features))
 
     @property
     def has_sizes(self) -> bool:
-        """Whether any unknown has a size that the views are to find."""
-        return bool(np.any(self.hyper >= 0))
+        """True if the views find the size of any unknown."""
+        return bool(np.any(self.features))
 
     def columns(self, keys: Sequence[Key]) -> IntArray:
         """Columns of some blocks, one after the other."""
@@ -163,10 +182,5 @@ class Layout:
     @property
     def prior(self) -> Prior:
         """Prior of the unknowns, by the hyperparameters `HYPER`."""
-        features = np.zeros((len(self.size), len(HYPER)))
-        rows = np.flatnonzero(self.hyper >= 0)
-        features[rows, self.hyper[rows]] = 1.0
-        bounds = [(np.log(_LEAST), np.log(_MOST))] * len(USUAL_SIZES) + [(-2.0, 2.0)]
-        expected = [(np.log(size.value), size.log_sigma) for size in USUAL_SIZES.values()] + [(0.0, _NOISE_DIFFERS)]
-        none = np.zeros((0, len(HYPER)))
-        return Prior(HYPER, np.array(bounds), np.array(expected), none, features, none)
+        table, none = np.array(list(_HYPERPRIORS.values())), np.zeros((0, len(HYPER)))
+        return Prior(HYPER, table[:, 2:], table[:, :2], none, self.features, none)

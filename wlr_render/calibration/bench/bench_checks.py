@@ -10,6 +10,7 @@ from scipy.stats import chi2, norm
 
 from wlr_render.calibration.bench.adjustment import Adjustment
 from wlr_render.calibration.bench.bench_blocks import USUAL_SIZES, Key
+from wlr_render.calibration.bench.board_shape import BOARD_SHAPE
 from wlr_render.calibration.bench.board_views import EYEBALL, BoardView
 from wlr_render.calibration.bench.faults import NEGLIGIBLE_M, NEGLIGIBLE_RAD, SINGLE, Fault
 from wlr_render.calibration.bench.normal_equations import residuals_of
@@ -120,11 +121,13 @@ def prior_pulls(adjustment: Adjustment) -> list[Pull]:
     pulls = []
     for kind, key in named.items():
         where = adjustment.layout.where[key]
+        if key[0] == "shape":  # the smooth fields find their own size
+            where = slice(where.start, where.start + len(BOARD_SHAPE))
         prior = np.diag(adjustment.layout.size[where] ** 2)
         # What was found minus what was known has this covariance; directions that nothing was learnt of have none.
         size, vectors = np.linalg.eigh(np.eye(len(prior)) - _scaled(adjustment.covariance[where, where], prior))
         learnt = size > 1e-3
-        away = vectors.T @ (state.deviation([key]) / np.sqrt(np.diag(prior)))
+        away = vectors.T @ (state.deviation([key])[: len(prior)] / np.sqrt(np.diag(prior)))
         chi_square = float(np.sum(away[learnt] ** 2 / size[learnt]))
         freedom = int(np.count_nonzero(learnt))
         if freedom:
@@ -148,8 +151,8 @@ def reading_pulls(adjustment: Adjustment) -> list[Pull]:
     offsets = np.array(list(adjustment.state.of("offset").values())).reshape(-1, 6)
     if len(offsets):
         for kind, part, size in (
-            ("rotation of the stage", slice(0, 3), adjustment.sizes.turn),
-            ("position of the stage", slice(3, 6), adjustment.sizes.shift),
+            ("rotation of the stage", slice(0, 3), adjustment.sizes["turn"]),
+            ("position of the stage", slice(3, 6), adjustment.sizes["shift"]),
         ):
             columns = [adjustment.layout.where["offset", place] for place in adjustment.state.of("offset")]
             variance = np.array([np.diag(adjustment.covariance[where, where])[part] for where in columns])
@@ -220,10 +223,10 @@ def _stage_checks(adjustment: Adjustment) -> list[Check]:
         return []
     sizes, checks = adjustment.sizes, []
     rows = (
-        ("repeatability in position", "shift", 1e6 * sizes.shift, "um", 1e3 * sizes.shift > REFUSED_MM),
-        ("repeatability in rotation", "turn", 1e6 * sizes.turn, "urad", sizes.turn / ARCMIN > REFUSED_ARCMIN),
-        ("smooth error in position", "smooth shift", 1e6 * sizes.smooth_shift, "um", False),
-        ("smooth error in rotation", "smooth turn", 1e6 * sizes.smooth_turn, "urad", False),
+        ("repeatability in position", "shift", 1e6 * sizes["shift"], "um", 1e3 * sizes["shift"] > REFUSED_MM),
+        ("repeatability in rotation", "turn", 1e6 * sizes["turn"], "urad", sizes["turn"] / ARCMIN > REFUSED_ARCMIN),
+        ("smooth error in position", "smooth shift", 1e6 * sizes["smooth shift"], "um", False),
+        ("smooth error in rotation", "smooth turn", 1e6 * sizes["smooth turn"], "urad", False),
     )
     for quantity, name, value, unit, refused in rows:
         limit = 1e6 * USUAL_SIZES[name].value * float(np.exp(2.5 * USUAL_SIZES[name].log_sigma))

@@ -6,6 +6,7 @@ is not direct and does not belong here.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -85,10 +86,12 @@ class CameraPlace:
     Attributes:
         reading: (m,) of the stage's axes; None without a stage, when the pose is free.
         orientation: number of the mounting in which the camera sits on the stage.
+        time_s: seconds from any origin; None if unknown.
     """
 
     reading: FloatArray | None
     orientation: int = 0
+    time_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +152,14 @@ class BenchObservations:
     def without(self, names: Sequence[str]) -> "BenchObservations":
         """All but the views with these names."""
         return replace(self, views=[view for view in self.views if view.name not in names])
+
+    @cached_property
+    def duration(self) -> tuple[float, float] | None:
+        """Middle and half range of the times of the places, seconds; None where they are unknown, or all are one."""
+        times = [place.time_s for place in self.places.values() if place.time_s is not None]
+        if len(set(times)) < 2:
+            return None
+        return 0.5 * (max(times) + min(times)), 0.5 * (max(times) - min(times))
 
     @property
     def travel(self) -> tuple[FloatArray, FloatArray]:

@@ -188,7 +188,7 @@ def bench_observations(session: PhotoSession, reading: Reading) -> BenchObservat
         centre = np.mean([box.centre for box in session.eye_boxes.values()], axis=0)
         device_from_camera = KnownPose(transforms.rigid(transforms.OPENXR_FROM_OPENCV, centre))
     entries: list[SessionEntry] = [*session.bare, *session.beside, *session.see_through, *session.display]
-    places = {place_key(session, each): CameraPlace(each.stage, each.orientation) for each in entries}
+    places = {place_key(session, each): CameraPlace(each.stage, each.orientation, each.time_s) for each in entries}
     boards = {board_name(session, view.target or 0) for view in views} | {"board"}
     tolerances = {name: session.board.tolerances for name in boards} | {
         f"board of target {k}": given.board.tolerances
@@ -278,7 +278,8 @@ def _repeated_views(bench: CalibratedBench, reading: Reading) -> list[RepeatedVi
             lens = bench.adjustment.state.lens_at(target)
             pair = ((first, one), (last, other))
             views = [_board_view(session, p.name, s, EYEBALL, target).seen_by(lens) for p, s in pair]
-            found.append(RepeatedView(target, bench.device_from_camera(first), views[0], views[1]))
+            poses = [bench.device_from_camera(photo) for photo in (first, last)]
+            found.append(RepeatedView(target, poses[0], views[0], views[1], poses[1][:3, :3].T @ poses[0][:3, :3]))
     return found
 
 

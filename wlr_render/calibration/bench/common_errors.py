@@ -21,11 +21,10 @@ from wlr_render.captures.correspondences import AnyCaptures, DisplayCaptures, Se
 from wlr_render.captures.feature_captures import TARGET_POSES, CaptureMotionPrior, CommonErrors, point_terms
 from wlr_render.captures.photo_session import BoardPhotograph, SessionEntry
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
-SOURCES = ("lens", "board", "tracking camera", TARGET_POSES, "stage")
+SOURCES = ("lens", "board", "tracking camera", TARGET_POSES, "stage", "drift")
 """Sources of common errors, in the order of the root."""
 _KEPT = 0.999  # share of a source's variance in the readings: sigmas are then 0.05 % too small
 _MOST = 24  # variables of all sources, largest first: fits take time and model files space for each
@@ -110,7 +109,7 @@ def _errors(
 def _lens_change(bench: CalibratedBench, factor: FloatArray) -> Polynomial | None:
     """Change of the tangents at given pixels of the eyeball camera, see `CommonErrors.lens`."""
     lens = bench.eyeball
-    if not isinstance(lens, LensCamera):
+    if not len(lens.values):
         return None
     side = (np.arange(_LENS_GRID) + 0.5) / _LENS_GRID
     pixel = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) * lens.size_px

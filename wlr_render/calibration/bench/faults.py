@@ -31,6 +31,7 @@ _CONVINCING = 9.2  # natural logarithm of the odds, 10,000 to 1, beyond the numb
 _MOST = 4  # faults that are named: a session of more is to be taken again
 _MOST_PAIRED = 40  # photographs of which all pairs are tried: 780 pairs
 _SHRINKS = [(-a, -b) for a in (0.0, 1.5, 3.0) for b in (0.0, 1.5, 3.0, 4.5, 6.0)]  # steps of stage errors, logarithms
+_OF_STAGE = ("turn", "smooth turn", "drift"), ("shift", "smooth shift", "screw")
 SINGLE = ("photograph", "exchange")
 """Kinds of faults whose photographs are rejected; the others leave a target or a mounting of its own."""
 
@@ -72,9 +73,12 @@ class Fault:
 def adjust_without_faults(
     observations: BenchObservations, adjusted: Callable[[BenchObservations], Adjustment]
 ) -> tuple[Adjustment, list[Fault]]:
-    """Adjust a bench, setting apart the views that single faults touch; returns the faults, too."""
+    """Adjust a bench, setting apart the views that single faults touch; returns the faults, too.
+
+    Where no search settles, the first adjustment is returned without faults: their odds hold at a minimum only.
+    """
     found: list[Fault] = []
-    adjustment = adjusted(observations)
+    adjustment = first = adjusted(observations)
     while len(found) < _MOST:
         fault = worst_fault(adjustment)
         if fault is None:
@@ -82,7 +86,7 @@ def adjust_without_faults(
         found.append(fault)
         observations = _set_apart(observations, fault, APART * len(found))
         adjustment = adjusted(observations)
-    return adjustment, found
+    return (adjustment, found) if adjustment.is_settled or first.is_settled else (first, [])
 
 
 def worst_fault(adjustment: Adjustment) -> Fault | None:
@@ -98,20 +102,19 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
         ("fault", k): dict.fromkeys(each.views, np.eye(6)) for k, each in enumerate(free)
     }
     size = np.concatenate([base.size, *(each.plausible for each in free)])
-    layout = Layout(where, size, np.concatenate([base.hyper, np.full(6 * len(free), -1)]))
+    layout = Layout(where, size, np.pad(base.features, ((0, 6 * len(free)), (0, 0))))
     rows_of = {each.views: np.arange(6 * k, 6 * k + 6) for k, each in enumerate(free)}
     normal = Normal(state, layout, adjustment.sizes, extra)
     prior = layout.prior
-    noise = np.exp(-2.0 * adjustment.hyper[-1])
     count = len(candidates)
     odds, motion = np.full(count, -np.inf), np.zeros((count, 6))
     without = -np.inf
-    turns, shifts = (np.array([part in name for name in prior.names], dtype=float) for part in ("turn", "shift"))
+    turns, shifts = (np.array([name in ends for name in prior.names], dtype=float) for ends in _OF_STAGE)
     for turn, shift in _SHRINKS:
         # One fault makes the stage look worse than it is: its errors may be smaller once the fault is granted.
         hyper = adjustment.hyper + turn * turns + shift * shifts
         width = layout.size * np.exp(prior.mixed_features @ hyper)
-        gram, moment = noise * width[:, None] * normal.gram * width, noise * width * normal.moment
+        gram, moment = width[:, None] * normal.gram * width, width * normal.moment
         inner = gram[:own, :own] + np.eye(own)
         follow = np.linalg.solve(inner, np.concatenate([gram[:own, own:], moment[:own, None]], axis=1))
         rest_gram = gram[own:, own:] - gram[own:, :own] @ follow[:, :-1]
@@ -127,9 +130,9 @@ def worst_fault(adjustment: Adjustment) -> Fault | None:
             else:
                 rows = rows_of[each.views]
                 matrix = rest_gram[np.ix_(rows, rows)] + np.eye(6)
-                value = np.linalg.solve(matrix, rest_moment[rows])
-                gain = base_odds + 0.5 * float(value @ rest_moment[rows] - np.linalg.slogdet(matrix)[1])
-                value = each.plausible * value
+                unit = np.linalg.solve(matrix, rest_moment[rows])
+                gain = base_odds + 0.5 * float(unit @ rest_moment[rows] - np.linalg.slogdet(matrix)[1])
+                value = np.asarray(each.plausible * unit)
             if gain > odds[k]:
                 odds[k], motion[k] = gain, value
     return _most_probable(candidates, odds - without, motion)

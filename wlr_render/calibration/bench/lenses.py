@@ -148,8 +148,8 @@ def free_views(
     camera = free[0].camera
     alone = BenchObservations(free, {camera: replace(setup, kind=kind)}, {}, (), tolerances=observations.tolerances)
     try:
-        start = start_state(alone, {camera: start_lens(free, setup.size_px, kind)})
-        return adjust(start.without("stretch")).state  # a rough lens needs no sigma
+        start = start_state(alone, {camera: start_lens(free, setup.size_px, kind)}, rough=True)
+        return adjust(start).state  # a rough lens needs no sigma
     except UndeterminedError as error:
         raise undetermined(views) from error
 

@@ -18,6 +18,7 @@ from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.evidence import Sums
 
 _HUBER = 3.0  # sigmas from which a residual loses weight: 0.3 % of normal noise, which costs nothing
+_ROUNDING = 1e-14  # share of a diagonal element that keeps confusable terms of a lens positive definite
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +27,8 @@ class ViewResiduals:
 
     Attributes:
         residual: (n, 2) seen minus predicted; NaN where the lens cannot see the point.
-        by_place: (n, 2, 3) by the feature's place on the board.
-        columns: (n, 2, k) by blocks of unknowns.
+        by_place: (n, 2, 3) by the feature's place on the board, which the board's shape moves.
+        columns: (n, 2, k) by further blocks of unknowns.
         by_motion: (n, 2, 6) by a small motion of camera_from_board, camera frame.
         motion: (6, k) that motion by further blocks.
     """
@@ -46,7 +47,6 @@ def residuals_of(state: BenchState, view: BoardView) -> ViewResiduals:
     seen = lens.project(point)
     turned = seen.by_point @ camera_from_board[:3, :3]
     columns: dict[Key, FloatArray] = {("lens", view.camera): seen.by_values}
-    columns["shape", view.board] = turned @ shape.by_low(view.point)
     if view.camera == EYEBALL and view.target is not None and seen.by_values.shape[-1]:
         columns["focus", view.target] = seen.by_values[..., :2] @ state.lens[EYEBALL].focal_px[:, None]
     predicted = seen.pixel
@@ -68,6 +68,7 @@ class Normal:
         gram: (unknowns, unknowns). moment: (unknowns,). square, count, log_weight: as of `evidence.Sums`.
         loss: Huber's, sigmas squared.
         chi_square, values: sum of squares and number of values, by camera.
+        informed: (unknowns,) diagonal of `gram` by camera, before the features are integrated out; 0 for shapes.
         features: by board, covariance (f, 3, 3) where the other unknowns are known, mean (f, 3) where they are zero,
             and their mixed sums (unknowns, 3 f).
     """
@@ -86,8 +87,9 @@ class Normal:
         self.square, self.loss, self.log_weight = 0.0, 0.0, 0.0
         self.chi_square = {name: 0.0 for name in state.lens}
         self.values = {name: 0 for name in state.lens}
+        self.informed = {name: np.zeros(count) for name in state.lens}
         before = state.deviation(key for key in layout.where if key not in extra)
-        self._before = np.concatenate([before, np.zeros(count - len(before))])
+        before = np.concatenate([before, np.zeros(count - len(before))])
         number = {name: len(each.feature) for name, each in state.shape.items()}
         own = {name: np.zeros((features, 3, 3)) for name, features in number.items()}
         pull = {name: np.zeros((features, 3)) for name, features in number.items()}
@@ -96,25 +98,43 @@ class Normal:
             part, shape = residuals_of(state, view), state.shape[view.board]
             weight = self._weighted(view, part.residual, sizes.noise[view.camera])
             motion = {**part.motion, **{key: each[view.name] for key, each in extra.items() if view.name in each}}
-            columns = layout.columns([*part.columns, *motion])
-            local = np.concatenate([*part.columns.values(), part.by_motion], axis=-1)
-            design = np.where(weight[:, None, None] > 0, local, 0.0) * weight[:, None, None]
-            by_place = np.where(weight[:, None, None] > 0, part.by_place, 0.0) * weight[:, None, None]
-            carry = block_diag(np.eye(local.shape[-1] - 6), np.concatenate([*motion.values()], axis=1))
-            rows = shape.rows_of(view.feature)
+            direct, moved = layout.columns([*part.columns]), layout.columns([*motion])
+            columns, carry = np.concatenate([direct, moved]), np.concatenate([*motion.values()], axis=1)
+            every = np.concatenate([*part.columns.values(), part.by_motion, part.by_place], axis=-1)
+            every = np.where(weight[:, None, None] > 0, every, 0.0) * weight[:, None, None]
+            local, by_place, rows = every[..., :-3], every[..., -3:], shape.rows_of(view.feature)
+            flat, count = local.reshape(-1, local.shape[-1]), len(direct)
             value = np.where(weight[:, None] > 0, part.residual, 0.0) * weight[:, None]
-            value += design @ (carry @ self._before[columns])
-            value += np.einsum("nij,nj->ni", by_place, shape.place[rows])
+            value += local[..., :count] @ before[direct] + local[..., count:] @ (carry @ before[moved])
+            value += np.einsum("nij,nj->ni", by_place, shape.point_of(view.feature, view.point) - view.point)
             self.square += float(np.sum(value**2))
-            flat = design.reshape(-1, design.shape[-1])
-            self.gram[np.ix_(columns, columns)] += carry.T @ (flat.T @ flat) @ carry
-            self.moment[columns] += carry.T @ (flat.T @ value.ravel())
-            mixed = (by_place.transpose(0, 2, 1) @ design).reshape(-1, design.shape[-1]) @ carry
-            cross[view.board][columns[:, None], rows] += mixed.reshape(len(rows), 3, -1).transpose(2, 0, 1)
+            half = (flat.T @ flat) @ block_diag(np.eye(count), carry)
+            gram = np.concatenate([half[:count], carry.T @ half[count:]])
+            self.gram[np.ix_(columns, columns)] += gram
+            self.informed[view.camera][columns] += np.diag(gram)
+            moment = flat.T @ value.ravel()
+            self.moment[columns] += np.concatenate([moment[:count], carry.T @ moment[count:]])
+            mixed = local.transpose(0, 2, 1) @ by_place
+            cross[view.board][direct[:, None], rows] += mixed[:, :count].transpose(1, 0, 2)
+            cross[view.board][moved[:, None], rows] += (carry.T @ mixed[:, count:]).transpose(1, 0, 2)
             own[view.board][rows] += by_place.transpose(0, 2, 1) @ by_place
             pull[view.board][rows] += np.einsum("nik,ni->nk", by_place, value)
         self.count = sum(self.values.values())
-        self._eliminate(sizes, {name: each.reshape(count, -1) for name, each in cross.items()}, own, pull)
+        for name, each in own.items():
+            self._add_shape(layout.where["shape", name], state.boards[name].by_feature, cross[name], each, pull[name])
+        self._eliminate(sizes, {name: each.reshape(len(each), -1) for name, each in cross.items()}, own, pull)
+
+    def _add_shape(
+        self, where: slice, by_feature: FloatArray, cross: FloatArray, own: FloatArray, pull: FloatArray
+    ) -> None:
+        """Add the shape of a board, which moves its features by `by_feature` (3 f, k)."""
+        mixed = cross.reshape(len(cross), -1) @ by_feature
+        of_features = (own @ by_feature.reshape(*own.shape[:2], -1)).reshape(by_feature.shape)
+        self.gram[:, where] += mixed
+        self.gram[where] += mixed.T
+        self.gram[where, where] += by_feature.T @ of_features
+        self.moment[where] += by_feature.T @ pull.ravel()
+        cross[where] += of_features.T.reshape(-1, *pull.shape)
 
     def _weighted(self, view: BoardView, residual: FloatArray, noise: float) -> FloatArray:
         """Return Huber's weights (n,) of the features of a view, 0 of those not seen, and add their sums of squares."""
@@ -155,6 +175,7 @@ class Normal:
         sums = Sums(0, 1, len(layout.size))
         sums.count, sums.square, sums.log_weight = self.count, self.square, self.log_weight
         sums.side_gram = layout.size[:, None] * self.gram * layout.size
+        sums.side_gram[np.diag_indices_from(sums.side_gram)] *= 1.0 + _ROUNDING
         sums.side_moment = layout.size * self.moment
         return sums
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from wlr_render import usual
 from wlr_render.calibration.bench.bench_blocks import FEATURES, HELD_POSE, POSE, Block, Key
+from wlr_render.calibration.bench.board_shape import BoardShape
 from wlr_render.calibration.bench.board_views import (
     APART,
     EYEBALL,
@@ -15,20 +16,21 @@ from wlr_render.calibration.bench.board_views import (
     BoardView,
 )
 from wlr_render.calibration.bench.state import (
-    BOARD_SHAPE,
+    DRIFT_DEGREE,
     BenchState,
-    BoardShape,
-    smooth_orders,
+    screw_key,
     stage_motion,
     stated_twist,
 )
 from wlr_render.calibration.bench.unknowns import (
     FLAT,
+    TURNS,
     axis_block,
     lens_block,
     numbers_block,
     pose_block,
-    smooth_block,
+    shape_block,
+    stage_error_blocks,
 )
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.feature_captures import TARGET_POSES
@@ -177,8 +179,13 @@ def _refined(lens: Lens, pose: FloatArray, view: BoardView, steps: int = _STEPS)
     return pose, scale
 
 
-def start_state(observations: BenchObservations, lens: Mapping[str, Lens]) -> BenchState:
+def start_state(observations: BenchObservations, lens: Mapping[str, Lens], rough: bool = False) -> BenchState:
     """Return starting values for everything, by the lenses.
+
+    Args:
+        observations: views, and what is known beforehand.
+        lens: by camera.
+        rough: True for boards without smooth fields and views without stretches, to choose lenses by.
 
     Raises:
         BadInputError: the views do not determine the bench; the sentence says what is missing.
@@ -198,9 +205,10 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens]) -> Be
     for number, axis in enumerate(observations.axes):
         if not twists[number].any() and chain.base:  # no view of a target tells how it moves
             twists[number] = stated_twist(axis, chain.base[min(chain.base)])
-    boards = _shapes(observations)
+    names = dict.fromkeys(view.board for view in observations.views)
+    boards = {name: BoardShape.of([v for v in observations.views if v.board == name], rough) for name in names}
     poses = {view.name: seen[view.name] for view in held}
-    return BenchState(observations, boards, _blocks(observations, lens, boards, chain, poses))
+    return BenchState(observations, boards, _blocks(observations, lens, boards, chain, poses, rough))
 
 
 def _blocks(
@@ -209,16 +217,15 @@ def _blocks(
     boards: Mapping[str, BoardShape],
     chain: "_Chain",
     held: Mapping[str, FloatArray],
+    rough: bool,
 ) -> dict[Key, Block]:
     """Return all blocks of unknowns at their starting values; `held` has the poses of boards held freely."""
     flat, first = np.full(6, FLAT), min(chain.base, default=0)
     blocks: dict[Key, Block] = {
         ("lens", name): lens_block(name, each, seen.cameras[name]) for name, each in lens.items()
     }
-    for name in boards:
-        board = seen.tolerances[name]
-        size = np.array([board.flatness_m] * 3 + [board.scale_sigma] * 2)
-        blocks["shape", name] = numbers_block(size, source="board")
+    for name, shape in boards.items():
+        blocks["shape", name] = shape_block(shape, seen.tolerances[name])
     views = [view for view in seen.views if view.camera == EYEBALL and view.target is not None]
     for number in dict.fromkeys(int(view.target or 0) for view in views):
         blocks["focus", number] = numbers_block(np.array([usual.CAMERA_FOCUS_BREATHING.value]), source="lens")
@@ -231,29 +238,22 @@ def _blocks(
         blocks["base", number] = pose_block(pose, known, "stage")
     for number, (axis, twist) in enumerate(zip(seen.axes, chain.twists, strict=True)):
         blocks["axis", number] = axis_block(axis, twist, chain.base[first])
-    for number, order in enumerate(smooth_orders(len(seen.axes)) if seen.axes else []):
-        blocks["smooth", number] = smooth_block(order, seen.axes)
-    for place in chain.visited:
-        if seen.places[place].reading is not None:
-            blocks["offset", place] = numbers_block(np.ones(6), ["turn"] * 3 + ["shift"] * 3)
-    blocks |= {("stretch", name): numbers_block(np.ones(4), ["stretch"] * 4) for name in held}
+    blocks |= stage_error_blocks(seen.axes)
+    if seen.duration is not None and all(place.time_s is not None for place in seen.places.values()):
+        for degree in range(1, DRIFT_DEGREE + 1):
+            blocks["drift", degree] = numbers_block(np.full(2, 1.0 / degree), {"drift": 1.0}, "drift")
+    visits = {place: reading for place in chain.visited if (reading := seen.places[place].reading) is not None}
+    screws = {screw_key(axis, each) for each in visits.values() for axis in range(len(each))}
+    blocks |= {key: numbers_block(np.ones(1), {"screw": 1.0}, "stage") for key in sorted(screws)}
+    blocks |= {("offset", place): numbers_block(np.ones(6), {"turn": TURNS, "shift": 1.0 - TURNS}) for place in visits}
+    if not rough:
+        blocks |= {("stretch", name): numbers_block(np.ones(4), {"stretch": 1.0}) for name in held}
     blocks |= {("free", place): Block(pose, flat, chart=POSE) for place, pose in chain.free.items()}
     blocks |= {("board pose", name): Block(pose, flat, chart=HELD_POSE) for name, pose in held.items()}
     for name, shape in boards.items():
         size = np.full((len(shape.feature), 3), seen.tolerances[name].print_error_m)
         blocks[FEATURES, name] = numbers_block(size)
     return blocks
-
-
-def _shapes(observations: BenchObservations) -> dict[str, BoardShape]:
-    shapes = {}
-    for name in dict.fromkeys(view.board for view in observations.views):
-        own = [view for view in observations.views if view.board == name]
-        feature = np.unique(np.concatenate([view.feature for view in own]), axis=0)
-        point = np.concatenate([view.point for view in own])
-        half = np.maximum(np.abs(point[:, :2]).max(axis=0), 1e-6)
-        shapes[name] = BoardShape(half, np.zeros(len(BOARD_SHAPE)), feature, np.zeros((len(feature), 3)))
-    return shapes
 
 
 def _start_twists(

@@ -3,75 +3,38 @@
 The eyeball camera at a place: device_from_camera = base @ stage(reading) @ motion(offset) @ mount. `base` is its pose
 at the middle of the readings in its first mounting, and `mount` how another mounting holds it beside that one. `stage`
 carries it along its axes, a product of exponentials in the order of the axes (F. C. Park, "Computational aspects of the
-product-of-exponentials formula", IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: smooth in
-the readings (pitch, yaw, roll and straightness, Legendre polynomials), and random in every visit.
-
-The board's shape: bow along both sides, twist, x and y printed to other scales, and every feature off its place.
+product-of-exponentials formula", IEEE Trans. Automatic Control 39 (1994) 643). `offset` is the stage's error: a smooth
+function of each axis' reading (pitch, yaw, roll and straightness, Legendre polynomials), an error of each axis at each
+of its readings (the screw), and random in every visit. Where times are known, the image of a camera that warms up is
+shifted smoothly in time, nearly as by a turn of the camera.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
-from itertools import product
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
 
 from wlr_render.calibration.bench.bench_blocks import FEATURES, Block, Key
+from wlr_render.calibration.bench.board_shape import BoardShape
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING, BenchObservations, BoardView
 from wlr_render.calibration.poses import adjoint, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
-from wlr_render.geometry.lens_camera import LensCamera
-from wlr_render.numerics.arrays import FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 
-BOARD_SHAPE = ("bow x", "bow y", "twist", "scale x", "scale y")
-"""Unknowns of a board's shape: heights in metres, and relative errors of scale."""
 SMOOTH_DEGREE = 3
+DRIFT_DEGREE = 4
+SAME_READING = 1e-4
+"""Readings of a stage's axis nearer than this, metres, have one error of the screw."""
 AXIS_PARTS = {"linear": slice(3, 6), "rotary": slice(0, 3)}
 """The part of an axis' twist that points along it."""
 
-_MOST_ROWS = 100_000
 _TERMS = 12  # terms of the Jacobian's series: rounding error up to a radian
-
-
-@dataclass(frozen=True, eq=False)
-class BoardShape:
-    """The true shape of a board.
-
-    Attributes:
-        half_m: (2,) half its width and height between the outermost features.
-        low: (5,) the `BOARD_SHAPE`.
-        feature: (f, 2) features whose places are estimated. place: (f, 3) their further errors, metres.
-    """
-
-    half_m: FloatArray
-    low: FloatArray
-    feature: IntArray
-    place: FloatArray
-
-    def point_of(self, feature: IntArray, nominal: FloatArray) -> FloatArray:
-        """Return true places (n, 3) of features (n, 2) from those in the board's file (n, 3)."""
-        rows = self.rows_of(feature)
-        own = np.where(rows[:, None] >= 0, self.place[rows], 0.0) if len(self.place) else np.zeros_like(nominal)
-        return np.asarray(nominal + self.by_low(nominal) @ self.low + own)
-
-    def rows_of(self, feature: IntArray) -> IntArray:
-        """(n,) which of the estimated features these (n, 2) are; -1 for none."""
-        order = _code(self.feature)
-        at = np.minimum(np.searchsorted(order, _code(feature)), len(order) - 1)
-        return np.where(order[at] == _code(feature), at, -1) if len(order) else np.full(len(feature), -1)
-
-    def by_low(self, nominal: FloatArray) -> FloatArray:
-        """(n, 3, 5) derivative of true places by the `BOARD_SHAPE`."""
-        x, y = (nominal[:, :2] / self.half_m).T
-        result = np.zeros((len(nominal), 3, len(BOARD_SHAPE)))
-        result[:, 2, 0], result[:, 2, 1], result[:, 2, 2] = 1.0 - x**2, 1.0 - y**2, x * y
-        result[:, 0, 3], result[:, 1, 4] = nominal[:, 0], nominal[:, 1]
-        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +44,7 @@ class StageModel:
     Attributes:
         middle, half_range: (m,) of the readings.
         twists: (m, 6) rotation and translation per unit of reading, by axis.
-        smooth: (terms, 6) of the smooth error, by `smooth_terms`.
+        smooth: (axes times degrees, 6) of the smooth error, by `smooth_terms`.
     """
 
     middle: FloatArray
@@ -94,11 +57,10 @@ class StageModel:
         return stage_motion(self.twists, reading - self.middle)
 
     def smooth_terms(self, reading: FloatArray) -> FloatArray:
-        """(terms,) Legendre polynomials of unit rms at a reading (m,); those of the range's edge beyond it."""
+        """(terms,) Legendre polynomials of unit rms at a reading (m,), by axis; at the edge of the range beyond it."""
         at = np.clip((reading - self.middle) / self.half_range, -1.0, 1.0)
-        values = legendre.legvander(at, SMOOTH_DEGREE) * np.sqrt(2.0 * np.arange(SMOOTH_DEGREE + 1) + 1.0)
-        orders = smooth_orders(len(at)) if len(self.smooth) else []
-        return np.array([np.prod(values[np.arange(len(at)), list(order)]) for order in orders])
+        degree = len(self.smooth) // max(len(at), 1)
+        return unit_legendre(at, degree).ravel()
 
     def smooth_error(self, reading: FloatArray) -> FloatArray:
         """(6,) smooth error at a reading (m,): rotation (rad), then translation (m)."""
@@ -116,14 +78,16 @@ class BenchState:
     | block | of each | value |
     |---|---|---|
     | lens | camera | lens |
-    | shape, features | board | (5,) `BOARD_SHAPE`; (f, 3) errors of the features' places |
+    | shape, features | board | (k,) see `BoardShape.low`; (f, 3) errors of the features' places |
     | focus | target | (1,) relative change of the eyeball camera's focal length, focused anew or warmed up |
     | target | target | device_from_target |
     | extrinsics | tracking camera | device_from_tracking |
     | base | mounting | device_from_camera at the middle of the readings |
     | axis | axis | (6,) twist: rotation and translation, camera frame, per unit of reading |
     | smooth | term | (6,) of the stage's smooth error, see `StageModel` |
+    | screw | reading of an axis | (1,) error along the axis, metres |
     | offset | place | (6,) random error of a visit, camera frame |
+    | drift | degree | (2,) turn about the camera's x and y with time, see `drift_terms` |
     | stretch | view of a board held freely | (4,) by `stretch_terms`, of a focus that hunts or a rolling shutter |
     | free | place without reading | device_from_camera |
     | board pose | view of a board held freely | camera_from_board |
@@ -132,7 +96,7 @@ class BenchState:
 
     Attributes:
         observations: what they explain.
-        boards: features of each board; their places in it are those of the start.
+        boards: features and fields of each board, without errors.
         blocks: by key.
     """
 
@@ -141,7 +105,7 @@ class BenchState:
     blocks: Mapping[Key, Block]
 
     def of(self, kind: str) -> Mapping[Any, Any]:
-        """Return the values of blocks of one kind, by what they are of."""
+        """Return the values of all blocks of one kind, by the second part of their keys."""
         return self._by_kind.get(kind, {})
 
     @cached_property
@@ -212,9 +176,37 @@ class BenchState:
         each = self.observations.places[place]
         assert each.reading is not None
         stage = self.stage
-        offset = stage.smooth_error(each.reading) + self.of("offset").get(place, np.zeros(6))
-        carried = self.base[self.first_mounting] @ stage.nominal(each.reading) @ small_motion(offset)
+        carried = self.base[self.first_mounting] @ stage.nominal(each.reading) @ small_motion(self._stage_error(place))
         return np.asarray(carried @ self.mount(each.orientation))
+
+    def screws(self, reading: FloatArray) -> dict[Key, FloatArray]:
+        """(6, 1) motion in the camera's frame by the error of each linear axis at a reading (m,), by its key."""
+        motions: dict[Key, FloatArray] = {}
+        for number, (axis, twist) in enumerate(zip(self.observations.axes, self.twists, strict=True)):
+            if axis.kind == "linear" and twist.any():
+                unit = twist / np.linalg.norm(twist[3:])
+                motions[screw_key(number, reading)] = unit[:, None]
+        return motions
+
+    def drift_terms(self, place: str) -> FloatArray:
+        """Return Legendre polynomials (degrees,) of unit rms at the time of a place; 0 where it is unknown."""
+        time_s, duration = self.observations.places[place].time_s, self.observations.duration
+        if duration is None or time_s is None:
+            return np.zeros(DRIFT_DEGREE)
+        return unit_legendre(np.array([(time_s - duration[0]) / duration[1]]), DRIFT_DEGREE).ravel()
+
+    def _stage_error(self, place: str) -> FloatArray:
+        """(6,) error of the stage at a place, and drift of the camera."""
+        each = self.observations.places[place]
+        reading = each.reading
+        assert reading is not None
+        error = self.stage.smooth_error(reading) + self.of("offset").get(place, np.zeros(6))
+        for (_, which), along in self.screws(reading).items():
+            error = error + along[:, 0] * self.of("screw").get(which, 0.0)
+        if turns := self.of("drift"):
+            turn = self.drift_terms(place) @ np.array(list(turns.values()))
+            error = error + adjoint(self.mount(each.orientation))[:, :2] @ turn
+        return np.asarray(error)
 
     def device_from_any(self, view: BoardView) -> FloatArray:
         """(4, 4) of the camera of a view of a target."""
@@ -227,7 +219,7 @@ class BenchState:
     def lens_at(self, target: int) -> Lens:
         """Return the eyeball camera's lens as it is at a target pose."""
         lens, change = self.lens[EYEBALL], float(self.of("focus").get(target, (0.0,))[0])
-        if not change or not isinstance(lens, LensCamera):
+        if not change or not len(lens.values):
             return lens
         return lens.with_values(lens.values * np.where(np.arange(len(lens.values)) < 2, 1.0 + change, 1.0))
 
@@ -248,8 +240,7 @@ class BenchState:
         each = self.observations.places[place]
         assert each.reading is not None
         stage, travel = self.stage, each.reading - self.observations.travel[0]
-        own = stage.smooth_error(each.reading) + self.of("offset").get(place, np.zeros(6))
-        back = adjoint(transforms.inverse(small_motion(own)))
+        back = adjoint(transforms.inverse(small_motion(self._stage_error(place))))
         carried = adjoint(transforms.inverse(stage.nominal(each.reading)))
         first = self.first_mounting
         blocks: dict[Key, FloatArray] = {("base", first): back @ carried}
@@ -261,14 +252,16 @@ class BenchState:
             after = after @ adjoint(_exponential(-twist))
         for number, term in enumerate(stage.smooth_terms(each.reading)):
             blocks["smooth", number] = term * np.eye(6)
+        blocks |= {key: along for key, along in self.screws(each.reading).items() if key in self.blocks}
         if place in self.of("offset"):
             blocks["offset", place] = np.eye(6)
+        drift = {("drift", k): self.drift_terms(place)[k - 1] * np.eye(6)[:, :2] for k in self.of("drift")}
         if each.orientation == first:
-            return blocks
+            return blocks | drift
         mounted = adjoint(transforms.inverse(self.mount(each.orientation)))
         blocks = {key: mounted @ columns for key, columns in blocks.items()}
         blocks["base", first] = blocks["base", first] - mounted
-        return blocks | {("base", each.orientation): np.eye(6)}
+        return blocks | {("base", each.orientation): np.eye(6)} | drift
 
     def board_motion(self, view: BoardView) -> dict[Key, FloatArray]:
         """(6, k) by block of unknowns: small motion in the camera's frame of camera_from_board in a view."""
@@ -310,6 +303,17 @@ class BenchState:
         return replace(self, blocks={key: block for key, block in self.blocks.items() if key[0] != kind})
 
 
+def unit_legendre(at: FloatArray, degree: int) -> FloatArray:
+    """Return Legendre polynomials (n, degree) of degrees 1 and higher, of unit rms from -1 to 1, at places (n,)."""
+    values = legendre.legvander(at, degree) * np.sqrt(2.0 * np.arange(degree + 1) + 1.0)
+    return np.asarray(values[:, 1:])
+
+
+def screw_key(axis: int, reading: FloatArray) -> Key:
+    """Return the key of the error of an axis at a reading (m,) of the stage."""
+    return "screw", f"{axis} at {round(float(reading[axis]) / SAME_READING)}"
+
+
 def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
     """(6,) twist of an axis in the camera's frame by its stated direction and pivot; zero where they are not stated.
 
@@ -326,24 +330,12 @@ def stated_twist(axis: StageAxis, base: FloatArray) -> FloatArray:
     return twist
 
 
-def _code(feature: IntArray) -> IntArray:
-    """(n,) one number for each (column, row), in the order of both."""
-    return np.asarray(feature[:, 0] * _MOST_ROWS + feature[:, 1])
-
-
 def stretch_terms(pixel: FloatArray, size_px: tuple[int, int]) -> FloatArray:
     """Return the displacements (n, 2, 4), pixels, at pixels (n, 2), by the stretch of an image about its middle.
 
     The stretch is a 2 x 2 matrix, row by row: 1e-3 moves the edge of the picture by 1e-3 of half its larger side.
     """
     return np.asarray(np.kron(np.eye(2), (pixel - 0.5 * np.array(size_px))[:, None]), dtype=np.float64)
-
-
-@cache
-def smooth_orders(axes: int) -> list[tuple[int, ...]]:
-    """Degrees by axis of the terms of a stage's smooth error, 1 to `SMOOTH_DEGREE` in total."""
-    orders = product(range(SMOOTH_DEGREE + 1), repeat=axes)
-    return sorted((order for order in orders if 1 <= sum(order) <= SMOOTH_DEGREE), key=sum)
 
 
 def stage_motion(twists: FloatArray, travel: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ Device frame (OpenXR), metres; cameras have OpenCV's axes and pixels count from 
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from wlr_render.calibration.bench.bench_checks import Pull, prior_pulls, reading_pulls
+from wlr_render.calibration.bench.board_shape import BOARD_SHAPE, BoardShape
 from wlr_render.calibration.bench.board_views import EYEBALL, TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
-from wlr_render.calibration.bench.state import BOARD_SHAPE, BoardShape, StageModel
+from wlr_render.calibration.bench.state import StageModel
 from wlr_render.calibration.poses import Pose, adjoint
 from wlr_render.captures.camera_lens_file import require_plausible_lens
 from wlr_render.errors import BadInputError
@@ -27,10 +28,12 @@ from wlr_render.io.atomic_files import write_text
 from wlr_render.io.input_files import require_length, shown
 from wlr_render.io.toml_files import Table, read_json
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.smooth_field import SmoothField
 
 _UNITS = {"length": "m", "angle": "rad", "pixel": "px"}
 FORMAT = "wlr-station"
-VERSION = 2
+VERSION = 3
+_MOST_WAVES = 20  # most half waves of a field along a side
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +105,8 @@ def save_station(path: str | Path, bench: CalibratedBench) -> Path:
             "device_from_camera": _pose_record(Pose(state.base[orientation], covariance)),
             "twists": stage.twists.tolist(),
             "smooth_error": stage.smooth.tolist(),
-            "repeatability": {"translation_um": 1e6 * sizes.shift, "rotation_urad": 1e6 * sizes.turn},
-            "smooth_size": {"translation_um": 1e6 * sizes.smooth_shift, "rotation_urad": 1e6 * sizes.smooth_turn},
+            "repeatability": {"translation_um": 1e6 * sizes["shift"], "rotation_urad": 1e6 * sizes["turn"]},
+            "smooth_size": {"translation_um": 1e6 * sizes["smooth shift"], "rotation_urad": 1e6 * sizes["smooth turn"]},
         }
     return write_text(path, json.dumps(content, indent=1) + "\n")
 
@@ -174,21 +177,39 @@ def _stage_of_version_1(table: Table, base: FloatArray) -> StageModel:
 
 
 def _shape(table: Table) -> BoardShape:
+    fields, low = None, table.numbers("shape")
+    if table.has("heights"):
+        fields = _field(table.table("heights")), _field(table.table("printing_errors"))
+    terms = len(BOARD_SHAPE) + (0 if fields is None else len(fields[0]) + 2 * len(fields[1]))
+    if len(low) != terms:
+        raise table.fail(f"'shape' has {len(low)} numbers, not {terms}; write the file again.")
     return BoardShape(
         table.vector("half_size_m", 2),
-        table.vector("shape", len(BOARD_SHAPE)),
+        low,
         table.vectors("feature", 2).astype(np.int64),
         table.vectors("feature_error_m", 3),
+        fields,
     )
 
 
 def _shape_record(shape: BoardShape) -> dict[str, Any]:
-    return {
+    record = {
         "half_size_m": shape.half_m.tolist(),
         "shape": shape.low.tolist(),
         "feature": shape.feature.tolist(),
         "feature_error_m": np.round(shape.place, 9).tolist(),
     }
+    if shape.fields is not None:
+        record |= dict(zip(("heights", "printing_errors"), map(asdict, shape.fields), strict=True))
+    return record
+
+
+def _field(table: Table) -> SmoothField:
+    """Return a smooth field: its rectangle, and its half waves along both sides."""
+    low, high, counts = (table.vector(key, 2) for key in ("low", "high", "counts"))
+    if np.any(high <= low) or np.any(counts != np.clip(counts.astype(int), 1, _MOST_WAVES)):
+        raise table.fail(f"'low' and 'high' must be corners, and 'counts' 1 to {_MOST_WAVES}; write the file again.")
+    return SmoothField((low[0], low[1]), (high[0], high[1]), (int(counts[0]), int(counts[1])))
 
 
 def _lens_record(lens: Lens) -> dict[str, Any]:

@@ -6,7 +6,8 @@ twice at one stage reading. A target that moves is seen to move by both, a heads
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -33,12 +34,14 @@ class RepeatedView:
         target: number of the target pose.
         device_from_camera: (4, 4) of the eyeball camera.
         first, last: dots of the two; those that are in both are compared.
+        last_from_first: (3, 3) rotation of the camera in between that is known, by a camera that warms up.
     """
 
     target: int
     device_from_camera: FloatArray
     first: BoardView
     last: BoardView
+    last_from_first: FloatArray = field(default_factory=partial(np.eye, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,8 +219,9 @@ def _common(view: RepeatedView, camera: Lens) -> tuple[FloatArray, FloatArray, F
     pairs = [(i, number[key]) for i, each in enumerate(view.first.feature.tolist()) if (key := tuple(each)) in number]
     first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     sigma_px = np.hypot(view.first.sigma_px[first], view.last.sigma_px[last])
-    angle = radians_per_pixel(camera, camera.dir_of_pixel(view.first.pixel[first])) / ARCMIN
-    displaced = view.last.pixel[last] - view.first.pixel[first]
+    direction = camera.dir_of_pixel(view.first.pixel[first])
+    angle = radians_per_pixel(camera, direction) / ARCMIN
+    displaced = view.last.pixel[last] - camera.pixel_of_point(direction @ view.last_from_first.T)
     known = np.isfinite(angle)
     return view.first.point[first][known], displaced[known], sigma_px[known, None], angle[known, None]
 

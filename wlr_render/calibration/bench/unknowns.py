@@ -1,25 +1,31 @@
-"""What is known of the unknowns of a bench before the photographs are read."""
+"""Priors of the unknowns of a bench."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 from wlr_render import usual
-from wlr_render.calibration.bench.bench_blocks import EXACT, LENS, POSE, Block
+from wlr_render.calibration.bench.bench_blocks import EXACT, FALL, LENS, POSE, Block, Key
+from wlr_render.calibration.bench.board_shape import BOARD_SHAPE, BoardShape
 from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup, KnownPose
-from wlr_render.calibration.bench.state import AXIS_PARTS, stated_twist
+from wlr_render.calibration.bench.state import AXIS_PARTS, SMOOTH_DEGREE, stated_twist
+from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry.lens import Lens
 from wlr_render.numerics.arrays import FloatArray
 
 FLAT = 10.0
-"""Prior size of what is not known beforehand: radians, metres, per unit."""
-_DECAY = 0.5  # factor of the smooth error's size from one degree to the next: rails bend more than they wave
+"""Prior size of an unknown without prior knowledge: radians, metres, per unit."""
+TURNS = np.repeat([1.0, 0.0], 3)
+"""Rotations among the six parts of a motion."""
+_NO_HYPER: Mapping[str, Any] = {}
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
 
 
-def numbers_block(size: FloatArray, hyper: Sequence[str] = (), source: str = "") -> Block:
+def numbers_block(size: FloatArray, hyper: Mapping[str, Any] = _NO_HYPER, source: str = "") -> Block:
     """Return a block of numbers that are zero on an exact bench."""
     return Block(np.zeros(size.shape), size, np.zeros(size.shape), hyper, source)
 
@@ -33,13 +39,28 @@ def lens_block(name: str, lens: Lens, setup: CameraSetup) -> Block:
     sizes = np.full(len(lens.values), 0.3 * float(np.mean(lens.focal_px)))
     # A term may be as large as to displace the corner of the picture by its distance from the centre.
     corner = float(np.linalg.norm(0.5 * np.array(lens.size_px) / lens.focal_px))
-    sizes[4:] = [max(1.0, corner ** -_POWERS.get(name, 1)) for name in lens.names[4:]]
+    sizes[4:] = [max(1.0, corner ** -_POWERS.get(term, 1)) for term in lens.names[4:]]
     middle = np.where(np.arange(len(sizes)) < 4, np.nan, 0.0)
     return Block(lens, sizes, middle, source=source, chart=LENS)
 
 
+def shape_block(shape: BoardShape, tolerances: BoardTolerances) -> Block:
+    """Return the block of the shape of a board."""
+    size = np.zeros(len(shape.low))
+    size[: len(BOARD_SHAPE)] = [tolerances.flatness_m] * 3 + [tolerances.scale_sigma] * 3
+    if shape.fields is None:
+        return numbers_block(size, source="board")
+    height, printed = shape.fields
+    end = len(BOARD_SHAPE) + len(height)
+    size[len(BOARD_SHAPE) : end], size[end:] = height.sizes, np.tile(printed.sizes, 2)
+    number = np.arange(len(size))
+    return numbers_block(
+        size, {"height": (number >= len(BOARD_SHAPE)) & (number < end), "print": number >= end}, "board"
+    )
+
+
 def pose_block(pose: FloatArray, known: KnownPose | None, source: str) -> Block:
-    """Return the block of a pose (4, 4) and what is known of it."""
+    """Return the block of a pose (4, 4) with its prior."""
     if known is None:
         return Block(pose, np.full(6, FLAT), source=source, chart=POSE)
     return Block(pose, np.repeat(known.sigma, 3), known.pose, source=source, chart=POSE)
@@ -64,10 +85,13 @@ def axis_block(axis: StageAxis, twist: FloatArray, base: FloatArray) -> Block:
     return Block(twist, sizes, source="stage")
 
 
-def smooth_block(order: Sequence[int], axes: Sequence[StageAxis]) -> Block:
-    """Return the block of one term of the smooth error; the linear motion of an axis is its twist's."""
-    sizes = np.full(6, _DECAY ** (sum(order) - 1))
-    if sum(order) == 1:
-        moved = next(axis for axis, each in zip(axes, order, strict=True) if each)
-        sizes[slice(0 if moved.kind == "rotary" else 3, 6)] = EXACT
-    return numbers_block(sizes, ["smooth turn"] * 3 + ["smooth shift"] * 3, "stage")
+def stage_error_blocks(axes: Sequence[StageAxis]) -> dict[Key, Block]:
+    """Return the blocks of the stage's smooth error; the linear motion of an axis is its twist's."""
+    blocks: dict[Key, Block] = {}
+    for (number, axis), degree in product(enumerate(axes), range(1, SMOOTH_DEGREE + 1)):
+        sizes = np.ones(6)
+        if degree == 1:
+            sizes[slice(0 if axis.kind == "rotary" else 3, 6)] = EXACT
+        hyper = {"smooth turn": TURNS, "smooth shift": 1.0 - TURNS, FALL: 1.0 - degree}
+        blocks["smooth", number * SMOOTH_DEGREE + degree - 1] = numbers_block(sizes, hyper, "stage")
+    return blocks

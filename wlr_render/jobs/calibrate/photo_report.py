@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from wlr_render.calibration.bench.bench_checks import prior_pulls, reading_pulls
-from wlr_render.calibration.bench.state import BOARD_SHAPE
+from wlr_render.calibration.bench.board_shape import BOARD_SHAPE
 from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
 from wlr_render.calibration.poses import Pose
 from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
+from wlr_render.geometry.directions import ARCMIN
 from wlr_render.io.atomic_files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
@@ -205,10 +206,11 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
     rows: list[list[Cell]] = []
     if state.of("offset"):
         rows += [
-            ["stage, repeatability of position (um)", 1e6 * sizes.shift, None],
-            ["stage, repeatability of rotation (urad)", 1e6 * sizes.turn, None],
-            ["stage, smooth error of position over the travel (um)", 1e6 * sizes.smooth_shift, None],
-            ["stage, smooth error of rotation over the travel (urad)", 1e6 * sizes.smooth_turn, None],
+            ["stage, repeatability of position (um)", 1e6 * sizes["shift"], None],
+            ["stage, repeatability of rotation (urad)", 1e6 * sizes["turn"], None],
+            ["stage, error along an axis by its reading (um)", 1e6 * sizes["screw"], None],
+            ["stage, smooth error of position over the travel (um)", 1e6 * sizes["smooth shift"], None],
+            ["stage, smooth error of rotation over the travel (urad)", 1e6 * sizes["smooth turn"], None],
         ]
     for name, shape in state.shape.items():
         sigma = np.sqrt(np.diag(adjustment.covariance_of([("shape", name)])))
@@ -216,6 +218,10 @@ def _errors_table(found: SessionCalibration) -> ReportTable:
             unit, scale = ("um", 1e6) if k < 3 else ("parts per million", 1e6)
             rows.append([f"{name}, {value} ({unit})", scale * float(shape.low[k]), scale * float(sigma[k])])
         rows.append([f"{name}, errors of single features (um)", 1e6 * sizes.feature_m[name], None])
+    if state.of("drift"):
+        rows.append(["camera, drift of the image in the session (arcmin)", sizes["drift"] / ARCMIN, None])
+    rows.append(["boards, smooth printing errors (um)", 1e6 * sizes["print"], None])
+    rows.append(["boards, heights beside bow and twist (um)", 1e6 * sizes["height"], None])
     for target, (change,) in state.of("focus").items():
         sigma_change = float(np.sqrt(adjustment.covariance_of([("focus", target)])[0, 0]))
         rows.append([f"focal length at target pose {target} (parts per million)", 1e6 * change, 1e6 * sigma_change])

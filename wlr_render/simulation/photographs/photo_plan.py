@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +35,7 @@ _FILL = (0.75, 1.1)  # shares of the picture's width that the board fills, alter
 _PLACES, _TURNS, _READINGS, _CREEP, _HAND, _STATED = range(17, 23)  # streams of random numbers
 _CREEP_TIME = 0.3  # share of the session in which the creep falls to 1 / e
 _HAND_TURN_DEG = 1.5  # standard deviation of a hand's rotation about each axis
+_VISIT_S = 30.0  # time from one visit to the next
 _READING_DIGITS = 8  # decimals of a reading in metres: an encoder of 10 nm
 
 
@@ -141,11 +143,13 @@ class Visit:
         reading: (m,) readings of the stage's encoders, metres; None for a hand-held camera.
         device_from_camera: (4, 4) true pose of the eyeball camera.
         place: name of the position of a hand-held camera; "" on a stage.
+        time_s: seconds since the first visit, where a camera warms up; None if unknown.
     """
 
     reading: FloatArray | None
     device_from_camera: FloatArray
     place: str = ""
+    time_s: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +195,10 @@ def true_camera_poses(bench: PhotoBench, plan: PhotoPlan) -> SessionVisits:
     error = np.concatenate([turns, np.outer(_creep(taken), _whole_creep(bench))], axis=1)
     error += bench.workshop_motion(commanded, taken / max(1, len(taken) - 1))
     stated = commanded + np.round(reading.normal(0.0, 1e-6 * sizes.readback_um, commanded.shape), _READING_DIGITS)
+    times = [None] * len(taken) if bench.workshop is None else [_VISIT_S * float(number) for number in taken]
     visits = tuple(
-        Visit(row[:axes], bench.camera_at(at, off)) for row, at, off in zip(stated, position, error, strict=True)
+        Visit(row[:axes], bench.camera_at(at, off), time_s=time_s)
+        for row, at, off, time_s in zip(stated, position, error, times, strict=True)
     )
     through = visits[bare_count:]
     return SessionVisits(visits[:bare_count], through, through[:places])
@@ -257,11 +263,11 @@ def planned_session(
     sizes, axes = bench.options.imperfections, stage_axis_count(bench)
     sigma = (float(np.radians(sizes.extrinsics_deg)), 1e-3 * sizes.extrinsics_mm)
 
+    def stated(visit: Visit) -> dict[str, Any]:
+        return {"stage": visit.reading, "place": visit.place, "eye": bench.eye, "time_s": visit.time_s}
+
     def target_photographs(folder: str) -> tuple[BoardPhotograph, ...]:
-        return tuple(
-            BoardPhotograph(root, f"{folder}/{name}", pose, stage=visit.reading, place=visit.place, eye=bench.eye)
-            for pose, name, visit in through
-        )
+        return tuple(BoardPhotograph(root, f"{folder}/{name}", pose, **stated(visit)) for pose, name, visit in through)
 
     session = PhotoSession(
         folder=root,
@@ -277,7 +283,7 @@ def planned_session(
         tracking_sigma=sigma if all(sigma) else None,
         stage=_described_stage(bench) if axes else None,
         bare=tuple(
-            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], stage=visit.reading, eye=bench.eye)
+            BoardPhotograph(root, name, plan.bare_poses[number // len(plan.bare)], **stated(visit))
             for number, (name, visit) in enumerate(zip(bare, visits.bare, strict=True))
         ),
         tracking=tuple(
@@ -288,8 +294,7 @@ def planned_session(
         see_through=target_photographs("see_through"),
         beside=() if axes else target_photographs("beside"),
         display=tuple(
-            CodeSet(root / "display" / f"{number:02d}", stage=visit.reading, place=visit.place, eye=bench.eye)
-            for number, visit in enumerate(visits.display)
+            CodeSet(root / "display" / f"{number:02d}", **stated(visit)) for number, visit in enumerate(visits.display)
         ),
     )
     return with_places(session)

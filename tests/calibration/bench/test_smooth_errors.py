@@ -1,0 +1,166 @@
+"""Smooth errors of boards and errors by reading of a stage's axes: their sizes are found, and sigmas include them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from imperfect_bench import Imperfections, TrueBench, adjusted, thinned
+
+from wlr_render.calibration.bench.board_views import TRACKING
+from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
+from wlr_render.calibration.bench.start import start_state
+from wlr_render.calibration.bench.station_file import load_station, save_station
+from wlr_render.calibration.poses import motion_between, small_motion
+from wlr_render.errors import BadInputError
+
+PRINT_M, HEIGHT_M, SCREW_M, PERIOD_M = 6e-5, 1e-4, 1e-5, 1.7e-3
+
+
+class CrumpledBench(TrueBench):
+    """A board with smooth printing errors and heights of another shape than a parabola."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        rng = np.random.default_rng([self.seed, 8])
+        x, y = self.nominal[:, :2].T
+        for axis, size in ((0, PRINT_M), (1, PRINT_M), (2, HEIGHT_M)):
+            wave, phase = rng.normal(size=(2, 40)) / 0.09, rng.uniform(0, 2 * np.pi, 40)
+            field = np.cos(np.outer(x, wave[0]) + np.outer(y, wave[1]) + phase).sum(axis=1)
+            # The affine part is the board's pose and scale.
+            affine = np.column_stack([np.ones(len(x)), x, y])
+            field -= affine @ np.linalg.lstsq(affine, field, rcond=None)[0]
+            self.point[:, axis] += size * field / field.std()
+
+
+class ScrewBench(TrueBench):
+    """A stage whose axes have a periodic error."""
+
+    def smooth(self, reading):
+        screw = SCREW_M * np.sin(2 * np.pi * reading / PERIOD_M + self.phase[:, 0])
+        return super().smooth(reading) + np.concatenate([np.zeros(3), self.axes @ screw])
+
+
+class WarmBench(TrueBench):
+    """A camera that warms up: its image shifts by 0.5 px, half of it in the first fifth of the session."""
+
+    turn = np.array([2.9e-4, -2.2e-4, 0.0, 0.0, 0.0, 0.0])
+    visits = -1
+    order = (*range(11), *range(20, 31), *range(11, 20))  # the sweep is between both targets
+
+    def camera_at(self, reading):
+        self.visits += 1
+        warm = 1.0 - np.exp(-self.order[self.visits] / 9.0)
+        return super().camera_at(reading) @ small_motion(warm * self.turn)
+
+    def observations(self, *given, **named):
+        found = super().observations(*given, **named)
+        timed = zip(found.places.items(), self.order, strict=True)
+        timed = {name: replace(place, time_s=40.0 * k) for (name, place), k in timed}
+        return replace(found, places=timed)
+
+
+@pytest.fixture(scope="module")
+def crumpled():
+    found = []
+    for seed in range(3):
+        bench = CrumpledBench(seed, replace(Imperfections(), extrinsics_rad=0.0, extrinsics_m=0.0))
+        found.append((bench, adjusted(thinned(bench.observations(lens_photographs=6), 4))))
+    return found
+
+
+def test_features_that_no_photograph_shows_are_predicted_by_those_that_it_shows(crumpled):
+    """Three quarters of the dots are in no view; the fields are wider than the distances of the others."""
+    for bench, found in crumpled:
+        shape = found.state.shape["board"]
+        unseen = shape.rows_of(bench.feature) < 0
+        assert unseen.mean() > 0.7
+        off = (shape.point_of(bench.feature, bench.nominal) - bench.point)[unseen]
+        place = np.column_stack([np.ones(len(off)), bench.nominal[unseen, :2]])
+        off -= place @ np.linalg.lstsq(place, off, rcond=None)[0]  # poses of the board have these parts
+        assert np.sqrt(np.mean(off[:, :2] ** 2)) < 0.5 * PRINT_M
+        assert np.sqrt(np.mean(off[:, 2] ** 2)) < 0.6 * HEIGHT_M
+
+
+def test_the_smooth_part_of_a_board_is_told_from_the_errors_of_single_features(crumpled):
+    dots = [found.sizes.feature_m["board"] for _, found in crumpled]
+    fields = [found.sizes["print"] for _, found in crumpled]
+    assert np.mean(dots) < 0.6 * PRINT_M
+    assert PRINT_M / 2 < np.exp(np.mean(np.log(fields))) < PRINT_M * 2
+
+
+def pulls_of_places(bench, found):
+    """(places, 6) errors over sigmas, of rotation and position, of the camera at places that no view shows."""
+    places = [place for place in bench.true_places if place.startswith("sweep")]
+    poses = [found.camera_pose(place) for place in places]
+    return np.array(
+        [
+            motion_between(pose.b_from_a, bench.true_places[place]) / np.sqrt(np.diag(pose.covariance))
+            for place, pose in zip(places, poses, strict=True)
+        ]
+    )
+
+
+def test_errors_of_cameras_before_a_crumpled_board_are_as_large_as_their_sigmas(crumpled):
+    pulls = np.concatenate([pulls_of_places(bench, found) for bench, found in crumpled])
+    assert 0.5 < np.sqrt(np.mean(pulls**2)) < 1.5
+
+
+def test_a_board_in_a_station_file_has_its_smooth_errors(crumpled, tmp_path):
+    bench, found = crumpled[0]
+    path = save_station(tmp_path / "station-right.json", CalibratedBench(None, found, (), {}, (), ()))
+    expected = found.state.shape["board"].point_of(bench.feature, bench.nominal)
+    np.testing.assert_allclose(load_station(path).shape.point_of(bench.feature, bench.nominal), expected, atol=2e-9)
+    content = json.loads(path.read_text(encoding="utf-8"))
+    content["board"]["heights"]["counts"] = [2.5, 300]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(BadInputError, match="'counts' 1 to 20"):
+        load_station(path)
+
+
+def test_errors_by_reading_are_in_the_sigmas_of_places():
+    """Visits to one reading share an error, so that their mean is worse than a mean of independent errors."""
+    pulls, sizes = [], []
+    for seed in range(5):
+        size = replace(
+            Imperfections(), extrinsics_rad=0.0, extrinsics_m=0.0, repeatability_m=5e-7, turn_jitter_rad=1e-6
+        )
+        bench = ScrewBench(seed, size)
+        found = adjusted(thinned(bench.observations(lens_photographs=6)))
+        sizes.append(found.sizes["screw"])
+        pulls.append(pulls_of_places(bench, found)[:, 3:])
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.25  # 1.32 without errors by reading
+    assert np.exp(np.mean(np.log(sizes))) > 0.4 * SCREW_M
+
+
+def test_a_camera_that_warms_up_is_followed_where_times_are_known():
+    pulls, off = [], []
+    for seed in range(3):
+        bench = WarmBench(seed, replace(Imperfections(), extrinsics_rad=0.0, extrinsics_m=0.0))
+        found = adjusted(thinned(bench.observations(lens_photographs=6)))
+        turns = np.array(list(found.state.of("drift").values()))
+        drift = np.array([found.state.drift_terms(place) @ turns for place in bench.true_places])
+        true = np.outer(1.0 - np.exp(-np.array(bench.order) / 9.0), WarmBench.turn[:2])
+        off.append((drift - drift.mean(axis=0)) - (true - true.mean(axis=0)))
+        pulls.append(pulls_of_places(bench, found))
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.5
+    assert np.sqrt(np.mean(np.square(off))) < 0.2 * np.std(true, axis=0).mean()
+
+
+def test_a_session_without_times_has_no_drift():
+    observations = TrueBench(1).observations(lens_photographs=3)
+    few = {name: replace(place, time_s=9.0) for name, place in list(observations.places.items())[:5]}
+    lens = TrueBench(1).lens
+    for places in (observations.places, observations.places | few):
+        assert not start_state(replace(observations, places=places), lens).of("drift")
+
+
+def test_a_camera_of_few_photographs_has_the_noise_of_its_own():
+    """Only the unknowns of its photographs count."""
+    noise = []
+    for seed in range(4):
+        observations = thinned(
+            TrueBench(seed, replace(Imperfections(), outliers=0.0)).observations(lens_photographs=6), 16
+        )
+        noise.append(adjusted(observations).sizes.noise[TRACKING])
+    assert np.mean(noise) == pytest.approx(1.0, abs=0.06)
