@@ -84,9 +84,9 @@ def test_errors_whose_labels_captures_lack_are_named():
     assert [each.split()[0] for each in unseen_errors(seen)] == ["drift", "direction", "motions", "lens"]
 
 
-def terms_of(dot, is_pose_fitted):
-    """Terms of a board at one pose, 2 m away and across the view."""
-    point = np.column_stack([dot, np.full(len(dot), -2.0)])
+def terms_of(dot, is_pose_fitted, y_sign=1.0):
+    """Terms of a board at one pose, 2 m away and across the view; its y axis points up or down."""
+    point = np.column_stack([dot * [1.0, y_sign], np.full(len(dot), -2.0)])
     by_point = np.tile(np.eye(2, 3) / 2.0, (len(dot), 1, 1))
     return board_terms(dot, point, np.zeros(len(dot), np.int64), by_point, is_pose_fitted)
 
@@ -102,6 +102,13 @@ def test_waves_do_what_no_pose_of_the_board_does_where_the_pose_was_fitted():
     affine = np.linalg.qr(np.column_stack([np.ones(len(dot)), dot]))[0]
     assert np.abs(affine.T @ fitted.columns).max() == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.norm(affine.T @ stated.columns) > 0.1 * np.linalg.norm(stated.columns)
+
+
+def test_a_board_whose_y_axis_points_down_has_the_same_printing_errors():
+    dot = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 12), np.linspace(-0.4, 0.4, 9)), axis=-1).reshape(-1, 2)
+    up, down = (terms_of(dot, True, sign)[0].columns for sign in (1.0, -1.0))
+    np.testing.assert_allclose(down, up, atol=1e-12)
+    assert np.linalg.norm(up) > 1.0
 
 
 def test_a_board_whose_pose_was_not_fitted_to_its_dots_may_be_stretched():

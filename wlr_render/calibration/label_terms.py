@@ -223,8 +223,9 @@ def _print_term(dot: FloatArray, by_shift: FloatArray, is_pose_fitted: bool) -> 
     columns, frequency = waves
     offset = np.full(len(frequency), -0.5 * np.log(0.25 * np.sum(np.exp(-2.0 * USUAL_FALL * frequency))))
     along, across = np.einsum("nkk->nk", by_shift), by_shift[:, [0, 1], [1, 0]]
-    if np.linalg.norm(across) < _ALONG * np.linalg.norm(along):  # unknowns that one output has alone cost little
-        columns = columns * along.mean(axis=1, keepdims=True)
+    if np.linalg.norm(across) < _ALONG * np.linalg.norm(along):  # separate unknowns per output are cheaper
+        # Signs differ between outputs where the board's y axis points down, and change together where it is turned.
+        columns = columns * (np.sign(along[:, 0]) * np.abs(along).mean(axis=1))[:, None]
     else:
         columns = (by_shift[..., None] * columns[:, None, None]).reshape(len(dot), 2, -1)
         offset, frequency = np.tile(offset, 2), np.tile(frequency, 2)

@@ -155,6 +155,8 @@ def _stage(table: Table) -> StageModel:
     twists, smooth = table.vectors("twists", 6), table.vectors("smooth_error", 6)
     if not len(middle) == len(half_range) == len(twists):
         raise table.fail("'middle', 'half_range' and 'twists' differ in their number of axes; write the file again.")
+    if len(smooth) % max(len(twists), 1):
+        raise table.fail(f"'smooth_error' has {len(smooth)} rows for {len(twists)} axes; write the file again.")
     for key, values in (("middle", middle), ("half_range", half_range), ("twists", twists), ("smooth_error", smooth)):
         if np.any(np.abs(values) > 1e3):
             raise table.fail(f"'{key}' has numbers above 1000 m or rad; write the file again.")
