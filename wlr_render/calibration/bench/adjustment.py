@@ -61,7 +61,7 @@ class Adjustment:
     def camera_poses(self, places: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """Return device_from_camera (n, 4, 4) at places, and the covariance (6 n, 6 n) of small motions, device frame.
 
-        The random error of the stage is in the covariance of the places that no view measured.
+        Errors of the stage that no view measured are in the covariance, independent from place to place.
         """
         poses, rows, own = self.camera_rows(places)
         flat = np.concatenate(rows)
@@ -75,7 +75,7 @@ class Adjustment:
 
         Returns:
             The poses (n, 4, 4), small motions (n, 6, unknowns) of them in the device frame by each unknown, and the
-            covariance (n, 6, 6) of what no unknown is of: the stage's random error where no view measured the place.
+            covariance (n, 6, 6) of the stage's errors that are not unknowns, because no view measured them.
         """
         poses, rows, own = [], [], []
         for place in places:
@@ -91,16 +91,12 @@ class Adjustment:
         return np.array(poses), np.array(rows), np.array(own)
 
     def _unmeasured(self, place: str) -> FloatArray:
-        """(6, 6) covariance, camera's frame, of the stage's errors at a place that no view measured."""
-        state, reading = self.state, self.state.observations.places[place].reading
+        """(6, 6) covariance, camera's frame, of the errors of one visit and of axis readings that no view measured."""
         covariance = np.zeros((6, 6))
-        if reading is None:
-            return covariance
-        if place not in state.of("offset"):
-            covariance += np.diag(self.sizes.visit**2)
-        for key, along in state.screws(reading).items():
-            if key not in state.blocks:
-                covariance += self.sizes["screw"] ** 2 * along @ along.T
+        for key, columns in self.state.visit_motion(place).items():
+            if key not in self.state.blocks:
+                root = columns * (self.sizes.visit if key[0] == "offset" else self.sizes["screw"])
+                covariance += root @ root.T
         return covariance
 
     def camera_pose(self, place: str) -> Pose:
@@ -215,7 +211,7 @@ def _cost(state: BenchState, layout: Layout, width: FloatArray, sizes: Sizes, no
 
 
 def _noise(normal: Normal, sizes: Sizes, found: Posterior) -> dict[str, float]:
-    """Return the factor on the stated sigmas by camera: of the readings that its unknowns leave free."""
+    """Return the noise factor of each camera: rms residual over its degrees of freedom, in stated sigmas."""
     determined = 1.0 - np.diag(found.side_covariance) / found.sizes[: len(found.side_used)] ** 2
     features = sum(normal.determined_features(name, sizes.feature_m[name]) for name in normal.features)
     every, factors = sum(normal.informed.values()), dict(sizes.noise)

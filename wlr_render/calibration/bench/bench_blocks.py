@@ -36,13 +36,13 @@ USUAL_SIZES = {
 """Sizes of ordinary benches by hyperparameter."""
 FALL = "smooth fall"
 """Hyperparameter: fall of the logarithm of the stage's smooth errors from one degree to the next."""
-_BOUNDS = np.log(1e-9), np.log(1e-2)  # least and largest size, radians, metres or ratios: exact, and no stage or board
+_BOUNDS = np.log(1e-9), np.log(1e-2)  # sizes in radians, metres or ratios, from exact to worse than any stage or board
 _HYPERPRIORS = {
     **{name: (np.log(each.value), each.log_sigma, *_BOUNDS) for name, each in USUAL_SIZES.items()},
     FALL: (0.7, 0.3, 0.1, 2.0),  # rails bend more than they wave: by a factor of 2 with each degree
     "noise": (0.0, 0.3, -2.0, 2.0),  # common factor in the search for sizes; `Sizes.noise` has one for each camera
 }
-"""Mean and sigma of each hyperparameter beforehand, and its bounds."""
+"""Prior mean and sigma of each hyperparameter, and its bounds."""
 HYPER = tuple(_HYPERPRIORS)
 
 

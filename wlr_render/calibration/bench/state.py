@@ -180,7 +180,7 @@ class BenchState:
         return np.asarray(carried @ self.mount(each.orientation))
 
     def screws(self, reading: FloatArray) -> dict[Key, FloatArray]:
-        """(6, 1) motion in the camera's frame by the error of each linear axis at a reading (m,), by its key."""
+        """(6, 1) motion in the frame of the first mounting's camera by each linear axis' error at a reading (m,)."""
         motions: dict[Key, FloatArray] = {}
         for number, (axis, twist) in enumerate(zip(self.observations.axes, self.twists, strict=True)):
             if axis.kind == "linear" and twist.any():
@@ -252,16 +252,26 @@ class BenchState:
             after = after @ adjoint(_exponential(-twist))
         for number, term in enumerate(stage.smooth_terms(each.reading)):
             blocks["smooth", number] = term * np.eye(6)
-        blocks |= {key: along for key, along in self.screws(each.reading).items() if key in self.blocks}
-        if place in self.of("offset"):
-            blocks["offset", place] = np.eye(6)
-        drift = {("drift", k): self.drift_terms(place)[k - 1] * np.eye(6)[:, :2] for k in self.of("drift")}
+        own = {("drift", k): self.drift_terms(place)[k - 1] * np.eye(6)[:, :2] for k in self.of("drift")}
+        own |= {key: columns for key, columns in self.visit_motion(place).items() if key in self.blocks}
         if each.orientation == first:
-            return blocks | drift
+            return blocks | own
         mounted = adjoint(transforms.inverse(self.mount(each.orientation)))
         blocks = {key: mounted @ columns for key, columns in blocks.items()}
         blocks["base", first] = blocks["base", first] - mounted
-        return blocks | {("base", each.orientation): np.eye(6)} | drift
+        return blocks | {("base", each.orientation): np.eye(6)} | own
+
+    def visit_motion(self, place: str) -> dict[Key, FloatArray]:
+        """(6, k) small motion in the camera's own frame by the stage's error in one visit and at each axis reading.
+
+        By the key that these errors have where a view measured them; empty without a stage.
+        """
+        each = self.observations.places[place]
+        if each.reading is None:
+            return {}
+        mounted = adjoint(transforms.inverse(self.mount(each.orientation)))
+        errors = {("offset", place): np.eye(6)} | self.screws(each.reading)
+        return {key: mounted @ columns for key, columns in errors.items()}
 
     def board_motion(self, view: BoardView) -> dict[Key, FloatArray]:
         """(6, k) by block of unknowns: small motion in the camera's frame of camera_from_board in a view."""
@@ -297,10 +307,6 @@ class BenchState:
         """Return the state with other values of some blocks."""
         changed = {key: replace(self.blocks[key], value=value) for key, value in values.items()}
         return replace(self, blocks={**self.blocks, **changed})
-
-    def without(self, kind: str) -> "BenchState":
-        """Return the state without the blocks of one kind."""
-        return replace(self, blocks={key: block for key, block in self.blocks.items() if key[0] != kind})
 
 
 def unit_legendre(at: FloatArray, degree: int) -> FloatArray:
