@@ -240,6 +240,10 @@ def test_a_sequence_whose_record_could_not_be_read_again_is_refused_before_it_is
     with pytest.raises(BadInputError, match=r"finished\.jsonl of 5 files would have 0 MB.*; cut the job into several"):
         render(moving)
     assert not moving.out.exists()
+    monkeypatch.setattr(kept, "LIMITS", replace(kept.LIMITS, record_bytes=10_000))
+    with pytest.raises(BadInputError, match=r"finished\.jsonl of .* files would have 0 MB"):
+        render(replace(moving, predicted_error=1.0))
+    assert not moving.out.exists()
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,12 @@ def test_forms_of_the_same_lens(tmp_path, old, new):
     assert lens.surfaces[1].label == ("eye!; no comment" if "SLB" in new else "")
 
 
+def test_an_ampersand_in_quotes_does_not_continue_the_line(tmp_path):
+    lens = lens_of(tmp_path, SEQ.replace("TITLE 'one lens'", "TITLE 'one &'"))
+    assert (lens.title, len(lens.surfaces)) == ("one &", 5)
+    np.testing.assert_allclose(rays(lens), rays(lens_of(tmp_path, SEQ)), rtol=0, atol=1e-12)
+
+
 def test_the_stop_is_where_the_last_command_says(tmp_path):
     lens = lens_of(tmp_path, SEQ.replace("GO", "STO S3"))
     assert [surface.number for surface in lens.surfaces if surface.is_stop] == [3]
@@ -331,6 +337,8 @@ def test_many_private_indices_are_fitted(tmp_path):
     ("old", "new", "sentence"),
     [
         ("S 40.0 4.0", "S x 4.0", r"line 10: value 1 of S is 'x'; it must be a number"),
+        (FRONT, f"{FRONT}THI 1e13\n", "line 11: value 1 of THI is '1e13'"),
+        ("S 40.0 4.0", "S 40.0 4.0 1.5x", "line 10: value 3 of S is '1.5x'"),
         (BACK, "S -100.0\n", "line 11: value 2 of S is ''"),
         ("S 40.0 4.0", "S 40.0 1e13", r"line 10: value 2 of S is '1e13'; it must be a number of at most 1e\+12"),
         (FRONT, f"{FRONT}ASP; A nan\n", "line 11: value 1 of A is 'nan'"),

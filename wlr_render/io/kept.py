@@ -34,7 +34,8 @@ class Kept:
     Args:
         folder: folder of the ledger; the files are in it or below.
         recipe: what determines the files, as `recipe_of` returns it.
-        planned: files that the job writes, with their facts: they must not exist without a ledger.
+        planned: files that the job writes, with the facts known before: they must not exist without a ledger.
+        later_bytes: greatest length of the facts that the job adds to each file that has facts.
         replaces: whether files of another recipe of the same job are replaced, rather than refused.
 
     Raises:
@@ -42,12 +43,18 @@ class Kept:
     """
 
     def __init__(
-        self, folder: Path, recipe: Recipe, planned: Mapping[Path, Facts] | None = None, *, replaces: bool = False
+        self,
+        folder: Path,
+        recipe: Recipe,
+        planned: Mapping[Path, Facts] | None = None,
+        *,
+        later_bytes: int = 0,
+        replaces: bool = False,
     ) -> None:
         self._folder, self._path, self._recipe = folder, folder / LEDGER, recipe
         self._listed: dict[str, Facts] = {}
         self._replaced: dict[str, Facts] = {}
-        _require_room(self._path, planned or {})
+        _require_room(self._path, planned or {}, later_bytes)
         content = read_bytes(self._path, LIMITS.record_bytes, _REMEDY) if os.path.lexists(self._path) else b""
         self._is_torn = bool(content) and not content.endswith(b"\n")
         stated: Recipe = {}
@@ -197,8 +204,8 @@ def _shown(value: object) -> str:
     return value if isinstance(value, str) else shown(value)
 
 
-def _require_room(path: Path, planned: Mapping[Path, Facts]) -> None:
-    size = sum(_LINE_BYTES + len(json.dumps(facts)) for facts in planned.values())
+def _require_room(path: Path, planned: Mapping[Path, Facts], later_bytes: int) -> None:
+    size = sum(_LINE_BYTES + len(json.dumps(facts)) + later_bytes * bool(facts) for facts in planned.values())
     if size > LIMITS.record_bytes:
         raise BadInputError(
             f"{path} of {len(planned)} files would have {size / 1e6:.0f} MB, and at most "

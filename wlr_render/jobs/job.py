@@ -26,8 +26,8 @@ def job(function: Callable[Arguments, Report]) -> Callable[Arguments, Report]:
     def run(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Report:
         bound = signature.bind(*args, **kwargs)
         bound.apply_defaults()
-        out, name = bound.arguments["options"].out, function.__name__
-        with locked_folder(out, name.replace("_", "-")):
+        out, name = bound.arguments["options"].out, function.__name__.replace("_", "-")
+        with locked_folder(out, name):
             if name not in _LISTING:
                 Kept(out, {"job": name})  # refuses a folder whose files a ledger lists
             return function(*args, **kwargs)

@@ -48,6 +48,7 @@ from wlr_render.work.progress import SILENT, Progress
 
 _MOST_NAMES = 10  # largest number of changed frames in a warning
 _MOST_PLOTTED = 1000  # frames of an eye in a plot, about
+_ERROR_BYTES, _MISALIGNMENT_BYTES = 2500, 400  # most of a frame's facts: some 25 sources of errors; five figures
 
 
 @job
@@ -115,7 +116,8 @@ def _kept(
     stated = options.recipe_values(opened.of_options(options)) | {"--method": method, "--layers": layers}
     planned: dict[Path, Facts] = {path: {} for each in plan for path in files_of(folder, each, options)}
     planned |= {picture_file(folder, each): each.facts for each in plan}
-    finished = Kept(folder, recipe_of("render", stated, opened.inputs), planned)
+    later = _ERROR_BYTES * (options.predicted_error is not None) + _MISALIGNMENT_BYTES * bool(options.misalignment)
+    finished = Kept(folder, recipe_of("render", stated, opened.inputs), planned, later_bytes=later)
     for path, facts in planned.items():
         listed = finished.facts(path)
         if any(listed.get(name, value) != value for name, value in facts.items()):

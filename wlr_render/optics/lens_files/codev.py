@@ -135,14 +135,14 @@ def _list_others(surface: CodevSurface) -> None:
 
 def _thickness(surface: CodevSurface) -> float:
     """Return the thickness behind a surface in file units; infinite for a far object."""
-    words, command = surface.line.words[1:], surface.line
+    words, place, command = surface.line.words[1:], 1, surface.line
     if "THI" in surface.commands:
-        words, command = ("", *surface.words("THI")), surface.commands["THI"]
+        words, place, command = surface.words("THI"), 0, surface.commands["THI"]
     try:
-        is_far = surface.number == 0 and abs(float(words[1])) >= INFINITE
+        is_far = surface.number == 0 and abs(float(words[place])) >= INFINITE
     except (ValueError, IndexError):
         is_far = False
-    return np.inf if is_far else number_of(surface.reading, command, words, 1)
+    return np.inf if is_far else number_of(surface.reading, command, words, place)
 
 
 def _decentre(surface: CodevSurface) -> Decentre:
@@ -158,9 +158,10 @@ def _decentre(surface: CodevSurface) -> Decentre:
 
 def _glass(file: CodevFile, surface: CodevSurface, before: Medium) -> tuple[bool, Medium]:
     """Return whether the surface is a mirror, and the medium behind it."""
-    words, command = list(surface.line.words[3:]), surface.line
+    values, first, command = surface.line.words[1:], 2, surface.line
     if "GLA" in surface.commands:
-        words, command = surface.words("GLA"), surface.commands["GLA"]
+        values, first, command = surface.words("GLA"), 0, surface.commands["GLA"]
+    words = values[first:]
     mode = [*words[1:], *surface.words("RMD")]
     if [each for each in (*words[:1], *mode) if each.upper() in ("REFL", "TIR")]:
         return True, before
@@ -174,7 +175,8 @@ def _glass(file: CodevFile, surface: CodevSurface, before: Medium) -> tuple[bool
         index, abbe = (digits for digits in code.groups() if digits)
         return False, reading.model_glass("GLA", 1.0 + float(f"0.{index}"), 100.0 * float(f"0.{abbe}"), where)
     if re.match(r"[-+.\d]", name):
-        numbers = [number_of(reading, command, words, place) for place in range(min(len(words), 2))]
+        places = range(first, first + min(len(words), 2))
+        numbers = [number_of(reading, command, values, place) for place in places]
         return False, reading.model_glass("GLA", numbers[0], numbers[1] if len(numbers) > 1 else 0.0, where)
     name, _, maker = name.partition("_") if name.strip("_") == name else (name, "", "")
     if name[0].upper() in _PREFIXES.get(maker.upper(), ""):

@@ -47,18 +47,19 @@ def commands_of(path: Path, lines: Iterable[str]) -> Iterator[Command]:
     words: list[str] = []
     first, is_continued = 1, False
     for number, line in enumerate(lines, 1):
-        first = first if is_continued else number
+        first, last = first if is_continued else number, ""
         for token in _TOKEN.findall(line):
             if token == "!":
                 break
             if token == ";":
                 yield from _command(words, first)
-                words, first = [], number
+                words, first, last = [], number, ""
             elif token in "'\"":
                 raise BadInputError(f"{path}: line {number}: a text in quotes does not end in its line; close it.")
             else:
-                words.append(token if _LABEL.match(token) else token.strip("'\"") or "")
-        is_continued = bool(words) and words[-1].endswith("&")
+                words.append(token if _LABEL.match(token) else token.strip("'\""))
+                last = token
+        is_continued = last.endswith("&")  # outside quotes
         if is_continued:
             words[-1:] = [words[-1][:-1]] if words[-1] != "&" else []
         else:
