@@ -27,7 +27,7 @@ USUAL_FALL, FALLS_DIFFER = 0.3, 0.3
 """Fall of the logarithm of a wave's size with its frequency, per radian in `_UNIT_M`, and its sigma."""
 _UNIT_M = 0.1
 _FINEST_M, _FINEST_HEIGHT_M = 0.095, 0.19  # half of the shortest wave: printers err over the width of a hand
-_ALONG = 0.25  # of an error of the print that does not lie along the camera's axes, over that along them
+_ALONG = 0.25  # largest ratio of cross-axis to along-axis response for which outputs have print errors of their own
 _MOST_WAVES = 12  # along an axis
 _BEYOND = 1.15  # extent of the board over the extent of its dots
 _TIMES = 4  # orders of a drift in time; each is as much smaller as it is higher
@@ -128,7 +128,7 @@ def stage_labels(captures: DisplayCaptures | SeeThroughCaptures) -> StageLabels:
 
 
 def unseen_errors(captures: DisplayCaptures | SeeThroughCaptures) -> tuple[str, ...]:
-    """Return the errors that are no unknowns of a fit, because captures lack what shows them (it is in brackets)."""
+    """Return the errors that a fit cannot model because the captures lack the data in brackets."""
     lacking = {
         "drift (times)": not np.isfinite(captures.time_s).all(),
         "direction of travel (travel)": not np.isfinite(captures.travel).any(),

@@ -91,7 +91,7 @@ class OpenedFiles:
         return {name: self.inputs[str(path)] for name, path in paths.items() if path}
 
     def sources(self, options: RenderOptions) -> dict[str, str]:
-        """Return the names and hashes of the headset and of the scene, for people who have no use for their paths."""
+        """Return the names and hashes of the headset and of the scene, without local paths, for published data sets."""
         hashes, first = self.of_options(options), next(iter(self.middle().values()))
         names = {"headset": first.name.removesuffix(TRACED), "scene": self.scene.name}
         return names | {f"{name}_sha256": hashes[name] for name in names}

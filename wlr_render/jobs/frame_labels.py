@@ -1,7 +1,7 @@
 """Layers, instances and misalignment of a frame, and the file that joins the instances of a sequence.
 
-`STEM.exr` has the layers of `rendering/frame_layers.py`, and `STEM-labels.json` the instances that the frame shows,
-which a ledger of all frames would be too long for. `instances.json` (the layout of COCO) joins them at the end.
+`STEM.exr` has the layers of `rendering/frame_layers.py`, and `STEM-labels.json` the instances that the frame shows:
+they would make a ledger of all frames too long. `instances.json` (the layout of COCO) joins them at the end.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Forms of the keys of device files that are not numbers or vectors on their own: poses, apertures, terms of shapes."""
+"""Forms of the keys of device files that are not numbers or vectors: poses, eye box, field of view, terms of shapes."""
 
 import re
 from dataclasses import KW_ONLY, dataclass

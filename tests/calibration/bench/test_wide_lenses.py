@@ -32,9 +32,9 @@ def test_a_wide_lens_is_found_to_the_last_feature(field_deg):
     expected = true.direction(pixel)
     assert np.degrees(np.arccos(expected[:, 2].min())) > 0.5 * field_deg
     off = np.degrees(np.linalg.norm(found.state.lens[EYEBALL].dir_of_pixel(pixel) - expected, axis=1)) * 60
-    # Of five draws the rms is 0.10' to 0.24' and the largest, at the rim, 0.22' to 0.43' (180 degrees).
-    assert np.sqrt(np.mean(off**2)) < 0.15
-    assert off.max() < 0.5
+    # The largest is of one pixel at the rim: 0.22' to 0.43' in five draws of the noise.
+    assert np.sqrt(np.mean(off**2)) < 0.13
+    assert np.quantile(off, 0.99) < 0.25
 
 
 def test_a_board_is_placed_beyond_90_degrees_off_axis():

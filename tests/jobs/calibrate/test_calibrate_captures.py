@@ -422,8 +422,8 @@ def test_the_largest_source_of_the_predicted_error_is_advised_against(linear):
     (shares,) = (block for block in blocks if block.title == "Predicted error by source")
     assert shares.rows[2] == ["display", "drift", 0.04, "0.10'", "0.10'"]
     assert shares.notes[1] == (
-        "Display: the predicted error does not contain the following errors, because the captures lack what shows them "
-        "(in brackets): heat (thermometers)."
+        "Display: the predicted error does not contain the following errors, because the captures lack the data in "
+        "brackets: heat (thermometers)."
     )
 
 

@@ -24,7 +24,7 @@ from wlr_render.geometry import transforms
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 
-SOURCES = ("lens", "board", "tracking camera", TARGET_POSES, "stage", "drift")
+SOURCES = ("lens", "board", "tracking camera", TARGET_POSES, "stage", "drift of the bench")
 """Sources of common errors, in the order of the root."""
 _KEPT = 0.999  # share of a source's variance in the readings: sigmas are then 0.05 % too small
 _MOST = 24  # variables of all sources, largest first: fits take time and model files space for each

@@ -241,7 +241,7 @@ def _blocks(
     blocks |= stage_error_blocks(seen.axes)
     if seen.duration is not None and all(place.time_s is not None for place in seen.places.values()):
         for degree in range(1, DRIFT_DEGREE + 1):
-            blocks["drift", degree] = numbers_block(np.full(2, 1.0 / degree), {"drift": 1.0}, "drift")
+            blocks["drift", degree] = numbers_block(np.full(2, 1.0 / degree), {"drift": 1.0}, "drift of the bench")
     visits = {place: reading for place in chain.visited if (reading := seen.places[place].reading) is not None}
     screws = {screw_key(axis, each) for each in visits.values() for axis in range(len(each))}
     blocks |= {key: numbers_block(np.ones(1), {"screw": 1.0}, "stage") for key in sorted(screws)}

@@ -57,7 +57,7 @@ class StageModel:
         return stage_motion(self.twists, reading - self.middle)
 
     def smooth_terms(self, reading: FloatArray) -> FloatArray:
-        """(terms,) Legendre polynomials of unit rms at a reading (m,), by axis; at the edge of the range beyond it."""
+        """(terms,) Legendre polynomials of unit rms by axis at a reading (m,), which is clamped to the range."""
         at = np.clip((reading - self.middle) / self.half_range, -1.0, 1.0)
         degree = len(self.smooth) // max(len(at), 1)
         return unit_legendre(at, degree).ravel()

@@ -34,7 +34,7 @@ class RepeatedView:
         target: number of the target pose.
         device_from_camera: (4, 4) of the eyeball camera.
         first, last: dots of the two; those that are in both are compared.
-        last_from_first: (3, 3) rotation of the camera in between that is known, by a camera that warms up.
+        last_from_first: (3, 3) known rotation of the camera between the two photographs, by its warm-up.
     """
 
     target: int

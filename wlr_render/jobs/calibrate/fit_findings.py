@@ -256,7 +256,7 @@ def _share_table(fit: Calibration) -> ReportTable:
     ]
     notes += [
         f"{name.capitalize()}: the predicted error does not contain the following errors, because the captures lack "
-        f"what shows them (in brackets): {'; '.join(report.unseen)}."
+        f"the data in brackets: {'; '.join(report.unseen)}."
         for name, report in _reports(fit)
         if report.unseen
     ]

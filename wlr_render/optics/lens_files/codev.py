@@ -48,7 +48,7 @@ _PREFIXES = {"SCHOTT": "N", "OHARA": "S", "HIKARI": "J", "CDGM": "HD"}
 _ROOM = {"TEM": (20.0, 22.0), "PRE": (760.0,)}
 """Temperatures in degrees Celsius and pressure in millimetres of mercury for which catalogues state indices."""
 _PRIVATE_UM = 0.1, 100.0
-_EXACT = 1e-9  # difference of indices below which none is written
+_EXACT = 1e-9  # largest error of an index that counts as exact
 _PRIVATE_POWERS = 0.0, -2.0, -4.0, 2.0, -6.0, -8.0
 
 
@@ -135,7 +135,7 @@ def _list_others(surface: CodevSurface) -> None:
 
 def _thickness(surface: CodevSurface) -> float:
     """Return the thickness behind a surface in file units; infinite for a far object."""
-    words, place, command = surface.line.words[1:], 1, surface.line
+    words, place, command = list(surface.line.words[1:]), 1, surface.line
     if "THI" in surface.commands:
         words, place, command = surface.words("THI"), 0, surface.commands["THI"]
     try:
@@ -158,7 +158,7 @@ def _decentre(surface: CodevSurface) -> Decentre:
 
 def _glass(file: CodevFile, surface: CodevSurface, before: Medium) -> tuple[bool, Medium]:
     """Return whether the surface is a mirror, and the medium behind it."""
-    values, first, command = surface.line.words[1:], 2, surface.line
+    values, first, command = list(surface.line.words[1:]), 2, surface.line
     if "GLA" in surface.commands:
         values, first, command = surface.words("GLA"), 0, surface.commands["GLA"]
     words = values[first:]
@@ -206,7 +206,7 @@ def _private_glass(reading: LensReading, stated: Command, wavelengths: Command |
     factors = np.linalg.lstsq(waves[:, None] ** np.array(powers), values**2, rcond=None)[0]
     medium = require_glass(Medium.squared(name, (), zip(factors.tolist(), powers, strict=True)), where)
     off = max(abs(medium.index(wave) - index) for wave, index in zip(waves.tolist(), values.tolist(), strict=True))
-    reason = f"interpolated between {len(values)} indices" + (f", off by at most {off:.1g}" if off > _EXACT else "")
+    reason = f"interpolated between {len(values)} indices" + (f", maximum error {off:.1g}" if off > _EXACT else "")
     reading.ignore("PRV", name, reason, part="glass")
     return medium
 

@@ -78,10 +78,10 @@ def _anamorphic(surface: CodevSurface, curvature: float) -> Shape:
 
 
 def _toroid(surface: CodevSurface, curvature: float, kind: str) -> Shape:
-    """Read a profile along y (along x for `XTO`), turned about an axis parallel to it."""
+    """Read a profile along y (along x for `XTO`), rotated about an axis parallel to it."""
     curvatures = _curvature(surface, "X"), curvature
     if kind != "YTO" and all(curvatures):
-        surface.reading.ignore(kind, kind, "taken as a profile along y, turned about an axis along y", True)
+        surface.reading.ignore(kind, kind, "taken as a profile along y, rotated about an axis along y", True)
     constant = surface.value("K")
     conics = (constant, 0.0) if kind == "XTO" else (0.0, constant)
     return surface.reading.toroid(curvatures, conics, [surface.value(key) for key in "ABCD"], ("K", "A to D"))
