@@ -152,6 +152,7 @@ _HOW = {
     "model: board": "the board (measure its scale and its bow, or take a stiffer one)",
     "model: targets": "the poses of the targets (more photographs of them without the headset)",
     "model: stage": "the axes of the stage and the camera on it (more photographs without the headset)",
+    "model: drift of the bench": "the drift of the bench during its calibration (let camera and stage warm up)",
     **{f"model: {source}": f"the {source} ({remedy[0].lower()}{remedy[1:-1]})" for source, remedy in REMEDIES.items()},
 }
 
