@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # imports in the order of the API reference
     from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum as write_head_trajectory_tum
     from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory as read_eye_trajectory
     from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory as write_eye_trajectory
-    from wlr_render.captures.patterns.gray_fringes import GrayFringes as GrayFringes
+    from wlr_render.captures.patterns.catalogue import GrayFringes as GrayFringes
     from wlr_render.captures.photographs import read_photograph as read_photograph, write_photograph as write_photograph
     from wlr_render.captures.boards.board_file import load_board as load_board, save_board as save_board
     from wlr_render.captures.camera_lens_file import load_lens as load_lens

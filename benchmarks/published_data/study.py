@@ -19,7 +19,7 @@ from wlr_render.bench.session_folder import save_session
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.code_files import CodeFiles
 from wlr_render.captures.correspondences import Captures, DisplayCaptures
-from wlr_render.captures.patterns.gray_code import GrayCode
+from wlr_render.captures.patterns.catalogue import GrayCode
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import read_each, read_photograph
 from wlr_render.evaluation.code_quality import Lenses, fit_planes

@@ -42,7 +42,7 @@ from wlr_render.captures.boards.board_drawing import write_board_png
 from wlr_render.captures.boards.board_file import save_board
 from wlr_render.captures.capture_file import save_captures
 from wlr_render.captures.correspondences import Captures
-from wlr_render.captures.patterns.gray_code import GrayCode
+from wlr_render.captures.patterns.catalogue import GrayCode
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.io.atomic_files import resource
 from wlr_render.mappings import Panel

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodeOptions, Rejection
+from wlr_render.captures.patterns.bit_strength import WEAK, BitStrength, bit_strengths
 from wlr_render.captures.patterns.catalogue import make_pattern
-from wlr_render.captures.patterns.gray_bits import WEAK, BitStrength, bit_strengths
 from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import file_note

@@ -12,7 +12,7 @@ from benchmarks.published_data.opencv_decoder import (
     opencv_codes,
 )
 from wlr_render.captures.decoded import DecodeOptions
-from wlr_render.captures.patterns.gray_code import GrayCode
+from wlr_render.captures.patterns.catalogue import GrayCode
 from wlr_render.evaluation.code_quality import Lenses, find_planes, fit_planes
 from wlr_render.mappings import Panel
 

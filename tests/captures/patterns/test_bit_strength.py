@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from wlr_render.captures.patterns.gray_bits import bit_strengths
+from wlr_render.captures.patterns.bit_strength import bit_strengths
 from wlr_render.errors import BadInputError
 
 NAMES = (

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from wlr_render.captures.patterns.gray_code import GrayCode
+from wlr_render.captures.patterns.catalogue import GrayCode
 from wlr_render.mappings import Panel
 
 pytestmark = [

@@ -1,7 +1,6 @@
 import pytest
 
-from wlr_render.captures.patterns.catalogue import PATTERNS, make_pattern, pattern_keys
-from wlr_render.captures.patterns.gray_fringes import GrayFringes
+from wlr_render.captures.patterns.catalogue import PATTERNS, GrayFringes, make_pattern, pattern_keys
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
 

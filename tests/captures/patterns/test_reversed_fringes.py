@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from wlr_render.captures.decoded import DecodeOptions, Rejection
-from wlr_render.captures.patterns.gray_fringes import GrayFringes
+from wlr_render.captures.patterns.catalogue import GrayFringes
 from wlr_render.mappings import Panel
 
 

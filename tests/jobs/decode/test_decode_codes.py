@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wlr_render.captures.decoded import Rejection
-from wlr_render.captures.patterns.gray_code import GrayCode
+from wlr_render.captures.patterns.catalogue import GrayCode
 from wlr_render.captures.photographs import write_photograph
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.decode import DecodeVerbOptions, decode

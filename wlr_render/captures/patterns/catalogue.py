@@ -1,13 +1,100 @@
-"""Codes shown on a panel. Each family is one file that implements `pattern.Pattern`; to add one, name it here."""
+"""Codes shown on a panel; to add one, subclass `Pattern` and name it in `PATTERNS`."""
 
-from dataclasses import fields
+import math
+from dataclasses import dataclass, fields
 
-from wlr_render.captures.patterns.fringes import Fringes
-from wlr_render.captures.patterns.gray_code import GrayCode
-from wlr_render.captures.patterns.gray_fringes import GrayFringes
+import numpy as np
+
+from wlr_render.captures.patterns.axis_code import AxisCode
+from wlr_render.captures.patterns.gray_bits import GrayAxis
 from wlr_render.captures.patterns.pattern import Pattern
+from wlr_render.captures.patterns.phase_steps import FringeAxis, check_fringe
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import Panel
+
+_LONGEST = 1.1  # longest period over the panel's length, with a margin for noise at its ends
+_RATIO = 6.0  # largest ratio of successive periods; beyond it the long phase cannot unwrap the short one
+_FAR_FROM_FRINGE = 0.3  # largest disagreement of two fringes, in periods of the shorter one
+_FAR_FROM_CELL = 0.375
+"""Largest distance from the middle of a cell in periods: between the cell's end (1/4) and ambiguity (1/2)."""
+
+
+@dataclass(frozen=True)
+class GrayCode(Pattern):
+    """Binary-reflected Gray code of columns and rows, each bit followed by its inverse; 46 pictures for 1920 x 1080.
+
+    The shares of two neighbouring panel pixels in a camera pixel follow from the grey value of the bit that changes
+    between them, so that positions are finer than a panel pixel. Where the finest bits cannot be read, the position is
+    known to a cell of 2, 4 or 8 panel pixels, with a larger standard deviation. The code is best if a camera pixel is
+    one to two panel pixels wide, and the camera's grey values are linear in light.
+    """
+
+    def axis(self, name: str, length_px: int) -> AxisCode:
+        """Return the code of one axis: bits from coarse to fine, each followed by its inverse."""
+        return AxisCode(length_px, GrayAxis(name, length_px))
+
+
+@dataclass(frozen=True)
+class _FringePattern(Pattern):
+    """Pattern with fringes."""
+
+    period_px: int = 16
+    steps: int = 6
+
+    def __post_init__(self) -> None:
+        check_fringe(self.period_px, self.steps)
+
+
+class Fringes(_FringePattern):
+    """Multi-frequency phase shifting: fringes from long to short, the longest covering the panel.
+
+    The hierarchy of periods follows Huntley and Saldner, "Temporal phase-unwrapping algorithm for automated
+    interferogram analysis", Appl. Opt. 32 (1993), with periods in geometric steps. 1920 x 1080 takes 50 pictures.
+
+    Attributes:
+        panel: panel of the pattern.
+        period_px: period of the shortest fringe.
+        steps: steps of each fringe.
+
+    Raises:
+        BadInputError: see `check_fringe`.
+    """
+
+    def axis(self, name: str, length_px: int) -> AxisCode:
+        """Return the steps of the fringes from long to short."""
+        longest = max(_LONGEST * length_px, self.period_px)
+        count = math.ceil(math.log(longest / self.period_px, _RATIO))
+        periods = np.geomspace(longest, self.period_px, count + 1)
+        fringes = tuple(FringeAxis(name, length_px, float(period), self.steps) for period in periods)
+        return AxisCode(length_px, fringes=fringes, far=_FAR_FROM_FRINGE)
+
+
+class GrayFringes(_FringePattern):
+    """Gray code of half periods, then fringes: 46 pictures for 1920 x 1080.
+
+    A code that is wrong by one cell at the border of two cells still gives the right period, since its middle lies less
+    than half a period away. The pattern is robust where blur removes the finest stripes of a full Gray code.
+
+    Attributes:
+        panel: panel of the pattern.
+        period_px: period of the fringe, even.
+        steps: steps of the fringe.
+
+    Raises:
+        BadInputError: the period is odd, or see `check_fringe`.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.period_px % 2:
+            raise BadInputError(f"'period_px' is {self.period_px}; it must be even, as the code numbers half periods.")
+
+    def axis(self, name: str, length_px: int) -> AxisCode:
+        """Return the code of one axis: bits of the half periods with their inverses, then the fringe's steps."""
+        cell_px = self.period_px // 2
+        fringe = FringeAxis(name, length_px, self.period_px, self.steps)
+        return AxisCode(length_px, GrayAxis(name, -(-length_px // cell_px)), cell_px, (fringe,), _FAR_FROM_CELL)
+
 
 PATTERNS: dict[str, type[Pattern]] = {
     "gray": GrayCode,

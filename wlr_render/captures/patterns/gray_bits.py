@@ -1,4 +1,4 @@
-"""Binary-reflected Gray code along one axis of a panel: its images, their decoding, order check and bit contrast.
+"""Binary-reflected Gray code along one axis of a panel: its images, their decoding and order check.
 
 Between neighbouring cells exactly one bit changes, so that a pixel on the border of two cells reads one of the two,
 whatever the value of that bit. At odd-numbered borders the finest bit changes, at even-numbered ones a coarser bit.
@@ -7,7 +7,7 @@ If a bit was exchanged with its inverse, or with another bit, each pair of photo
 decoded picture is discontinuous. The order with the smallest squared differences between neighbours is the true one.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -15,8 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.decoded import DEFAULT_OPTIONS, DecodeOptions
-from wlr_render.captures.patterns.pattern import Pattern
 from wlr_render.captures.patterns.photometry import (
     INVERSE,
     Grey,
@@ -24,10 +22,8 @@ from wlr_render.captures.patterns.photometry import (
     PanelContrast,
     PhotographReader,
     check_range,
-    read_light,
 )
 from wlr_render.captures.patterns.pixel_rejection import BORDER_WIDTH, neighbour_slices
-from wlr_render.captures.photographs import CodeImage
 from wlr_render.errors import BadInputError
 
 _UNMIXED = 0.8  # least share of a pixel filled by one stripe, for which bit + inverse = white + black at any gamma
@@ -45,9 +41,6 @@ _READABLE = 0.3  # least evidence of a finer bit that may replace the position f
 _LINES = 128  # lines of neighbours that are compared along each axis of the picture
 _STRONG = 0.35  # strength of a reliable bit, relative to full contrast
 _IMPROVED_BELOW = 0.9  # ratio of sums of squared steps below which another order is better
-WEAK = 0.5
-"""Median strength, relative to full contrast, below which a bit is weak."""
-_WELL_LIT = 0.25  # contrast of well-lit pixels relative to the brightest twentieth
 
 
 @dataclass(frozen=True)
@@ -325,57 +318,3 @@ def _roughness(gray: Codes, pairs: Codes, count: NDArray[np.int64], cells: int) 
     sides = cell[pairs]
     steps = (sides[:, 0] - sides[:, 1]) ** 2
     return float(np.sum(count * np.where(np.any(sides >= cells, axis=-1), cells**2, steps)))
-
-
-@dataclass(frozen=True)
-class BitStrength:
-    """|picture - inverse| / (white - black) of one bit over well-lit camera pixels.
-
-    Even a perfect bit is faint in pixels on the border of its stripes: few for a coarse bit, many for a fine one.
-
-    Attributes:
-        name: name of its picture in the pattern, e.g. "u bit 3".
-        median, percentile_5, percentile_1: statistics of the strength; 1 is full contrast.
-        unsure_share: share of pixels whose strength is below the confidence that decoding requires.
-    """
-
-    name: str
-    median: float
-    percentile_5: float
-    percentile_1: float
-    unsure_share: float
-
-    @property
-    def weak(self) -> bool:
-        """True if the bit is blurred or dimmed where there is enough light."""
-        return self.median < WEAK
-
-
-def bit_strengths(
-    photographs: Iterable[CodeImage | None], pattern: Pattern, options: DecodeOptions = DEFAULT_OPTIONS
-) -> tuple[BitStrength, ...]:
-    """Measure the contrast of each bit that is followed by its inverse; arguments as for `pattern.decode`.
-
-    Raises:
-        BadInputError: photographs are missing or left over, of different sizes, or under- or over-exposed.
-    """
-    names = pattern.names()
-    reader = PhotographReader(photographs, names)
-    light = read_light(reader, options)
-    well_lit = light.lit & (light.contrast >= _WELL_LIT * np.percentile(light.contrast[light.lit], 95))
-    full = light.contrast[well_lit]
-    strengths = []
-    earlier: Grey | None = light.middle
-    for number, name in enumerate(names[2:], start=2):
-        image = reader.take()
-        if name == names[number - 1] + INVERSE and image is not None and earlier is not None:
-            strength = np.abs(image - earlier)[well_lit] / full
-            strengths.append(_judged(names[number - 1], strength, options.min_confidence))
-        earlier = image
-    reader.finish()
-    return tuple(strengths)
-
-
-def _judged(name: str, strength: Grey, min_confidence: float) -> BitStrength:
-    first, fifth, median = (float(value) for value in np.percentile(strength, (1, 5, 50)))
-    return BitStrength(name, median, fifth, first, float(np.mean(strength < min_confidence)))

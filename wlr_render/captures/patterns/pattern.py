@@ -3,33 +3,16 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wlr_render.captures.decoded import DEFAULT_OPTIONS, Decoded, DecodeOptions
-from wlr_render.captures.patterns.photometry import NoiseMeter, PanelContrast, PhotographReader, read_light
-from wlr_render.captures.patterns.pixel_rejection import AxisReading, combine_axes
+from wlr_render.captures.patterns.axis_code import AxisCode
+from wlr_render.captures.patterns.photometry import NoiseMeter, PhotographReader, read_light
+from wlr_render.captures.patterns.pixel_rejection import combine_axes
 from wlr_render.captures.photographs import CodeImage
 from wlr_render.mappings import Panel
-
-
-class AxisCode(Protocol):
-    """Code of one axis: images that vary along it, and their decoding."""
-
-    def names(self) -> list[str]:
-        """Return the names of its pictures in the order of showing."""
-
-    def line(self, index: int) -> NDArray[np.uint8]:
-        """Return the line of picture `index` of `names`, one value per panel pixel of the axis."""
-
-    def read(self, reader: PhotographReader, light: PanelContrast, noise: NoiseMeter) -> AxisReading:
-        """Decode one photograph per picture, and update `noise` from them.
-
-        Raises:
-            BadInputError: a photograph is missing or not in the order of showing.
-        """
 
 
 @dataclass(frozen=True)
