@@ -48,6 +48,12 @@ def test_part_of_a_board_is_identified(board, turn_deg):
     assert np.abs(found.pixel - truth(CAMERA, pose(**view), found.index, board)).max() < 0.2
 
 
+def test_a_blurred_charuco_board_of_few_corners_is_refused():
+    light = cv2.GaussianBlur(light_of(CAMERA, pose(distance_m=0.28), CHARUCO), (0, 0), 2.3)
+    with pytest.raises(BoardNotFoundError, match=r"^a\.png: only [123] corners of the board were seen"):
+        CHARUCO.find(exposed(light, snr=40), "a.png")
+
+
 @pytest.mark.parametrize("legacy", [False, True])
 def test_the_other_pattern_is_named(legacy):
     image = whole_picture(replace(CHARUCO, legacy=legacy))

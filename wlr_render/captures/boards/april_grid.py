@@ -17,10 +17,11 @@ from wlr_render.captures.boards.board import (
     BoardTolerances,
     flat_points,
 )
+from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.captures.boards.board_keys import MARGIN, BoardLength
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
-from wlr_render.captures.boards.markers import dictionary_of, marker_cells
+from wlr_render.captures.boards.markers import detect_markers, dictionary_of, marker_areas, marker_cells
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.io.file_records import Key, Quantity, Rule
@@ -36,7 +37,6 @@ _SUB_PIXEL = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.05)
 _CLEARLY = 3.0  # factor by which another order of the tags must fit better to be reported
 _FITTING = 0.02  # error of the right order of the tags without lens distortion, in sides of a tag
 _MOST_COLUMNS = 60  # most columns of boards whose orders are compared
-_FIRST_TAGS = ("top-left", "bottom-left")
 _USUAL_BORDERS = (2, 1)  # bits: Kalibr's border, and the border of others
 _MANY_MORE = 1.5  # factor by which another border must find more tags to be reported
 _OTHER_FAMILIES = ("DICT_APRILTAG_36h10", "DICT_APRILTAG_25h9", "DICT_APRILTAG_16h5")
@@ -157,12 +157,8 @@ class AprilGrid(CellBoard):
 
     def _detect(self, grey: NDArray[np.uint8], family: str = DICTIONARY) -> tuple[FloatArray, IntArray]:
         """Return the corners (n, 4, 2) and numbers (n,) of the detected tags; a number that occurs twice is dropped."""
-        how = cv2.aruco.DetectorParameters()
-        how.markerBorderBits = self.border_bits
-        corners, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(family), how).detectMarkers(grey)
-        numbers = np.zeros(0, dtype=np.int64) if ids is None else np.asarray(ids, np.int64).ravel()
+        pixel, numbers = detect_markers(family, grey, self.border_bits)
         once = np.array([np.count_nonzero(numbers == number) == 1 for number in numbers], dtype=bool)
-        pixel = np.array(corners, dtype=np.float64).reshape(-1, 4, 2) - OPENCV_PIXEL_SHIFT
         return pixel[once], numbers[once]
 
     def _corner_indices(self, number: IntArray, turn: int) -> IntArray:
@@ -181,12 +177,9 @@ class AprilGrid(CellBoard):
         tried = []
         for turn in range(4):
             place = self._places(number, turn)
-            homography, _ = cv2.findHomography(place, corners.reshape(-1, 2))
-            if homography is None:
-                tried.append((np.inf, turn))
-                continue
-            there = cv2.perspectiveTransform(place[:, None, :], homography)[:, 0]
-            tried.append((float(np.median(np.linalg.norm(there - corners.reshape(-1, 2), axis=1))), turn))
+            there = by_homography(place, corners.reshape(-1, 2), place)
+            off = np.inf if there is None else np.median(np.linalg.norm(there - corners.reshape(-1, 2), axis=1))
+            tried.append((float(off), turn))
         error, turn = min(tried)
         return turn, error
 
@@ -217,7 +210,7 @@ class AprilGrid(CellBoard):
             numbers, corners: (n,) and (n, 4, 2), of the detected tags.
             error: error of this board's arrangement, from `_turned`.
         """
-        side = float(np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners])))
+        side = _side(corners)
         if error < _FITTING * side or self.tag_columns * self.tag_rows == 1:
             return
         orders = [
@@ -254,12 +247,11 @@ class AprilGrid(CellBoard):
             foreign: corners (m, 4, 2) and numbers (m,) of tags that this board lacks.
             numbers, corners, turn: tags that it has, and the quarter turns of their print.
         """
-        homography, _ = cv2.findHomography(self._places(numbers, turn), corners.reshape(-1, 2))
-        if not len(foreign[1]) or homography is None:
+        if not len(foreign[1]):
             return
-        expected = cv2.perspectiveTransform(self._places(foreign[1], turn)[:, None, :], homography).reshape(-1, 4, 2)
-        side = np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners]))
-        if np.median(np.linalg.norm(expected - foreign[0], axis=-1)) > 0.5 * side:
+        place = self._places(foreign[1], turn).reshape(-1, 4, 2)
+        expected = by_homography(self._places(numbers, turn), corners.reshape(-1, 2), place)
+        if expected is None or np.median(np.linalg.norm(expected - foreign[0], axis=-1)) > 0.5 * _side(corners):
             return
         raise BoardNotFoundError(
             f"tag {foreign[1].max()} continues the board, which has {self.first_id} to {self._last_id} by board.toml; "
@@ -300,6 +292,11 @@ class AprilGrid(CellBoard):
         )
 
 
+def _side(corners: FloatArray) -> float:
+    """Return the usual side of tags, pixels, by their corners (n, 4, 2)."""
+    return float(np.sqrt(np.median(marker_areas(corners))))
+
+
 def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[FloatArray]:
     """Return guesses (4 n, 2) of the corners' pixels: as detected, grown, and refined by OpenCV.
 
@@ -311,8 +308,7 @@ def _starts(grey: NDArray[np.uint8], corners: FloatArray, reach: float) -> list[
     middle = corners.mean(axis=1, keepdims=True)
     starts = [(middle + grown * (corners - middle)).reshape(-1, 2) for grown in _GROWN]
     # Corners of large tags may be off by more than the fit's window.
-    side = np.sqrt(np.median([cv2.contourArea(tag.astype(np.float32)) for tag in corners]))
-    window = max(2, int(0.5 * reach * side))
+    window = max(2, int(0.5 * reach * _side(corners)))
     guess = np.array((starts[0] + OPENCV_PIXEL_SHIFT)[:, None, :], dtype=np.float32)
     nearer = cv2.cornerSubPix(grey, guess, (window, window), (-1, -1), _SUB_PIXEL)
     return [*starts, nearer[:, 0].astype(np.float64) - OPENCV_PIXEL_SHIFT]

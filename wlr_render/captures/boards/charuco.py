@@ -17,10 +17,19 @@ from wlr_render.captures.boards.board import (
     BoardTolerances,
     grid_indices,
 )
+from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.captures.boards.board_keys import MARGIN, BoardLength
 from wlr_render.captures.boards.cell_pattern import CellBoard, CellPattern
 from wlr_render.captures.boards.corner_observation import observe_corners
-from wlr_render.captures.boards.markers import DICTIONARIES, LARGEST_DICTIONARIES, dictionary_of, marker_cells
+from wlr_render.captures.boards.markers import (
+    DICTIONARIES,
+    LARGEST_DICTIONARIES,
+    detect_markers,
+    dictionary_of,
+    marker_areas,
+    marker_cells,
+    markers_of_opencv,
+)
 from wlr_render.captures.photographs import Photograph, as_bytes
 from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
 from wlr_render.io.file_records import Key
@@ -104,9 +113,8 @@ class CharucoBoard(CellBoard):
 
     def _detect(self, grey: NDArray[np.uint8]) -> "_Detected":
         board = self._opencv
-        corners, ids, markers, marker_ids = cv2.aruco.CharucoDetector(board).detectBoard(grey)
-        numbers = np.zeros(0, dtype=np.int64) if marker_ids is None else np.asarray(marker_ids, np.int64).ravel()
-        marker = np.array(markers, dtype=np.float64).reshape(-1, 4, 2) - OPENCV_PIXEL_SHIFT
+        corners, ids, *markers = cv2.aruco.CharucoDetector(board).detectBoard(grey)
+        marker, numbers = markers_of_opencv(*markers)
         if (ids is None or not len(ids)) and self._lie_as_here(marker, numbers):
             # OpenCV's check mistakes the distances in a steep view for another board.
             how = cv2.aruco.CharucoParameters()
@@ -125,11 +133,10 @@ class CharucoBoard(CellBoard):
             return False
         detected = marker[on_board]
         place = np.array(self._opencv.getObjPoints(), dtype=np.float64)[numbers[on_board], :, :2]
-        homography, _ = cv2.findHomography(place.reshape(-1, 2), detected.reshape(-1, 2), cv2.LMEDS)
-        if homography is None:
+        expected = by_homography(place.reshape(-1, 2), detected.reshape(-1, 2), place, cv2.LMEDS)
+        if expected is None:
             return False
-        expected = cv2.perspectiveTransform(place.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
-        side = np.sqrt([cv2.contourArea(corners.astype(np.float32)) for corners in detected])
+        side = np.sqrt(marker_areas(detected))
         off = np.linalg.norm(expected - detected, axis=-1).max(axis=1)
         # With the other pattern, or other numbers of squares, some rows fit; the others are off by a square or more.
         return bool(np.median(off / np.maximum(side, 1e-9)) < _FITTING and np.all(off < _SQUARE_OFF * side))
@@ -144,10 +151,9 @@ class CharucoBoard(CellBoard):
                 return (
                     f"marker {highest} continues the board, which has 0 to {last} by board.toml; correct square_rows."
                 )
-        homography, _ = cv2.findHomography(detected.pixel, detected.index.astype(np.float64))
-        if homography is None or not len(detected.marker):
+        flat = by_homography(detected.pixel, detected.index.astype(np.float64), detected.marker)
+        if flat is None or not len(flat):
             return None
-        flat = cv2.perspectiveTransform(detected.marker.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
         side = float(np.median(np.linalg.norm(flat - np.roll(flat, 1, axis=1), axis=-1)))
         stated = self.marker_m / self.square_m
         if abs(side - stated) < _OTHER_MARKER * stated:
@@ -186,7 +192,7 @@ class CharucoBoard(CellBoard):
     def _why_no_marker(self, grey: NDArray[np.uint8]) -> str:
         best, most = "", _LEAST_MARKERS - 1
         for name in LARGEST_DICTIONARIES:
-            if (count := len(_markers_of(name, grey))) > most:
+            if (count := len(detect_markers(name, grey)[1])) > most:
                 best, most = name, count
             if 2 * most > len(self._opencv.getIds()):
                 break
@@ -213,9 +219,3 @@ class _Detected:
     pixel: FloatArray
     marker: FloatArray
     numbers: IntArray
-
-
-def _markers_of(dictionary: str, grey: NDArray[np.uint8]) -> IntArray:
-    """Return the numbers (n,) of the markers of a dictionary in a picture."""
-    _, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(dictionary)).detectMarkers(grey)
-    return np.zeros(0, dtype=np.int64) if ids is None else np.asarray(ids, np.int64).ravel()

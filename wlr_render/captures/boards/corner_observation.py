@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from wlr_render.captures.boards.board import BoardNotFoundError, BoardObservation
+from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.captures.boards.corner_fit import fit_corners
 from wlr_render.captures.boards.lattice_shape import lattice_shape, smooth_rows
 from wlr_render.captures.photographs import Photograph
@@ -64,9 +65,8 @@ def _smooth(place: FloatArray, pixel: FloatArray) -> IntArray:
     homography, whose residual must be smooth. A very wide lens has no homography.
     """
     tried = [smooth_rows(place, pixel, _LEAST_FOR_OUTLIERS)[0]]
-    homography, _ = cv2.findHomography(place, pixel, cv2.LMEDS)
-    if homography is not None:
-        expected = cv2.perspectiveTransform(place[:, None, :], homography)[:, 0]
+    expected = by_homography(place, pixel, place, cv2.LMEDS)
+    if expected is not None:
         cell = np.sqrt(np.prod(np.ptp(expected, axis=0)) / np.prod(np.ptp(place, axis=0)))
         if np.isfinite(expected).all() and cell > 0:
             tried.append(smooth_rows(expected / cell, pixel, _LEAST_FOR_OUTLIERS)[0])
@@ -84,10 +84,10 @@ def _departure(place: FloatArray, pixel: FloatArray) -> float:
         shape = lattice_shape(place, pixel)
         off = np.linalg.norm(pixel - shape.expected, axis=1) / shape.doubt
     else:
-        homography, _ = cv2.findHomography(place, pixel)
-        if homography is None:
+        expected = by_homography(place, pixel, place)
+        if expected is None:
             return 0.0
-        off = np.linalg.norm(cv2.perspectiveTransform(place[:, None, :], homography)[:, 0] - pixel, axis=1)
+        off = np.linalg.norm(expected - pixel, axis=1)
     return float(np.median(off)) / cell
 
 

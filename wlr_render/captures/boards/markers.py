@@ -1,10 +1,14 @@
-"""Markers of OpenCV's dictionaries: their names, and their bits as cells on a board."""
+"""Markers of OpenCV's dictionaries: their names, their bits as cells on a board, and their detection."""
+
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from wlr_render.errors import BadInputError
-from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.geometry.lens_camera import OPENCV_PIXEL_SHIFT
+from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 
 
 def dictionary_of(name: str) -> cv2.aruco.Dictionary:
@@ -44,3 +48,22 @@ def marker_cells(
     low = corner + np.stack([column, row], axis=-1) * (side / bits)
     high = corner + np.stack([column + 1, row + 1], axis=-1) * (side / bits)
     return np.concatenate([low, high], axis=1), picture.ravel() == 0
+
+
+def detect_markers(dictionary: str, grey: NDArray[np.uint8], border_bits: int = 1) -> tuple[FloatArray, IntArray]:
+    """Return the corners (n, 4, 2) and numbers (n,) of a dictionary's markers in a picture, see `markers_of_opencv`."""
+    how = cv2.aruco.DetectorParameters()
+    how.markerBorderBits = border_bits
+    corners, numbers, _ = cv2.aruco.ArucoDetector(dictionary_of(dictionary), how).detectMarkers(grey)
+    return markers_of_opencv(corners, numbers)
+
+
+def markers_of_opencv(corners: Any, numbers: Any) -> tuple[FloatArray, IntArray]:
+    """Return corners (n, 4, 2), pixels from the picture's outer corner, and numbers (n,) from what a detector returns."""
+    pixel = np.array(corners, dtype=np.float64).reshape(-1, 4, 2) - OPENCV_PIXEL_SHIFT
+    return pixel, np.zeros(0, dtype=np.int64) if numbers is None else np.asarray(numbers, np.int64).ravel()
+
+
+def marker_areas(corners: FloatArray) -> FloatArray:
+    """Return the areas (n,) of markers by their corners (n, 4, 2)."""
+    return np.array([cv2.contourArea(each.astype(np.float32)) for each in corners])

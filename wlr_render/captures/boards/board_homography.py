@@ -1,0 +1,26 @@
+"""Homographies: maps between two pictures of a plane."""
+
+import cv2
+import numpy as np
+
+from wlr_render.numerics.arrays import FloatArray
+
+_LEAST_POINTS = 4
+
+
+def by_homography(place: FloatArray, pixel: FloatArray, at: FloatArray, method: int = 0) -> FloatArray | None:
+    """Return the pixels (..., 2) of positions `at` (..., 2) by the homography that fits `place` to `pixel` best.
+
+    Args:
+        place: (n, 2) positions on the plane.
+        pixel: (n, 2) their pixels.
+        at: (..., 2) further positions.
+        method: 0 for least squares, or `cv2.LMEDS`.
+
+    Returns:
+        None without a homography: fewer than four points, or points in a line.
+    """
+    homography = cv2.findHomography(place, pixel, method)[0] if len(place) >= _LEAST_POINTS else None
+    if homography is None:
+        return None
+    return np.asarray(cv2.perspectiveTransform(at.reshape(-1, 1, 2), homography)).reshape(at.shape)
