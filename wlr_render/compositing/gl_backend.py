@@ -21,12 +21,12 @@ from wlr_render.rendering.gl_overlay import Overlay, OverlayImport, Quad, SeenOv
 from wlr_render.rendering.gl_panel import PanelEncoder
 from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
 from wlr_render.rendering.gl_warp import GlWarp, GpuWarped, WarpedPicture, WarpTarget
-from wlr_render.rendering.gpu_image import GpuImage, read_rgb
+from wlr_render.rendering.gpu_image import GpuImage
 from wlr_render.rendering.panel_light import PanelLight
 from wlr_render.rendering.picture_import import PictureImport
 from wlr_render.rendering.raster_camera import MAX_SAMPLES, EyePlan
 from wlr_render.rendering.ray_map import RayMap, RayMapPlan, RayMapSolver, choose_plan
-from wlr_render.rendering.readback import Readback, read_into
+from wlr_render.rendering.readback import Readback, read_into, read_rgb
 from wlr_render.rendering.stored_picture import Rows, StoredColour, StoredDepth
 from wlr_render.rendering.target_framebuffers import TargetFramebuffers
 from wlr_render.rendering.view import View

@@ -14,7 +14,8 @@ from wlr_render.rendering import gl
 from wlr_render.rendering.gl_overlay import SeenOverlay
 from wlr_render.rendering.gl_panel import SRGB_ENCODER, PanelEncoder
 from wlr_render.rendering.gl_ray_maps import RayTexture
-from wlr_render.rendering.gpu_image import GlDepthRanges, GpuImage, read_rgb
+from wlr_render.rendering.gpu_image import GlDepthRanges, GpuImage
+from wlr_render.rendering.readback import read_rgb
 from wlr_render.rendering.srgb import decode_srgb
 from wlr_render.rendering.warp import (
     CONVERGED_PX,

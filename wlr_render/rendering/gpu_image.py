@@ -2,14 +2,12 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
 
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.rendering import gl
+from wlr_render.rendering.readback import rgb_of_rgba
 from wlr_render.rendering.srgb import encode_srgb
 from wlr_render.rendering.stored_picture import Encoding
 from wlr_render.rendering.view import GeometryImage, View
@@ -69,22 +67,6 @@ def _is_same(one: View, other: View) -> bool:
         and one.camera.size_px == other.camera.size_px
         and np.array_equal(one.camera.image_from_camera, other.camera.image_from_camera)
     )
-
-
-def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
-    """Drop alpha: (height, width, 4) -> (height, width, 3). Faster than letting the driver read three of four."""
-    return np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB))
-
-
-def read_rgb(texture: gl.Texture) -> NDArray[Any]:
-    """Return an RGBA texture's colours, (height, width, 3) of `colour_type`; call it in a drawing block."""
-    rgba = gl.read(texture, colour_type(texture))
-    return np.ascontiguousarray(rgba[..., :3]) if rgba.dtype == np.float16 else rgb_of_rgba(rgba)
-
-
-def colour_type(texture: gl.Texture) -> DTypeLike:
-    """Type of the numbers that a texture of colours is read as: uint8, uint16 (65535 is 1) or float16."""
-    return {"f1": "u1", "nu2": "u2", "f2": "f2"}[texture.dtype]
 
 
 def shader_intrinsics(camera: Pinhole) -> tuple[float, float, float, float]:

@@ -1,20 +1,36 @@
-"""Asynchronous read-back of textures, through pixel-pack buffers and fences."""
+"""Read-back of textures, at once or asynchronously through pixel-pack buffers and fences."""
 
 import ctypes
 import weakref
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from wlr_render.errors import BadInputError
 from wlr_render.rendering import gl
-from wlr_render.rendering.gpu_image import colour_type, rgb_of_rgba
 from wlr_render.rendering.host_checks import GlError
 
 _COMMANDS_COMPLETE, _FLUSH = 0x9117, 0x1  # GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT
 _TIMEOUT, _FAILED = 0x911B, 0x911D  # GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED
 _FOREVER_NS = 10_000_000_000
+
+
+def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
+    """Drop alpha: (height, width, 4) -> (height, width, 3). Faster than letting the driver read three of four."""
+    return np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB))
+
+
+def read_rgb(texture: gl.Texture) -> NDArray[Any]:
+    """Return an RGBA texture's colours, (height, width, 3) of `colour_type`; call it in a drawing block."""
+    rgba = gl.read(texture, colour_type(texture))
+    return np.ascontiguousarray(rgba[..., :3]) if rgba.dtype == np.float16 else rgb_of_rgba(rgba)
+
+
+def colour_type(texture: gl.Texture) -> DTypeLike:
+    """Type of the numbers that a texture of colours is read as: uint8, uint16 (65535 is 1) or float16."""
+    return {"f1": "u1", "nu2": "u2", "f2": "f2"}[texture.dtype]
 
 
 class Readback:
