@@ -1,4 +1,4 @@
-// Intersect a ray with the depth of the intermediate image; rendering/warp.py states the algorithm.
+// Intersect a ray with the depth of the intermediate image; warp/warp.py states the algorithm.
 //
 // Needs STEP_PX, MAX_STEPS, MAX_REFINEMENTS, CONVERGED_PX, SURFACE_STEP, and of the pixel shader `inverse_depth`,
 // `range`, `size_px` and `per_texel`. One loop with one texture read in each round, whether it marches or refines:

@@ -1,5 +1,5 @@
 // Warp of an eye's picture to its panel, for a renderer of your own in OpenGL 4.2 or Vulkan. A `WarpMesh` of
-// wlr_render/compositing/warp_mesh.py gives vertices, indices and `image_from_ray`; docs/realtime.md, "Your own warp",
+// wlr_render/warp/warp_mesh.py gives vertices, indices and `image_from_ray`; docs/realtime.md, "Your own warp",
 // says how to use it. own_warp.wgsl is the same for WebGPU.
 //
 // Compile it twice, after "#version 420" (450 for Vulkan) and "#define VERTEX_STAGE" or "#define FRAGMENT_STAGE". Draw

@@ -1,4 +1,4 @@
-// Warp of an eye's picture to its panel, for a WebGPU renderer. A `WarpMesh` of wlr_render/compositing/warp_mesh.py
+// Warp of an eye's picture to its panel, for a WebGPU renderer. A `WarpMesh` of wlr_render/warp/warp_mesh.py
 // gives vertices, indices and `image_from_ray`; docs/realtime.md, "Your own warp", says how to use it.
 //
 // Draw the mesh's triangles to a target of an sRGB format, with no culling and no depth test. With three colours draw

@@ -1,4 +1,4 @@
-// The shading model of docs/conventions.md, "Colour"; rendering/shading.py is its twin. Camera frame.
+// The shading model of docs/conventions.md, "Colour"; draw/shading.py is its twin. Camera frame.
 //
 // The numbers of lights are constants: software renderers are many times slower with a loop of unknown length.
 

@@ -1,5 +1,5 @@
 #version 410
-// The world ray of each point of a grid on the panel under a planar bundle; rendering/gl_ray_maps.py has the words, and generates
+// The world ray of each point of a grid on the panel under a planar bundle; warp/gl_ray_maps.py has the words, and generates
 // display_hold, display, display_contains, deviation and deviation_contains.
 
 uniform vec2 first_px;  // panel position of the first point

@@ -17,14 +17,14 @@ from flat_image import flat_image_eye
 from gl_caller import Caller
 from memo import memoised, shared_folder
 
-from wlr_render.compositing import gl_backend
+from wlr_render.draw.mitsuba_frames import PathTracer
 from wlr_render.errors import MissingGlError
 from wlr_render.extras import MissingExtraError
-from wlr_render.rendering import gl, raster_camera
-from wlr_render.rendering.mitsuba_frames import PathTracer
-from wlr_render.rendering.scene import Scene
+from wlr_render.gl import gl
+from wlr_render.scene.scene import Scene
+from wlr_render.warp import gl_backend, raster_camera
 
-pytest_plugins = ["small_headsets"]
+pytest_plugins = ["small_headsets", "toy_headsets"]
 
 DATA_BESIDE_CHECKOUT = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -194,7 +194,7 @@ def remembered(function):
 
 @pytest.fixture
 def choices_made_once(monkeypatch):
-    """Choose for each model once in a run; tests/rendering hold the choices to their laws."""
+    """Choose for each model once in a run; tests/warps hold the choices to their laws."""
     for module, name in CHOICES:
         monkeypatch.setattr(module, name, remembered(getattr(module, name)))
 

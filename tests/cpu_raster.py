@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.stored_picture import NEAREST_M
-from wlr_render.rendering.view import GeometryImage, View
+from wlr_render.scene.scene import Scene
+from wlr_render.warp.stored_picture import NEAREST_M
+from wlr_render.warp.view import GeometryImage, View
 
 
 def raster_on_cpu(scene: Scene, view: View) -> GeometryImage:

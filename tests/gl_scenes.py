@@ -6,9 +6,9 @@ import numpy as np
 
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.scene import Instance, LightSource, Mesh, Scene
-from wlr_render.rendering.scene_file import load_scene
-from wlr_render.rendering.view import View
+from wlr_render.scene.scene import Instance, LightSource, Mesh, Scene
+from wlr_render.scene.scene_file import load_scene
+from wlr_render.warp.view import View
 
 shipped_scene = lru_cache(load_scene)
 

@@ -18,12 +18,12 @@ from wlr_render.captures.session_schema import DISPLAY
 from wlr_render.captures.session_tables import write_table
 from wlr_render.errors import BadInputError
 from wlr_render.io import atomic_files, toml_files
-from wlr_render.rendering import image_files
 from wlr_render.report.blocks import Report
 from wlr_render.report.html import html_page
 from wlr_render.report.plots import curves
 from wlr_render.report.records import json_text
 from wlr_render.report.save import provenance
+from wlr_render.scene import image_files
 
 
 def table(tmp_path, text):

@@ -19,11 +19,11 @@ from cyclopts import Parameter, UnknownOptionError
 from wlr_render import __version__
 from wlr_render.cli import RENAMED, VERBS, main, make_app
 from wlr_render.errors import MissingGlError
+from wlr_render.gl import gl
 from wlr_render.io.atomic_files import resource
 from wlr_render.jobs.demo import DemoOptions
 from wlr_render.jobs.options import Range, flag_of
 from wlr_render.jobs.render import RenderOptions
-from wlr_render.rendering import gl
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.terminal import print_report
 

@@ -8,7 +8,7 @@ import pytest
 
 import wlr_render
 
-PACKAGES = ("geometry", "rendering", "compositing", "exports", "tracking", "mappings", "jobs.frame_plan")
+PACKAGES = ("geometry", "scene", "draw", "warp", "exports", "tracking", "mappings", "jobs.frame_plan")
 
 
 def modules(name):

@@ -20,10 +20,10 @@ import wlr_render as wlr
 from wlr_render.captures.session import Readings, Session, SessionPlan, select_rows
 from wlr_render.diagnosis.causes import CAUSES
 from wlr_render.extras import install_command
+from wlr_render.gl.native_contexts import OsMesaContext
 from wlr_render.jobs.frame_plan import planned_frames, read_trajectories
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions
-from wlr_render.rendering.native_contexts import OsMesaContext
 
 EXAMPLES = sorted((Path(__file__).resolve().parent.parent / "examples").glob("[0-9][0-9]_*.py"))
 WORDS_AND_FILES = {
@@ -45,7 +45,7 @@ WORDS_AND_FILES = {
     "14_newton": ("100.0% of 2304000 rays hit, from 0.3", {"panel.png"}),
     "15_blender": ("panel.png: 1440 x 1600 pixels", {"panel.png", "ray_map.exr"}),
 }
-TESTED_ELSEWHERE = {"10_openxr"}  # tests/compositing/test_openxr.py
+TESTED_ELSEWHERE = {"10_openxr"}  # tests/warps/test_openxr.py
 NEED_LIBRARY = {"12_open3d": "open3d", "13_warp": "warp", "14_newton": "newton", "15_blender": "bpy"}
 NEED_WEBGPU = {"09_own_warp"}
 NEED_EGL = {"07_plug_into_pyrender", "08_real_time"}

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from wlr_render.rendering.gl_programs import GLSL_VERSION
+from wlr_render.gl.programs import GLSL_VERSION
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -31,14 +31,14 @@ if TYPE_CHECKING:  # imports in the order of the API reference
     from wlr_render.diagnosis.procedure import diagnose as diagnose
     from wlr_render.diagnosis.diagnosis import Diagnosis as Diagnosis
     from wlr_render.diagnosis.cause import Cause as Cause
-    from wlr_render.rendering.scene_file import load_scene as load_scene
-    from wlr_render.compositing.render_frame import render as render
-    from wlr_render.rendering.painters import Frame as Frame
-    from wlr_render.rendering.world_rays import world_rays as world_rays
+    from wlr_render.scene.scene_file import load_scene as load_scene
+    from wlr_render.draw.render_frame import render as render
+    from wlr_render.draw.painters import Frame as Frame
+    from wlr_render.draw.world_rays import world_rays as world_rays
     from wlr_render.exports.export_eye import export as export
-    from wlr_render.compositing.compositor import Compositor as Compositor
-    from wlr_render.compositing.warp_mesh import WarpMesh as WarpMesh
-    from wlr_render.rendering.stored_picture import StoredDepth as StoredDepth
+    from wlr_render.warp.compositor import Compositor as Compositor
+    from wlr_render.warp.warp_mesh import WarpMesh as WarpMesh
+    from wlr_render.warp.stored_picture import StoredDepth as StoredDepth
     from wlr_render.tracking.viewpoint_filter import ViewpointFilter as ViewpointFilter
     from wlr_render.tracking.eye_model import RotatingEye as RotatingEye
     from wlr_render.errors import BadInputError as BadInputError

@@ -10,16 +10,16 @@ from wlr_render.lazy_names import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # imports in the order of the API reference
     # isort: off
-    from wlr_render.compositing.composed_frame import ComposedFrame as ComposedFrame
-    from wlr_render.compositing.eye_camera import EyeCamera as EyeCamera
-    from wlr_render.compositing.frame_handle import FrameHandle as FrameHandle
-    from wlr_render.rendering.stored_picture import DepthKind as DepthKind, Rows as Rows, StoredColour as StoredColour
-    from wlr_render.rendering.framebuffers import TextureLayer as TextureLayer
-    from wlr_render.rendering.panel_light import PanelLight as PanelLight
-    from wlr_render.rendering.pyrender_drawing import PyrenderDrawing as PyrenderDrawing
-    from wlr_render.rendering.ray_map import RayMap as RayMap, choose_plan as choose_plan, ray_map as ray_map
-    from wlr_render.rendering.ray_tracing import EyeView as EyeView, RayRenderer as RayRenderer, eye_view as eye_view
-    from wlr_render.rendering.scene import Scene as Scene, world_positions as world_positions
+    from wlr_render.warp.composed_frame import ComposedFrame as ComposedFrame
+    from wlr_render.warp.eye_camera import EyeCamera as EyeCamera
+    from wlr_render.warp.frame_handle import FrameHandle as FrameHandle
+    from wlr_render.warp.stored_picture import DepthKind as DepthKind, Rows as Rows, StoredColour as StoredColour
+    from wlr_render.gl.framebuffers import TextureLayer as TextureLayer
+    from wlr_render.warp.panel_light import PanelLight as PanelLight
+    from wlr_render.draw.pyrender_drawing import PyrenderDrawing as PyrenderDrawing
+    from wlr_render.warp.ray_map import RayMap as RayMap, choose_plan as choose_plan, ray_map as ray_map
+    from wlr_render.draw.ray_tracing import EyeView as EyeView, RayRenderer as RayRenderer, eye_view as eye_view
+    from wlr_render.scene.scene import Scene as Scene, world_positions as world_positions
     from wlr_render.tracking.trajectory import EyeTrajectory as EyeTrajectory, HeadTrajectory as HeadTrajectory
     from wlr_render.tracking.synthetic import eye_motion as eye_motion, head_motion as head_motion
     from wlr_render.tracking.viewpoint_filter import StreamCounts as StreamCounts, TrackedViewpoint as TrackedViewpoint

@@ -8,9 +8,9 @@ from wlr_render.lazy_names import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # imports in the order of the API reference
     # isort: off
-    from wlr_render.rendering.image_files import read_map as read_map, read_png as read_png, write_map as write_map
-    from wlr_render.rendering.image_files import write_png as write_png, write_video as write_video
-    from wlr_render.rendering.exr_file import read_exr as read_exr, write_exr as write_exr
+    from wlr_render.scene.image_files import read_map as read_map, read_png as read_png, write_map as write_map
+    from wlr_render.scene.image_files import write_png as write_png, write_video as write_video
+    from wlr_render.scene.exr_file import read_exr as read_exr, write_exr as write_exr
     from wlr_render.tracking.head_trajectory_file import read_head_trajectory as read_head_trajectory
     from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum as write_head_trajectory_tum
     from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory as read_eye_trajectory

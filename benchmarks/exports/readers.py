@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.draw.sampling import remap
 from wlr_render.errors import BadInputError
 from wlr_render.exports.export_view import ExportedView
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
-from wlr_render.rendering.sampling import remap
 
 DEBIAN_PYTHON = "/usr/bin/python3"
 """Debian's Python, because python3-mrcal is not installed for the Python that runs the tests."""

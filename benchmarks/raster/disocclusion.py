@@ -8,10 +8,10 @@ data for it. The paper notes this error (section 4.2); here it is measured.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wlr_render.draw.ray_intersections import Intersections, SceneTracer
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.ray_intersections import Intersections, SceneTracer
-from wlr_render.rendering.ray_map import RayMap
-from wlr_render.rendering.scene import world_positions
+from wlr_render.scene.scene import world_positions
+from wlr_render.warp.ray_map import RayMap
 
 SAME_POINT = 0.01
 """What lies nearer to a point than this share of its distance does not hide it: it is the surface it belongs to."""

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wlr_render.draw.painters import Frame, TracedPainter, by_colour, channels_of
+from wlr_render.draw.ray_tracing import RayRenderer
+from wlr_render.draw.sampling import remap
+from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.painters import Frame, TracedPainter, by_colour, channels_of
-from wlr_render.rendering.raster_camera import EyePlan, RasterPlace
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.sampling import remap
-from wlr_render.rendering.scene_raster import SceneRaster
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
-from wlr_render.rendering.view import View
+from wlr_render.numerics.srgb import decode_srgb, encode_srgb
+from wlr_render.warp.raster_camera import EyePlan, RasterPlace
+from wlr_render.warp.view import View
 
 
 class MeshWarpedPainter:

@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 from benchmarks.raster.disocclusion import disoccluded
 from benchmarks.raster.mesh_painter import MeshWarpedPainter
 from benchmarks.raster.raster_error import RasterError, raster_error
-from wlr_render.compositing.raster_painter import WarpedPainter
+from wlr_render.draw.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
+from wlr_render.draw.raster_painter import WarpedPainter
+from wlr_render.draw.ray_intersections import SceneTracer
+from wlr_render.draw.ray_tracing import RayRenderer
+from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.geometry import transforms
@@ -28,16 +32,12 @@ from wlr_render.jobs.options import (
 )
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.image_files import write_map, write_png
-from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
-from wlr_render.rendering.raster_camera import RasterPlace
-from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene_file import load_scene, scene_path
-from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.report.blocks import Block, Picture, Plot, Report, Section, cell_text, table
 from wlr_render.report.plots import heat_map
 from wlr_render.report.save import save_report
+from wlr_render.scene.image_files import write_map, write_png
+from wlr_render.scene.scene_file import load_scene, scene_path
+from wlr_render.warp.raster_camera import RasterPlace
 from wlr_render.work.progress import SILENT, Progress
 
 HEAD_POSE = np.eye(4)

@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from wlr_render.draw.mitsuba_frames import PathTracer
+from wlr_render.draw.ray_intersections import SceneTracer
 from wlr_render.errors import BadInputError
 from wlr_render.extras import installed_by
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.mitsuba_frames import PathTracer
-from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import RayMap
-from wlr_render.rendering.scene import Scene, world_positions
+from wlr_render.scene.scene import Scene, world_positions
+from wlr_render.warp.ray_map import RayMap
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -106,8 +106,8 @@ _IN_BLENDER = """
 import runpy, sys
 import bpy
 import numpy as np
-from wlr_render.rendering.ray_map import RayMap
-from wlr_render.rendering.scene_file import load_scene
+from wlr_render.warp.ray_map import RayMap
+from wlr_render.scene.scene_file import load_scene
 
 example, scene, folder = runpy.run_path(sys.argv[1]), load_scene(sys.argv[2]), sys.argv[3]
 stored = np.load(folder + "/rays.npz")

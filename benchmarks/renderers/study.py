@@ -10,18 +10,18 @@ import numpy as np
 
 from benchmarks.renderers.casting import BESIDE_M, LIBRARIES, Cast, blender_positions, right_distances
 from benchmarks.speed.timing import ratio
+from wlr_render.draw.mitsuba_frames import PathTracer
+from wlr_render.draw.ray_intersections import SceneTracer
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.options import Options, ProgressArgument, Range, described
 from wlr_render.numerics.arrays import Float32Array, FloatArray
-from wlr_render.rendering.mitsuba_frames import PathTracer
-from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import choose_plan, ray_map
-from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
+from wlr_render.scene.scene import Scene
+from wlr_render.scene.scene_file import load_scene
+from wlr_render.warp.ray_map import choose_plan, ray_map
 from wlr_render.work.progress import SILENT
 
 _MICROMETRE = 1e-6

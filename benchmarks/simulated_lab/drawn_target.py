@@ -10,9 +10,9 @@ from wlr_render.captures.boards.dot_board import DotBoard
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.scene import Instance, Mesh, Scene
-from wlr_render.rendering.shapes import construction
-from wlr_render.rendering.srgb import encode_srgb
+from wlr_render.numerics.srgb import encode_srgb
+from wlr_render.scene.scene import Instance, Mesh, Scene
+from wlr_render.scene.shapes import construction
 
 _TEXELS_PER_PITCH = 64
 _LARGEST_TEXTURE_PX = 8192

@@ -28,7 +28,10 @@ from wlr_render.calibration.bench.board_views import TRACKING, BoardView
 from wlr_render.calibration.bench.start import board_pose
 from wlr_render.calibration.bench.station_file import SavedStation, load_station
 from wlr_render.captures.boards.board import BoardObservation
-from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
+from wlr_render.draw.painters import Painter, TracedPainter
+from wlr_render.draw.raster_painter import WarpedPainter, traced_instead
+from wlr_render.draw.ray_tracing import RayRenderer
+from wlr_render.draw.scene_raster import open_scene_raster
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.photograph_pair import JudgedPair, judge_pair
 from wlr_render.jobs.verify import (
@@ -43,9 +46,6 @@ from wlr_render.jobs.verify import (
 from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.painters import Painter, TracedPainter
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene_raster import open_scene_raster
 from wlr_render.report.blocks import Block, Plot, ReportTable
 from wlr_render.report.plots import curves
 from wlr_render.simulation.photographs.photo_bench import PhotoBench, target_at

@@ -5,9 +5,9 @@ from collections.abc import Iterator, Sequence
 
 from benchmarks.soak.process import CollectorTime, preemptions, resident_mb
 from benchmarks.soak.records import Cost, FrameNote, StreamFrame
-from wlr_render.compositing.composed_frame import ComposedFrame
-from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.draw.scene_source import SceneSource
+from wlr_render.warp.composed_frame import ComposedFrame
+from wlr_render.warp.compositor import Compositor
 
 
 def draw_frames(compositor: Compositor, source: SceneSource, moments: Sequence[StreamFrame]) -> Iterator[FrameNote]:

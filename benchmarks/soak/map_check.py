@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from benchmarks.soak.records import MapCheck, StreamFrame
-from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.draw.scene_source import SceneSource
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.raster_camera import EyePlan
-from wlr_render.rendering.ray_map import NEAREST_M, RayMap, solve_pixels
+from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.raster_camera import EyePlan
+from wlr_render.warp.ray_map import NEAREST_M, RayMap, solve_pixels
 
 CHECKED = 5
 """So many frames with the farthest jumps are checked, and about as many without a jump."""

@@ -11,8 +11,7 @@ from benchmarks.soak.picture import draw_stream
 from benchmarks.soak.records import Stream
 from benchmarks.soak.report import frames_csv, tables_of
 from benchmarks.soak.wearer import Wearer
-from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.draw.scene_source import SceneSource
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.jobs.headset import headset_path, open_eye
 from wlr_render.jobs.options import (
@@ -27,9 +26,10 @@ from wlr_render.jobs.options import (
     eyes_of,
 )
 from wlr_render.mappings import Eye
-from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Picture, Report
 from wlr_render.report.save import save_report
+from wlr_render.scene.scene_file import load_scene
+from wlr_render.warp.compositor import Compositor
 from wlr_render.work.progress import SILENT, Progress
 
 LATEST_MS = 50.0

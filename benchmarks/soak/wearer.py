@@ -8,7 +8,6 @@ import numpy as np
 
 from benchmarks.soak.records import EyeMoment, StreamFrame
 from benchmarks.soak.synthetic_tracker import tracker_samples
-from wlr_render.compositing.checks import nearest_in_reach
 from wlr_render.errors import BadInputError
 from wlr_render.mappings import EyeBox
 from wlr_render.numerics.arrays import FloatArray
@@ -17,6 +16,7 @@ from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 from wlr_render.tracking.synthetic import eye_motion, head_motion
 from wlr_render.tracking.trajectory import EYES, EyeTrajectory, HeadTrajectory
 from wlr_render.tracking.viewpoint_filter import ViewpointFilter
+from wlr_render.warp.checks import nearest_in_reach
 
 JITTER_M = 20e-6
 """Standard deviation, per axis, of a made-up tracker's samples: ours. Real ones never say the same twice, so that every

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from benchmarks.raster.disocclusion import hidden_from, hit_positions
 from benchmarks.raster.raster_error import raster_error
-from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.frame_handle import row_poses
-from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.draw.painters import position_of_source, with_inverse_depth
+from wlr_render.draw.ray_intersections import SceneTracer
+from wlr_render.draw.scene_source import SceneSource
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.painters import position_of_source, with_inverse_depth
-from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, ray_map
-from wlr_render.rendering.scene import Scene
+from wlr_render.scene.scene import Scene
+from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.frame_handle import row_poses
+from wlr_render.warp.ray_map import RayMapPlan, choose_plan, ray_map
 
 SILHOUETTE_PX = 2
 

@@ -8,17 +8,17 @@ from benchmarks.speed.accuracy import Landing, ScanOutPose, Subject, disoccluded
 from benchmarks.speed.figures import Figure, Part
 from benchmarks.speed.running import LATE_S, PUPIL_M_PER_S, TURN_DEG_PER_S, WALK_M_PER_S, later_pose
 from benchmarks.speed.workload import HEAD_POSE
-from wlr_render.compositing.compositor import Compositor
 from wlr_render.evaluation.metrics import summary
 from wlr_render.geometry import transforms
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN, ray_error_arcmin
-from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
-from wlr_render.rendering.ray_map import solve_pixels
-from wlr_render.rendering.scene_file import load_scene
-from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import Cell, ReportTable
+from wlr_render.scene.scene_file import load_scene
+from wlr_render.warp.choose_grid import TOLERANCE_ARCMIN, ray_error_arcmin
+from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.gl_ray_maps import GlPlanarSolver
+from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.ray_map import solve_pixels
 
 DEVICES = "northstar", "freeform40", "birdbath28"
 SCENES = "desk", "sculpture"

@@ -13,14 +13,14 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.draw.gl_raster import NEAR_M
 from wlr_render.geometry import transforms
+from wlr_render.gl.programs import shader_source
 from wlr_render.io import atomic_files
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering.gl_programs import shader_source
-from wlr_render.rendering.gl_raster import NEAR_M
-from wlr_render.rendering.gpu_image import shader_intrinsics
-from wlr_render.rendering.scene import Mesh, Scene, world_normals, world_positions
-from wlr_render.rendering.view import View
+from wlr_render.scene.scene import Mesh, Scene, world_normals, world_positions
+from wlr_render.warp.gpu_image import shader_intrinsics
+from wlr_render.warp.view import View
 from wlr_render.work.workers import usable_cores
 
 _VERTEX = """

@@ -14,8 +14,8 @@ from benchmarks.speed.timing import Run, in_ms, ratio, times_ms
 from benchmarks.speed.workload import Workload
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.ray_map import middle_axes
 from wlr_render.report.blocks import Cell, ReportTable
+from wlr_render.warp.ray_map import middle_axes
 
 OURS, WARP_GOAL = "ours", 0.9
 

@@ -28,10 +28,10 @@ from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_warp_grid import choose_warp_grid
-from wlr_render.rendering.ray_map import middle_axes, solve_pixels
-from wlr_render.rendering.warp_grid import WarpGrid
 from wlr_render.report.blocks import Cell, ReportTable
+from wlr_render.warp.choose_grid import choose_warp_grid
+from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.ray_map import middle_axes, solve_pixels
 
 Interpolation = Callable[[FloatArray, FloatArray], FloatArray]
 """(values (rows, columns, k), place (..., 2) in cells from the first point) -> (..., k)."""

@@ -10,10 +10,10 @@ from benchmarks.speed.figures import Figure, Part
 from benchmarks.speed.timing import in_ms, ratio
 from benchmarks.speed.workload import HEAD_POSE, Workload
 from benchmarks.submission.measure import WAYS, measure
-from wlr_render.compositing.compositor import Compositor
+from wlr_render.draw.gl_raster import GlRaster
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.rendering import gl
-from wlr_render.rendering.gl_raster import GlRaster
+from wlr_render.gl import gl
+from wlr_render.warp.compositor import Compositor
 
 SUBMISSION_GOAL_MS, CALLS_GOAL, MEMORY_GOAL_MB = 0.6, 150, 8.0
 FRAMES, _TURNS = 60, 5

@@ -16,16 +16,16 @@ from benchmarks.speed.baselines import bare_gl_frame, raw_embree, shaded_gl_fram
 from benchmarks.speed.figures import Figure, Part, ratio_figure
 from benchmarks.speed.timing import alternately, in_ms, ratio, times_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload, bench_model, bench_scene
-from wlr_render.compositing.raster_painter import WarpedPainter
+from wlr_render.draw.painters import Painter, TracedPainter
+from wlr_render.draw.raster_painter import WarpedPainter
+from wlr_render.draw.ray_tracing import RayRenderer
+from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.gl.gl import open_context
 from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.gl import open_context
-from wlr_render.rendering.painters import Painter, TracedPainter
-from wlr_render.rendering.ray_map import NEAREST_M, choose_plan, ray_map, solve_every_pixel
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.report.blocks import Cell
+from wlr_render.warp.ray_map import NEAREST_M, choose_plan, ray_map, solve_every_pixel
 
 RASTER_GOAL = 1.6
 

@@ -10,12 +10,12 @@ from benchmarks.speed.figures import Figure, Part, ratio_figure
 from benchmarks.speed.running import Running
 from benchmarks.speed.timing import in_ms, ratio, times_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.compositing.compositor import Compositor
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.numerics.arrays import Float32Array
-from wlr_render.rendering.srgb import decode_srgb
-from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
+from wlr_render.numerics.srgb import decode_srgb
+from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 
 NEAR_M, MOVED_M = 0.1, 0.020
 NEAR_GOAL, LIGHT_GOAL = 1.3, 0.01

@@ -9,13 +9,13 @@ import numpy as np
 
 from benchmarks.speed.timing import Run
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.compositing.composed_frame import ComposedFrame
-from wlr_render.compositing.compositor import Compositor
-from wlr_render.compositing.frame_handle import FrameHandle
-from wlr_render.compositing.scene_source import SceneSource
+from wlr_render.draw.scene_source import SceneSource
 from wlr_render.geometry import transforms
+from wlr_render.gl import gl
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering import gl
+from wlr_render.warp.composed_frame import ComposedFrame
+from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.frame_handle import FrameHandle
 
 LATE_S = 0.010
 """From drawing to scan-out, and from the first row's to the last one's."""

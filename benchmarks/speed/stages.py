@@ -4,11 +4,11 @@ from benchmarks.speed.figures import Figure, Part
 from benchmarks.speed.running import Running, later_pose
 from benchmarks.speed.timing import Run, alternately, in_ms
 from benchmarks.speed.workload import HEAD_POSE, Workload
-from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.gl_ray_maps import GlNodeSolver, GlPlanarSolver
-from wlr_render.rendering.pyrender_drawing import PyrenderView
-from wlr_render.rendering.ray_map import RayMapPlan, choose_plan
+from wlr_render.draw.gl_raster import GlRaster
+from wlr_render.draw.pyrender_drawing import PyrenderView
 from wlr_render.report.blocks import Cell, ReportTable
+from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver
+from wlr_render.warp.ray_map import RayMapPlan, choose_plan
 
 LARGE_PX = 2048, 2048
 FRAME_GOAL_MS, LARGE_FRAME_GOAL_MS = 2.0, 4.0

@@ -17,10 +17,10 @@ from benchmarks.speed.record import record
 from benchmarks.speed.timing import GPU_ROUNDS, ROUNDS
 from benchmarks.speed.workload import PANEL, Workload, bench_model, workload
 from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.gl import gl
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.jobs.options import Backend, Options, ProgressArgument, described
 from wlr_render.mappings import Panel
-from wlr_render.rendering import gl
 from wlr_render.report.blocks import Report, ReportTable
 from wlr_render.report.save import save_report
 from wlr_render.work.progress import SILENT

@@ -13,8 +13,8 @@ from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.scene import Instance, LightSource, Scene
-from wlr_render.rendering.shapes.objects import sculpture
+from wlr_render.scene.scene import Instance, LightSource, Scene
+from wlr_render.scene.shapes.objects import sculpture
 
 HEAD_POSE = np.eye(4)
 DEVICE = "northstar"

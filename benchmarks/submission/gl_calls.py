@@ -16,8 +16,8 @@ import glcontext
 import moderngl
 
 from wlr_render.errors import BadInputError
-from wlr_render.rendering import gl
-from wlr_render.rendering.native_contexts import CurrentContext
+from wlr_render.gl import gl
+from wlr_render.gl.native_contexts import CurrentContext
 
 _SIZE = 1 << 20
 _FUNCTION_BYTES = 64

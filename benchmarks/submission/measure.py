@@ -13,9 +13,9 @@ import moderngl
 import numpy as np
 
 from benchmarks.submission.gl_calls import GlCalls, is_get
-from wlr_render.compositing.compositor import Compositor
 from wlr_render.mappings import Eye
-from wlr_render.rendering.stored_picture import DepthKind, StoredDepth
+from wlr_render.warp.compositor import Compositor
+from wlr_render.warp.stored_picture import DepthKind, StoredDepth
 
 WAYS = {
     "own": "own context",

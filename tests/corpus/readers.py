@@ -16,7 +16,7 @@ from wlr_render.optics.device_file import device_content, device_of, load_device
 from wlr_render.optics.lens_files.glass_catalogues import GlassCatalogue
 from wlr_render.optics.lens_files.headset_of_lens import HeadsetChoices, headset_of_lens
 from wlr_render.optics.lens_files.lens_file import read_lens_file
-from wlr_render.rendering.scene_file import load_scene
+from wlr_render.scene.scene_file import load_scene
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import read_head_trajectory
 

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.exports.readers import our_warp, smooth_picture
 from wlr_render.exports.pixel_maps import FloatMap
-from wlr_render.rendering.image_files import read_map
+from wlr_render.scene.image_files import read_map
 
 
 @pytest.mark.parametrize("name", ["pfm", "tiff"])

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.exports.readers import our_warp, smooth_picture, warped_by_openimageio
 from wlr_render.exports.pixel_maps import StMap
-from wlr_render.rendering.exr_file import read_exr
+from wlr_render.scene.exr_file import read_exr
 
 
 def written(view, folder):

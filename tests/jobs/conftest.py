@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from memo import memoised, shared_folder
 
-from wlr_render.rendering.choose_warp_grid import choose_warp_grid
+from wlr_render.warp.choose_grid import choose_warp_grid
 
 
 @pytest.fixture

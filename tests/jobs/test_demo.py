@@ -12,8 +12,8 @@ from wlr_render.errors import BadInputError
 from wlr_render.jobs import demo as job
 from wlr_render.jobs.demo import METHODS, DemoOptions, demo, judged_viewpoints, simulated_captures
 from wlr_render.jobs.headset import open_eye
-from wlr_render.rendering.image_files import read_png
 from wlr_render.report.blocks import Picture, Plot
+from wlr_render.scene.image_files import read_png
 from wlr_render.simulation.simulate_captures import CaptureSetup
 
 

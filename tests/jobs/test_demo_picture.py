@@ -11,7 +11,7 @@ from wlr_render.jobs.demo_picture import (
     overview_camera,
     save_picture,
 )
-from wlr_render.rendering.image_files import read_png
+from wlr_render.scene.image_files import read_png
 
 TANGENTS = np.array([[-0.4, -0.1], [0.2, 0.3], [0.0, 0.1]])
 

@@ -34,10 +34,10 @@ from wlr_render.jobs.render import render
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.jobs.trace import TraceOptions, trace
 from wlr_render.models.model_file import EyeModel, load_eye_model, save_eye_models
-from wlr_render.rendering.exr_file import read_exr
-from wlr_render.rendering.image_files import read_map, read_png
-from wlr_render.rendering.ray_map import ray_map
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+from wlr_render.numerics.srgb import decode_srgb, encode_srgb
+from wlr_render.scene.exr_file import read_exr
+from wlr_render.scene.image_files import read_map, read_png
+from wlr_render.warp.ray_map import ray_map
 
 
 def exported(form, model, folder, **options):

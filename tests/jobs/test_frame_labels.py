@@ -12,6 +12,9 @@ import pytest
 from jobs.test_render import metadata
 from small_headsets import changed_device
 
+from wlr_render.draw.frame_layers import INSTANCE, LAYERS
+from wlr_render.draw.painters import TracedPainter
+from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.extras import MissingExtraError
@@ -19,13 +22,10 @@ from wlr_render.geometry import transforms
 from wlr_render.jobs.frame_labels import instance_annotations, read_labels, write_labels
 from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions, render
-from wlr_render.rendering.exr_file import read_exr
-from wlr_render.rendering.frame_layers import INSTANCE, LAYERS
-from wlr_render.rendering.image_files import read_png, write_video
-from wlr_render.rendering.painters import TracedPainter
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene_file import load_scene
 from wlr_render.report.blocks import Plot
+from wlr_render.scene.exr_file import read_exr
+from wlr_render.scene.image_files import read_png, write_video
+from wlr_render.scene.scene_file import load_scene
 from wlr_render.tracking.trajectory import EYES
 
 BALL, WALL = 1, 2

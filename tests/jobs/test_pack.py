@@ -13,7 +13,7 @@ from jobs.test_render import metadata
 from wlr_render.errors import BadInputError
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.models.model_file import load_eye_model
-from wlr_render.rendering.image_files import read_png
+from wlr_render.scene.image_files import read_png
 
 KEYS = [f"{eye}-00000{number}" for number in (0, 1) for eye in ("left", "right")]
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from wlr_render.budget.registration_budget import registration_covariance
-from wlr_render.compositing.raster_painter import WarpedPainter
+from wlr_render.draw.raster_painter import WarpedPainter
 from wlr_render.errors import BadInputError, MissingGlError
 from wlr_render.geometry import transforms
+from wlr_render.gl import gl
 from wlr_render.io import kept
 from wlr_render.jobs import frame_drawing
 from wlr_render.jobs.budget import opened_with_sizes
@@ -22,8 +23,7 @@ from wlr_render.jobs.headset import open_eye
 from wlr_render.jobs.render import RenderOptions, render
 from wlr_render.mappings import EyeBox
 from wlr_render.models.model_file import load_eye_model, save_eye_models
-from wlr_render.rendering import gl
-from wlr_render.rendering.image_files import read_map, read_png, write_png
+from wlr_render.scene.image_files import read_map, read_png, write_png
 from wlr_render.tracking.eye_trajectory_file import write_eye_trajectory
 from wlr_render.tracking.head_trajectory_file import write_head_trajectory_tum
 from wlr_render.tracking.trajectory import EyeTrajectory, HeadTrajectory, ViewpointTrack

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from small_headsets import prism_of_plastic
 
-from wlr_render.compositing.raster_painter import WarpedPainter
+from wlr_render.draw.raster_painter import WarpedPainter
+from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.evaluation.lateral_colour import lateral_colour
 from wlr_render.geometry import directions
 from wlr_render.jobs.headset import open_colours
 from wlr_render.jobs.render import RenderOptions, render
-from wlr_render.rendering.image_files import read_map, read_png
-from wlr_render.rendering.scene_file import load_scene
-from wlr_render.rendering.scene_raster import SceneRaster
-from wlr_render.rendering.srgb import decode_srgb
+from wlr_render.numerics.srgb import decode_srgb
+from wlr_render.scene.image_files import read_map, read_png
+from wlr_render.scene.scene_file import load_scene
 
 WHITE_DISC = """
 format = "wlr-scene"

@@ -12,7 +12,7 @@ from wlr_render.optics.drawing import draw_device
 from wlr_render.optics.first_order import first_order
 from wlr_render.optics.media import FRAUNHOFER_F_D_C_UM
 from wlr_render.optics.ray_losses import display_losses
-from wlr_render.rendering.image_files import read_png
+from wlr_render.scene.image_files import read_png
 
 
 def traced(device, folder, eye="right"):

@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 
 from wlr_render import __version__
 from wlr_render.io.atomic_files import write_figure
-from wlr_render.rendering.image_files import write_png
 from wlr_render.report.blocks import Picture, Plot, Report, ReportTable, Section, Text, quantity, table
 from wlr_render.report.plots import bars
 from wlr_render.report.records import json_text, to_jsonable
 from wlr_render.report.save import markdown_table, save_report
+from wlr_render.scene.image_files import write_png
 
 TABLE = ReportTable("Errors", ["name", "error (arcmin)"], [["a", 0.24321], ["b|<i>", np.nan], ["c", 3e-6]], ["A note."])
 CURVE = Plot(

@@ -14,11 +14,11 @@ import numpy as np
 from wlr_render.budget.error_sizes import ErrorSizes
 from wlr_render.budget.registration_budget import MODEL, registration_covariance
 from wlr_render.budget.statement import SourceShare, radius_within, shares, variance
+from wlr_render.draw.sampling import bilinear_at
 from wlr_render.geometry.directions import dir_of_tangents, tangents_of_dir
 from wlr_render.mappings import Eye, Panel
 from wlr_render.numerics import chebyshev
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
-from wlr_render.rendering.sampling import bilinear_at
 
 _COLUMNS, _ROWS = 18, 16  # cells of a map
 _VIEWPOINTS = 3  # Chebyshev nodes along each axis of the eye box

@@ -67,7 +67,7 @@ class Drawing(_Sizes):
     """Errors of drawing; every pixel counts as if its error were the bound.
 
     Attributes:
-        warp_grid_arcmin: bound of the interpolation error of the warp grid (`rendering.choose_warp_grid`).
+        warp_grid_arcmin: bound of the interpolation error of the warp grid (`warp.choose_grid`).
         raster_arcmin: bound of the difference between a raster frame and a ray-traced one.
         is_rounded: whether edges are rounded to whole pixels. A warp with a filter does not round: the brightness of
             two neighbouring pixels places an edge between them. Without a filter, the error of an edge is uniform

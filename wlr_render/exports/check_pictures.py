@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.draw.sampling import remap
 from wlr_render.exports.export_view import ALL_COLOURS, ExportedView
 from wlr_render.exports.format import Capabilities
-from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.sampling import remap
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
+from wlr_render.numerics.srgb import decode_srgb, encode_srgb
+from wlr_render.scene.image_files import write_png
 
 CHECK_SOURCE, CHECK_PANEL = "check-source.png", "check-panel.png"
 _CELLS = 16

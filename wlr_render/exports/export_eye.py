@@ -9,8 +9,8 @@ from wlr_render.exports.formats import FORMATS, FormatName, format_of
 from wlr_render.io.atomic_files import output_folder
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.exr_file import require_exr
-from wlr_render.rendering.ray_map import checked_viewpoint
+from wlr_render.scene.exr_file import require_exr
+from wlr_render.warp.ray_map import checked_viewpoint
 
 
 def export(

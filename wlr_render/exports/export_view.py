@@ -11,9 +11,9 @@ import numpy as np
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
-from wlr_render.rendering.raster_camera import RasterPlace, RasterPosition, intermediate_camera
-from wlr_render.rendering.ray_map import RayMapPlan, choose_plan, middle_axes, ray_map, solve_pixels
-from wlr_render.rendering.view import View
+from wlr_render.warp.raster_camera import RasterPlace, RasterPosition, intermediate_camera
+from wlr_render.warp.ray_map import RayMapPlan, choose_plan, middle_axes, ray_map, solve_pixels
+from wlr_render.warp.view import View
 
 ALL_COLOURS = "all"
 """Name of the one map that serves all colours."""

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.compositing.warp_mesh import mesh_grid, mesh_triangles
 from wlr_render.errors import BadInputError
 from wlr_render.exports.check_pictures import CHECK_SOURCE
 from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts
 from wlr_render.exports.format import Capabilities, Loss
 from wlr_render.io.atomic_files import write_text
-from wlr_render.rendering.warp_grid import WarpGrid
+from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.warp_mesh import mesh_grid, mesh_triangles
 
 TOLERANCE_ARCMIN = 0.1
 """Largest interpolation error: a tenth of the error at another depth; a finer mesh costs an engine more than it

@@ -11,8 +11,8 @@ from wlr_render.exports.export_view import ExportedView, has_ray
 from wlr_render.exports.facts import facts, header_texts, write_facts
 from wlr_render.exports.format import Capabilities, EveryPixel, FormatByColour
 from wlr_render.io.atomic_files import write_arrays, write_image
-from wlr_render.rendering.exr_file import write_exr
-from wlr_render.rendering.image_files import write_map
+from wlr_render.scene.exr_file import write_exr
+from wlr_render.scene.image_files import write_map
 
 STMAP_NO_RAY = np.float32(-1.0)
 """Position of panel pixels without a ray: outside the picture; NaN would spread in a reader's filter."""

@@ -20,10 +20,10 @@ from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.mappings import Eye
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
-from wlr_render.rendering.choose_warp_grid import choose_warp_grid
 from wlr_render.report.blocks import Block, Cell, Columns, Plot, Report, ReportTable, Section, Text, cell_text, table
 from wlr_render.report.plots import heat_map, small_heat_maps
 from wlr_render.report.save import save_report
+from wlr_render.warp.choose_grid import choose_warp_grid
 from wlr_render.work.progress import SILENT
 
 _ADVISED = 3  # sources that are named as worth improving

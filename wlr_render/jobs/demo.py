@@ -28,7 +28,10 @@ from wlr_render.budget.statement import variance
 from wlr_render.calibration.fit_display import fit_display
 from wlr_render.calibration.fit_eye import Calibration, calibrate
 from wlr_render.captures.correspondences import Captures
-from wlr_render.compositing.raster_painter import WarpedPainter, traced_instead
+from wlr_render.draw.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
+from wlr_render.draw.raster_painter import WarpedPainter, traced_instead
+from wlr_render.draw.ray_tracing import EyeView, RayRenderer, eye_view
+from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.errors import BadInputError
 from wlr_render.evaluation.metrics import Summary, summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
@@ -60,18 +63,15 @@ from wlr_render.jobs.options import (
 from wlr_render.mappings import Eye
 from wlr_render.models.static import undeviated
 from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.srgb import decode_srgb, encode_srgb
 from wlr_render.optics.device_file import device_path, load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.image_files import write_png
-from wlr_render.rendering.painters import Frame, Painter, TracedPainter, blank_warnings, is_blank, saturation_warnings
-from wlr_render.rendering.ray_tracing import EyeView, RayRenderer, eye_view
-from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.scene_file import load_scene, scene_path
-from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
-from wlr_render.rendering.srgb import decode_srgb, encode_srgb
 from wlr_render.report.blocks import Block, Picture, Plot, Report, ReportTable, Section, cell_text, table
 from wlr_render.report.plots import curves, small_heat_maps
 from wlr_render.report.save import save_report
+from wlr_render.scene.image_files import write_png
+from wlr_render.scene.scene import Scene
+from wlr_render.scene.scene_file import load_scene, scene_path
 from wlr_render.simulation import viewpoints as stage
 from wlr_render.simulation.simulate_captures import CaptureSetup, simulate_display, simulate_see_through
 from wlr_render.usual import CAMERA_NOISE_ARCMIN

@@ -47,9 +47,9 @@ from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.models.model_file import load_eye_model
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.media import GREEN_UM
-from wlr_render.rendering.exr_file import require_exr
 from wlr_render.report.blocks import Report
 from wlr_render.report.save import save_report
+from wlr_render.scene.exr_file import require_exr
 from wlr_render.tracking.eye_trajectory_file import read_eye_trajectory
 from wlr_render.tracking.trajectory import EyeTrajectory
 from wlr_render.work.progress import SILENT

@@ -14,7 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from wlr_render.budget.error_map import ErrorMap
-from wlr_render.compositing.raster_painter import WarpedPainter
+from wlr_render.draw.frame_layers import INSTANCE, frame_layers
+from wlr_render.draw.mitsuba_frames import PathTracedPainter, PathTracer
+from wlr_render.draw.painters import Frame, Painter, TracedPainter, is_blank
+from wlr_render.draw.raster_painter import WarpedPainter
+from wlr_render.draw.ray_tracing import RayRenderer
+from wlr_render.draw.scene_raster import SceneRaster, open_scene_raster
 from wlr_render.errors import BadInputError
 from wlr_render.io.input_files import hashes_of_inputs, may_refer_outside, outside_references, prefix_errors
 from wlr_render.io.kept import Facts, Signature, signatures_of
@@ -34,16 +39,11 @@ from wlr_render.jobs.options import eyes_of, seed_of
 from wlr_render.jobs.render_options import RenderOptions
 from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.optics.traced_mappings import TRACED
-from wlr_render.rendering.exr_file import require_exr
-from wlr_render.rendering.frame_layers import INSTANCE, frame_layers
-from wlr_render.rendering.image_files import write_map, write_png
-from wlr_render.rendering.mitsuba_frames import PathTracedPainter, PathTracer
-from wlr_render.rendering.painters import Frame, Painter, TracedPainter, is_blank
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene import Scene
-from wlr_render.rendering.scene_file import load_scene, scene_path
-from wlr_render.rendering.scene_raster import SceneRaster, open_scene_raster
-from wlr_render.rendering.view import write_view
+from wlr_render.scene.exr_file import require_exr
+from wlr_render.scene.image_files import write_map, write_png
+from wlr_render.scene.scene import Scene
+from wlr_render.scene.scene_file import load_scene, scene_path
+from wlr_render.warp.view import write_view
 from wlr_render.work.workers import LOCAL, as_finished
 
 _FRAMES_OF_A_BLOCK = 8  # most frames per block; an interrupted run may lose as many with each worker

@@ -1,6 +1,6 @@
 """Layers, instances and misalignment of a frame, and the file that joins the instances of a sequence.
 
-`STEM.exr` has the layers of `rendering/frame_layers.py`, and `STEM-labels.json` the instances that the frame shows:
+`STEM.exr` has the layers of `draw/frame_layers.py`, and `STEM-labels.json` the instances that the frame shows:
 they would make a ledger of all frames too long. `instances.json` (the layout of COCO) joins them at the end.
 """
 
@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wlr_render.draw.frame_layers import MEANINGS, Layer
+from wlr_render.draw.painters import Frame
 from wlr_render.evaluation.metrics import summary
 from wlr_render.evaluation.misalignment import misalignment_arcmin
 from wlr_render.geometry import transforms
@@ -20,10 +22,8 @@ from wlr_render.io.input_files import LIMITS, as_bad_input, read_text
 from wlr_render.io.toml_files import parse_json
 from wlr_render.jobs.frame_plan import PlannedFrame
 from wlr_render.mappings import Eye, Panel
-from wlr_render.rendering.exr_file import write_exr
-from wlr_render.rendering.frame_layers import MEANINGS, Layer
-from wlr_render.rendering.painters import Frame
-from wlr_render.rendering.scene import Scene
+from wlr_render.scene.exr_file import write_exr
+from wlr_render.scene.scene import Scene
 
 INSTANCES = "instances.json"
 _KIND = "the labels of a frame"

@@ -15,7 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.compositing.raster_painter import traced_instead
+from wlr_render.draw.frame_layers import LAYERS
+from wlr_render.draw.painters import blank_warnings, saturation_warnings
+from wlr_render.draw.raster_painter import traced_instead
+from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import output_folder, write_text
 from wlr_render.io.kept import LEDGER, Facts, Kept, recipe_of
@@ -36,14 +39,11 @@ from wlr_render.jobs.job import job
 from wlr_render.jobs.options import ProgressArgument, eyes_of
 from wlr_render.jobs.pack import pack_frames
 from wlr_render.jobs.render_options import RenderOptions
-from wlr_render.rendering.frame_layers import LAYERS
-from wlr_render.rendering.image_files import read_png, write_video
-from wlr_render.rendering.painters import blank_warnings, saturation_warnings
-from wlr_render.rendering.scene_file import scene_path
-from wlr_render.rendering.scene_raster import SceneRaster
 from wlr_render.report.blocks import Block, Cell, Picture, Plot, Report, ReportTable
 from wlr_render.report.plots import curves
 from wlr_render.report.save import save_report
+from wlr_render.scene.image_files import read_png, write_video
+from wlr_render.scene.scene_file import scene_path
 from wlr_render.work.progress import SILENT, Progress
 
 _MOST_NAMES = 10  # largest number of changed frames in a warning

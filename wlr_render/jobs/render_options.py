@@ -4,6 +4,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+from wlr_render.draw.frame_layers import Layer
 from wlr_render.errors import BadInputError
 from wlr_render.jobs import limits
 from wlr_render.jobs.options import (
@@ -20,7 +21,6 @@ from wlr_render.jobs.options import (
     described,
     option_group,
 )
-from wlr_render.rendering.frame_layers import Layer
 
 Layout = Literal["webdataset", "huggingface"]
 _MOTION = option_group("Motion", 1)

@@ -4,9 +4,9 @@ import numpy as np
 from gl_scenes import at, quad, unlit
 
 from benchmarks.raster.disocclusion import disoccluded, hit_positions
+from wlr_render.draw.ray_intersections import SceneTracer
 from wlr_render.geometry import directions, transforms
-from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import RayMap
+from wlr_render.warp.ray_map import RayMap
 
 HEAD = transforms.rigid(transforms.rotation_about("y", 0.7), np.array([1.0, 1.6, -0.2]))
 EYE = np.array([0.03, 0.0, -0.02])

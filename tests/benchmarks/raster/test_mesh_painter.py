@@ -5,12 +5,12 @@ import pytest
 from gl_scenes import at, lit
 
 from benchmarks.raster.mesh_painter import MeshWarpedPainter, source_of_position
-from wlr_render.compositing.raster_painter import WarpedPainter
+from wlr_render.draw.painters import TracedPainter, position_of_source
+from wlr_render.draw.raster_painter import WarpedPainter
+from wlr_render.draw.ray_tracing import RayRenderer
+from wlr_render.draw.scene_raster import SceneRaster
 from wlr_render.geometry import transforms
-from wlr_render.rendering.painters import TracedPainter, position_of_source
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.scene_raster import SceneRaster
-from wlr_render.rendering.shapes import construction
+from wlr_render.scene.shapes import construction
 
 HEAD_POSE = at(0.1, 1.5, 0.3, transforms.rotation_about("y", 0.5) @ transforms.rotation_about("x", -0.1))
 

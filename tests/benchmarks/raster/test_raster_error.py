@@ -6,7 +6,7 @@ import pytest
 from benchmarks.raster.raster_error import raster_error
 from wlr_render.geometry import directions, transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.view import View
+from wlr_render.warp.view import View
 
 
 @pytest.fixture

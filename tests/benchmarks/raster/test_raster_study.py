@@ -5,7 +5,7 @@ import pytest
 from small_headsets import changed_device
 
 from benchmarks.raster.study import RasterOptions, run
-from wlr_render.rendering.image_files import read_map, read_png
+from wlr_render.scene.image_files import read_map, read_png
 
 
 @pytest.fixture(scope="module")

@@ -13,12 +13,12 @@ import pytest
 from benchmarks.renderers import study
 from benchmarks.renderers.casting import LIBRARIES, blender_positions, right_distances
 from benchmarks.renderers.study import along_ray, differences
+from wlr_render.draw.ray_intersections import SceneTracer
 from wlr_render.geometry import transforms
 from wlr_render.optics.device_file import load_device
 from wlr_render.optics.traced_mappings import traced_eye
-from wlr_render.rendering.ray_intersections import SceneTracer
-from wlr_render.rendering.ray_map import choose_plan, ray_map
-from wlr_render.rendering.scene_file import load_scene
+from wlr_render.scene.scene_file import load_scene
+from wlr_render.warp.ray_map import choose_plan, ray_map
 
 POSE = transforms.rigid(transforms.rotation_about("y", 0.05), np.array([0.01, 0.02, 0.03]))
 

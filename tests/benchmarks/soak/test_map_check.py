@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.soak.map_check import arcmin_apart
 from wlr_render.geometry import transforms
-from wlr_render.rendering.ray_map import NEAREST_M, RayMap
+from wlr_render.warp.ray_map import NEAREST_M, RayMap
 
 AXES = transforms.rotation_about("y", 0.2)
 

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.speed.workload import Workload, bench_scene
 from wlr_render.errors import MissingGlError
-from wlr_render.rendering import gl
+from wlr_render.gl import gl
 
 ROUNDS = 2
 TRIANGLES = 2000

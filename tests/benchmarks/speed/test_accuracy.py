@@ -7,8 +7,8 @@ from benchmarks.speed import accuracy_tables
 from benchmarks.speed.accuracy import ScanOutPose, landing, near_silhouettes, subject, truth
 from wlr_render.geometry import transforms
 from wlr_render.geometry.pinhole import Pinhole
-from wlr_render.rendering.choose_warp_grid import TOLERANCE_ARCMIN
-from wlr_render.rendering.scene_file import load_scene
+from wlr_render.scene.scene_file import load_scene
+from wlr_render.warp.choose_grid import TOLERANCE_ARCMIN
 
 PLACE = np.array([0.6, -0.5, 0.4])
 TURN = transforms.rigid(transforms.rotation_about("y", np.deg2rad(0.5)), np.zeros(3))

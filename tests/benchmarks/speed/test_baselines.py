@@ -6,13 +6,13 @@ import pytest
 from benchmarks.speed import offline
 from benchmarks.speed.baselines import bare_gl_frame, raw_embree, shaded_gl_frame
 from benchmarks.speed.workload import HEAD_POSE, bench_scene
+from wlr_render.draw.gl_raster import GlRaster
+from wlr_render.draw.ray_tracing import RayRenderer
 from wlr_render.errors import MissingGlError
-from wlr_render.rendering import gl
-from wlr_render.rendering.gl_raster import GlRaster
-from wlr_render.rendering.raster_camera import EyePlan
-from wlr_render.rendering.ray_map import choose_plan, ray_map
-from wlr_render.rendering.ray_tracing import RayRenderer
-from wlr_render.rendering.view import View
+from wlr_render.gl import gl
+from wlr_render.warp.raster_camera import EyePlan
+from wlr_render.warp.ray_map import choose_plan, ray_map
+from wlr_render.warp.view import View
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from benchmarks.speed.frozen_map import (
 )
 from wlr_render.geometry import directions
 from wlr_render.jobs.headset import open_eye
-from wlr_render.rendering.ray_map import middle_axes
+from wlr_render.warp.ray_map import middle_axes
 
 PANEL_DEPTH_M = 0.5
 RNG = np.random.default_rng(2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.speed import offline
-from wlr_render.rendering.ray_map import NEAREST_M, ray_map
+from wlr_render.warp.ray_map import NEAREST_M, ray_map
 
 
 def test_the_fast_map_is_exact_to_a_fiftieth_of_a_pixel(small_panel_model):

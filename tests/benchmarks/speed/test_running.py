@@ -5,7 +5,7 @@ import pytest
 from speed_work import needs_gl, small_work
 
 from benchmarks.speed.running import LATE_S, TURN_DEG_PER_S, WALK_M_PER_S, Running, later_pose
-from wlr_render.rendering.gl_ray_maps import GlPlanarSolver
+from wlr_render.warp.gl_ray_maps import GlPlanarSolver
 
 
 def test_a_later_pose_is_as_late_as_its_speeds_say():

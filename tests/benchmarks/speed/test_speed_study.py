@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.speed import study
 from wlr_render.errors import BadInputError, MissingGlError
-from wlr_render.rendering import gl
+from wlr_render.gl import gl
 
 
 def test_a_run_without_opengl_cannot_be_recorded_and_nothing_is_measured(tmp_path, monkeypatch):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from benchmarks.speed.workload import HEAD_POSE, bench_scene
-from wlr_render.rendering.painters import TracedPainter
-from wlr_render.rendering.ray_tracing import RayRenderer
+from wlr_render.draw.painters import TracedPainter
+from wlr_render.draw.ray_tracing import RayRenderer
 
 
 def test_the_workload_is_a_hundred_thousand_triangles_large_in_the_field(small_panel_model):

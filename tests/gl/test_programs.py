@@ -1,0 +1,60 @@
+"""Textures that are not bound again, and framebuffers bound without ModernGL."""
+
+import numpy as np
+import pytest
+
+from wlr_render.gl import gl
+
+
+@pytest.fixture
+def copying(gl_context):
+    """A function that draws a texture's colour into a framebuffer, with the tools of frames."""
+    with gl_context.drawing() as ctx:
+        program = ctx.program(
+            vertex_shader="#version 410\nvoid main() "
+            "{ gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }",
+            fragment_shader="#version 410\nuniform sampler2D t; out vec4 c; void main() { c = texture(t, vec2(0.5)); }",
+        )
+        triangle = ctx.vertex_array(program, [])
+
+    def copy(texture, framebuffer):
+        gl_context.draw_to(framebuffer)
+        gl.bind_textures(program, t=texture)
+        triangle.render(vertices=3)
+
+    return copy
+
+
+@pytest.mark.gl
+def test_each_draw_gets_its_texture_and_its_target(gl_context, copying):
+    with gl_context.drawing() as ctx:
+        red, green = (ctx.texture((1, 1), 4, bytes(pixel)) for pixel in ([255, 0, 0, 255], [0, 255, 0, 255]))
+        textures = [gl_context.target((2, 2), 4, "f1") for _ in range(5)]
+        targets = [gl_context.framebuffer([texture]) for texture in textures]
+        copying(red, targets[0])
+        copying(green, targets[1])
+        copying(green, targets[2])
+        with gl_context.drawing(third_party=True):
+            red.use(0)
+        copying(green, targets[3])
+        targets[4].viewport = (0, 0, 2, 1)
+        copying(red, targets[4])
+        shown = [gl.read(texture, np.uint8)[..., :2] for texture in textures]
+    for picture, colour in zip(shown[:4], ([255, 0], [0, 255], [0, 255], [0, 255]), strict=True):
+        assert (picture == colour).all()
+    assert (shown[4][0] == [255, 0]).all()
+    assert (shown[4][1] == 0).all()
+
+
+@pytest.mark.gl
+def test_textures_are_bound_anew_in_each_block(gl_context, copying):
+    with gl_context.drawing() as ctx:
+        red, green = (ctx.texture((1, 1), 4, bytes(pixel)) for pixel in ([255, 0, 0, 255], [0, 255, 0, 255]))
+        texture = gl_context.target((2, 2), 4, "f1")
+        target = gl_context.framebuffer([texture])
+        copying(green, target)
+    with vars(gl_context)["_owner"].entered(third_party=False):
+        red.use(0)  # as a host does between our calls
+    with gl_context.drawing():
+        copying(green, target)
+        assert (gl.read(texture, np.uint8) == [0, 255, 0, 255]).all()

@@ -1,0 +1,78 @@
+"""Three models of one eye: each colour is bent as its own model says."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from composing import HEAD, clear_of_edges, draw, planar, scene, traced, viewpoint
+
+from wlr_render.draw.ray_tracing import RayRenderer
+from wlr_render.draw.scene_source import SceneSource
+from wlr_render.geometry import directions, transforms
+from wlr_render.warp.raster_camera import EyePlan
+
+
+@pytest.mark.gl
+def test_each_colour_is_what_its_own_models_rays_meet(compositor, flat_image_headset):
+    see_through = flat_image_headset.see_through
+    colours = [
+        replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.02, 0.0, 0.02)
+    ]
+    together, renderer, at = (
+        compositor({"right": colours}),
+        RayRenderer(scene()),
+        viewpoint(colours[0]),
+    )
+    (camera,) = draw(together, SceneSource(together, scene()), HEAD, at).values()
+    picture = together.compose().read().astype(int)
+    for channel, model in enumerate(colours):
+        truth = traced(model, together.size_px, at, HEAD, renderer)
+        eye, drawn_from = transforms.apply(HEAD, at), camera.view.position_in_world
+        clear = clear_of_edges(truth, renderer, eye, drawn_from, HEAD, reach_px=1)
+        difference = np.abs(picture - truth.colour)[clear].max(axis=0)
+        assert clear.mean() > 0.5
+        assert difference[channel] <= 2
+        assert np.delete(difference, channel).max() > 40
+
+
+def composed(compositor, model):
+    draw(compositor, SceneSource(compositor, scene()), HEAD, viewpoint(model))
+    return compositor.compose()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("kind", ["planar", "flat image"])
+@pytest.mark.slow
+def test_three_models_alike_are_one(compositor, flat_image_headset, kind):
+    model = planar() if kind == "planar" else flat_image_headset
+    one, three = (compositor({"right": given}) for given in (model, [model] * 3))
+    alone, together = composed(one, model), composed(three, model)
+    np.testing.assert_array_equal(together.read(), alone.read())
+    assert together.unsolved()["right"] == {name: 3 * count for name, count in alone.unsolved()["right"].items()}
+
+
+@dataclass(frozen=True)
+class Rippled:
+    """A display whose directions swing to and fro along the panel's rows."""
+
+    whole: object
+
+    @property
+    def panel(self):
+        return self.whole.panel
+
+    def view_dir_of_pixel(self, pixel, at, warm_start=None):
+        answer = self.whole.view_dir_of_pixel(pixel, at)
+        swing = 1e-4 * np.sin(40 * np.asarray(pixel)[..., 0] / self.panel.width_px)
+        value = directions.normalised(answer.value + swing[..., None] * [1.0, 0.0, 0.0])
+        return replace(answer, value=value)
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_the_most_curved_colour_says_how_fine_the_lattice_is(flat_image_headset, place):
+    colours = [flat_image_headset] * 3
+    colours[place] = replace(flat_image_headset, display=Rippled(flat_image_headset.display))
+    flat, together = (
+        EyePlan.of(models, (72, 60), 1.0).warp_grid.cell_px for models in ((flat_image_headset,), tuple(colours))
+    )
+    assert (together < 0.95 * flat).all()

@@ -1,0 +1,72 @@
+import numpy as np
+import pytest
+from fitted_eyes import fitted_eye
+
+from wlr_render.errors import BadInputError
+from wlr_render.mappings import Status
+from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver
+from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.ray_map import RayMapPlan, choose_plan, middle_axes, solve_every_pixel
+
+pytestmark = pytest.mark.gl
+
+
+def plan_of(eye, columns=21, rows=31, count=None):
+    axes = middle_axes(eye)
+    warp_grid = WarpGrid.edge_to_edge(eye.display.panel, columns, rows)
+    return RayMapPlan.onto_grid(warp_grid, count or choose_plan(eye).node_count, axes)
+
+
+def test_the_texture_holds_the_exact_rays_at_the_points(gl_context, toy_headset):
+    plan = plan_of(toy_headset)
+    nodes = GlNodeSolver(gl_context, toy_headset, plan)
+    for unit in ([0.0, 0.0, 0.0], [0.7, -0.9, 0.8]):
+        viewpoint = toy_headset.eye_box.at(np.array(unit))
+        field = nodes.solve(viewpoint)
+        exact = solve_every_pixel(toy_headset, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel())
+        np.testing.assert_allclose(field.read_slope_offset(), exact.slope_offset, atol=2e-5)
+        np.testing.assert_array_equal(field.read().slope_offset, field.read_slope_offset())
+        assert (field.read_status() == Status.OK).all()
+        assert field.warp_grid is plan.warp_grid
+        np.testing.assert_array_equal(field.viewpoint_in_device, viewpoint)
+
+
+def test_planar_models_agree_with_the_shader(gl_context):
+    eye = fitted_eye("northstar", 5)
+    plan, viewpoint = plan_of(eye), eye.eye_box.at(np.array([0.4, -0.6, 0.8]))
+    by_nodes = GlNodeSolver(gl_context, eye, plan).solve(viewpoint)
+    in_shader = GlPlanarSolver(gl_context, eye, plan.warp_grid, plan.device_from_camera).solve(viewpoint)
+    error = np.abs(by_nodes.read_slope_offset() - in_shader.read_slope_offset()).max(axis=0)
+    inside = in_shader.read_status() == Status.OK
+    assert inside.mean() > 0.8
+    assert error[inside].max() < 3e-6
+    # Beyond the border, across which the models continue with another curvature, nodes follow less closely.
+    assert error[~inside].max() < 3e-5
+
+
+def test_nodes_without_an_answer_are_filled_and_the_hole_stays(gl_context, toy_headset, toy_headset_with_hole):
+    eye = toy_headset_with_hole
+    plan = plan_of(eye, 49, 41, 9)
+    solver = GlNodeSolver(gl_context, eye, plan)
+    for unit in ([0, 0, 0], [0.8, -0.7, 0.9], [1.4, 1.2, -1]):
+        viewpoint = eye.eye_box.at(np.array(unit, float))
+        whole = solve_every_pixel(toy_headset, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel())
+        in_hole = solve_every_pixel(eye, viewpoint, plan.device_from_camera, plan.warp_grid.panel_pixel()).status > 0
+        assert 0 < in_hole.sum() < 50
+        field = solver.solve(viewpoint)
+        found = field.read_slope_offset()
+        np.testing.assert_array_equal(np.isnan(found).all(axis=0), in_hole)
+        np.testing.assert_allclose(found[:, ~in_hole], whole.slope_offset[:, ~in_hole], atol=2e-4)
+        status = field.read_status()
+        assert (status[in_hole] == Status.MISS).all()
+        # Points around filled nodes are counted too.
+        assert in_hole.sum() <= (status == Status.MISS).sum() < 0.2 * status.size
+
+
+def test_a_viewpoint_that_is_none_is_refused_and_the_field_stays(gl_context, toy_headset):
+    nodes = GlNodeSolver(gl_context, toy_headset, plan_of(toy_headset))
+    field = nodes.solve(toy_headset.eye_box.centre)
+    before = field.read_slope_offset()
+    with pytest.raises(BadInputError, match=r"is \[0.0, nan, 0.0\]; give three finite numbers"):
+        nodes.solve(np.array([0.0, np.nan, 0.0]))
+    np.testing.assert_array_equal(field.read_slope_offset(), before)

@@ -1,0 +1,163 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from fitted_eyes import DEGREES, fitted_eye, fitted_terms
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.directions import ARCMIN, arcmin_between, dir_of_tangents
+from wlr_render.geometry.planes import BasePlane
+from wlr_render.mappings import Status
+from wlr_render.models.moved_panel import MovedPanelDisplay
+from wlr_render.numerics.polynomial import Box
+from wlr_render.warp.gl_ray_maps import GlPlanarSolver
+from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.ray_map import NEAREST_M, middle_axes, solve_every_pixel
+
+pytestmark = pytest.mark.gl
+
+SIZE = 45, 50
+DEVICES = "northstar", "freeform40", "birdbath28"
+PLACES = [0, 0, 0], [1, 1, 1], [-1, 0.6, -1], [0.3, -1, 0.9]
+
+
+def picture(eye):
+    """The warp grid of a picture of SIZE that covers the panel."""
+    return WarpGrid.of_pixels(eye.display.panel, SIZE)
+
+
+def gl_solve(context, eye):
+    return GlPlanarSolver(context, eye, picture(eye), middle_axes(eye))
+
+
+def float64_field(eye, viewpoint, warp_grid=None):
+    return solve_every_pixel(eye, viewpoint, middle_axes(eye), (warp_grid or picture(eye)).panel_pixel())
+
+
+def at(eye, unit):
+    return eye.eye_box.at(np.array(unit, dtype=float))
+
+
+def worst_arcmin(field, exact):
+    """Largest angle between rays, and by their offsets at the nearest depth, where both fields are OK."""
+    both = (field.status == Status.OK) & (exact.status == Status.OK)
+    ours, theirs = (np.moveaxis(f.slope_offset.astype(float), 0, -1)[both] for f in (field, exact))
+    angle = arcmin_between(dir_of_tangents(ours[:, :2]), dir_of_tangents(theirs[:, :2])).max()
+    return angle + np.linalg.norm(ours[:, 2:] - theirs[:, 2:], axis=1).max() / NEAREST_M / ARCMIN
+
+
+def assert_same(field, expected):
+    """Equal but for the rounding of a solution that was found from elsewhere."""
+    np.testing.assert_array_equal(field.status, expected.status)
+    assert worst_arcmin(field, expected) < 0.003
+
+
+def with_planes_apart(eye):
+    """The same display with a see-through whose base plane lies elsewhere: another mapping, not a better one."""
+    plane = BasePlane(eye.see_through.base_plane.z - 0.001)
+    return dataclasses.replace(eye, see_through=dataclasses.replace(eye.see_through, base_plane=plane))
+
+
+def with_planes_tilted(eye):
+    """The same polynomials on tilted base planes through the eye box's centre: another mapping, not a better one."""
+
+    def tilted(mapping, slope):
+        plane = BasePlane(eye.eye_box.centre[2] - np.dot(slope, eye.eye_box.centre[:2]), slope)
+        return dataclasses.replace(mapping, base_plane=plane)
+
+    display, see_through = tilted(eye.display, (0.3, -0.2)), tilted(eye.see_through, (-0.1, 0.25))
+    return dataclasses.replace(eye, display=display, see_through=see_through)
+
+
+def with_panel_moved(eye):
+    """The panel shifted and grown, as self-calibration finds it."""
+    return dataclasses.replace(eye, display=MovedPanelDisplay(eye.display, np.array([2.0, -1.5]), 2e-3))
+
+
+def narrowed(polynomial, low, high):
+    """The same polynomial over a part of its box, given in box coordinates -1..1 (4,)."""
+    centre, half = 0.5 * (polynomial.box.low + polynomial.box.high), 0.5 * (polynomial.box.high - polynomial.box.low)
+    return fitted_terms(polynomial, Box(centre + low * half, centre + high * half), polynomial.orders)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("degree", DEGREES)
+@pytest.mark.parametrize("device", DEVICES)
+def test_rays_are_those_of_the_float64_solve(gl_context, device, degree):
+    eye = fitted_eye(device, degree)
+    for case in (eye, with_planes_apart(eye), with_planes_tilted(eye), with_panel_moved(eye)):
+        solve = gl_solve(gl_context, case)
+        for unit in PLACES:
+            field, exact = solve.solve(at(case, unit)).read(), float64_field(case, at(case, unit))
+            assert (exact.status == Status.OK).mean() > 0.7
+            np.testing.assert_array_equal(field.status, exact.status)
+            assert worst_arcmin(field, exact) < 0.01
+
+
+@pytest.mark.parametrize("make", [WarpGrid.edge_to_edge, lambda panel, *size: WarpGrid.of_pixels(panel, size)])
+def test_the_points_are_those_of_the_warp_grid(gl_context, make):
+    eye = fitted_eye("freeform40", 5)
+    warp_grid, viewpoint = make(eye.display.panel, 23, 31), at(eye, [0.4, -0.6, 0.8])
+    solved = GlPlanarSolver(gl_context, eye, warp_grid, middle_axes(eye)).solve(viewpoint)
+    exact = float64_field(eye, viewpoint, warp_grid)
+    np.testing.assert_array_equal(solved.read_status(), exact.status)
+    assert np.isfinite(exact.slope_offset).all()
+    assert solved.warp_grid is warp_grid
+    np.testing.assert_allclose(solved.read_slope_offset(), exact.slope_offset, atol=2e-6)
+
+
+@pytest.mark.parametrize("which", ["display", "see_through", "eye_box"])
+def test_status_is_that_of_the_float64_solve_where_the_fit_is_left(gl_context, which):
+    eye = fitted_eye("birdbath28", 3)
+    share = np.array([-0.61, -1, -1, -0.83]), np.array([1, 0.57, 1, 0.71])
+    display, see_through = eye.display, eye.see_through
+    if which == "display":
+        display = dataclasses.replace(display, forward=narrowed(display.forward, *share))
+    if which == "see_through":
+        see_through = dataclasses.replace(see_through, deviation=narrowed(see_through.deviation, *share))
+    eye = dataclasses.replace(eye, display=display, see_through=see_through)
+    viewpoint = at(eye, [1.3, 0, 0] if which == "eye_box" else [0.4, 0.2, 0.8])
+    field, exact = gl_solve(gl_context, eye).solve(viewpoint).read(), float64_field(eye, viewpoint)
+    np.testing.assert_array_equal(field.status, exact.status)
+    outside = (field.status == Status.OUTSIDE_FIT).mean()
+    assert outside == 1 if which == "eye_box" else 0.1 < outside < 0.9
+    assert np.isfinite(field.slope_offset).all()
+
+
+@pytest.mark.parametrize("away", [[0, 0, 0.3], [0.5, -0.2, 0.1], [0, 1e4, 1e6]])
+def test_a_viewpoint_far_away_gives_statuses_and_spoils_nothing(gl_context, away):
+    eye = fitted_eye("northstar", 5)
+    solve, viewpoint = gl_solve(gl_context, eye), at(eye, [0.6, 0.3, 0.9])
+    expected = solve.solve(viewpoint).read()
+    far = solve.solve(viewpoint + away).read()
+    assert (far.status != Status.OK).all()
+    np.testing.assert_array_equal(np.isfinite(far.slope_offset).all(axis=0), far.status == Status.OUTSIDE_FIT)
+    np.testing.assert_array_equal(np.isnan(far.slope_offset).any(axis=0), far.status > Status.OUTSIDE_FIT)
+    assert_same(solve.solve(viewpoint).read(), expected)
+
+
+@pytest.mark.parametrize("viewpoint", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0]])
+def test_a_viewpoint_that_is_none_is_refused_and_the_next_frame_is_right(gl_context, viewpoint):
+    eye = fitted_eye("freeform40", 3)
+    solve = gl_solve(gl_context, eye)
+    expected = solve.solve(at(eye, [0.6, 0.3, 0.9])).read()
+    with pytest.raises(BadInputError, match="; give three finite numbers"):
+        solve.solve(np.array(viewpoint))
+    again = solve.solve(at(eye, [0.6, 0.3, 0.9]))
+    assert_same(again.read(), expected)
+
+
+def test_two_solvers_and_other_drawing_do_not_disturb_each_other(gl_context):
+    eyes = [fitted_eye(device, 3) for device in DEVICES[:2]]
+    solves = [gl_solve(gl_context, eye) for eye in eyes]
+    alone = [solve.solve(at(eye, [0, 0, 1])).read() for solve, eye in zip(solves, eyes, strict=True)]
+    together = [solve.solve(at(eye, [0, 0, 1])) for solve, eye in zip(solves, eyes, strict=True)]
+    with gl_context.drawing() as ctx:
+        ctx.enable_only(ctx.BLEND)
+    for solved, expected in zip(together, alone, strict=True):
+        assert_same(solved.read(), expected)
+
+
+def test_mappings_without_a_formula_are_refused(gl_context, toy_headset):
+    with pytest.raises(BadInputError, match="toy: only planar models can be solved in a shader; use the node grid"):
+        GlPlanarSolver(gl_context, toy_headset, picture(toy_headset), np.eye(3))

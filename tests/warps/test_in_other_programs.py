@@ -1,0 +1,282 @@
+"""A compositor in somebody else's OpenGL program: it finds everything as it left it."""
+
+import ctypes
+import warnings
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+import pytest
+from composing import HEAD, SMALL, draw, scene, viewpoint
+from gl_caller import assert_same, run
+
+from wlr_render.draw.scene_source import SceneSource
+from wlr_render.errors import BadInputError, MissingGlError
+from wlr_render.warp.compositor import Compositor
+
+pytestmark = pytest.mark.gl
+
+
+def own_frame(compositor, models, seen):
+    """What a compositor in a context of its own composes."""
+    made = compositor(models, context="egl")
+    draw(made, SceneSource(made, scene()), HEAD, seen)
+    frame = made.compose()
+    return [frame.read(eye) for eye in made.eyes]
+
+
+def test_two_eyes_through_odd_state_and_back(caller, compositor, flat_image_headset):
+    models = {"right": flat_image_headset, "left": replace(flat_image_headset, eye="left")}
+    seen = {"left": viewpoint(flat_image_headset, -0.7, 0, 0), "right": viewpoint(flat_image_headset, 0.7, 0, 0)}
+    expected = own_frame(compositor, models, seen)
+    caller.ctx.__enter__()
+    screen = caller.ctx.simple_framebuffer((2 * SMALL[0], SMALL[1]))
+    caller.set_odd_values()
+    before = caller.state()
+    made = compositor(models, context=caller.ctx)
+    assert_same(caller.state(), before)
+    source = SceneSource(made, scene())
+    for frame in range(3):
+        for camera in made.begin_frame(HEAD, seen).values():
+            source.submit(camera)
+            assert_same(caller.state(), before)
+        composed = made.compose()
+        assert_same(caller.state(), before)
+        for eye, picture in zip(made.eyes, expected, strict=True):
+            np.testing.assert_array_equal(composed.read(eye), picture, err_msg=str(frame))
+        made.compose(screen)
+        assert_same(caller.state(), before)
+    made.release()
+    assert_same(caller.state(), before)
+
+
+def test_its_own_pictures_are_the_same_before_between_and_after(caller, compositor, flat_image_headset):
+    caller.textures[3].use(0)
+    caller.samplers[3].use(0)
+    caller.framebuffer.use()
+    caller.ctx.enable_only(moderngl.BLEND)
+    caller.ctx.blend_func = moderngl.ONE, moderngl.ZERO
+    before, objects = caller.draw(), caller.objects()
+    made = compositor(flat_image_headset, context=caller.ctx)
+    source = SceneSource(made, scene())
+    for _ in range(2):
+        draw(made, source, HEAD, viewpoint(flat_image_headset))
+        made.compose()
+        caller.framebuffer.clear()
+        assert caller.draw() == before
+    made.release()
+    assert caller.objects() == objects
+    assert caller.draw() == before
+    assert all(len(set(pixels)) > 1 for pixels in before)
+
+
+def test_faults_leave_the_state_and_the_next_frame_is_right(caller, compositor, flat_image_headset):
+    seen, wrong = viewpoint(flat_image_headset), caller.ctx.simple_framebuffer((3, 4))
+    (expected,) = own_frame(compositor, flat_image_headset, seen)
+    caller.ctx.__enter__()
+    made = compositor(flat_image_headset, context=caller.ctx)
+    source = SceneSource(made, scene())
+    caller.set_odd_values()
+    before = caller.state()
+    draw(made, source, HEAD, seen)
+    for fault in (
+        lambda: made.begin_frame(HEAD * np.nan, seen),
+        lambda: made.begin_frame(HEAD, seen + 1.0),
+        lambda: made.submit(wrong),
+        lambda: made.compose(wrong),
+        lambda: made.compose(pose=HEAD.T),
+        lambda: Compositor(flat_image_headset, SMALL, context=caller.ctx, resolution=9),
+    ):
+        with pytest.raises(BadInputError):
+            fault()
+        assert_same(caller.state(), before)
+    made.begin_frame(HEAD, seen)
+    with pytest.raises(BadInputError, match="pixels"):
+        made.submit(wrong)
+    assert_same(caller.state(), before)
+    draw(made, source, HEAD, seen)
+    np.testing.assert_array_equal(made.compose().read(), expected)
+    assert_same(caller.state(), before)
+
+
+def test_a_context_that_is_not_current_is_refused_in_a_sentence(caller, compositor, flat_image_headset):
+    third = moderngl.create_context(standalone=True, require=430, backend="egl")
+    caller.ctx.__enter__()
+    made = compositor(flat_image_headset, context=caller.ctx)
+    source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
+    (camera,) = draw(made, source, HEAD, seen).values()
+    expected, image = made.compose().read(), source.read(camera.view)
+    arrays = image.colour, np.where(image.inverse_depth > 0, 1 / image.inverse_depth, 0)
+    made.begin_frame(HEAD, seen)
+    third.__enter__()
+    for call in (lambda: made.submit(*arrays), made.finish):
+        with pytest.raises(BadInputError, match="is not current on this thread"):
+            call()
+    caller.ctx.__enter__()
+    made.submit(*arrays)
+    third.__enter__()
+    with pytest.raises(BadInputError, match="is not current on this thread"):
+        made.compose()
+    caller.ctx.__enter__()
+    difference = np.abs(made.compose().read().astype(int) - expected)
+    assert (difference > 1).mean() < 0.002
+    third.release()
+
+
+def test_the_current_context_takes_its_own_programs_objects_and_no_others(caller, compositor, flat_image_headset):
+    elsewhere = moderngl.create_context(standalone=True, require=410, backend="egl")
+    caller.ctx.__enter__()
+    made = compositor(flat_image_headset, context="current")
+    (camera,) = made.begin_frame(HEAD, viewpoint(flat_image_headset)).values()
+    width, height = camera.size_px
+    with elsewhere:
+        foreign = elsewhere.texture(camera.size_px, 4)
+    caller.ctx.__enter__()
+    before = caller.state()
+    grey, near = (np.full((height, width, n), value, kind) for n, value, kind in ((4, 128, "u1"), (1, 1, "f4")))
+    colour, depth = caller.ctx.texture(camera.size_px, 4, grey), caller.ctx.texture(camera.size_px, 1, near, dtype="f4")
+    with pytest.raises(BadInputError, match="belongs to another ModernGL context"):
+        made.submit(foreign, depth)
+    made.submit(colour, depth)
+    assert_same(caller.state(), before)
+    screen = caller.ctx.simple_framebuffer(SMALL)
+    made.compose(screen)
+    shown = np.frombuffer(screen.read(), np.uint8)
+    assert (shown == 128).mean() > 0.9
+    elsewhere.release()
+    caller.ctx.__enter__()
+    made.begin_frame(HEAD, viewpoint(flat_image_headset))
+    with pytest.raises(BadInputError, match="belongs to another ModernGL context"):
+        made.submit(foreign, depth)
+
+
+@pytest.mark.parametrize("host_state", ["kept", "clean"])
+def test_adopting_while_samples_or_a_layer_are_bound(caller, compositor, flat_image_headset, host_state):
+    """ModernGL's start makes errors with such a framebuffer, which are no fault of the host."""
+    ctx = caller.ctx
+    several = ctx.framebuffer([ctx.texture((8, 8), 4, samples=4)], ctx.depth_texture((8, 8), samples=4))
+    layered, array = ctx.framebuffer([ctx.texture((8, 8), 4)]), ctx.texture_array((8, 8, 2), 4)
+    layered.use()
+    attach = [ctypes.c_uint] * 3 + [ctypes.c_int] * 2
+    caller.gl("glFramebufferTextureLayer", 0x8D40, 0x8CE0, array.glo, 0, 1, types=attach)
+    for framebuffer in (several, layered):
+        framebuffer.use()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            compositor(flat_image_headset, context=ctx, host_state=host_state).release()
+        if host_state == "kept":
+            assert caller.state()["draw framebuffer"][0] == framebuffer.glo
+        assert ctx.error == "GL_NO_ERROR"
+
+
+def test_release_where_the_context_is_not_current_warns_and_can_be_repeated(caller, compositor, flat_image_headset):
+    caller.ctx.__enter__()
+    before = caller.objects()
+    made = compositor(flat_image_headset, context=caller.ctx)
+    made.begin_frame(HEAD, viewpoint(flat_image_headset))
+    third = moderngl.create_context(standalone=True, require=410, backend="egl")
+    with pytest.warns(RuntimeWarning, match="not current on this thread, so that nothing was released") as told:
+        made.release()
+    assert told[0].filename == __file__
+    third.release()
+    caller.ctx.__enter__()
+    made.begin_frame(HEAD, viewpoint(flat_image_headset))
+    made.release()
+    assert caller.objects() == before
+    with pytest.raises(BadInputError, match="has been released"):
+        made.begin_frame(HEAD, viewpoint(flat_image_headset))
+
+
+def test_what_is_no_context_is_told_in_a_sentence(caller, flat_image_headset):
+    for context in (None, 5):
+        with pytest.raises(BadInputError, match=r"is not an OpenGL context; give .* auto, egl, osmesa, current"):
+            Compositor(flat_image_headset, SMALL, context=context)
+    with pytest.raises(BadInputError, match="host_state='clean' is of an adopted context, and context='egl' opens one"):
+        Compositor(flat_image_headset, SMALL, context="egl", host_state="clean")
+    caller.ctx.release()
+    with pytest.raises(MissingGlError, match="has been released"):
+        Compositor(flat_image_headset, SMALL, context=caller.ctx)
+
+
+@pytest.mark.slow
+def test_an_old_context_is_refused_in_a_sentence_and_stays_usable(caller):
+    told = run(
+        """
+        import moderngl
+        from flat_image import flat_image_eye
+        from wlr_render.warp.compositor import Compositor
+        from wlr_render.errors import BadInputError
+        ctx = moderngl.create_context(standalone=True, require=330, backend="egl")
+        frame = ctx.simple_framebuffer((4, 4))
+        frame.use()
+        for context in (ctx, "current"):
+            try:
+                Compositor(flat_image_eye(), (20, 16), context=context)
+            except BadInputError as error:
+                print(error)
+        assert ctx.fbo is frame
+        assert ctx.error == "GL_NO_ERROR"
+        ctx.clear(0.2, 0.4, 0.6, 1.0)
+        assert frame.read() == bytes([51, 102, 153]) * 16
+        """,
+        MESA_GL_VERSION_OVERRIDE="3.3",
+    )
+    assert told.count("version 3.3, the renderer needs 4.1") == 2
+    assert told.count("\n") == 2
+
+
+@pytest.mark.slow
+def test_in_a_plain_pyrender_program(caller):
+    told = run(
+        """
+        import pyglet
+        pyglet.options["headless"] = True  # pyrender imports its window, which wants libXrender beside libX11
+        import gl_scenes, numpy as np, pyrender, trimesh
+        from flat_image import flat_image_eye
+        from wlr_render.warp.compositor import Compositor
+        from wlr_render.errors import BadInputError
+        from wlr_render.draw.pyrender_drawing import PyrenderDrawing
+        from wlr_render.warp.stored_picture import DepthKind, StoredDepth
+
+        scene = pyrender.Scene(ambient_light=[0.3] * 3, bg_color=[0.1, 0.2, 0.5])
+        scene.add(pyrender.Mesh.from_trimesh(trimesh.creation.icosphere(2, 0.2)), pose=gl_scenes.at(0.1, 0, -1.0))
+        scene.add(pyrender.DirectionalLight(intensity=3.0))
+        own = scene.add(pyrender.PerspectiveCamera(1.0))
+        viewer = pyrender.OffscreenRenderer(64, 48)
+        before = viewer.render(scene)
+        eye = flat_image_eye()
+        compositor = Compositor(eye, (72, 60), context="current")
+        (camera,) = compositor.begin_frame(np.eye(4), eye.eye_box.centre).values()
+
+        def rendered():
+            lens = pyrender.IntrinsicsCamera(*camera.focal_px, *camera.centre_px, znear=0.05, zfar=50.0)
+            scene.main_camera_node = scene.add(lens, pose=camera.world_from_camera)
+            viewer.viewport_width, viewer.viewport_height = camera.size_px
+            pictures = viewer.render(scene)
+            scene.remove_node(scene.main_camera_node)
+            scene.main_camera_node = own
+            viewer.viewport_width, viewer.viewport_height = 64, 48
+            return pictures
+
+        compositor.submit(*rendered())
+        from_arrays = compositor.compose().read()
+        compositor.begin_frame(np.eye(4), eye.eye_box.centre)
+        rendered()
+        compositor.submit(viewer._renderer._main_fb, stored=StoredDepth(DepthKind.WINDOW, 0.05, 50.0))
+        assert (compositor.compose().read() == from_arrays).mean() > 0.999
+        assert from_arrays.std() > 10
+        try:
+            compositor.submit(*rendered())
+        except BadInputError as error:
+            print(error)
+        bent = PyrenderDrawing(compositor.context, scene, own).draw_on_gpu(gl_scenes.view()).read()
+        assert (bent.inverse_depth > 1.0).sum() > 100
+        for _ in range(2):
+            after = viewer.render(scene)
+            assert (after[0] == before[0]).all() and (after[1] == before[1]).all()
+            compositor.release()
+        print("same")
+        """,
+        PYOPENGL_PLATFORM="egl",
+    )
+    assert told == "the right eye was submitted already in this frame; call begin_frame for the next.\nsame\n"

@@ -1,0 +1,130 @@
+"""A compositor in a context of its own: the caller's context stays current, and any one thread at a time may call."""
+
+import ctypes
+import threading
+
+import moderngl
+import numpy as np
+import pytest
+from composing import HEAD, SMALL, scene, viewpoint
+
+from wlr_render.draw.scene_source import SceneSource
+from wlr_render.errors import BadInputError
+from wlr_render.warp.compositor import Compositor
+
+pytestmark = pytest.mark.gl
+
+
+class Engine:
+    """Another program's EGL context with a texture to clear, called without making the context current."""
+
+    def __init__(self):
+        self.ctx = moderngl.create_context(standalone=True, require=430, backend="egl")
+        self.texture = self.ctx.texture((8, 8), 4, bytes(256))
+        self.framebuffer = self.ctx.framebuffer([self.texture])
+
+    def cleared(self, value):
+        self.framebuffer.clear(value / 255, 0.0, 0.0, 1.0)
+        return np.frombuffer(self.texture.read(), np.uint8)[:4].tolist()
+
+
+def current_egl_context():
+    egl = ctypes.CDLL("libEGL.so.1")
+    egl.eglGetCurrentContext.restype = ctypes.c_void_p
+    return egl.eglGetCurrentContext()
+
+
+@pytest.fixture
+def engine(gl_context):
+    if gl_context.backend != "egl":
+        pytest.skip("EGL does not open here, so that there is no other context to keep.")
+    made = Engine()
+    yield made
+    made.ctx.__enter__()
+    made.ctx.release()
+
+
+def grey_frame(compositor, mappings):
+    """One frame of a grey picture at 1 m; (height, width, 3)."""
+    (camera,) = compositor.begin_frame(HEAD, viewpoint(mappings)).values()
+    width, height = camera.size_px
+    compositor.submit(np.full((height, width, 3), 128, np.uint8), np.ones((height, width), np.float32))
+    return compositor.compose().read()
+
+
+def test_the_callers_context_stays_current(engine, flat_image_headset):
+    current = current_egl_context()
+    with Compositor(flat_image_headset, SMALL, context="auto") as made:
+        assert current_egl_context() == current
+        assert engine.cleared(51) == [51, 0, 0, 255]
+        first = grey_frame(made, flat_image_headset)
+        assert (first == 128).all()
+        assert current_egl_context() == current
+        assert engine.cleared(102) == [102, 0, 0, 255]
+        np.testing.assert_array_equal(grey_frame(made, flat_image_headset), first)
+        with pytest.raises(BadInputError):
+            made.submit(first)
+        assert current_egl_context() == current
+        assert moderngl.get_context() is engine.ctx
+    assert current_egl_context() == current
+    assert engine.cleared(153) == [153, 0, 0, 255]
+
+
+def test_no_context_stays_current_where_none_was(engine, flat_image_headset):
+    with engine.ctx:
+        pass
+    assert current_egl_context() is None
+    with Compositor(flat_image_headset, SMALL, context="egl") as made:
+        grey_frame(made, flat_image_headset)
+        assert current_egl_context() is None
+    assert current_egl_context() is None
+
+
+def in_thread(work):
+    """What a call on another thread returns or raises."""
+    told = []
+
+    def run():
+        try:
+            told.append(work())
+        except BadInputError as error:
+            told.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    return told[0]
+
+
+def test_another_thread_composes_the_same_picture(gl_context, compositor, flat_image_headset):
+    made = compositor(flat_image_headset, context=gl_context.backend)
+    source, seen = SceneSource(made, scene()), viewpoint(flat_image_headset)
+
+    def frame():
+        for camera in made.begin_frame(HEAD, seen).values():
+            source.submit(camera)
+        return made.compose().read()
+
+    expected = frame()
+    assert len(np.unique(expected)) > 10
+    np.testing.assert_array_equal(in_thread(frame), expected)
+    np.testing.assert_array_equal(frame(), expected)
+
+
+def test_two_threads_at_once_are_refused_in_a_sentence(gl_context, compositor, flat_image_headset):
+    made = compositor(flat_image_headset, context=gl_context.backend)
+    with made.context.drawing():
+        error = in_thread(lambda: grey_frame(made, flat_image_headset))
+    assert isinstance(error, BadInputError)
+    assert "from one thread at a time" in str(error)
+    assert (grey_frame(made, flat_image_headset) == 128).all()
+
+
+def test_a_context_held_by_another_thread_is_refused_in_a_sentence(engine, compositor, flat_image_headset):
+    made = compositor(flat_image_headset, context="egl")
+    vars(made.context)["_ctx"].__enter__()
+    error = in_thread(lambda: grey_frame(made, flat_image_headset))
+    assert isinstance(error, BadInputError)
+    assert "cannot be made current on this thread" in str(error)
+    engine.ctx.__enter__()
+    assert (grey_frame(made, flat_image_headset) == 128).all()

@@ -1,0 +1,182 @@
+"""Pictures of other programs: what was drawn by us, told as others tell it, must come back the same."""
+
+import ctypes
+
+import gl_scenes
+import numpy as np
+import pytest
+from gl_scenes import OFF_CENTRE as CAMERA
+
+from wlr_render.draw.gl_raster import NEAR_M, GlRaster
+from wlr_render.errors import BadInputError
+from wlr_render.warp.picture_import import PictureImport
+from wlr_render.warp.stored_picture import DepthKind, Rows, StoredDepth
+
+pytestmark = pytest.mark.gl
+
+SIZE = CAMERA.width_px, CAMERA.height_px
+FAR_M = 9.0
+METRES, INVERSE = StoredDepth(DepthKind.METRES), StoredDepth(DepthKind.INVERSE)
+WINDOW = StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)
+
+
+def metres(inverse_depth, nothing=0.0):
+    with np.errstate(divide="ignore"):
+        return np.where(inverse_depth > 0, 1 / inverse_depth, nothing)
+
+
+def buffered(inverse_depth, at_0, at_1, nothing):
+    """A depth buffer's values, by the projection that puts distance at_0 at 0 and at_1 at 1."""
+    stored = (inverse_depth - 1 / at_0) / (1 / at_1 - 1 / at_0)
+    return np.where(inverse_depth > 0, stored, nothing)
+
+
+TOLD = {
+    "metres": (METRES, metres),
+    "metres, nothing is infinite": (METRES, lambda inverse: metres(inverse, np.inf)),
+    "inverse": (INVERSE, lambda inverse: inverse),
+    "window": (StoredDepth(DepthKind.WINDOW, 1.0, FAR_M), lambda inverse: buffered(inverse, 1.0, FAR_M, 1)),
+    "window without end": (StoredDepth(DepthKind.WINDOW, 1.0), lambda inverse: buffered(inverse, 1.0, np.inf, 1)),
+    "window reversed": (
+        StoredDepth(DepthKind.WINDOW, np.inf, 0.05),
+        lambda inverse: buffered(inverse, np.inf, 0.05, 0),
+    ),
+    "window reversed, with an end": (
+        StoredDepth(DepthKind.WINDOW, FAR_M, 0.05),
+        lambda inverse: buffered(inverse, FAR_M, 0.05, 0),
+    ),
+}
+
+
+@pytest.fixture
+def drawn(gl_context):
+    scene = gl_scenes.lit(
+        (gl_scenes.cube(), gl_scenes.at(0.1, 0.2, -2)), (gl_scenes.cube(), gl_scenes.at(-1, -0.5, -4))
+    )
+    return GlRaster(gl_context, scene).draw_on_gpu(gl_scenes.view())
+
+
+@pytest.fixture
+def take(gl_context):
+    return PictureImport(gl_context)
+
+
+def assert_same(taken, expected):
+    np.testing.assert_array_equal(taken.colour, expected.colour)
+    np.testing.assert_allclose(taken.inverse_depth, expected.inverse_depth, rtol=1e-5, atol=0)
+    assert (expected.inverse_depth > 0).sum() > 500
+
+
+@pytest.mark.parametrize("rows", Rows)
+@pytest.mark.parametrize("told", TOLD)
+def test_arrays_come_back_as_they_were_drawn(take, drawn, told, rows):
+    stored, tell = TOLD[told]
+    picture = drawn.read()
+    depth = tell(picture.inverse_depth.astype(np.float64)).astype(np.float32)
+    step = 1 if rows is Rows.TOP_FIRST else -1
+    assert_same(take.from_arrays(CAMERA, picture.colour[::step], depth[::step], stored, rows).read(), picture)
+
+
+def test_textures_are_read_past_their_own_settings(gl_context, take):
+    width, height = SIZE
+    colour = np.random.default_rng(0).integers(0, 256, (height, width, 4), np.uint8)
+    with gl_context.drawing() as ctx:
+        encoded = ctx.texture(SIZE, 4, colour, internal_format=0x8C43)  # GL_SRGB8_ALPHA8: read in linear light
+        encoded.filter = ctx.LINEAR_MIPMAP_LINEAR, ctx.LINEAR
+        compared = ctx.depth_texture(SIZE, np.full((height, width), 0.5, np.float32))
+    taken = take.from_textures(CAMERA, encoded, compared, StoredDepth(DepthKind.WINDOW, 1.0)).read()
+    np.testing.assert_array_equal(taken.colour, colour[::-1, :, :3])
+    np.testing.assert_allclose(taken.inverse_depth, 0.5, rtol=1e-6)
+
+
+def framebuffer(context, samples=0, depth_format=None, size=SIZE):
+    """A framebuffer whose lower half is nearer and of another colour than its upper one."""
+    with context.drawing() as ctx:
+        made = ctx.simple_framebuffer(size, samples=samples)
+        if depth_format is not None:
+            _give_depth(context, made, depth_format)
+        made.clear(0.2, 0.4, 0.6, 1.0, depth=0.5)
+        made.clear(0.6, 0.2, 0.4, 1.0, depth=0.25, viewport=(0, 0, size[0], size[1] // 2))
+    return made
+
+
+def _give_depth(context, made, depth_format):
+    uint, name = ctypes.c_uint, ctypes.c_uint()
+    context.function("glGenRenderbuffers", ctypes.c_int, ctypes.c_void_p)(1, ctypes.addressof(name))
+    context.function("glBindRenderbuffer", uint, uint)(0x8D41, name)
+    context.function("glRenderbufferStorage", *[uint] * 4)(0x8D41, depth_format, *made.size)
+    context.function("glBindFramebuffer", uint, uint)(0x8D40, made.glo)
+    context.function("glFramebufferRenderbuffer", *[uint] * 4)(0x8D40, 0x8D00, 0x8D41, name)
+
+
+def assert_halves(picture):
+    upper, lower = np.split(np.arange(SIZE[1]), 2)
+    for rows, colour, stored in ((upper, [51, 102, 153], 0.5), (lower, [153, 51, 102], 0.25)):
+        assert (picture.colour[rows] == colour).all()
+        np.testing.assert_allclose(picture.inverse_depth[rows], (1 - stored) / NEAR_M, rtol=1e-4)
+
+
+# 16, 24, 24 + stencil, 32 float, 32 float + stencil bits.
+@pytest.mark.parametrize("depth_format", [0x81A5, 0x81A6, 0x88F0, 0x8CAC, 0x8CAD], ids=hex)
+def test_a_framebuffer_with_any_depth_is_copied(gl_context, take, depth_format):
+    theirs = framebuffer(gl_context, depth_format=depth_format)
+    assert_halves(take.from_framebuffer(CAMERA, theirs, WINDOW).read())
+    assert_halves(take.from_framebuffer(CAMERA, theirs.glo, WINDOW).read())
+
+
+def test_a_framebuffer_of_several_samples_is_resolved(gl_context, take):
+    assert_halves(take.from_framebuffer(CAMERA, framebuffer(gl_context, samples=4), WINDOW).read())
+
+
+def test_frames_make_no_objects(gl_context, take):
+    theirs, colour = framebuffer(gl_context), np.zeros((*SIZE[::-1], 3), np.uint8)
+    depth = np.ones(SIZE[::-1], np.float32)
+
+    def frame():
+        take.from_framebuffer(CAMERA, theirs, WINDOW)
+        take.from_arrays(CAMERA, colour, depth, METRES)
+
+    frame()
+    first = objects(gl_context)
+    for _ in range(30):
+        frame()
+    assert objects(gl_context) == first
+
+
+def objects(context):
+    with context.drawing():
+        kinds = "Texture", "Framebuffer", "Buffer", "VertexArray", "Sampler"
+        alive = [context.function(f"glIs{kind}", ctypes.c_uint, result=ctypes.c_ubyte) for kind in kinds]
+        return [sum(is_one(number) for number in range(2000)) for is_one in alive]
+
+
+def test_bad_framebuffers_are_refused_in_a_sentence(gl_context, take):
+    with gl_context.drawing() as ctx:
+        small = ctx.simple_framebuffer((3, 4))
+        without_depth = ctx.framebuffer([ctx.texture(SIZE, 4)])
+        whole_numbers = ctx.framebuffer([ctx.texture(SIZE, 4, dtype="u1")], ctx.depth_texture(SIZE))
+    for bad, told in (
+        (small, "has 3x4 pixels, the camera 64x48"),
+        (without_depth, "has no depth attachment"),
+        (whole_numbers, "holds whole numbers for colours: use RGBA8"),
+        (0, "Number 0 is not a framebuffer object"),
+        (1999, "Number 1999 is not a framebuffer object"),
+    ):
+        with pytest.raises(BadInputError, match=told):
+            take.from_framebuffer(CAMERA, bad, WINDOW)
+    assert_halves(take.from_framebuffer(CAMERA, framebuffer(gl_context), WINDOW).read())
+
+
+def test_bad_textures_are_refused_in_a_sentence(gl_context, take, drawn):
+    with gl_context.drawing() as ctx:
+        small, numbers = ctx.texture((3, 4), 4), ctx.texture(SIZE, 4, dtype="u1")
+        gone = ctx.texture(SIZE, 4)
+        gone.release()
+    for bad, told in (
+        (gone, "has been released"),
+        (small, "The colour texture has 3x4 pixels, the camera 64x48"),
+        (numbers, "4 components of 'u1'"),
+        (drawn.inverse_depth, "1 components of 'f4': it needs 3"),
+    ):
+        with pytest.raises(BadInputError, match=told):
+            take.from_textures(CAMERA, bad, drawn.inverse_depth, INVERSE)

@@ -1,0 +1,148 @@
+"""When an eye's field is solved, from where, and what is said of what has no answer."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from composing import HEAD, SMALL, draw, planar, scene, viewpoint
+
+from wlr_render.draw.scene_source import SceneSource
+from wlr_render.mappings import QueryResult, Status
+from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver
+from wlr_render.warp.ray_map import RayMap
+
+
+@pytest.fixture(params=["planar", "flat image"])
+def headset(request, flat_image_headset):
+    return planar() if request.param == "planar" else flat_image_headset
+
+
+@pytest.fixture
+def solved_at(monkeypatch):
+    """Viewpoints that any solver was asked for."""
+    asked = []
+
+    def counting(solve):
+        def solve_and_count(self, at):
+            asked.append(np.array(at))
+            return solve(self, at)
+
+        return solve_and_count
+
+    for solver in (GlPlanarSolver, GlNodeSolver):
+        monkeypatch.setattr(solver, "solve", counting(solver.solve))
+    return asked
+
+
+def slope_offset(frame):
+    (field,) = frame.eyes["right"].ray_maps
+    return (field if isinstance(field, RayMap) else field.read()).slope_offset.astype(np.float64)
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+def test_a_resting_pupil_is_solved_once(compositor, headset, solved_at):
+    made = compositor(headset)
+    source, seen = SceneSource(made, scene()), viewpoint(headset)
+    del solved_at[:]
+    for _ in range(3):
+        draw(made, source, HEAD, seen)
+        made.compose()
+        made.compose(pose=HEAD)
+    asked = len(solved_at)
+    assert asked == 1
+    first = slope_offset(made.compose())
+    made.compose(viewpoint=seen + 1e-6)
+    assert len(solved_at) == 2 * asked
+    made.compose()
+    assert len(solved_at) == 3 * asked
+    np.testing.assert_array_equal(slope_offset(made.compose()), first)
+
+
+@pytest.mark.gl
+def test_a_tracker_that_writes_the_next_viewpoint_over_the_last_is_understood(compositor, flat_image_headset):
+    made, cold = (compositor(flat_image_headset) for _ in range(2))
+    tracked, pose = viewpoint(flat_image_headset), HEAD.copy()
+    source = SceneSource(made, scene())
+    draw(made, source, pose, tracked)
+    before = made.compose().read()
+    tracked[:], pose[:3, 3] = viewpoint(flat_image_headset, -0.8, 0.7, 0), 0.0
+    np.testing.assert_array_equal(made.compose().read(), before)
+    draw(made, source, HEAD, tracked)
+    draw(cold, SceneSource(cold, scene()), HEAD, tracked)
+    assert np.abs(made.compose().read().astype(int) - cold.compose().read()).max() <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+def test_the_frame_after_a_saccade_is_a_cold_one(compositor, headset):
+    warm, cold = (compositor(headset) for _ in range(2))
+    before = headset.eye_box.centre - [0.0025, 0.001, 0.0]
+    after = before + [0.005, 0.0, 0.0]
+    draw(warm, SceneSource(warm, scene()), HEAD, before)
+    warm.compose()
+    frames = []
+    for made in (warm, cold):
+        draw(made, SceneSource(made, scene()), HEAD, after)
+        frames.append(made.compose())
+    there, wanted = map(slope_offset, frames)
+    assert np.isfinite(there).all()
+    np.testing.assert_array_equal(there, wanted)
+    np.testing.assert_array_equal(frames[0].read(), frames[1].read())
+    assert frames[0].unsolved() == frames[1].unsolved()
+
+
+@dataclass(frozen=True)
+class Troubled:
+    """A display whose solve fails in the panel's left quarter, and everywhere for a pupil far to the right."""
+
+    whole: object
+
+    @property
+    def panel(self):
+        return self.whole.panel
+
+    def view_dir_of_pixel(self, pixel, at, warm_start=None):
+        answer, pixel = self.whole.view_dir_of_pixel(pixel, at), np.asarray(pixel)
+        failed = (pixel[..., 0] < 0.25 * self.panel.width_px) | (np.asarray(at)[..., 0] > 0.0055)
+        failed = np.broadcast_to(failed, answer.status.shape)
+        value = np.where(failed[..., None], np.nan, answer.value)
+        return QueryResult(value, np.where(failed, Status.NOT_CONVERGED, answer.status).astype(np.uint8))
+
+
+@pytest.fixture
+def troubled(flat_image_headset):
+    return replace(flat_image_headset, display=Troubled(flat_image_headset.display))
+
+
+@pytest.mark.gl
+def test_what_did_not_converge_is_named_counted_and_left_black(compositor, troubled):
+    made = compositor(troubled, background=(9, 8, 7))
+    draw(made, SceneSource(made, scene()), HEAD, viewpoint(troubled))
+    frame = made.compose()
+    unsolved, status = frame.unsolved(), frame.status("right")
+    assert set(unsolved) == {"right"}
+    assert set(unsolved["right"]) == {"not converged"}
+    quarter = SMALL[0] // 4
+    warp_grid = made.plan("right").warp_grid.grid
+    share = unsolved["right"]["not converged"] / np.prod(warp_grid.size)
+    assert 0.2 < share < 0.4
+    assert (frame.read()[:, : quarter - 1] == [9, 8, 7]).all()
+    assert (status[:, : quarter - 1] == 3).all()
+    assert (status[:, SMALL[0] // 2 :] == 0).mean() > 0.95
+
+
+@pytest.mark.gl
+def test_a_pupil_for_which_nothing_converges_keeps_the_last_map_and_is_counted(compositor, troubled):
+    made = compositor(troubled)
+    source, seen = SceneSource(made, scene()), viewpoint(troubled)
+    draw(made, source, HEAD, seen)
+    first = made.compose()
+    expected, rays = first.read(), slope_offset(first)
+    draw(made, source, HEAD, viewpoint(troubled, 0.95, 0, 0))
+    blind = made.compose()
+    (count,) = blind.unsolved()["right"].values()
+    np.testing.assert_array_equal(slope_offset(blind), rays)
+    assert count == rays[0].size
+    draw(made, source, HEAD, seen)
+    assert np.abs(made.compose().read().astype(int) - expected).max() <= 1

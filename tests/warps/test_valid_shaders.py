@@ -1,0 +1,67 @@
+"""The reference compiler of GLSL accepts the programs of a compositor; drivers accept more than the language allows."""
+
+import re
+import shutil
+import subprocess
+
+import gl_scenes
+import moderngl
+import numpy as np
+import pytest
+from composing import HEAD, SMALL, planar, scene, viewpoint
+
+from wlr_render.draw.gl_raster import GlRaster
+from wlr_render.io.atomic_files import resource
+from wlr_render.warp.panel_light import PanelLight
+
+STAGES = {"vertex_shader": "vert", "fragment_shader": "frag"}
+OWN_WARP = {"own_warp.glsl"}  # for other programs: test_warp_mesh.py
+
+
+@pytest.fixture
+def sources(monkeypatch):
+    """Texts of the shaders that are compiled from now on, with the stage of each."""
+    compiled, compile_program = {}, moderngl.Context.program
+
+    def program(context, **shaders):
+        compiled.update((text, STAGES[kind]) for kind, text in shaders.items())
+        return compile_program(context, **shaders)
+
+    monkeypatch.setattr(moderngl.Context, "program", program)
+    return compiled
+
+
+def compose_all_kinds(compositor):
+    """Compose pictures of all kinds, with three colours, an overlay, an inset and a uniformity map, and a scene."""
+    model, light = planar(), PanelLight(uniformity=np.full(SMALL[::-1], 0.5), bits=10)
+    given = compositor({"right": [model] * 3}, resolution=0.5, panel=light, context="egl")
+    (camera,) = given.begin_frame(HEAD, viewpoint(model)).values()
+    inset = camera.inset(tuple(0.4 * np.array(camera.fov_rad)), (60, 50))
+    for each in (camera, inset):
+        width, height = each.size_px
+        picture = np.full((height, width, 3), 90, np.uint8), np.ones((height, width), np.float32)
+        given.submit(*picture, inset=None if each is camera else inset)
+    given.submit_overlay(np.full((4, 4, 4), 90, np.uint8), (0.3, 0.2), world_from_quad=HEAD @ gl_scenes.at(0, 0, -1))
+    given.compose(with_source=True)
+    GlRaster(given.context, scene()).draw(gl_scenes.view())
+
+
+@pytest.mark.slow
+@pytest.mark.gl
+def test_the_reference_compiler_accepts_every_shader(compositor, sources, tmp_path):
+    compiler = shutil.which("glslangValidator")
+    if compiler is None:
+        pytest.skip("glslangValidator is not installed (glslang-tools).")
+    compose_all_kinds(compositor)
+    includes = {path.name: path.read_text(encoding="utf-8") for path in resource("shaders").glob("*.glsl")}
+    whole = re.compile(r'#include "(\w+\.glsl)"')
+    used, written = set(), []
+    for text, stage in sources.items():
+        while whole.search(text):
+            used |= set(whole.findall(text))
+            text = whole.sub(lambda found: includes[found[1]], text)
+        written.append(tmp_path / f"{len(written)}.{stage}")
+        written[-1].write_text(text, encoding="utf-8")
+    result = subprocess.run([compiler, *written], capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
+    assert used == set(includes) - OWN_WARP

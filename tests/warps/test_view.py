@@ -1,0 +1,33 @@
+import numpy as np
+import pytest
+from gl_scenes import OFF_CENTRE
+
+from wlr_render.geometry import transforms
+from wlr_render.warp.view import View, image_from_ray_map
+
+
+def pose(rng):
+    return transforms.rigid(transforms.rotations_of_vectors(rng.normal(size=3)), rng.normal(size=3))
+
+
+@pytest.mark.parametrize("lead", [(), (1,), (3, 1, 2)])
+def test_a_point_is_the_same_world_point_by_both_ways(lead):
+    rng = np.random.default_rng(4)
+    view = View(OFF_CENTRE, rng.normal(size=3), pose(rng), pose(rng)[:3, :3])
+    viewpoint, axes = rng.normal(size=3), pose(rng)[:3, :3]
+    poses = np.array([pose(rng) for _ in range(int(np.prod(lead)))]).reshape(*lead, 4, 4)
+    carried = image_from_ray_map(view, viewpoint, axes, poses)
+    assert carried.shape == (*lead, 4, 4)
+    point_in_field = rng.normal(size=3)
+    for place in np.ndindex(lead):
+        point_in_device = viewpoint + axes @ point_in_field
+        point_in_world = transforms.apply(poses[place], point_in_device)
+        seen = transforms.apply(view.world_from_camera, transforms.apply(carried[place], point_in_field))
+        np.testing.assert_allclose(seen, point_in_world, atol=1e-12)
+
+
+def test_a_camera_beside_the_viewpoint_with_the_same_axes_only_shifts():
+    rng = np.random.default_rng(5)
+    axes, head, viewpoint, beside = pose(rng)[:3, :3], pose(rng), np.array([0.0, 0.1, 0.2]), np.array([1e-3, 0, -2e-3])
+    carried = image_from_ray_map(View(OFF_CENTRE, viewpoint + beside, head, axes), viewpoint, axes, head)
+    np.testing.assert_allclose(carried, transforms.rigid(np.eye(3), -axes.T @ beside), atol=1e-15)

@@ -1,0 +1,195 @@
+"""Rays told in another frame, coarser than pixels, per row and per colour; pictures into a caller's framebuffer."""
+
+import numpy as np
+import pytest
+from warping import uploaded, uploaded_field
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import Panel
+from wlr_render.warp.gl_warp import GlWarp, WarpTarget
+from wlr_render.warp.grid import WarpGrid
+from wlr_render.warp.view import GeometryImage
+from wlr_render.warp.warp import WarpedImage, WarpStatus
+
+pytestmark = pytest.mark.gl
+
+CAMERA = Pinhole(200, 160, np.array([-0.5, -0.4]), np.array([0.5, 0.4]))
+HEIGHT, WIDTH = 60, 80
+
+
+@pytest.fixture
+def image():
+    """A near disc before a tilted wall, with smooth colours."""
+    tangents = CAMERA.pixel_centre_tangents()
+    depth = 0.7 + 0.4 * tangents[..., 0] - 0.2 * tangents[..., 1]
+    depth[np.hypot(*np.moveaxis(tangents - [0.05, 0.0], -1, 0)) < 0.12] = 2.0
+    waves = np.stack([tangents @ np.array(k) for k in ([9, 4], [-5, 11], [12, -7])], axis=-1)
+    return GeometryImage(np.rint(127 + 120 * np.sin(waves)).astype(np.uint8), depth.astype(np.float32))
+
+
+def smooth_bend(u, v, offset=0.02):
+    """Rays at display positions from 0 to 1, bent smoothly; (4, ...)."""
+    x, y = u - 0.5, 0.5 - v
+    a, b = 0.7 * x * (1 + 0.3 * y * y), 0.6 * y * (1 + 0.2 * x)
+    return np.stack([a, b, offset * (1 + x), -0.4 * offset * (1 - y)]).astype(np.float32)
+
+
+def motion(angle, by=(0.01, -0.005, 0.02)):
+    return transforms.rigid(transforms.rotation_about("y", angle), np.array(by))
+
+
+def assert_alike(one, other, share=0.999):
+    """Same status, source to 1e-3 px, colour to one code; but where rounding decides on which side of an edge."""
+    same = one.status == other.status
+    assert same.mean() > share
+    found = same & (one.status <= WarpStatus.DISOCCLUDED)
+    close = np.abs(one.source[found] - other.source[found]).max(axis=-1) < 1e-3
+    assert close.mean() > share
+    assert np.abs(one.colour[found].astype(int) - other.colour[found])[close].max() <= 1
+
+
+CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 21, 16)
+FINE_CELLS = WarpGrid.edge_to_edge(Panel(80, 60), 81, 61)
+
+
+def at_points(warp_grid, offset=0.02):
+    """`smooth_bend` at the points of a warp grid."""
+    u, v = np.moveaxis(warp_grid.panel_pixel() / warp_grid.panel.size_px, -1, 0)
+    return smooth_bend(u, v, offset)
+
+
+def by_opengl(context, image, offsets, transform, hole=None, **options):
+    """Along `smooth_bend` rays of each channel; the first has no ray at the corners of a pixel (row, column)."""
+    fields = [at_points(FINE_CELLS, offset) for offset in offsets]
+    if hole is not None:
+        fields[0][:, hole[0] : hole[0] + 2, hole[1] : hole[1] + 2] = np.nan
+    textures = [uploaded_field(context, field, FINE_CELLS) for field in fields]
+    warp, picture = GlWarp(context, len(offsets)), uploaded(context, image, CAMERA)
+    return warp.draw(picture, textures, transform, (WIDTH, HEIGHT), with_source=True, **options).read()
+
+
+def in_other_frame(slope_offset, transform):
+    """Rays (4, ...) told in another camera frame: X = (c, d, 0) + l (a, b, -1), moved and slid along to z = 0."""
+    a, b, c, d = slope_offset.astype(float)
+    start = transforms.apply(transform, np.stack([c, d, 0 * c], axis=-1))
+    direction = transforms.rotate(transform, np.stack([a, b, -np.ones_like(a)], axis=-1))
+    tangents = direction[..., :2] / -direction[..., 2:]
+    return np.moveaxis(np.concatenate([tangents, start[..., :2] + start[..., 2:] * tangents], axis=-1), -1, 0)
+
+
+@pytest.mark.parametrize("samples_per_axis", [1, 2])
+def test_rays_transformed_to_another_frame(gl_context, image, samples_per_axis):
+    """The shader's transform is that of rays which are told in the picture's frame to begin with."""
+    options, transform = {"samples_per_axis": samples_per_axis}, motion(0.15)
+    carried = by_opengl(gl_context, image, [0.02], transform, **options)
+    rays = uploaded_field(gl_context, in_other_frame(at_points(FINE_CELLS), transform), FINE_CELLS)
+    picture = uploaded(gl_context, image, CAMERA)
+    told = GlWarp(gl_context).draw(picture, [rays], np.eye(4), (WIDTH, HEIGHT), with_source=True, **options).read()
+    assert_alike(carried, told)
+    assert {WarpStatus.SEEN, WarpStatus.DISOCCLUDED, WarpStatus.OUTSIDE} <= set(carried.status.ravel())
+
+
+def test_each_row_has_its_own_transform(gl_context, image):
+    by_row = np.stack([motion(0.1 * k / HEIGHT, (0.02 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
+    result = by_opengl(gl_context, image, [0.02], by_row)
+    for row in (0, 31, HEIGHT - 1):
+        alone = by_opengl(gl_context, image, [0.02], by_row[row])
+        assert_alike(*(WarpedImage(each.colour[row], each.status[row], each.source[row]) for each in (result, alone)))
+
+
+def assert_fine_enough(context, image, transform, most_px):
+    """Assert that a coarse grid of curved rays gives the sources of one with a point at every pixel's corners."""
+    field, picture = uploaded_field(context, at_points(CELLS), CELLS), uploaded(context, image, CAMERA)
+    drawn = GlWarp(context).draw(picture, [field], transform, (WIDTH, HEIGHT), with_source=True).read()
+    expected = by_opengl(context, image, [0.02], transform)
+    same = (drawn.status == 0) & (expected.status == 0)
+    assert same.mean() > 0.7
+    assert np.percentile(np.abs(drawn.source - expected.source)[same], 99) < most_px
+
+
+def test_rows_between_coarse_grid_points_take_their_own_transform(gl_context, image):
+    by_row = np.stack([motion(0.02 * k / HEIGHT, (0.005 * k / HEIGHT, 0, 0)) for k in range(HEIGHT)])
+    assert_fine_enough(gl_context, image, by_row, 0.005)
+
+
+def test_second_differences_make_a_coarse_grid_exact(gl_context, image):
+    assert_fine_enough(gl_context, image, np.eye(4), 0.003)
+
+
+@pytest.mark.parametrize("samples_per_axis", [1, 2])
+def test_each_colour_follows_its_own_rays(gl_context, image, samples_per_axis):
+    offsets, hole = (0.018, 0.02, 0.025), (3, 4)
+    options = {"background": (9, 8, 7), "samples_per_axis": samples_per_axis}
+    result = by_opengl(gl_context, image, offsets, motion(0.02), **options)
+    for channel, offset in enumerate(offsets):
+        alone = by_opengl(gl_context, image, [offset], motion(0.02), **options)
+        assert (np.abs(result.colour[..., channel].astype(int) - alone.colour[..., channel]) <= 1).mean() > 0.999
+        assert (result.status >= alone.status).mean() > 0.999
+        if channel == 1:
+            np.testing.assert_allclose(result.source, alone.source, atol=1e-3)
+    holed = by_opengl(gl_context, image, offsets, motion(0.02), hole=hole, **options)
+    assert holed.status[hole] == WarpStatus.NO_RAY
+    assert holed.colour[hole][0] == 9
+    assert (holed.colour[hole][1:] == result.colour[hole][1:]).all()
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_between_grid_points_the_shader_interpolates_as_the_warp_grid_does(gl_context, image, times):
+    size = (80 * times, 60 * times)
+    slope_offset = at_points(CELLS, offset=0.0)
+    field = uploaded_field(gl_context, slope_offset, CELLS)
+    drawn = GlWarp(gl_context).draw(uploaded(gl_context, image, CAMERA), [field], np.eye(4), size, with_source=True)
+    pixel = (np.stack(np.meshgrid(*map(np.arange, size)), axis=-1) + 0.5) / times
+    rays = CELLS.interpolated(slope_offset, pixel.reshape(-1, 2)).reshape(*pixel.shape[:2], 4)
+    np.testing.assert_allclose(drawn.read().source, CAMERA.pixel_of_tangents(rays[..., :2]), atol=1e-3)
+
+
+def test_an_unsolved_grid_point_makes_a_hole_of_its_triangles(gl_context, image):
+    slope_offset = at_points(CELLS, offset=0.0)
+    slope_offset[:, 7, 9] = np.nan
+    field = uploaded_field(gl_context, slope_offset, CELLS)
+    picture = uploaded(gl_context, image, CAMERA)
+    status = GlWarp(gl_context).draw(picture, [field], np.eye(4), (80, 60)).read().status
+    v, u = np.indices((60, 80)) + 0.5 - np.array([28, 36])[:, None, None]
+    within = (np.abs(u) < 4) & (np.abs(v) < 4) & (np.abs(u + v) < 4)
+    on_border = np.abs(u + v) == 4
+    np.testing.assert_array_equal(status[~on_border] == WarpStatus.NO_RAY, within[~on_border])
+    assert (status[status != WarpStatus.NO_RAY] == WarpStatus.SEEN).all()
+
+
+@pytest.mark.parametrize("top_row_first", [True, False])
+def test_into_a_part_of_a_callers_framebuffer(gl_context, image, top_row_first):
+    with gl_context.drawing():
+        canvas = gl_context.target((WIDTH + 30, HEIGHT + 20), 4, "f1")
+        canvas.write(np.full((HEIGHT + 20, WIDTH + 30, 4), 77, np.uint8))
+        framebuffer = gl_context.framebuffer([canvas])
+    warp, picture = GlWarp(gl_context), uploaded(gl_context, image, CAMERA)
+    field = uploaded_field(gl_context, at_points(CELLS), CELLS)
+    viewport = framebuffer.viewport
+    target = WarpTarget(framebuffer, (20, 5), (WIDTH, HEIGHT), top_row_first)
+    by_row = np.stack([motion(0.1 * k / HEIGHT) for k in range(HEIGHT)])
+    warp.draw_into(target, picture, [field], by_row, (1, 2, 3), samples_per_axis=2)
+    assert framebuffer.viewport == viewport
+    expected = warp.draw(picture, [field], by_row, (WIDTH, HEIGHT), (1, 2, 3), samples_per_axis=2).read().colour
+    with gl_context.drawing():
+        drawn = np.frombuffer(canvas.read(), np.uint8).reshape(HEIGHT + 20, WIDTH + 30, 4)
+    part = drawn[5 : 5 + HEIGHT, 20 : 20 + WIDTH]
+    upright = part if top_row_first else part[::-1]
+    assert (np.abs(upright[..., :3].astype(int) - expected) <= 1).mean() > 0.999
+    assert (part[..., 3] == 255).all()
+    untouched = np.ones(drawn.shape[:2], bool)
+    untouched[5 : 5 + HEIGHT, 20 : 20 + WIDTH] = False
+    assert (drawn[untouched] == 77).all()
+
+
+def test_mismatched_ray_maps_and_transforms_are_refused(gl_context, image):
+    warp, picture = GlWarp(gl_context, 3), uploaded(gl_context, image, CAMERA)
+    field = uploaded_field(gl_context, at_points(CELLS), CELLS)
+    other = WarpGrid.edge_to_edge(CELLS.panel, 5, 6)
+    for fields in ([field], [field, field, uploaded_field(gl_context, at_points(other), other)]):
+        with pytest.raises(BadInputError, match="one ray map for each channel, all of one warp grid"):
+            warp.draw(picture, fields, np.eye(4), (WIDTH, HEIGHT))
+    with pytest.raises(BadInputError, match="one transform for each row"):
+        warp.draw(picture, [field] * 3, np.zeros((HEIGHT - 1, 4, 4)), (WIDTH, HEIGHT))

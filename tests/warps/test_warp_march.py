@@ -1,0 +1,128 @@
+"""Long paths through images with thin things in them: the ray meets the first thing that it comes past."""
+
+import numpy as np
+import pytest
+from warping import warped
+
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.warp.view import GeometryImage
+from wlr_render.warp.warp import WarpStatus
+
+pytestmark = pytest.mark.gl
+
+CAMERA = Pinhole(240, 40, np.array([-0.6, -0.1]), np.array([0.6, 0.1]))
+NEAR, FAR = 2.0, 0.5
+
+
+def columns(inverse_depth):
+    """A picture whose columns have these inverse depths (width,), and colours that tell the columns."""
+    shape = (CAMERA.height_px, CAMERA.width_px)
+    colour = np.zeros((*shape, 3), np.uint8)
+    colour[..., 0] = np.arange(CAMERA.width_px)
+    return GeometryImage(colour, np.broadcast_to(inverse_depth, shape).astype(np.float32).copy())
+
+
+def rays(at_infinity, shift_px):
+    """Rays (4, 1, n) in a middle row: where they appear at infinity, and how far they move until NEAR."""
+    pixel = np.stack([at_infinity, np.full_like(at_infinity, 20.3)], axis=-1)
+    tangents = CAMERA.tangents_of_pixel(pixel)
+    offset = np.full_like(at_infinity, shift_px / CAMERA.focal_px[0] / NEAR)
+    return np.stack([*tangents.T, offset, 0 * offset])[:, None].astype(np.float32)
+
+
+def first_met(at_infinity, shift_px, inverse_depth):
+    """Closed form for frontal columns: the largest w whose place shows w; NaN if there is none. And its place."""
+    u = at_infinity[:, None] + shift_px * inverse_depth / NEAR
+    shows = np.floor(u) == np.arange(CAMERA.width_px)
+    met = np.where(shows, inverse_depth, -np.inf).max(axis=1)
+    return np.where(np.isfinite(met), at_infinity + shift_px * met / NEAR, np.nan)
+
+
+def near_a_border(at_infinity, shift_px, inverse_depth):
+    """Whether any depth's place lies so close to a column's border that rounding decides."""
+    u = at_infinity[:, None] + shift_px * np.unique(inverse_depth) / NEAR
+    return (np.abs(u - np.round(u)) < 2e-3).any(axis=1)
+
+
+@pytest.mark.parametrize("width_px", [2, 3])
+@pytest.mark.parametrize("shift_px", [20.0, -20.0, 37.0])
+def test_a_thin_pole_before_a_wall_is_never_skipped(gl_context, width_px, shift_px):
+    depth = np.full(CAMERA.width_px, FAR)
+    depth[120 : 120 + width_px] = NEAR
+    at_infinity = np.arange(60.0, 180.0, 0.0731)
+    result = warped(gl_context, columns(depth), CAMERA, [rays(at_infinity, shift_px)])
+    expected = first_met(at_infinity, shift_px, depth)
+    clear = ~near_a_border(at_infinity, shift_px, depth)
+    at_pole = at_infinity + shift_px
+    on_pole = clear & (at_pole >= 120) & (at_pole < 120 + width_px)
+    hidden = clear & np.isnan(expected)
+    assert on_pole.sum() > 20
+    assert hidden.sum() > 20
+    np.testing.assert_array_equal(result.status[0, clear] == WarpStatus.DISOCCLUDED, np.isnan(expected[clear]))
+    seen = clear & ~hidden
+    np.testing.assert_allclose(result.source[0, seen, 0], expected[seen], atol=2e-3)
+    np.testing.assert_allclose(result.source[0, on_pole, 0], at_pole[on_pole], atol=2e-3)
+    # What is behind the pole is filled from where the ray passed it, beside its edge.
+    np.testing.assert_allclose(result.source[0, hidden, 0], at_pole[hidden], atol=2e-3)
+
+
+@pytest.mark.parametrize("shift_px", [20.0, -20.0])
+def test_a_thin_pole_is_not_lost_when_a_corner_shows_something_very_near(gl_context, shift_px):
+    depth = np.full(CAMERA.width_px, FAR)
+    depth[120:122] = NEAR
+    image = columns(depth)
+    image.inverse_depth[:4, :4] = 10 * NEAR  # paths of 200 px
+    at_infinity = np.arange(90.0, 150.0, 0.0731)
+    result = warped(gl_context, image, CAMERA, [rays(at_infinity, shift_px)])
+    at_pole = at_infinity + shift_px
+    on_pole = (at_pole > 120.01) & (at_pole < 121.99)
+    assert on_pole.sum() > 20
+    assert (result.status[0, on_pole] == WarpStatus.SEEN).all()
+    np.testing.assert_allclose(result.source[0, on_pole, 0], at_pole[on_pole], atol=2e-3)
+
+
+def test_a_ray_that_passes_behind_a_pole_and_comes_out_sees_the_wall(gl_context):
+    depth = np.full(CAMERA.width_px, FAR)
+    depth[120:123] = NEAR
+    # The path leads from 127 at NEAR to 107 at infinity, past the pole, and to the wall at 112.
+    result = warped(gl_context, columns(depth), CAMERA, [rays(np.array([107.0]), 20.0)])
+    assert result.status[0, 0] == WarpStatus.SEEN
+    np.testing.assert_allclose(result.source[0, 0], [112.0, 20.3], atol=1e-3)
+
+
+@pytest.mark.parametrize("shift_px", [3.0, -11.0, 25.0, -50.0])
+def test_the_nearest_of_many_surfaces_is_hit(gl_context, shift_px):
+    rng = np.random.default_rng(int(abs(shift_px)))
+    widths = rng.integers(2, 9, 120)
+    depth = np.repeat(rng.choice([0.0, 0.4, 0.55, 0.9, 1.3, NEAR], 120), widths)[: CAMERA.width_px]
+    at_infinity = np.arange(55.0, 185.0, 0.0379)
+    result = warped(gl_context, columns(depth), CAMERA, [rays(at_infinity, shift_px)])
+    expected = first_met(at_infinity, shift_px, depth)
+    clear = ~near_a_border(at_infinity, shift_px, depth)
+    right = np.where(
+        np.isnan(expected),
+        result.status[0] == WarpStatus.DISOCCLUDED,
+        (result.status[0] == WarpStatus.SEEN) & (np.abs(result.source[0, :, 0] - expected) < 2e-3),
+    )
+    assert np.isnan(expected[clear]).any()
+    assert right[clear].all()
+
+
+@pytest.mark.parametrize("slope", [-3.0, -0.8, 0.8, 3.0])
+def test_a_plane_at_any_tilt_is_met_where_it_is(gl_context, slope):
+    # n . p = 1 has the inverse depth n . (tx, ty, -1) in every direction.
+    normal = np.array([slope, 0.6, -2.2])
+    tangents = CAMERA.pixel_centre_tangents()
+    image = columns(np.zeros(CAMERA.width_px))
+    image.inverse_depth[:] = tangents @ normal[:2] - normal[2]
+    at_infinity = np.arange(70.0, 170.0, 0.173)
+    slope_offset = rays(at_infinity, 24.0)
+    result = warped(gl_context, image, CAMERA, [slope_offset])
+    a, b, c, d = slope_offset.astype(float)
+    met = (normal[0] * a + normal[1] * b - normal[2]) / (1 - normal[0] * c - normal[1] * d)
+    expected = CAMERA.pixel_of_tangents(np.stack([a + c * met, b + d * met], axis=-1))
+    inside = (expected[..., 0] > 1) & (expected[..., 0] < CAMERA.width_px - 1)
+    assert inside.mean() > 0.6
+    assert (result.status[inside] == WarpStatus.SEEN).all()
+    # A search ends when it moves by less than 0.01 px; on the steepest of these each step leaves a third of the last.
+    np.testing.assert_allclose(result.source[inside], expected[inside], atol=5e-3)

@@ -1,0 +1,214 @@
+import shutil
+import subprocess
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from composing import HEAD, planar
+from own_warps import NEAR_M, OpenGl, Warp, WebGpu, drawn, expected_source, light, seen_by
+
+from wlr_render import StoredDepth
+from wlr_render.engine import DepthKind
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.io.atomic_files import resource
+from wlr_render.mappings import QueryResult, Status
+from wlr_render.numerics.srgb import encode_srgb
+from wlr_render.warp.choose_grid import ray_error_arcmin
+from wlr_render.warp.ray_map import solve_pixels
+from wlr_render.warp.warp_mesh import WarpMesh
+
+SIZE = 180, 200
+STORED = StoredDepth(DepthKind.WINDOW, NEAR_M, np.inf)
+TURNED = HEAD @ transforms.rigid(transforms.rotation_about("y", np.deg2rad(0.5)), np.array([0.008, -0.004, 0.003]))
+MOVED = HEAD @ transforms.rigid(np.eye(3), np.array([0.06, -0.02, 0.05]))
+
+
+@pytest.fixture(scope="module")
+def eye():
+    return planar()
+
+
+@pytest.fixture(scope="module")
+def mesh(eye):
+    return WarpMesh(eye, SIZE, tolerance_arcmin=0.05)
+
+
+def pupil(eye):
+    return eye.eye_box.at(np.array([0.6, -0.5, 0.4]))
+
+
+def triangles_around(mesh, place):
+    """(m, 3) barycentric coordinates of a panel place (2,) in each triangle, and which contain it."""
+    corner = mesh.panel_position[mesh.triangles].astype(float)
+    side = (corner[:, [1, 2]] - corner[:, [0]]).swapaxes(1, 2)
+    weight = np.linalg.solve(side, (place - corner[:, 0])[..., None])[..., 0]
+    weight = np.concatenate([1 - weight.sum(axis=1, keepdims=True), weight], axis=1)
+    return weight, np.flatnonzero((weight > -1e-6).all(axis=1))
+
+
+def interpolated(mesh, rays, places):
+    """Rays (n, 4) at panel places (n, 2), 0..1, as a rasteriser interpolates them."""
+    weights = [(weight[around[0]], around[0]) for weight, around in (triangles_around(mesh, each) for each in places)]
+    return np.stack([weight @ rays[mesh.triangles[around]] for weight, around in weights])
+
+
+@pytest.mark.slow
+def test_rays_inside_triangles_are_within_the_bound(eye, mesh):
+    place = np.random.default_rng(5).uniform(0, 1, (60, 2))
+    axes = mesh.camera(np.eye(4), pupil(eye)).view.device_from_camera
+    exact = solve_pixels(eye, axes, place * eye.display.panel.size_px, pupil(eye)).slope_offset
+    read = interpolated(mesh, mesh.rays(pupil(eye))[0], place)
+    worst = ray_error_arcmin(read, exact).max()
+    print(f"{len(mesh.panel_position)} vertices, bound {mesh.bound_arcmin:.3f}, worst of 60 {worst:.3f} arcmin")
+    assert 0.2 * mesh.bound_arcmin < worst < mesh.bound_arcmin <= 0.05
+
+
+def test_triangles_cover_the_panel_once(mesh):
+    places = np.random.default_rng(7).uniform(0, 1, (30, 2))
+    assert {triangles_around(mesh, each)[1].size for each in places} == {1}
+
+
+@pytest.mark.slow
+def test_a_finer_tolerance_makes_a_finer_mesh(eye, mesh):
+    finer = WarpMesh(eye, (1440, 1600), tolerance_arcmin=0.0125)
+    assert 3 < len(finer.triangles) / len(mesh.triangles) < 6
+    assert finer.bound_arcmin <= 0.0125
+
+
+@pytest.mark.slow
+def test_a_mesh_is_no_finer_than_the_picture(eye):
+    assert len(WarpMesh(eye, (18, 20), tolerance_arcmin=0.001).panel_position) <= 20 * 22
+
+
+def exact_at_vertices(mappings, mesh, viewpoint):
+    axes = mesh.camera(np.eye(4), viewpoint).view.device_from_camera
+    pixel = mesh.panel_position * mappings.display.panel.size_px
+    return solve_pixels(mappings, axes, pixel, viewpoint).slope_offset
+
+
+def test_each_colour_has_the_rays_of_its_own_model(flat_image_headset):
+    see_through, at = flat_image_headset.see_through, pupil(flat_image_headset)
+    colours = [
+        replace(flat_image_headset, see_through=replace(see_through, prism=prism)) for prism in (-0.01, 0.0, 0.02)
+    ]
+    mesh = WarpMesh(colours, SIZE)
+    for rays, mappings in zip(mesh.rays(at), colours, strict=True):
+        assert ray_error_arcmin(rays, exact_at_vertices(mappings, mesh, at)).max() < 0.005
+
+
+@dataclass(frozen=True)
+class HalfDisplay:
+    """A display without rays to the left of a column."""
+
+    whole: object
+    column: float
+
+    def __getattr__(self, name):
+        return getattr(self.whole, name)
+
+    def view_dir_of_pixel(self, pixel, viewpoint, warm_start=None):
+        seen = self.whole.view_dir_of_pixel(pixel, viewpoint)
+        lost = np.asarray(pixel)[..., 0] < self.column
+        value, status = np.where(lost[..., None], np.nan, seen.value), np.where(lost, Status.MISS, seen.status)
+        return QueryResult(value, status.astype(np.uint8))
+
+
+def test_vertices_without_rays_are_nan_and_the_others_exact(flat_image_headset):
+    half = replace(flat_image_headset, display=HalfDisplay(flat_image_headset.display, 50.0))
+    mesh, at = WarpMesh(half, SIZE), pupil(flat_image_headset)
+    rays, lost = mesh.rays(at)[0], mesh.panel_position[:, 0] * 140 < 50
+    np.testing.assert_array_equal(np.isnan(rays).any(axis=1), lost)
+    assert ray_error_arcmin(rays, exact_at_vertices(flat_image_headset, mesh, at))[~lost].max() < 0.005
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda eye, mesh: WarpMesh({"left": planar("left"), "right": eye}, SIZE), "one mesh for each eye"),
+        (lambda eye, mesh: WarpMesh(eye, (0, 4)), r"size is \(0, 4\)"),
+        (lambda eye, mesh: WarpMesh(eye, SIZE, tolerance_arcmin=0), "tolerance_arcmin is 0"),
+        (lambda eye, mesh: WarpMesh(eye, SIZE, raster_camera="pupil"), "raster_camera is 'pupil'"),
+        (lambda eye, mesh: mesh.rays([0, 0, np.nan]), "three finite numbers"),
+        (lambda eye, mesh: mesh.rays([0, 0, 1.0]), "eye box's centre in z"),
+        (lambda eye, mesh: mesh.camera(np.ones((4, 4)), pupil(eye)), "not a rotation"),
+        (
+            lambda eye, mesh: mesh.image_from_ray(
+                WarpMesh(eye, (18, 20), tolerance_arcmin=1).camera(HEAD, pupil(eye)), pupil(eye), HEAD
+            ),
+            "not one of this mesh",
+        ),
+    ],
+)
+def test_wrong_input_is_named(eye, mesh, wrong, words):
+    with pytest.raises(BadInputError, match=words):
+        wrong(eye, mesh)
+
+
+def judged(eye, mesh, camera, newest, source, colour):
+    """Prints and checks what a shader made: positions (h, w, 3) and linear light (h, w, 3), top row first."""
+    expected = expected_source(eye, camera.view.device_from_camera, SIZE, camera, pupil(eye), newest)
+    known = np.isfinite(expected[..., 0])
+    assert known.mean() > 0.85
+    assert (source[known, 2] == 1).all()
+    error_px = np.linalg.norm(source[known, :2] - expected[known], axis=-1)
+    bound_px = mesh.bound_arcmin * ARCMIN * max(camera.focal_px) * 1.5  # tangents stretch to the borders
+    light_error = np.abs(colour[known] - light(*seen_by(camera, expected[known]))).max(axis=-1)
+    print(
+        f"source: median {np.median(error_px):.4f}, largest {error_px.max():.4f} px, mesh {bound_px:.4f} px; "
+        f"light: median {np.median(light_error):.4f}, largest {light_error.max():.4f}"
+    )
+    assert error_px.max() < bound_px + 0.02
+    assert np.median(light_error) < 0.006
+    assert light_error.max() < 0.02
+
+
+def check(gpu, eye, mesh, newest, **options):
+    """The picture is of an older head pose and an older pupil."""
+    camera = mesh.camera(HEAD, eye.eye_box.centre)
+    colour, depth = drawn(camera)
+    rows = mesh.image_from_ray(camera, pupil(eye), newest)
+    warp = Warp(encode_srgb(colour.astype(np.float32)), depth, rows, STORED, 1 / 0.5, mesh.samples_per_axis)
+    rays = mesh.rays(pupil(eye))[0]
+    answers = [gpu.drawn(entry, warp, SIZE, mesh, rays, **options) for entry in ("only_source", "fragment")]
+    judged(eye, mesh, camera, newest, *answers)
+    rays = np.where(mesh.panel_position[:, :1] < 0.5, np.float32(np.nan), rays)
+    is_shown = gpu.drawn("only_source", warp, SIZE, mesh, rays, **options)[..., 2]
+    assert (is_shown[:, : SIZE[0] // 2 - 2] == 0).all()
+    assert (is_shown[20:-20, SIZE[0] // 2 + 2 : -20] == 1).all()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(("rows_up", "newest"), [(False, TURNED), (True, MOVED)])
+def test_the_glsl_warp_shows_what_the_exact_rays_meet(gl_context, eye, mesh, rows_up, newest):
+    check(OpenGl(gl_context), eye, mesh, newest, rows_up=rows_up)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("newest", [TURNED, MOVED])
+def test_the_wgsl_warp_shows_what_the_exact_rays_meet(eye, mesh, newest):
+    wgpu = pytest.importorskip("wgpu", reason="wgpu is not installed; pip install '.[wgpu]'.")
+    try:
+        gpu = WebGpu(wgpu)
+    except RuntimeError as error:
+        pytest.skip(f"WebGPU finds no device; lavapipe of mesa-vulkan-drivers is one ({error}).")
+    check(gpu, eye, mesh, newest)
+
+
+@pytest.mark.parametrize("stage", ["vertex", "fragment"])
+def test_the_glsl_warp_compiles_for_vulkan_metal_and_direct3d(stage, tmp_path):
+    compiler = shutil.which("glslangValidator")
+    if compiler is None:
+        pytest.skip("glslangValidator is not installed (glslang-tools).")
+    text = resource("shaders", "own_warp.glsl").read_text(encoding="utf-8")
+    source = tmp_path / f"warp.{stage[:4]}"
+    source.write_text(f"#version 450\n#define {stage.upper()}_STAGE\n{text}", encoding="utf-8")
+    command = [compiler, "-V", str(source), "-o", str(tmp_path / "warp.spv")]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
+    if shutil.which("spirv-cross") is None:
+        pytest.skip("spirv-cross is not installed.")
+    for language in (["--msl"], ["--hlsl", "--shader-model", "50"]):
+        translated = subprocess.run(["spirv-cross", command[-1], *language], capture_output=True, text=True)
+        assert translated.returncode == 0, translated.stderr

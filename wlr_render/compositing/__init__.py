@@ -1,1 +1,0 @@
-"""Frames in real time: head pose and eye position in, panel images out, inside another OpenGL program."""

@@ -1,0 +1,1 @@
+"""Drawing of scenes: rasterisation, ray and path tracing, layers of frames."""

@@ -1,0 +1,208 @@
+"""Whole frames by ray tracing, and an eyeball camera's picture through the optics."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wlr_render.draw.ray_intersections import Intersections, SceneTracer
+from wlr_render.draw.sampling import remap
+from wlr_render.draw.shading import Shaded, Surfaces, shade
+from wlr_render.draw.thread_pool import for_blocks
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import directions, rays
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.mappings import Eye
+from wlr_render.numerics.arrays import Float32Array, FloatArray
+from wlr_render.numerics.srgb import decode_srgb, encode_srgb
+from wlr_render.scene.scene import Scene
+
+_Value = TypeVar("_Value", bound=np.generic)
+
+RaysOfRows = Callable[[slice], tuple[Float32Array, Float32Array]]
+"""Some rows of a picture -> origins and directions of their rays, world frame; the direction (n, 3) float32 with
+n = rows * width, row by row, and the origin (n, 3) or (3,). Rays with a NaN see the background. Called from several
+threads at once."""
+
+_RAYS_PER_BLOCK = 1 << 15
+
+
+@dataclass(frozen=True, eq=False)
+class TracedImage:
+    """A picture of any rays and, per pixel, what its ray meets. Rows run down, as the caller's rays do.
+
+    Attributes:
+        colour: (height, width, 3) uint8 sRGB.
+        distance: (height, width) float32 along the ray, in lengths of its direction; inf where nothing is.
+        position: (height, width, 3) float32 world frame, NaN where nothing is; None when not asked for.
+    """
+
+    colour: NDArray[np.uint8]
+    distance: Float32Array
+    position: Float32Array | None = None
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int], with_position: bool) -> "TracedImage":
+        """Images to be filled in."""
+        position = np.full((*shape, 3), np.nan, np.float32) if with_position else None
+        return cls(np.empty((*shape, 3), np.uint8), np.empty(shape, np.float32), position)
+
+
+class RayRenderer:
+    """Renders a scene by ray tracing; it keeps the acceleration structure and the shading tables."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.tracer = SceneTracer(scene)
+        self.surfaces = Surfaces.of(scene)
+
+    def render_blocks(
+        self, shape: tuple[int, int], rays_of_rows: RaysOfRows, with_position: bool = False, shadows: bool = False
+    ) -> TracedImage:
+        """Return a frame whose rays are made as they are needed, in the thread that traces them.
+
+        Args:
+            shape: (height, width).
+            rays_of_rows: see `RaysOfRows`.
+            with_position: also return the points that the rays meet.
+            shadows: whether surfaces cast shadows.
+        """
+        image = TracedImage.empty(shape, with_position)
+        background = encode_srgb(self.scene.background)
+
+        def render(rows: slice) -> None:
+            hits, shaded = self._trace(rays_of_rows(rows), shadows)
+            code = encode_srgb(shaded.colour)
+            _flat_rows(image.colour, rows)[:] = _scattered(code, shaded.index, len(hits.distance), background)
+            _flat_rows(image.distance, rows)[:] = hits.distance
+            if image.position is not None:
+                _flat_rows(image.position, rows)[shaded.index] = shaded.position.T
+
+        for_blocks(render, shape[0], _rows_per_block(shape))
+        return image
+
+    def render_rays(
+        self, origin: ArrayLike, direction: ArrayLike, with_position: bool = False, shadows: bool = False
+    ) -> TracedImage:
+        """Render a frame of given rays: (height, width, 3) world frame, origin possibly (3,); NaN for no ray."""
+        origin, direction = np.broadcast_arrays(np.asarray(origin, np.float32), np.asarray(direction, np.float32))
+
+        def rays_of_rows(rows: slice) -> tuple[Float32Array, Float32Array]:
+            return origin[rows].reshape(-1, 3), direction[rows].reshape(-1, 3)
+
+        height, width = direction.shape[:2]
+        return self.render_blocks((height, width), rays_of_rows, with_position, shadows)
+
+    def render_supersampled(
+        self, shape: tuple[int, int], samples: Iterable[RaysOfRows], shadows: bool = False
+    ) -> NDArray[np.uint8]:
+        """Return the mean of several frames in linear light, (height, width, 3) uint8 sRGB.
+
+        Args:
+            shape: (height, width).
+            samples: the rays of each frame, displaced within the pixel; taken one after the other, so that a
+                generator need hold only one frame's rays. At least one.
+            shadows: whether surfaces cast shadows.
+        """
+        total = np.zeros((*shape, 3), np.float32)
+        count = 0
+        for rays_of_rows in samples:
+            self._accumulate(total, rays_of_rows, shadows)
+            count += 1
+        if count == 0:
+            raise BadInputError("A supersampled frame needs at least one set of rays; none was given.")
+        code = np.empty(total.shape, np.uint8)
+
+        def encode(rows: slice) -> None:
+            code[rows] = encode_srgb(total[rows] / np.float32(count))
+
+        for_blocks(encode, shape[0], _rows_per_block(shape))
+        return code
+
+    def _accumulate(self, total: Float32Array, rays_of_rows: RaysOfRows, shadows: bool) -> None:
+        def add(rows: slice) -> None:
+            hits, shaded = self._trace(rays_of_rows(rows), shadows)
+            # Clip before the mean: the display clips the light of each sample.
+            colour = np.clip(shaded.colour, np.float32(0), np.float32(1))
+            flat = _flat_rows(total, rows)
+            flat += _scattered(colour, shaded.index, len(hits.distance), self.scene.background)
+
+        for_blocks(add, len(total), _rows_per_block(total.shape))
+
+    def _trace(self, rays: tuple[Float32Array, Float32Array], shadows: bool) -> tuple[Intersections, Shaded]:
+        origin, direction = rays
+        origin = np.broadcast_to(origin, direction.shape)
+        hits = self.tracer.intersect(origin, direction)
+        shadow_tracer = self.tracer if shadows else None
+        return hits, shade(self.scene, self.surfaces, hits, origin, direction, shadow_tracer)
+
+
+def _rows_per_block(shape: tuple[int, ...]) -> int:
+    return max(1, _RAYS_PER_BLOCK // max(1, shape[1]))
+
+
+def _flat_rows(image: NDArray[_Value], rows: slice) -> NDArray[_Value]:
+    """Return some rows of (height, width, ...) as (rows * width, ...), a view."""
+    block = image[rows]
+    return block.reshape(-1, *block.shape[2:])
+
+
+def _scattered(
+    components: NDArray[_Value], index: NDArray[np.intp], count: int, background: NDArray[_Value]
+) -> NDArray[_Value]:
+    """(3, m) of chosen rays -> (count, 3), with the background elsewhere."""
+    if len(index) == count:
+        return components.T
+    result = np.empty((count, 3), components.dtype)
+    result[:] = background
+    result[index] = components.T
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class EyeView:
+    """An eyeball camera's picture before the display is switched on, and where it sees the panel.
+
+    Attributes:
+        real: (height, width, 3) uint8 sRGB, the real scene as seen through the combiner.
+        panel_pixel: (height, width, 2) which panel pixel is reflected there, NaN where none is.
+    """
+
+    real: NDArray[np.uint8]
+    panel_pixel: FloatArray
+
+    def with_display(self, shown: NDArray[np.uint8], gain: float = 1.0, see_through: float = 1.0) -> NDArray[np.uint8]:
+        """Add the display's light to the picture.
+
+        Args:
+            shown: (panel height, panel width, 3) uint8 sRGB, the panel's picture.
+            gain: share of the panel's light that reaches the eye.
+            see_through: share of the world's light that reaches the eye.
+
+        Returns:
+            (height, width, 3) uint8 sRGB.
+        """
+        reflected, _ = remap(decode_srgb(shown), self.panel_pixel)
+        light = see_through * decode_srgb(self.real) + gain * reflected
+        return encode_srgb(light.astype(np.float32))
+
+
+def eye_view(
+    truth: Eye, renderer: RayRenderer, viewpoint: FloatArray, world_from_device: FloatArray, camera: Pinhole
+) -> EyeView:
+    """Render the eyeball camera's view through the optics.
+
+    Args:
+        truth: the mappings of the optics that the eye really looks through.
+        renderer: of the real scene.
+        viewpoint: (3,) entrance pupil, device frame.
+        world_from_device: (4, 4) head pose.
+        camera: the eyeball camera; axes of the device frame.
+    """
+    view_dir = directions.dir_of_tangents(camera.pixel_centre_tangents())
+    real_ray = rays.transformed(world_from_device, truth.see_through.real_ray_of_view_dir(view_dir, viewpoint).value)
+    origin, direction = rays.split(real_ray)
+    real = renderer.render_rays(origin, direction, shadows=True)
+    return EyeView(real.colour, truth.display.pixel_of_view_dir(view_dir, viewpoint).value)

@@ -1,0 +1,1 @@
+"""OpenGL: contexts, programs, framebuffers, and read-back of textures."""

@@ -1,0 +1,344 @@
+"""An OpenGL context, our own or an adopted one: drawing blocks, shader programs, textures and framebuffers."""
+
+import contextlib
+import ctypes
+import weakref
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Any, TypeVar
+
+import moderngl
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.gl.host_checks import ErrorReader, GlError, error_name
+from wlr_render.gl.native_contexts import CurrentContext
+from wlr_render.gl.ownership import ContextOwner
+from wlr_render.gl.programs import forget_textures, shader_source
+from wlr_render.io import atomic_files
+
+Texture = moderngl.Texture
+TextureArray = moderngl.TextureArray
+Context = moderngl.Context
+Framebuffer = moderngl.Framebuffer
+Program = moderngl.Program
+VertexArray = moderngl.VertexArray
+Sampler = moderngl.Sampler
+Buffer = moderngl.Buffer
+
+_Object = TypeVar("_Object")
+
+_SOFTWARE = "llvmpipe", "softpipe", "swrast", "swiftshader"
+_FRAMEBUFFER = 0x8D40
+_SRGB8 = 0x8C41  # GL_SRGB8: texels are decoded to linear light before they are filtered
+SRGB8_ALPHA8 = 0x8C43
+_RGB10_A2 = 0x8059
+_SRGB_DECODE, _SKIP_DECODE = 0x8A48, 0x8A4A  # enums of GL_EXT_texture_sRGB_decode, which some OpenGL ES drivers lack
+_TEXTURE_2D, _INTERNAL_FORMAT = 0x0DE1, 0x1003
+
+
+class GlContext:
+    """An OpenGL context and its shader programs; a context manager that releases it.
+
+    Several may live in one process: each `drawing` block makes its own current, and afterwards the previous one. An
+    adopted one is made current by the program that it belongs to, which gets it back from each block as it was.
+
+    Attributes:
+        backend: "egl", "osmesa", or an adopted context's platform.
+        renderer: name of what draws, e.g. "llvmpipe (LLVM 15.0.6, 256 bits)".
+        largest_side_px: limit of OpenGL on a texture's or framebuffer's width and height.
+        host_is_clean: whether the host has promised OpenGL's default state, see `adopt_context`.
+        names_version: counts the calls of `forget_names`.
+    """
+
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        current: CurrentContext,
+        owner: ContextOwner,
+        caller: moderngl.Context | None = None,
+        host_is_clean: bool = False,
+    ) -> None:
+        """Wrap ModernGL's context of the current one; `caller` is another of ModernGL's for the same."""
+        self._ctx, self._current, self._owner, self._caller = ctx, current, owner, caller
+        self._objects: weakref.WeakSet[Any] = weakref.WeakSet()
+        # Objects that Python drops are freed in the next drawing block, when this context is sure to be current.
+        self._ctx.gc_mode = "context_gc"
+        self._programs: dict[tuple[object, ...], Program] = {}
+        self._errors = ErrorReader(current)
+        self.host_is_clean, self.names_version = host_is_clean, 0
+        self._depth, self._switched = 0, False
+        self._made_objects = False  # a clean host's errors are read only in blocks that make objects
+        self._bind = current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)
+        self._set_viewport = current.function("glViewport", *[ctypes.c_int] * 4)
+        self._no_vertices: dict[int, VertexArray] = {}
+        self._released = False
+        self.backend = current.platform
+        with owner.entered(third_party=False):
+            self.renderer = str(ctx.info["GL_RENDERER"])
+            self.largest_side_px = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
+        for path in atomic_files.resource("shaders").glob("*.glsl"):
+            self._ctx.includes[path.name] = path.read_text(encoding="utf-8")
+
+    def __enter__(self) -> "GlContext":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+
+    @property
+    def is_software(self) -> bool:
+        """True for a software renderer: work per pixel is expensive, and texture filters have exact weights."""
+        return any(name in self.renderer.lower() for name in _SOFTWARE)
+
+    @contextlib.contextmanager
+    def drawing(self, third_party: bool = False) -> Iterator[moderngl.Context]:
+        """Open a block of OpenGL calls: this context current, all switches off, errors raised at the end.
+
+        Other users of OpenGL in the process leave their context current and blending on, and ModernGL would then
+        draw silently wrong pixels.
+
+        Args:
+            third_party: other software draws in the block, so that more of an adopted context's state has to be kept.
+
+        Raises:
+            GlError: a call in the block failed.
+            BadInputError: it has been released, or an adopted context is not current.
+        """
+        if self._released:
+            raise BadInputError("the OpenGL context has been released with all its pictures; read them before release.")
+        with self._owner.entered(third_party):
+            outermost = not self._depth
+            if outermost and not self.host_is_clean:
+                self.take_error()
+                self._ctx.enable_only(moderngl.NOTHING)
+            _free_dropped(self._ctx)
+            self._depth, self._switched = self._depth + 1, self._switched or third_party
+            try:
+                yield self._ctx
+            finally:
+                self._depth -= 1
+                if self._switched:
+                    self._ctx.enable_only(moderngl.NOTHING)
+                    self._ctx.depth_func = "<"
+                    self._switched = False
+                if outermost or third_party:
+                    forget_textures(self._ctx)
+            if outermost and (self._made_objects or not self.host_is_clean):
+                self._made_objects = False
+                error = self.take_error()
+                if error:
+                    pending = "; or the host had it pending before" if self.host_is_clean else ""
+                    raise GlError(f"OpenGL reports {error_name(error)} ({self.renderer}){pending}.")
+
+    def function(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
+        """Look up an OpenGL function that ModernGL hides, with `ctypes` types; call it in a drawing block."""
+        return self._current.function(name, *argument_types, result=result)
+
+    def has(self, thing: Texture | TextureArray | Framebuffer | Buffer) -> bool:
+        """Return whether the object was made in this context, by this library or by the context's program."""
+        if thing.ctx is self._ctx or thing.ctx is self._caller:
+            return True
+        return not isinstance(thing.ctx.mglo, moderngl.InvalidObject) and self._owner.is_same_as(thing.ctx)
+
+    def take_error(self) -> int:
+        """Return the oldest error that OpenGL holds (0: none), after which it holds none; call it in a drawing block.
+
+        Raises:
+            GlError: the context is lost.
+        """
+        return self._errors.take()
+
+    def check_host_is_clean(self) -> None:
+        """Check that the host is clean; call this where the compositor would be called, e.g. in a test.
+
+        Raises:
+            BadInputError: some state is not OpenGL's default; the sentence names the calls that set it. Or the context
+                is not current.
+        """
+        odd = self._owner.odd_values()  # outside any drawing block, which would set the defaults
+        if odd:
+            raise BadInputError(
+                f"The host is not clean: {', '.join(odd)} set other values than OpenGL's defaults; reset them before "
+                "you call the compositor, or leave host_state at 'kept'."
+            )
+
+    def forget_names(self) -> None:
+        """Read framebuffers and textures that a clean host gives by number anew: their numbers may have been reused."""
+        self.names_version += 1
+
+    def program(self, vertex: str, fragment: str, functions: str = "", /, **constants: float) -> Program:
+        """Return the program of two files in shaders/, compiled once for each set of constants (`#define NAME value`).
+
+        Args:
+            vertex: file name.
+            fragment: file name.
+            functions: generated GLSL that the fragment shader calls; it stands before the file's own text.
+            constants: for both.
+        """
+        key = vertex, fragment, functions, *sorted(constants.items())
+        if key not in self._programs:
+            program = self._ctx.program(
+                vertex_shader=shader_source(vertex, constants),
+                fragment_shader=shader_source(fragment, constants, functions),
+            )
+            self._programs[key] = self._tracked(program)
+        return self._programs[key]
+
+    def full_screen(
+        self, fragment: str, vertex: str = "full_screen.vert", functions: str = "", /, **constants: float
+    ) -> VertexArray:
+        """One triangle over the whole target that runs a fragment shader for each pixel: `.render(vertices=3)`."""
+        return self.no_vertices(self.program(vertex, fragment, functions, **constants))
+
+    def no_vertices(self, program: Program) -> VertexArray:
+        """Return a program that draws from `gl_VertexID` alone: `.render(vertices=n)`; made once for each program."""
+        if program.glo not in self._no_vertices:
+            self._no_vertices[program.glo] = self._tracked(self._ctx.vertex_array(program, []))
+        return self._no_vertices[program.glo]
+
+    def target(self, size: tuple[int, int], components: int, dtype: str) -> Texture:
+        """Return an empty texture of (width, height) to draw into: dtype "f1" (8 bit), "nu2", "f2", "f4", "i4" or "u1".
+
+        "srgb" of four components holds sRGB codes in 8 bits: drawn and read as they are, decoded when sampled. "rgb10"
+        has 10 bits, and 2 of alpha, and is read as uint16.
+        """
+        if dtype == "srgb":
+            texture = self._tracked(self._ctx.texture(size, components, internal_format=SRGB8_ALPHA8))
+            texture.extra = SRGB8_ALPHA8
+        elif dtype == "rgb10":
+            texture = self._tracked(self._ctx.texture(size, components, dtype="nu2", internal_format=_RGB10_A2))
+        else:
+            texture = self._tracked(self._ctx.texture(size, components, dtype=dtype))
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        texture.repeat_x = texture.repeat_y = False
+        return texture
+
+    def srgb_texture(self, image: NDArray[np.uint8]) -> Texture:
+        """Return an sRGB picture (height, width, 3) that is sampled in linear light, bilinear, repeating.
+
+        The hardware's filter weights have 8 bits, so that a sample errs by up to 6e-3 of the local contrast.
+        """
+        height, width = image.shape[:2]
+        pixels = np.ascontiguousarray(image)
+        texture = self._tracked(self._ctx.texture((width, height), 3, pixels, alignment=1, internal_format=_SRGB8))
+        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        texture.repeat_x = texture.repeat_y = True
+        return texture
+
+    def plain_sampler(self, decodes: bool = False) -> Sampler:
+        """Return a sampler of the nearest texel, without depth comparison; `decodes` sRGB formats or reads codes."""
+        nearest = moderngl.NEAREST, moderngl.NEAREST
+        sampler = self._tracked(self._ctx.sampler(repeat_x=False, repeat_y=False, filter=nearest, compare_func=""))
+        if not decodes and self.reads_srgb_codes:
+            number = vars(sampler)["_glo"]
+            self.function("glSamplerParameteri", *[ctypes.c_uint] * 3)(number, _SRGB_DECODE, _SKIP_DECODE)
+        return sampler
+
+    def third_party_texture(self, number: int, size: tuple[int, int]) -> Texture:
+        """Return a 2D texture of 8 bits that others made and free, by its OpenGL name; in a third-party block."""
+        forget_textures(self._ctx)
+        return self._ctx.external_texture(number, size, 4, 0, "f1")
+
+    @property
+    def texture_unit(self) -> int:
+        """The unit for textures that are bound to be written or asked about; no shader reads from it."""
+        return int(self._ctx.default_texture_unit)
+
+    @property
+    def reads_srgb_codes(self) -> bool:
+        """True if `plain_sampler` can read the codes of sRGB formats; otherwise OpenGL decodes them all the same."""
+        return "GL_EXT_texture_sRGB_decode" in self._ctx.extensions
+
+    def has_srgb_format(self, texture: Texture) -> bool:
+        """Return whether OpenGL decodes a texture's sRGB codes when it is sampled; call it in a drawing block."""
+        texture.use(self.texture_unit)
+        found = ctypes.c_int()
+        query = self.function("glGetTexLevelParameteriv", ctypes.c_uint, ctypes.c_int, ctypes.c_uint, ctypes.c_void_p)
+        query(_TEXTURE_2D, 0, _INTERNAL_FORMAT, ctypes.addressof(found))
+        return found.value in (_SRGB8, SRGB8_ALPHA8)
+
+    def depth_target(self, size: tuple[int, int]) -> Texture:
+        """Return an empty depth texture of (width, height), 24 bits, read as plain values."""
+        texture = self._tracked(self._ctx.depth_texture(size))
+        texture.compare_func = ""
+        return texture
+
+    def framebuffer(self, textures: list[Texture], depth: Texture | None = None) -> Framebuffer:
+        """Return a target of several textures of one size, the shader's outputs 0, 1, ... in this order."""
+        made = self._tracked(self._ctx.framebuffer(textures, depth))
+        made.use()  # sets its draw buffers
+        return made
+
+    def draw_to(self, framebuffer: Framebuffer) -> None:
+        """Draw to a framebuffer's viewport until another one is bound.
+
+        As `Framebuffer.use`, which also sets draw buffers, masks and scissor test in five more calls: our framebuffers
+        keep the settings of their first use. ModernGL does not record this binding: make no framebuffer and clear none
+        before the draw.
+        """
+        if not framebuffer.glo:
+            framebuffer.use()
+            return
+        self._bind(_FRAMEBUFFER, framebuffer.glo)
+        self._set_viewport(*framebuffer.viewport)
+
+    def triangles(
+        self, program: Program, attributes: dict[str, NDArray[Any]], indices: NDArray[np.uint32]
+    ) -> VertexArray:
+        """Return an indexed triangle mesh; attributes (vertices, n) become float32, unused ones are left out."""
+        content = [
+            (self._buffer(values, np.float32), f"{values.shape[1]}f4", name)
+            for name, values in attributes.items()
+            if name in program
+        ]
+        return self._tracked(self._ctx.vertex_array(program, content, self._buffer(indices, np.uint32)))
+
+    def depth_test(self) -> None:
+        """Enable the depth test (less or equal) until the end of the innermost `drawing` block."""
+        self._switched = True
+        self._ctx.enable_only(moderngl.DEPTH_TEST)
+        self._ctx.depth_func = "<="
+
+    def release(self) -> bool:
+        """Destroy an own context with its objects; in an adopted one, only the objects made here.
+
+        Returns:
+            Whether it is released: not, with a RuntimeWarning, while an adopted context is not current on this thread.
+        """
+        caller_is_gone = self._caller is not None and isinstance(self._caller.mglo, moderngl.InvalidObject)
+        is_gone = caller_is_gone and not self._current.is_current()
+        if not self._released and (is_gone or self._freed()):
+            self._programs.clear()
+            self._no_vertices.clear()
+            self._released = True
+        return self._released
+
+    def _freed(self) -> bool:
+        try:
+            return self._owner.release(list(self._objects))
+        except GlError:
+            return True  # the context is lost with all its objects
+
+    def pixel_buffer(self, size_bytes: int) -> Buffer:
+        """Return an empty buffer that pixels are read into."""
+        return self._tracked(self._ctx.buffer(reserve=size_bytes))
+
+    def _buffer(self, values: NDArray[Any], dtype: DTypeLike) -> Any:
+        return self._tracked(self._ctx.buffer(np.ascontiguousarray(values, dtype)))
+
+    def _tracked(self, made: _Object) -> _Object:
+        self._objects.add(made)
+        self._made_objects = True
+        return made
+
+
+def _free_dropped(ctx: moderngl.Context) -> None:
+    """Like `Context.gc`, but skips objects that were already released."""
+    while ctx.objects:
+        dropped = ctx.objects.popleft()
+        if not isinstance(dropped, moderngl.InvalidObject):
+            dropped.release()

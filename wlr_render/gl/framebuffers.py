@@ -1,0 +1,302 @@
+"""Images of other software's framebuffers and textures: queries, and our own framebuffers with the same images.
+
+An image is one layer and level of a texture, or a renderbuffer. We attach it to our own framebuffer, so that the
+read buffer, draw buffers and attachments of the caller's framebuffers stay untouched.
+"""
+
+import ctypes
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any, Generic, TypeVar
+
+from wlr_render.errors import BadInputError
+from wlr_render.gl import gl
+
+READ, DRAW, BOTH = 0x8CA8, 0x8CA9, 0x8D40  # GL_READ_FRAMEBUFFER, GL_DRAW_FRAMEBUFFER, GL_FRAMEBUFFER
+COLOUR, DEPTH = 0x8CE0, 0x8D00  # GL_COLOR_ATTACHMENT0, GL_DEPTH_ATTACHMENT
+FLOATS, WHOLE_NUMBERS = 0x1406, (0x1404, 0x1405)  # GL_FLOAT; GL_INT, GL_UNSIGNED_INT
+_UINT, _INT = ctypes.c_uint, ctypes.c_int
+# GL_FRAMEBUFFER_ATTACHMENT_OBJECT_TYPE, _OBJECT_NAME, _TEXTURE_LEVEL, _CUBE_MAP_FACE, _TEXTURE_LAYER, _LAYERED
+_KIND, _NAME, _LEVEL, _FACE, _LAYER, _LAYERED = 0x8CD0, 0x8CD1, 0x8CD2, 0x8CD3, 0x8CD4, 0x8DA7
+_NUMBERS, _RED, _BLUE, _DEPTH_BITS, _STENCIL_BITS = 0x8211, 0x8212, 0x8214, 0x8216, 0x8217
+_CODING, _SRGB = 0x8210, 0x8C40  # GL_FRAMEBUFFER_ATTACHMENT_COLOR_ENCODING
+_TEXTURE, _RENDERBUFFER, _SAMPLES = 0x1702, 0x8D41, 0x80A9
+_CUBE_MAP, _MULTISAMPLED_ARRAY = 0x8513, 0x9102
+# 2D, 2D array, multisampled, multisampled array, rectangle, 3D; and the queries of the bindings of all targets.
+_TARGETS = 0x0DE1, 0x8C1A, 0x9100, _MULTISAMPLED_ARRAY, 0x84F5, 0x806F
+_BINDINGS = dict(zip((*_TARGETS, _CUBE_MAP), (0x8069, 0x8C1D, 0x9104, 0x9105, 0x84F6, 0x806A, 0x8514), strict=True))
+_LEVELS = 16  # mip levels of a side of 32768 pixels, the longest of any driver
+_LAYERS = 0x8071  # GL_TEXTURE_DEPTH
+_WIDTH, _HEIGHT, _RENDERBUFFER_WIDTH, _RENDERBUFFER_HEIGHT = 0x1000, 0x1001, 0x8D42, 0x8D43
+_COMPLETE = 0x8CD5
+_CACHED = 16
+"""Sources or targets that are remembered: four swap chains of four images."""
+
+_Made = TypeVar("_Made")
+
+
+@dataclass(frozen=True)
+class TextureLayer:
+    """One layer and mip level of a texture, as a picture to submit or a target to compose into.
+
+    Attributes:
+        texture: ModernGL's `Texture` or `TextureArray`, or the OpenGL name of a texture.
+        layer: of an array texture, whose layer 0 is shown if it is left out; 0 for other textures.
+        level: mip level; the picture has that level's size.
+
+    Raises:
+        BadInputError: `texture` is neither, or layer or level is not a whole number from 0.
+    """
+
+    texture: Any
+    layer: int = 0
+    level: int = 0
+
+    def __post_init__(self) -> None:
+        if not is_number(self.texture) and not isinstance(self.texture, gl.Texture | gl.TextureArray):
+            raise BadInputError(
+                f"texture is a {type(self.texture).__name__}; give ModernGL's Texture or TextureArray, or the OpenGL "
+                "name of a texture."
+            )
+        for name, value in (("layer", self.layer), ("level", self.level)):
+            if not is_number(value) or not 0 <= value < 1 << 31:
+                raise BadInputError(f"{name} is {value!r}; give a whole number from 0.")
+
+    @property
+    def name(self) -> int:
+        """OpenGL's name of the texture."""
+        return int(self.texture if is_number(self.texture) else self.texture.glo)
+
+
+def is_number(value: Any) -> bool:
+    """Return whether a value may be the OpenGL name of an object: an integer that is not a bool."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True)
+class Image:
+    """One layer and level of a texture, or a renderbuffer; `face` is a cube map's (OpenGL's enum), or 0."""
+
+    name: int
+    is_renderbuffer: bool = False
+    level: int = 0
+    layer: int = 0
+    face: int = 0
+
+
+@dataclass(frozen=True)
+class ImageFormat:
+    """Format of an attached image.
+
+    Attributes:
+        numbers: type of the components, an enum of OpenGL.
+        red_bits, blue_bits, depth_bits, stencil_bits: 0 without that component.
+        is_srgb: whether OpenGL decodes the codes of the format when it is sampled.
+    """
+
+    numbers: int
+    red_bits: int
+    blue_bits: int
+    depth_bits: int
+    stencil_bits: int
+    is_srgb: bool
+
+
+class FramebufferQueries:
+    """Queries and attachments of framebuffer objects; call them within drawing blocks."""
+
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context = context
+        self._functions: dict[str, Callable[..., Any]] = {}
+
+    def gl(self, name: str, *argument_types: Any, result: Any = None) -> Callable[..., Any]:
+        """Return an OpenGL function as `GlContext.function` does; each name is looked up once."""
+        if name not in self._functions:
+            self._functions[name] = self._context.function(name, *argument_types, result=result)
+        return self._functions[name]
+
+    def exists(self, kind: str, number: int) -> bool:
+        """Return whether a number names a "Framebuffer" object or a "Texture"; 0, the window's, does not."""
+        return 0 < number < 1 << 32 and bool(self.gl(f"glIs{kind}", _UINT, result=ctypes.c_ubyte)(number))
+
+    def bind(self, number: int, target: int = BOTH) -> None:
+        """Bind a framebuffer object, or with 0 the window; the other methods concern it."""
+        self.gl("glBindFramebuffer", _UINT, _UINT)(target, number)
+
+    def is_complete(self) -> bool:
+        """Return whether the framebuffer is complete."""
+        return bool(self.gl("glCheckFramebufferStatus", _UINT, result=_UINT)(BOTH) == _COMPLETE)
+
+    def image(self, point: int) -> Image | None:
+        """Return the image that is attached there.
+
+        Raises:
+            BadInputError: a whole array of layers is attached, or a layer of a multisampled array, which Mesa does not
+                name.
+        """
+        kind = self._of_attachment(point, _KIND)
+        if kind not in (_TEXTURE, _RENDERBUFFER):
+            return None
+        name = self._of_attachment(point, _NAME)
+        if kind == _RENDERBUFFER:
+            return Image(name, is_renderbuffer=True)
+        if self._of_attachment(point, _LAYERED):
+            raise BadInputError(
+                "the framebuffer is layered (all layers of an array texture are attached); give one layer as "
+                "TextureLayer(texture, layer=0)."
+            )
+        level, layer, face = (self._of_attachment(point, enum) for enum in (_LEVEL, _LAYER, _FACE))
+        if not layer and self.integer(_SAMPLES) and self._with_texture(_MULTISAMPLED_ARRAY, name, lambda: True):
+            raise BadInputError(
+                "the framebuffer has a layer of a multisampled array texture, and drivers do not say which one; give "
+                "it as TextureLayer(texture, layer=0)."
+            )
+        return Image(name, False, level, layer, face)
+
+    def attach(self, point: int, image: Image) -> bool:
+        """Attach an image to the framebuffer, and detach all others; returns whether it is complete then."""
+        attach = self.gl("glFramebufferRenderbuffer", *[_UINT] * 4)
+        for other in {COLOUR, DEPTH} - {point}:
+            attach(BOTH, other, _RENDERBUFFER, 0)
+        if image.is_renderbuffer:
+            attach(BOTH, point, _RENDERBUFFER, image.name)
+        elif image.face:
+            self.gl("glFramebufferTexture2D", *[_UINT] * 4, _INT)(BOTH, point, image.face, image.name, image.level)
+        else:
+            attach_layer = self.gl("glFramebufferTextureLayer", _UINT, _UINT, _UINT, _INT, _INT)
+            attach_layer(BOTH, point, image.name, image.level, image.layer)
+            if self._context.take_error() and not image.layer:  # a texture without layers
+                self.gl("glFramebufferTexture", _UINT, _UINT, _UINT, _INT)(BOTH, point, image.name, image.level)
+        return not self._context.take_error() and self.is_complete()
+
+    def format(self, point: int) -> ImageFormat:
+        """Format of the image that is attached there."""
+        enums = _NUMBERS, _RED, _BLUE, _DEPTH_BITS, _STENCIL_BITS
+        numbers, red, blue, depth, stencil = (self._of_attachment(point, enum) for enum in enums)
+        return ImageFormat(numbers, red, blue, depth, stencil, self._of_attachment(point, _CODING) == _SRGB)
+
+    def size(self, image: Image) -> tuple[int, int]:
+        """Width and height of an image; (0, 0) if it is of an unknown kind."""
+        if image.is_renderbuffer:
+            self.gl("glBindRenderbuffer", _UINT, _UINT)(_RENDERBUFFER, image.name)
+            read = self.gl("glGetRenderbufferParameteriv", _UINT, _UINT, ctypes.c_void_p)
+            return _two(lambda enum, at: read(_RENDERBUFFER, enum, at), _RENDERBUFFER_WIDTH, _RENDERBUFFER_HEIGHT)
+        read_level = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
+        for target in [_CUBE_MAP] if image.face else _TARGETS:
+
+            def read_size(of: int = image.face or target) -> tuple[int, int]:
+                return _two(lambda enum, at: read_level(of, image.level, enum, at), _WIDTH, _HEIGHT)
+
+            found = self._with_texture(target, image.name, read_size)
+            if found is not None:
+                return found
+        return 0, 0
+
+    def check_layer(self, image: Image) -> None:
+        """Check that a texture has the layer and level.
+
+        Raises:
+            BadInputError: it has fewer.
+        """
+        read_level = self.gl("glGetTexLevelParameteriv", _UINT, _INT, _UINT, ctypes.c_void_p)
+        for target in _TARGETS:
+
+            def layers(level: int, of: int = target) -> int:
+                width, count = _two(lambda enum, at: read_level(of, level, enum, at), _WIDTH, _LAYERS)
+                return max(count, 1) if width else 0
+
+            found = self._with_texture(target, image.name, lambda: layers(image.level))
+            if found is None:
+                continue
+            if not found:
+                self._context.take_error()
+                levels = self._with_texture(target, image.name, lambda: sum(map(bool, map(layers, range(_LEVELS)))))
+                self._context.take_error()
+                raise BadInputError(
+                    f"texture {image.name} has no level {image.level}; it has {levels}, counted from 0."
+                )
+            if image.layer >= found:
+                raise BadInputError(f"texture {image.name} has no layer {image.layer}; it has {found}, counted from 0.")
+            return
+
+    def _with_texture(self, target: int, name: int, read: Callable[[], _Made]) -> _Made | None:
+        """Bind a texture to a target and return the result of `read`; None if the texture has another target."""
+        bind, before = self.gl("glBindTexture", _UINT, _UINT), self.integer(_BINDINGS[target])
+        bind(target, name)
+        if self._context.take_error():
+            return None
+        found = read()
+        bind(target, before)
+        return found
+
+    def integer(self, enum: int) -> int:
+        """Return the first integer of glGetIntegerv."""
+        numbers = (_INT * 2)()
+        self.gl("glGetIntegerv", _UINT, ctypes.c_void_p)(enum, ctypes.addressof(numbers))
+        return numbers[0]
+
+    def _of_attachment(self, point: int, enum: int) -> int:
+        number, read = _INT(), "glGetFramebufferAttachmentParameteriv"
+        self.gl(read, _UINT, _UINT, _UINT, ctypes.c_void_p)(BOTH, point, enum, ctypes.addressof(number))
+        return number.value
+
+
+def _two(read: Callable[..., None], *enums: int) -> tuple[int, int]:
+    numbers = (_INT * 2)()
+    for k, enum in enumerate(enums):
+        read(enum, ctypes.addressof(numbers) + k * ctypes.sizeof(_INT))
+    return numbers[0], numbers[1]
+
+
+class ImageCache(Generic[_Made]):
+    """Cache of objects that were made for the caller's last few textures and framebuffers.
+
+    A ModernGL object keeps its images while it lives. A number does not: another object may have it in the next frame,
+    so that a number is a key only where the caller promises not to reuse numbers.
+    """
+
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context = context
+        self._made: OrderedDict[tuple[object, ...], tuple[list[Any], int, _Made]] = OrderedDict()
+
+    def get(self, objects: list[Any], key: tuple[object, ...], make: Callable[[_Made | None], _Made]) -> _Made:
+        """Return the result of `make` for the same objects and key.
+
+        Args:
+            objects: ModernGL objects, or numbers.
+            key: further numbers that matter.
+            make: called with its previous result for the same numbers, which it may reuse; its exceptions are not
+                caught.
+        """
+        full_key = (*(each if is_number(each) else each.glo for each in objects), *key)
+        found = self._made.get(full_key)
+        if found is not None and found[1] == self._context.names_version and self._is_same(found[0], objects):
+            self._made.move_to_end(full_key)
+            return found[2]
+        made = make(None if found is None else found[2])
+        gone = [key for key, (owners, _, _) in self._made.items() if any(each and each() is None for each in owners)]
+        for other in gone:  # our framebuffers would keep the memory of released textures
+            del self._made[other]
+        owners = [None if is_number(each) else weakref.ref(each) for each in objects]
+        self._made[full_key] = owners, self._context.names_version, made
+        if len(self._made) > _CACHED:
+            self._made.popitem(last=False)
+        return made
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._made.clear()
+
+    def _is_same(self, owners: list[Any], objects: list[Any]) -> bool:
+        return all(
+            self._context.host_is_clean if owner is None else owner() is each
+            for owner, each in zip(owners, objects, strict=True)
+        )
+
+
+def fresh_framebuffer(context: gl.GlContext) -> gl.Framebuffer:
+    """Return a framebuffer of ours, to which an image can be attached."""
+    return context.framebuffer([context.target((1, 1), 4, "f1")])

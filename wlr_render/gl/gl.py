@@ -1,0 +1,225 @@
+"""OpenGL for drawing modules: opens or adopts contexts, render targets, reads textures, and has ModernGL's names.
+
+Every image on the GPU lies with its top row first, as in numpy, because the projection in `shaders/conventions.glsl`
+is turned over; so reading and writing textures here turns nothing.
+"""
+
+import contextlib
+import ctypes
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from wlr_render.errors import MissingGlError
+from wlr_render.gl.context import SRGB8_ALPHA8
+from wlr_render.gl.context import Buffer as Buffer
+from wlr_render.gl.context import Context as Context
+from wlr_render.gl.context import Framebuffer as Framebuffer
+from wlr_render.gl.context import GlContext as GlContext
+from wlr_render.gl.context import Program as Program
+from wlr_render.gl.context import Sampler as Sampler
+from wlr_render.gl.context import Texture as Texture
+from wlr_render.gl.context import TextureArray as TextureArray
+from wlr_render.gl.context import VertexArray as VertexArray
+from wlr_render.gl.gl_state import UNITS, GlState
+from wlr_render.gl.host_checks import ErrorReader
+from wlr_render.gl.host_checks import GlError as GlError
+from wlr_render.gl.native_contexts import CurrentContext, EglBinding, NoCurrentContextError, OsMesaContext
+from wlr_render.gl.ownership import AdoptedContext, OwnContext
+from wlr_render.gl.programs import GLSL_VERSION
+from wlr_render.gl.programs import bind_textures as bind_textures
+from wlr_render.gl.programs import set_array as set_array
+from wlr_render.gl.programs import set_matrix as set_matrix
+from wlr_render.gl.programs import set_uniforms as set_uniforms
+
+_FRAMEBUFFER = 0x8D40
+_VERSION = divmod(GLSL_VERSION // 10, 10)
+
+
+def is_srgb(texture: Texture) -> bool:
+    """Return whether the texture was made by `GlContext.target` with sRGB codes."""
+    return bool(texture.extra == SRGB8_ALPHA8)
+
+
+def is_released(thing: Texture | TextureArray | Framebuffer) -> bool:
+    """Return whether the object has been released."""
+    return isinstance(thing.mglo, moderngl.InvalidObject)
+
+
+def read_between_texels(texture: Texture) -> None:
+    """Set bilinear filtering on a texture.
+
+    Most GPUs filter with weights of 8 bits, so that a sample errs by up to 1/512 of the step to the next texel, along
+    each axis; llvmpipe filters floats in float32.
+    """
+    if texture.filter != (moderngl.LINEAR, moderngl.LINEAR):
+        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
+
+
+def make_mip_levels(texture: Texture) -> None:
+    """Allocate the mip levels of a texture and set trilinear filtering, once.
+
+    The driver fills the levels with its own filter.
+    """
+    trilinear = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
+    if texture.filter != trilinear:
+        texture.build_mipmaps()
+        texture.filter = trilinear
+
+
+def read(texture: Texture, dtype: DTypeLike) -> NDArray[Any]:
+    """Return a texture as (height, width, components), or (height, width) if it has one component."""
+    shape = (texture.height, texture.width) + ((texture.components,) if texture.components > 1 else ())
+    pixels = np.empty(shape, dtype)
+    texture.read_into(pixels, alignment=1)
+    return pixels
+
+
+@dataclass(frozen=True, eq=False)
+class RenderTarget:
+    """A framebuffer and its textures, in the order of the shader's outputs."""
+
+    framebuffer: Framebuffer
+    textures: tuple[Texture, ...]
+
+
+class RenderTargets:
+    """Targets by name; a target is made once for each size, and the next drawing overwrites it."""
+
+    def __init__(self, context: GlContext) -> None:
+        self._context = context
+        self._targets: dict[str, RenderTarget] = {}
+
+    def get(
+        self, name: str, size: tuple[int, int], *formats: tuple[int, str], with_depth: bool = False
+    ) -> RenderTarget:
+        """Return the target of a name and size (width, height).
+
+        Args:
+            name: of the target, which keeps its formats.
+            size: (width, height) in pixels.
+            formats: components and dtype of each texture, as in `GlContext.target`.
+            with_depth: attach a depth texture.
+        """
+        target = self._targets.get(name)
+        if target is None or target.framebuffer.size != size:
+            textures = [self._context.target(size, *each) for each in formats]
+            depth = self._context.depth_target(size) if with_depth else None
+            target = self._targets[name] = RenderTarget(self._context.framebuffer(textures, depth), tuple(textures))
+        return target
+
+
+def open_context(backend: str = "auto") -> GlContext:
+    """Open an OpenGL 4.1 context without a display; the context that was current stays current.
+
+    Do not fork the process afterwards: drivers hang. Spawned workers open their own.
+
+    Args:
+        backend: "egl" (a GPU or Mesa's llvmpipe), "osmesa" (software), or "auto" for the first that opens,
+            beginning with what PYOPENGL_PLATFORM names.
+
+    Raises:
+        MissingGlError: none opens; the sentence says what to install.
+    """
+    reasons = []
+    for name in _in_order() if backend == "auto" else (backend,):
+        try:
+            # The buffer that an OSMesa context is current with is not known here: there is nothing to save.
+            save = EglBinding().save if name == "egl" else lambda: lambda: None
+            restore = save()
+            try:
+                with _default_context_kept():
+                    ctx = _OPENERS[name]()
+                current = CurrentContext((name,))
+            finally:
+                restore()
+            return GlContext(ctx, current, OwnContext(ctx, current, save))
+        except NoCurrentContextError:
+            reasons.append(f"{name}: another platform's context is current on this thread; release it, or adopt it")
+        except Exception as error:  # glcontext raises bare Exception, ctypes OSError, moderngl ValueError
+            reasons.append(f"{name}: {error}")
+    raise MissingGlError(
+        f"No OpenGL 4.1 context opens ({'; '.join(reasons)}): install libegl1 and libgl1, or libosmesa6, "
+        "or draw ray-traced frames (--backend cpu)."
+    )
+
+
+def adopt_context(context: moderngl.Context | None = None, host_is_clean: bool = False) -> GlContext:
+    """Adopt the OpenGL context of another program, e.g. a viewer's or pyrender's.
+
+    Each `drawing` block finds the context current and leaves its state as it was, up to what `gl_state` names. Neither
+    ModernGL's record of that state nor its settings change, because the blocks use a separate ModernGL context.
+
+    Args:
+        context: ModernGL's, which is made current; None for the one that is current on this thread, whoever made it.
+        host_is_clean: whether the host promises OpenGL's default state when it enters a block, and relies on no binding
+            afterwards (docs/realtime.md has the list); blocks then neither read nor restore any state, and only those
+            that make objects, in the first frames, read errors.
+
+    Raises:
+        MissingGlError: none is current, it has been released, or its version is below 4.1; it stays as it was.
+        BadInputError: a query that counts samples or primitives is active, or conditional rendering.
+    """
+    if context is not None:
+        if isinstance(context.mglo, moderngl.InvalidObject):
+            raise MissingGlError("The ModernGL context has been released: adopt one that is alive.")
+        _check_version(divmod(context.version_code // 10, 10))
+        make_current: Callable[[], object] = context.__enter__
+        make_current()
+    try:
+        current = CurrentContext()
+    except NoCurrentContextError as error:
+        raise MissingGlError(
+            f"{error}: make yours current before adopting it, or let open_context() open one."
+        ) from error
+    _check_version(current.version())
+    state = GlState(current)
+    loader: Any = current
+    with state.kept(third_party=True), _default_context_kept():
+        # ModernGL queries the bound framebuffer's size as if its image were a plain texture: an OpenGL error if the
+        # image has samples or layers.
+        current.function("glBindFramebuffer", *[ctypes.c_uint] * 2)(_FRAMEBUFFER, 0)
+        ctx = moderngl.create_context(require=GLSL_VERSION, context=loader)
+        ErrorReader(current).take()  # errors of ModernGL's own start are not the host's
+    # ModernGL makes textures on its last unit unless told otherwise.
+    ctx.default_texture_unit = UNITS - 1
+    return GlContext(ctx, current, AdoptedContext(current, state, ctx, host_is_clean), context, host_is_clean)
+
+
+def _check_version(found: tuple[int, int]) -> None:
+    if found < _VERSION:
+        raise MissingGlError(
+            f"The OpenGL context has version {found[0]}.{found[1]}, the renderer needs 4.1: ask for a 4.1 core profile "
+            "when it is made (moderngl.create_context(require=410)), or let open_context() open one."
+        )
+
+
+@contextlib.contextmanager
+def _default_context_kept() -> Iterator[None]:
+    """Keep the caller's `moderngl.get_context()`."""
+    store: Any = vars(moderngl)["_store"]
+    before = store.default_context
+    try:
+        yield
+    finally:
+        store.default_context = before
+
+
+def _open(**settings: Any) -> moderngl.Context:
+    return moderngl.create_context(standalone=True, require=GLSL_VERSION, **settings)
+
+
+def _in_order() -> list[str]:
+    """Platforms to try, PyOpenGL's first, because two platforms in one process conflict."""
+    return sorted(_OPENERS, key=lambda name: name != os.environ.get("PYOPENGL_PLATFORM"))
+
+
+_OPENERS: dict[str, Callable[[], moderngl.Context]] = {
+    "egl": lambda: _open(backend="egl"),
+    "osmesa": lambda: _open(context=OsMesaContext()),
+}

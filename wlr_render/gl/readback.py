@@ -1,0 +1,115 @@
+"""Read-back of textures, at once or asynchronously through pixel-pack buffers and fences."""
+
+import ctypes
+import weakref
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.gl import gl
+from wlr_render.gl.host_checks import GlError
+
+_COMMANDS_COMPLETE, _FLUSH = 0x9117, 0x1  # GL_SYNC_GPU_COMMANDS_COMPLETE, GL_SYNC_FLUSH_COMMANDS_BIT
+_TIMEOUT, _FAILED = 0x911B, 0x911D  # GL_TIMEOUT_EXPIRED, GL_WAIT_FAILED
+_FOREVER_NS = 10_000_000_000
+
+
+def rgb_of_rgba(rgba: NDArray[Any]) -> NDArray[Any]:
+    """Drop alpha: (height, width, 4) -> (height, width, 3). Faster than letting the driver read three of four."""
+    return np.asarray(cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB))
+
+
+def read_rgb(texture: gl.Texture) -> NDArray[Any]:
+    """Return an RGBA texture's colours, (height, width, 3) of `colour_type`; call it in a drawing block."""
+    rgba = gl.read(texture, colour_type(texture))
+    return np.ascontiguousarray(rgba[..., :3]) if rgba.dtype == np.float16 else rgb_of_rgba(rgba)
+
+
+def colour_type(texture: gl.Texture) -> DTypeLike:
+    """Type of the numbers that a texture of colours is read as: uint8, uint16 (65535 is 1) or float16."""
+    return {"f1": "u1", "nu2": "u2", "f2": "f2"}[texture.dtype]
+
+
+class Readback:
+    """A picture on its way to the CPU; later frames do not change it."""
+
+    # Fences of readbacks that Python dropped unread: they are deleted when the context is sure to be current.
+    _dropped: ClassVar[weakref.WeakKeyDictionary[gl.GlContext, list[int]]] = weakref.WeakKeyDictionary()
+
+    def __init__(self, context: gl.GlContext, texture: gl.Texture) -> None:
+        """Start to copy an RGBA texture; returns at once. Call it in a drawing block."""
+        self._context, self._shape = context, (texture.height, texture.width, 4)
+        self._dtype: np.dtype[Any] = np.dtype(colour_type(texture))
+        self._pixels: NDArray[Any] | None = None
+        self._buffer = context.pixel_buffer(self._dtype.itemsize * 4 * texture.width * texture.height)
+        texture.read_into(self._buffer)
+        self._wait = context.function(
+            "glClientWaitSync", ctypes.c_void_p, ctypes.c_uint, ctypes.c_uint64, result=ctypes.c_uint
+        )
+        self._delete = context.function("glDeleteSync", ctypes.c_void_p)
+        fence = context.function("glFenceSync", ctypes.c_uint, ctypes.c_uint, result=ctypes.c_void_p)
+        self._fence: int = fence(_COMMANDS_COMPLETE, 0)
+        dropped = self._dropped.setdefault(context, [])
+        while dropped:
+            self._delete(dropped.pop())
+        self._forgotten = weakref.finalize(self, dropped.append, self._fence)
+
+    def is_ready(self) -> bool:
+        """Return whether `result` returns without waiting for the GPU."""
+        if self._pixels is not None:
+            return True
+        with self._context.drawing():
+            return self._wait(self._fence, _FLUSH, 0) not in (_TIMEOUT, _FAILED)
+
+    def result(self) -> NDArray[Any]:
+        """Return the picture (height, width, 3), as `ComposedFrame.read` does; waits for the GPU if it is not ready.
+
+        Raises:
+            BadInputError: the context has been released.
+            GlError: the GPU does not finish within ten seconds.
+        """
+        if self._pixels is None:
+            with self._context.drawing():
+                if self._wait(self._fence, _FLUSH, _FOREVER_NS) in (_TIMEOUT, _FAILED):
+                    raise GlError(f"the picture was not read within ten seconds ({self._context.renderer}).")
+                rgba = np.frombuffer(self._buffer.read(), self._dtype).reshape(self._shape)
+                self._forgotten.detach()
+                self._delete(self._fence)
+                del self._buffer  # the next drawing block frees it
+            self._pixels = rgba[..., :3] if self._dtype == np.float16 else rgb_of_rgba(rgba)
+        return self._pixels
+
+
+def read_into(context: gl.GlContext, texture: gl.Texture, target: Any) -> None:
+    """Copy an RGBA texture into a numpy array, or without a wait into a ModernGL buffer; call it in a drawing block.
+
+    Args:
+        context: of the texture.
+        texture: to copy.
+        target: (height, width, 4) of `colour_type`, contiguous, or a buffer of the context with as many bytes.
+
+    Raises:
+        BadInputError: a target of another kind, size or context.
+    """
+    shape, dtype = (texture.height, texture.width, 4), np.dtype(colour_type(texture))
+    size_bytes = dtype.itemsize * 4 * texture.width * texture.height
+    if isinstance(target, gl.Buffer):
+        if not context.has(target):
+            raise BadInputError("the buffer belongs to another OpenGL context; make it in the compositor's.")
+        if target.size != size_bytes:
+            raise BadInputError(f"the buffer has {target.size} bytes, and {size_bytes} are needed.")
+    elif not (
+        isinstance(target, np.ndarray)
+        and target.shape == shape
+        and target.dtype == dtype
+        and target.flags.c_contiguous
+        and target.flags.writeable
+    ):
+        raise BadInputError(
+            f"a picture cannot be read into that {type(target).__name__}; give a writeable array {shape} of {dtype}, "
+            "or a ModernGL buffer."
+        )
+    texture.read_into(target, alignment=1)

@@ -1,0 +1,215 @@
+"""Frames that an engine draws: handles, order and history, prediction of their poses, and poses of a display's rows."""
+
+import bisect
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry import transforms
+from wlr_render.geometry.pose_prediction import LONGEST_S, predicted_point, predicted_pose
+from wlr_render.mappings import EyeBox
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.checks import checked_number, nearest_in_reach
+from wlr_render.warp.eye_camera import EyeCamera
+
+HISTORY = 3
+"""Frames that may be drawn at the same time: pictures of older ones are refused."""
+Scan = Literal["down", "up"]
+"""Order in which the rows of a display light up: the top one first, or the bottom one."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameHandle(Mapping[str, EyeCamera]):
+    """A frame from `Compositor.begin_frame`: the camera to draw with, by eye.
+
+    Attributes:
+        number: of the frame, from 1.
+        world_from_device: (4, 4) head pose that it is drawn for.
+        viewpoints: (3,) by eye, device frame, metres.
+        cameras: by eye.
+        submitted: the eyes whose pictures have been submitted.
+    """
+
+    number: int
+    world_from_device: FloatArray
+    viewpoints: Mapping[str, FloatArray]
+    cameras: Mapping[str, EyeCamera]
+    submitted: set[str] = field(default_factory=set)
+
+    # Mapping compares by content; a frame is itself alone, and may be a key of a dictionary.
+    __eq__ = object.__eq__
+    __hash__ = object.__hash__
+
+    def __getitem__(self, eye: str) -> EyeCamera:
+        return self.cameras[eye]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.cameras)
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+
+class FrameHistory:
+    """The last frames of a compositor, and the newest picture of each eye.
+
+    Attributes:
+        shown: by eye, the frame of its newest picture.
+        viewpoints: by eye, its newest viewpoint (3,), device frame.
+    """
+
+    def __init__(self) -> None:
+        self.shown: dict[str, FrameHandle] = {}
+        self.viewpoints: dict[str, FloatArray] = {}
+        self._frames: list[FrameHandle] = []  # the newest last
+        self._not_copied: dict[str, Any] = {}
+        self._count = 0
+
+    def begin(
+        self, world_from_device: FloatArray, viewpoints: Mapping[str, FloatArray], cameras: Mapping[str, EyeCamera]
+    ) -> FrameHandle:
+        """Return the handle of a new frame; see `FrameHandle`."""
+        self._count += 1
+        handle = FrameHandle(self._count, world_from_device, viewpoints, cameras)
+        self._frames = [*self._frames, handle][-HISTORY:]
+        self.viewpoints |= viewpoints
+        return handle
+
+    def frame(self, frame: FrameHandle | None) -> FrameHandle:
+        """Return a frame that may be submitted; the newest if None.
+
+        Raises:
+            BadInputError: no frame was begun, or this one is not among the last `HISTORY`.
+        """
+        if frame is None:
+            if not self._frames:
+                raise BadInputError("there is no frame; call begin_frame first.")
+            return self._frames[-1]
+        if not any(frame is each for each in self._frames):
+            raise BadInputError(
+                f"frame is not one of the last {HISTORY} of this compositor; drop its picture, and give what "
+                "begin_frame returned."
+            )
+        return frame
+
+    def check_order(self, handle: FrameHandle, eye: str, not_copied: Any) -> None:
+        """Check that an eye's picture may be submitted now.
+
+        Args:
+            handle: frame of the picture.
+            eye: "left" or "right".
+            not_copied: texture of a picture that is not copied; None for others.
+
+        Raises:
+            BadInputError: the eye has a picture of this frame or of a newer one, or the texture holds the other eye's.
+        """
+        if eye in handle.submitted:
+            raise BadInputError(f"the {eye} eye was submitted already in this frame; call begin_frame for the next.")
+        last = self.shown.get(eye)
+        if last is not None and last.number > handle.number:
+            raise BadInputError(
+                f"frame {handle.number} is older than frame {last.number}, which the {eye} eye shows already; "
+                "drop its picture."
+            )
+        others = (texture for name, texture in self._not_copied.items() if name != eye)
+        if not_copied is not None and any(not_copied is texture for texture in others):
+            raise BadInputError(
+                f"the {eye} eye's picture has overwritten the other eye's; draw each under a name of its own, as in "
+                "draw_on_gpu(view, eye)."
+            )
+
+    def submitted(self, handle: FrameHandle, eye: str, not_copied: Any) -> None:
+        """Record that an eye shows the picture of a frame; arguments as in `check_order`."""
+        handle.submitted.add(eye)
+        self.shown[eye], self._not_copied[eye] = handle, not_copied
+
+
+class _Samples:
+    """The newest samples of one quantity, an array of fixed shape, in the order of their times."""
+
+    def __init__(self) -> None:
+        self._times_s: list[float] = []
+        self._values: list[FloatArray] = []
+
+    def add(self, time_s: float, value: FloatArray) -> tuple[float, FloatArray] | None:
+        """Keep a sample, and return the newest kept sample that is older, with its time; None without one."""
+        at = bisect.bisect_left(self._times_s, time_s)
+        replaced = at < len(self._times_s) and self._times_s[at] == time_s
+        self._times_s[at : at + replaced], self._values[at : at + replaced] = [time_s], [value]
+        before = (self._times_s[at - 1], self._values[at - 1]) if at else None
+        # A call may come by LONGEST_S late, and is then predicted from a sample that is as much older.
+        old = bisect.bisect_left(self._times_s, self._times_s[-1] - 2 * LONGEST_S)
+        del self._times_s[:old], self._values[:old]
+        return before
+
+
+class MotionPredictor:
+    """Predicts head pose and pupils from two samples that came with a time, at constant velocity.
+
+    Head and pupils have separate samples: a call without a pupil does not change its prediction. An engine may
+    begin a frame with a pose that is older than the pose that the last frame was composed for.
+    """
+
+    def __init__(self, boxes: Mapping[str, EyeBox]) -> None:
+        """Prepare; predicted pupils are clamped to half a box outside the eye boxes `boxes`."""
+        self._boxes = boxes
+        self._head = _Samples()
+        self._pupils = {eye: _Samples() for eye in boxes}
+        self._newest_s = -np.inf
+
+    def predict(
+        self,
+        world_from_device: FloatArray,
+        viewpoints: Mapping[str, FloatArray],
+        time_s: float | None,
+        predict_s: float,
+    ) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Pose (4, 4) and viewpoints (3,) by eye, `predict_s` after `time_s`.
+
+        Each is unchanged if `predict_s` is 0, or if its sample before `time_s` is more than 100 ms older or missing.
+
+        Raises:
+            BadInputError: `predict_s` is not from 0 to 100 ms or has no `time_s`, or the time is more than 100 ms
+                before the latest; no sample is kept then.
+        """
+        ahead_s = checked_number(predict_s, "predict_s", 0, LONGEST_S)
+        if time_s is None:
+            if ahead_s:
+                raise BadInputError("predict_s needs time_s, the time of the pose in seconds; give both.")
+            return world_from_device, dict(viewpoints)
+        now = checked_number(time_s, "time_s", -1e12, 1e12)
+        if now < self._newest_s - LONGEST_S:
+            raise BadInputError(
+                f"time_s is {now:g} s, and that of the pose before was {self._newest_s:g} s; take all times from one "
+                f"clock, and drop poses that come more than {LONGEST_S * 1e3:g} ms late."
+            )
+        self._newest_s = max(now, self._newest_s)
+        before = self._head.add(now, world_from_device)
+        pose = world_from_device
+        if before and _is_usable(now - before[0], ahead_s):
+            pose = predicted_pose(before[1], pose, now - before[0], ahead_s)
+        pupils = {eye: self._predicted_pupil(eye, at, now, ahead_s) for eye, at in viewpoints.items()}
+        return pose, pupils
+
+    def _predicted_pupil(self, eye: str, at: FloatArray, now_s: float, ahead_s: float) -> FloatArray:
+        before = self._pupils[eye].add(now_s, at)
+        if before is None or not _is_usable(now_s - before[0], ahead_s):
+            return at
+        return nearest_in_reach(predicted_point(before[1], at, now_s - before[0], ahead_s), self._boxes[eye])
+
+
+def _is_usable(between_s: float, ahead_s: float) -> bool:
+    return bool(ahead_s) and between_s <= LONGEST_S
+
+
+def row_poses(first: FloatArray, last: FloatArray, rows: int, scan: Scan = "down") -> FloatArray:
+    """Interpolate the head pose of each row, (rows, 4, 4) from the top, between two (4, 4).
+
+    `first` is the pose when the first row lights up, the bottom one with "up". Rows light up at equal intervals, and
+    the head moves at constant speed meanwhile.
+    """
+    poses = transforms.between(first, last, np.linspace(0.0, 1.0, rows))
+    return poses if scan == "down" else poses[::-1]

@@ -1,0 +1,383 @@
+"""Compositor backend in OpenGL, on a GPU or a software renderer."""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole
+from wlr_render.gl import gl
+from wlr_render.gl.readback import Readback, read_into, read_rgb
+from wlr_render.io.input_files import shown
+from wlr_render.mappings import Eye, PlanarDisplay, PlanarSeeThrough, count_unsolved
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.warp.checks import checked_choice
+from wlr_render.warp.composed_frame import CachedRayMaps
+from wlr_render.warp.gl_overlay import Overlay, OverlayImport, Quad, SeenOverlay
+from wlr_render.warp.gl_panel import PanelEncoder
+from wlr_render.warp.gl_ray_maps import GlNodeSolver, GlPlanarSolver, GpuRayMap
+from wlr_render.warp.gl_warp import GlWarp, GpuWarped, WarpedPicture, WarpTarget
+from wlr_render.warp.gpu_image import GpuImage
+from wlr_render.warp.panel_light import PanelLight
+from wlr_render.warp.picture_import import PictureImport
+from wlr_render.warp.raster_camera import MAX_SAMPLES, EyePlan
+from wlr_render.warp.ray_map import RayMap, RayMapPlan, RayMapSolver, choose_plan
+from wlr_render.warp.stored_picture import Rows, StoredColour, StoredDepth
+from wlr_render.warp.target_framebuffers import TargetFramebuffers
+from wlr_render.warp.view import View
+
+HostState = Literal["kept", "clean"]
+"""Who keeps the OpenGL state of an adopted context, see `Compositor`."""
+
+CONTEXTS = ("auto", "egl", "osmesa", "current")
+
+
+@dataclass(frozen=True, eq=False)
+class GlComposed:
+    """One eye's picture on the GPU; `warped` is None if it went into a framebuffer of the caller's.
+
+    `draw_source` draws the pull map of another channel than green, from the submitted picture; None if the picture was
+    composed without.
+    """
+
+    warped: GpuWarped | None
+    ray_maps: list[GpuRayMap]
+    draw_source: Callable[[int], GpuWarped] | None = None
+
+    @property
+    def texture(self) -> gl.Texture | None:
+        """The texture with its top row first; None if the picture went into a framebuffer of the caller's."""
+        return self.warped.colour if self.warped else None
+
+    def read_async(self) -> Readback:
+        """Start to fetch the colour."""
+        own = self._own()
+        with own.context.drawing():
+            return Readback(own.context, own.colour)
+
+    def read_into(self, target: Any) -> None:
+        """Copy the colour as RGBA into an array, or into a buffer on the GPU."""
+        own = self._own()
+        with own.context.drawing():
+            read_into(own.context, own.colour, target)
+
+    def read_colour(self) -> NDArray[Any]:
+        """Fetch the colour alone, (height, width, 3)."""
+        own = self._own()
+        with own.context.drawing():
+            return read_rgb(own.colour)
+
+    def read_status(self) -> NDArray[np.uint8]:
+        """Fetch (height, width) uint8, one `WarpStatus` each."""
+        own = self._own()
+        with own.context.drawing():
+            return gl.read(own.status, np.uint8)
+
+    def read_source(self, channel: int | None) -> NDArray[np.float32] | None:
+        """Fetch the pull map of a channel, green's if None; None if it was composed without."""
+        own = self._own()
+        chosen = len(self.ray_maps) // 2 if channel is None else channel
+        if chosen not in range(len(self.ray_maps)):
+            raise BadInputError(f"channel {shown(channel)} does not exist; the eye has {len(self.ray_maps)}.")
+        is_there = own.source is None or chosen == len(self.ray_maps) // 2  # a warp of three channels gives green's
+        drawn = own if is_there or self.draw_source is None else self.draw_source(chosen)
+        if drawn.source is None:
+            return None
+        with drawn.context.drawing():
+            return gl.read(drawn.source, np.float32)
+
+    def unsolved(self) -> dict[str, int]:
+        """Return the number of unsolved points of the ray maps by reason; empty if all are solved."""
+        return count_unsolved(each.read_status() for each in self.ray_maps)
+
+    def read_ray_maps(self) -> list[RayMap]:
+        """Fetch the ray maps at the points of the warp grid, one per channel."""
+        return [each.read() for each in self.ray_maps]
+
+    def _own(self) -> GpuWarped:
+        if self.warped is None:
+            raise BadInputError("the picture was composed into your framebuffer; read that, or compose without `into`.")
+        return self.warped
+
+
+class GlEye:
+    """One eye on the GPU."""
+
+    def __init__(
+        self,
+        context: gl.GlContext,
+        plan: EyePlan,
+        background: tuple[int, int, int],
+        panel: PanelLight,
+    ) -> None:
+        self._context, self.size_px = context, plan.size_px
+        self._plan, self._background = plan, background
+        channels = plan.channels if panel.sub_pixel_px is None or len(plan.channels) == 3 else 3 * plan.channels
+        offsets_px = np.zeros((len(channels), 2)) if panel.sub_pixel_px is None else panel.sub_pixel_px
+        self._ray_maps = CachedRayMaps(
+            [_solve_of(context, *each, plan) for each in zip(channels, offsets_px, strict=True)]
+        )
+        self._encoder = PanelEncoder.of(context, panel)
+        self._warp = GlWarp(context, len(channels), self._encoder)
+        self._warp_of_one = GlWarp(context, 1, self._encoder)  # draws pull maps of red and blue
+        self._import = PictureImport(context)
+        self._pictures: list[WarpedPicture] = []  # the widest first
+        self._import_insets: list[PictureImport] = []
+        self._import_overlays: dict[int, OverlayImport] = {}
+        self._overlays: dict[int, Overlay] = {}
+        self.generation = 0
+        """Number of pictures composed; each overwrites the one before."""
+
+    def set_picture(
+        self, view: View, colour: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
+    ) -> None:
+        """Replace the eye's picture, see `Compositor.submit`; after an error the last picture stays."""
+        if isinstance(colour, GpuImage):
+            image = checked_image(colour, view, self._context)
+        else:
+            image = self._import.take(view.camera, colour, depth, stored, rows, stored_colour)
+        self._pictures = [WarpedPicture(image, self._plan.samples_per_axis)]
+
+    @property
+    def sharpest(self) -> Pinhole:
+        """Camera of the picture that was submitted last, around the next inset."""
+        return self._pictures[-1].image.camera
+
+    def add_inset(
+        self, view: View, colour: Any, depth: Any, stored: StoredDepth, rows: Rows | None, stored_colour: StoredColour
+    ) -> None:
+        """Add a picture of `Compositor.submit(inset=...)`, which lies within the last one."""
+        self.check_picture()
+        wider = self._pictures[-1].image
+        if isinstance(colour, GpuImage):
+            checked_image(colour, view, self._context)
+        has_alpha = colour.has_alpha if isinstance(colour, GpuImage) else stored_colour.alpha
+        if has_alpha != wider.has_alpha:
+            raise BadInputError("an inset has alpha if and only if the picture around it has; submit both with alpha.")
+        _check_side(f"the {self._plan.eye} eye's inset", view.camera.size_px, self._context.largest_side_px, "size_px")
+        count = len(self._pictures)
+        if len(self._import_insets) < count:
+            self._import_insets.append(PictureImport(self._context))
+        take = self._import_insets[count - 1].take
+        image = take(view.camera, colour, depth, stored, rows, stored_colour, wider)
+        self._pictures.append(WarpedPicture(image, self._plan.samples_of(view.camera)))
+
+    def check_picture(self) -> None:
+        """Check the picture that the eye shows.
+
+        Raises:
+            BadInputError: its renderer has drawn another one over it.
+        """
+        if self._pictures and self._pictures[0].image.is_overwritten():
+            raise BadInputError(
+                f"the {self._plan.eye} eye's picture has been drawn over since it was submitted; submit the new one, "
+                "or draw under two names in turn."
+            )
+
+    def set_overlay(
+        self, layer: int, picture: Any, quad: Quad | None, stored_colour: StoredColour, rows: Rows | None
+    ) -> None:
+        """Replace or remove an overlay, see `Compositor.submit_overlay`; after an error the last overlay stays."""
+        if quad is None:
+            self._overlays.pop(layer, None)
+            return
+        if layer not in self._import_overlays:
+            self._import_overlays[layer] = OverlayImport(self._context)
+        self._overlays[layer] = self._import_overlays[layer].take(picture, quad, stored_colour, rows)
+
+    def seen_overlays(self, view: View, world_from_device: FloatArray) -> list[SeenOverlay]:
+        """Return the overlays that a view sees, with the head at a pose (4, 4), in the order of drawing."""
+        seen = []
+        for _, overlay in sorted(self._overlays.items()):
+            place_of_ray = overlay.quad.place_of_ray(view, world_from_device)
+            if place_of_ray is not None:
+                seen.append(SeenOverlay(overlay.texture, place_of_ray))
+        return seen
+
+    def compose(
+        self,
+        viewpoint: FloatArray,
+        image_from_ray_map: FloatArray,
+        target: WarpTarget | None,
+        with_source: bool,
+        overlays: Sequence[SeenOverlay],
+    ) -> GlComposed:
+        """Return the picture for a viewpoint (3,), through (4, 4) or (rows, 4, 4), into a target of `targets`."""
+        assert self._pictures, "the compositor checks that the eye is submitted"
+        self.generation += 1
+        return self._composed(self._pictures, viewpoint, image_from_ray_map, target, with_source, overlays)
+
+    def prepare(self, framebuffer: gl.Framebuffer, overlays: int, insets: bool) -> None:
+        """Draw once in every way, which compiles the shaders; see `Compositor.prepare`."""
+        plan = self._plan
+        size = plan.camera.width_px, plan.camera.height_px
+        image = GpuImage(
+            self._context, plan.camera, self._context.target(size, 4, "srgb"), self._context.target(size, 1, "f4")
+        )
+        picture, at = WarpedPicture(image, plan.samples_per_axis), plan.channels[0].eye_box.centre
+        if overlays:
+            OverlayImport(self._context)
+        overlay = SeenOverlay(image.colour, np.eye(3))
+        all_samples = [WarpedPicture(image, samples) for samples in range(1, MAX_SAMPLES + 1)] if insets else []
+        for poses, target, pictures, over in itertools.product(
+            (np.eye(4), np.broadcast_to(np.eye(4), (plan.size_px[1], 4, 4))),
+            (None, WarpTarget(framebuffer, (0, 0), plan.size_px, False)),
+            ([picture], [picture, *all_samples])[: 1 + insets],
+            [[overlay] * count for count in range(overlays + 1)],
+        ):
+            self._composed(pictures, at, poses, target, False, over)
+        self.generation += 1
+
+    def _composed(
+        self,
+        pictures: Sequence[WarpedPicture],
+        viewpoint: FloatArray,
+        image_from_ray_map: FloatArray,
+        target: WarpTarget | None,
+        with_source: bool,
+        overlays: Sequence[SeenOverlay],
+    ) -> GlComposed:
+        ray_maps, (widest, *insets) = self._ray_maps.at(viewpoint), pictures
+        drawn, settings = (widest.image, ray_maps, image_from_ray_map), (self._background, widest.samples_per_axis)
+        if target is not None:
+            self._warp.draw_into(target, *drawn, *settings, overlays, insets)
+            return GlComposed(None, ray_maps)
+        size_px = self._plan.size_px
+        warped = self._warp.draw(*drawn, size_px, *settings, with_source, overlays, insets)
+        if not with_source or len(ray_maps) == 1:
+            return GlComposed(warped, ray_maps)
+
+        def draw_source(channel: int) -> GpuWarped:
+            if self._pictures is not pictures or widest.image.is_overwritten():
+                raise BadInputError(
+                    f"the {self._plan.eye} eye's picture, from which the pull maps of red and blue are drawn, was "
+                    "replaced after this frame was composed; read them before the next submit."
+                )
+            of_channel = widest.image, [ray_maps[channel]], image_from_ray_map
+            return self._warp_of_one.draw(*of_channel, size_px, *settings, with_source=True, insets=insets)
+
+        return GlComposed(warped, ray_maps, draw_source)
+
+
+class GlBackend:
+    """All eyes in one context."""
+
+    def __init__(
+        self,
+        context: Any,
+        host_state: HostState,
+        plans: Sequence[EyePlan],
+        background: tuple[int, int, int],
+        panels: Mapping[str, PanelLight],
+    ) -> None:
+        """Open, adopt or share the context, see `Compositor`.
+
+        Raises:
+            BadInputError: sizes that are too large.
+            MissingGlError: no OpenGL, or a context that is too old.
+        """
+        self.context = _context(context, host_state == "clean")
+        self.is_shared = isinstance(context, gl.GlContext)
+        self.name = self.context.renderer
+        self._framebuffers = TargetFramebuffers(self.context)
+        try:
+            for plan in plans:
+                _check_sizes(plan, self.context.largest_side_px)
+            self.eyes = {plan.eye: GlEye(self.context, plan, background, panels[plan.eye]) for plan in plans}
+        except BaseException:
+            self.release()
+            raise
+
+    def working(self) -> AbstractContextManager[object]:
+        """Return a block of calls, around which the caller's OpenGL state is saved and restored once."""
+        return self.context.drawing()
+
+    def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
+        """Return the target of each eye's picture; empty for the compositor's textures. See `Compositor.compose`."""
+        return {} if into is None else self._framebuffers.targets(into, eyes, size_px)
+
+    def prepare(self, overlays: int, insets: bool) -> None:
+        """Compile all shaders; see `Compositor.prepare`."""
+        with self.context.drawing():
+            for eye in self.eyes.values():
+                eye.prepare(self.context.framebuffer([self.context.target(eye.size_px, 4, "f1")]), overlays, insets)
+
+    def finish(self) -> None:
+        """Block until the GPU is idle."""
+        with self.context.drawing() as ctx:
+            ctx.finish()
+
+    def release(self) -> bool:
+        """Free everything, and return whether that was possible; an adopted or shared context stays open."""
+        return self.is_shared or self.context.release()
+
+
+def _check_sizes(plan: EyePlan, largest_px: int) -> None:
+    for what, size in (("display", plan.size_px), ("camera", plan.camera.size_px)):
+        _check_side(f"the {plan.eye} eye's {what}", size, largest_px, "size or resolution")
+
+
+def _check_side(what: str, size: tuple[int, int], largest_px: int, made_smaller: str) -> None:
+    if max(size) > largest_px:
+        raise BadInputError(
+            f"{what} would have {size[0]} x {size[1]} pixels, and OpenGL takes {largest_px} here; make {made_smaller} "
+            "smaller."
+        )
+
+
+def _context(context: Any, host_is_clean: bool) -> gl.GlContext:
+    if isinstance(context, gl.GlContext):
+        return context
+    if isinstance(context, str) and context == "cpu":
+        raise BadInputError(
+            "A compositor needs OpenGL; give context='auto', or draw ray-traced frames (TracedPainter, or `render "
+            "--backend cpu`)."
+        )
+    if isinstance(context, str) and checked_choice(context, CONTEXTS, "context") != "current":
+        if host_is_clean:
+            raise BadInputError(
+                f"host_state='clean' is of an adopted context, and context={context!r} opens one of our own, which has "
+                "no host; leave host_state out, or give context='current' or yours."
+            )
+        return gl.open_context(context)
+    if not isinstance(context, gl.Context | str):
+        raise BadInputError(
+            f"a {type(context).__name__} is not an OpenGL context; give a moderngl.Context, a gl.gl.GlContext, "
+            f"or one of {', '.join(CONTEXTS)}."
+        )
+    return gl.adopt_context(None if isinstance(context, str) else context, host_is_clean)
+
+
+def _solve_of(context: gl.GlContext, mappings: Eye, offset_px: FloatArray, plan: EyePlan) -> RayMapSolver[GpuRayMap]:
+    """Return the solver for a primary whose sub-pixels are offset (2,) display pixels from the centres of pixels."""
+    warp_grid, axes = plan.warp_grid.grid, plan.device_from_camera
+    warp_grid = replace(warp_grid, first_px=warp_grid.first_px + offset_px * warp_grid.panel.size_px / plan.size_px)
+    if isinstance(mappings.display, PlanarDisplay) and isinstance(mappings.see_through, PlanarSeeThrough):
+        return GlPlanarSolver(context, mappings, warp_grid, axes)
+    count = choose_plan(mappings).node_count
+    return GlNodeSolver(context, mappings, RayMapPlan.onto_grid(warp_grid, count, axes))
+
+
+def checked_image(image: GpuImage, view: View, context: gl.GlContext) -> GpuImage:
+    """Return an image of this library's renderers, if it was drawn in this context from the requested view.
+
+    Raises:
+        BadInputError: the image was drawn with another camera, for another pose, or in another context.
+    """
+    if image.context is not context:
+        raise BadInputError("the picture was drawn in another context; make the renderer for `Compositor.context`.")
+    if image.camera is not view.camera:
+        raise BadInputError("the picture was drawn with another camera; draw with the one that begin_frame gave.")
+    if image.is_overwritten():
+        raise BadInputError("the picture has been drawn over; submit it before you draw another under its name.")
+    if image.view is not None and not np.array_equal(image.view.world_from_camera, view.world_from_camera):
+        raise BadInputError(
+            "the picture was drawn for another pose; draw it with the camera of its frame, and submit it with that "
+            "frame's handle."
+        )
+    return image

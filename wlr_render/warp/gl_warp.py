@@ -1,0 +1,340 @@
+"""Backward warp of an intermediate image on the GPU; `warp.py` states the algorithm."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import pixels_from
+from wlr_render.gl import gl
+from wlr_render.gl.readback import read_rgb
+from wlr_render.numerics.arrays import FloatArray
+from wlr_render.numerics.srgb import decode_srgb
+from wlr_render.warp.gl_overlay import SeenOverlay
+from wlr_render.warp.gl_panel import SRGB_ENCODER, PanelEncoder
+from wlr_render.warp.gl_ray_maps import RayTexture
+from wlr_render.warp.gpu_image import GlDepthRanges, GpuImage
+from wlr_render.warp.warp import (
+    CONVERGED_PX,
+    DIRECT_PX,
+    MAX_REFINEMENTS,
+    MAX_STEPS,
+    SPACING_PX,
+    STEP_PX,
+    SURFACE_STEP,
+    TILE,
+    WarpedImage,
+    WarpStatus,
+)
+
+MAX_OVERLAYS = 4
+"""Overlays of an eye that are shown at once."""
+
+_CONSTANTS = {status.name: int(status) for status in WarpStatus} | {
+    "STEP_PX": STEP_PX,
+    "MAX_STEPS": MAX_STEPS,
+    "MAX_REFINEMENTS": MAX_REFINEMENTS,
+    "CONVERGED_PX": CONVERGED_PX,
+    "SURFACE_STEP": SURFACE_STEP,
+    "TILE": TILE,
+    "DIRECT_PX": DIRECT_PX,
+    "SPACING_PX": SPACING_PX,
+    "MISSING": 1e30,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class WarpedPicture:
+    """A picture that the warp reads.
+
+    Attributes:
+        image: colour and depth.
+        samples_per_axis: samples per display pixel along each axis where it is minified, see
+            `raster_camera.samples_for`.
+    """
+
+    image: GpuImage
+    samples_per_axis: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class WarpTarget:
+    """The viewport of a framebuffer that a warped picture is drawn to.
+
+    Attributes:
+        framebuffer: its first colour is drawn to, with the alpha of the picture.
+        first_px: (x, y) of the picture's corner with the smallest window coordinates.
+        size_px: (width, height) of the picture; nothing else of the framebuffer is touched.
+        top_row_first: whether the picture's top row has the smallest window y, as in our own textures. False gives a
+            picture that is upright in OpenGL's sense.
+    """
+
+    framebuffer: gl.Framebuffer
+    first_px: tuple[int, int]
+    size_px: tuple[int, int]
+    top_row_first: bool
+
+
+@dataclass(frozen=True, eq=False)
+class GpuWarped:
+    """A picture in display pixels, as textures that the warp's next pictures overwrite; see `WarpedImage`.
+
+    Attributes:
+        context: whose textures they are.
+        colour: codes of the panel in the format of `PanelLight.bits`, top row first; alpha is the picture's, or 1.
+        status: R8UI.
+        source: RG32F, or None when not asked for.
+    """
+
+    context: gl.GlContext
+    colour: gl.Texture
+    status: gl.Texture
+    source: gl.Texture | None
+
+    def read(self) -> WarpedImage:
+        """Fetch it."""
+        with self.context.drawing():
+            colour = read_rgb(self.colour)
+            source = None if self.source is None else gl.read(self.source, np.float32)
+            return WarpedImage(colour, gl.read(self.status, np.uint8), source)
+
+
+class GlWarp:
+    """Warps images on the GPU; textures are reused between frames of one size.
+
+    A first pass finds, for each cell of the warp grid, where its rays appear in the image and at which inverse depths
+    they may meet it. The cells are then drawn in one call of each kind, because software renderers run both sides of a
+    branch for every pixel: cells that the image's depth moves by less than DIRECT_PX and cells whose pixels march; each
+    kind again with filtering, if the cell minifies the image by more than SPACING_PX, or without.
+
+    An inset, a sharper image of a part of the field of view, is drawn in the same way over the wider image; the wider
+    image skips the cells that the inset fills. The inset's border blends into the wider image (`PictureImport.take`),
+    so that no seam is visible.
+    """
+
+    def __init__(self, context: gl.GlContext, channels: int = 1, panel: PanelEncoder = SRGB_ENCODER) -> None:
+        """Prepare for one ray map, or for 3: one per colour channel (red, green, blue)."""
+        self._context, self._channels, self._panel = context, channels, panel
+        self._cells: list[_GlCells] = []
+        self._targets = gl.RenderTargets(context)
+        self._drawings: dict[tuple[float, ...], gl.VertexArray] = {}
+
+    def draw(
+        self,
+        image: GpuImage,
+        ray_maps: Sequence[RayTexture],
+        image_from_ray_map: FloatArray,
+        size_px: tuple[int, int],
+        background: tuple[int, int, int] = (0, 0, 0),
+        samples_per_axis: int = 1,
+        with_source: bool = False,
+        overlays: Sequence[SeenOverlay] = (),
+        insets: Sequence[WarpedPicture] = (),
+    ) -> GpuWarped:
+        """Draw the display image and leave it on the GPU.
+
+        Args:
+            image: in this object's context.
+            ray_maps: world rays at the points of one warp grid, one map for each channel.
+            image_from_ray_map: rigid, from the camera frame of the ray maps to the image's, (4, 4), or
+                (height, 4, 4) with one for each row of the display.
+            size_px: (width, height) of the picture, which covers the panel.
+            background: sRGB for pixels that show nothing of the image.
+            samples_per_axis: of the image, as in `WarpedPicture`.
+            with_source: make the pull map as well, in pixels of the image.
+            overlays: pictures drawn over the image in this order, at most MAX_OVERLAYS.
+            insets: of the image's camera frame, each within the picture before and sharper.
+
+        Raises:
+            BadInputError: the number of ray maps or the shape of the transforms does not fit.
+        """
+        with self._context.drawing():
+            source_format = [(2, "f4")] if with_source else []
+            made = self._targets.get(
+                f"source {with_source}", size_px, (4, self._panel.texture_kind), (1, "u1"), *source_format
+            )
+            target = WarpTarget(made.framebuffer, (0, 0), size_px, True)
+            constants = {"WITH_STATUS": 1, "WITH_SOURCE": int(with_source)}
+            pictures = [WarpedPicture(image, samples_per_axis), *insets]
+            self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
+        colour, status, *source = made.textures
+        return GpuWarped(self._context, colour, status, source[0] if source else None)
+
+    def draw_into(
+        self,
+        target: WarpTarget,
+        image: GpuImage,
+        ray_maps: Sequence[RayTexture],
+        image_from_ray_map: FloatArray,
+        background: tuple[int, int, int] = (0, 0, 0),
+        samples_per_axis: int = 1,
+        overlays: Sequence[SeenOverlay] = (),
+        insets: Sequence[WarpedPicture] = (),
+    ) -> None:
+        """Draw the colour of the same image into a caller's framebuffer; arguments and errors as `draw`."""
+        with self._context.drawing():
+            before = target.framebuffer.viewport
+            constants = {"WITH_STATUS": 0, "WITH_SOURCE": 0}
+            pictures = [WarpedPicture(image, samples_per_axis), *insets]
+            try:
+                self._draw(pictures, ray_maps, image_from_ray_map, target, background, overlays, **constants)
+            finally:
+                target.framebuffer.viewport = before
+
+    def _draw(
+        self,
+        pictures: Sequence[WarpedPicture],
+        ray_maps: Sequence[RayTexture],
+        image_from_ray_map: FloatArray,
+        target: WarpTarget,
+        background: tuple[int, int, int],
+        overlays: Sequence[SeenOverlay],
+        **constants: int,
+    ) -> None:
+        _check(ray_maps, self._channels, image_from_ray_map, target.size_px)
+        while len(self._cells) < len(pictures):
+            self._cells.append(_GlCells(self._context, self._channels))
+        cells: list[_Cells] = []  # the sharpest picture comes first: a wider picture's cells depend on it
+        for k in reversed(range(len(pictures))):
+            drawn = pictures[k].image, ray_maps, image_from_ray_map, target.size_px
+            cells.insert(0, self._cells[k].draw(*drawn, is_inset=k > 0, inset=cells[0] if cells else None))
+        target.framebuffer.viewport = (*target.first_px, *target.size_px)
+        self._context.draw_to(target.framebuffer)
+        constants["OVERLAYS"] = len(overlays)
+        light = tuple(map(float, decode_srgb(np.array(background, np.uint8))))
+        columns, rows = ray_maps[0].warp_grid.size
+        for k, (picture, of_picture) in enumerate(zip(pictures, cells, strict=True)):
+            uniforms = {"background": light, "top_row_first": target.top_row_first}
+            if k and constants["WITH_SOURCE"]:
+                uniforms["widest_from_inset"] = pixels_from(picture.image.camera, pictures[0].image.camera)
+            for drawing in self._prepared(picture, of_picture, overlays, constants | {"INSET": int(k > 0)}, uniforms):
+                drawing.render(vertices=6 * (columns - 1) * (rows - 1))
+
+    def _prepared(
+        self,
+        picture: WarpedPicture,
+        cells: "_Cells",
+        overlays: Sequence[SeenOverlay],
+        constants: dict[str, int],
+        uniforms: dict[str, Any],
+    ) -> Iterator[gl.VertexArray]:
+        """Return the drawings of a picture, each with its textures and uniforms."""
+        image = picture.image
+        gl.read_between_texels(image.colour)
+        textures: dict[str, Any] = dict(self._panel.textures)
+        if overlays:
+            textures["overlays"] = [each.texture for each in overlays]
+            places = np.concatenate([each.place_of_ray @ image.camera.camera_from_image for each in overlays])
+        constants = constants | {"FILTERS": int(picture.samples_per_axis > 1)}
+        for march, samples in itertools.product((0, 1), sorted({1, picture.samples_per_axis})):
+            drawing = self._drawing(MARCH=march, SAMPLES_PER_AXIS=samples, **constants)
+            program = drawing.program
+            gl.bind_textures(
+                program,
+                ranges=cells.pyramid,
+                paths=cells.paths,
+                bends=cells.bends,
+                mixed_bends_and_ranges=cells.mixed_bends_and_ranges,
+                picture=image.colour,
+                inverse_depth=image.inverse_depth,
+                **textures,
+            )
+            if overlays:
+                gl.set_array(program, "overlay_place", places)
+            gl.set_uniforms(program, opaque=0.0 if image.has_alpha else 1.0, **uniforms)
+            yield drawing
+
+    def _drawing(self, **constants: float) -> gl.VertexArray:
+        """Return the shaders' variant for constants that come in the same order always; it is found without a sort."""
+        key = tuple(constants.values())
+        if key not in self._drawings:
+            constants |= {"CHANNELS": self._channels} | self._panel.constants | _CONSTANTS
+            self._drawings[key] = self._context.no_vertices(
+                self._context.program("warp.vert", "warp.frag", **constants)
+            )
+        return self._drawings[key]
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Outputs of `cells.frag` for a picture of (width, height), and the pyramid of the picture's depths."""
+
+    paths: gl.Texture
+    bends: gl.Texture
+    mixed_bends_and_ranges: gl.Texture
+    pyramid: gl.Texture
+    size_px: tuple[int, int]
+
+
+class _GlCells:
+    """Draws `cells.frag` for one picture of a frame: the widest, or an inset; textures are reused between frames."""
+
+    def __init__(self, context: gl.GlContext, channels: int) -> None:
+        self._context, self._channels = context, channels
+        self._ranges, self._targets = GlDepthRanges(context), gl.RenderTargets(context)
+
+    def draw(
+        self,
+        image: GpuImage,
+        ray_maps: Sequence[RayTexture],
+        image_from_ray_map: FloatArray,
+        display_size_px: tuple[int, int],
+        is_inset: bool,
+        inset: _Cells | None,
+    ) -> _Cells:
+        """Find the cells of a picture, which may be an inset, and may have one."""
+        pyramid = self._ranges.of(image)
+        warp_grid = ray_maps[0].warp_grid
+        matrices = image.camera.image_from_camera @ image_from_ray_map
+        by_rows = matrices.ndim == 3
+        cells = self._targets.get("cells", (warp_grid.columns, warp_grid.rows * self._channels), *[(4, "f4")] * 3)
+        constants = {"CHANNELS": self._channels, "ROWS": int(by_rows)}
+        constants |= {"INSET": int(is_inset), "HAS_INSET": int(inset is not None)}
+        drawing = self._context.full_screen("cells.frag", **constants, **_CONSTANTS)
+        program = drawing.program
+        textures: dict[str, Any] = {"ranges": pyramid, "slope_offset": [each.slope_offset for each in ray_maps]}
+        if by_rows:
+            rows = self._targets.get("camera matrices", (3, warp_grid.rows), (4, "f4")).textures[0]
+            rows.write(np.ascontiguousarray(_at_grid_rows(matrices, warp_grid.rows), np.float32))
+            textures["camera_matrices"] = rows
+        else:
+            gl.set_array(program, "camera_matrix", matrices)
+        if inset is not None:
+            textures |= {"inset_paths": inset.paths, "inset_ranges": inset.mixed_bends_and_ranges}
+            gl.set_uniforms(program, inset_size_px=tuple(map(float, inset.size_px)))
+        self._context.draw_to(cells.framebuffer)
+        gl.bind_textures(program, **textures)
+        per_cell = (display_size_px[0] / (warp_grid.columns - 1), display_size_px[1] / (warp_grid.rows - 1))
+        size_px = image.inverse_depth.size
+        gl.set_uniforms(program, size_px=tuple(map(float, size_px)), display_px_per_cell=per_cell)
+        drawing.render(vertices=3)
+        paths, bends, mixed_bends_and_ranges = cells.textures
+        return _Cells(paths, bends, mixed_bends_and_ranges, pyramid, size_px)
+
+
+def _check(
+    ray_maps: Sequence[RayTexture], channels: int, image_from_ray_map: FloatArray, size_px: tuple[int, int]
+) -> None:
+    if len(ray_maps) != channels or len({each.warp_grid.size for each in ray_maps}) > 1:
+        raise BadInputError(
+            f"{len(ray_maps)} ray maps for a warp of {channels} channels; give one ray map for each channel, all of "
+            "one warp grid."
+        )
+    if image_from_ray_map.shape not in ((4, 4), (size_px[1], 4, 4)):
+        raise BadInputError(
+            f"image_from_ray_map has the shape {image_from_ray_map.shape}; give (4, 4), or ({size_px[1]}, 4, 4) with "
+            "one transform for each row of the display."
+        )
+
+
+def _at_grid_rows(matrices: FloatArray, rows: int) -> FloatArray:
+    """(height, 3, 4) at the centres of the display's rows -> (rows * 3, 4) at a warp grid's, from edge to edge."""
+    height = len(matrices)
+    place = np.linspace(0, height, rows) - 0.5
+    first = np.clip(np.floor(place).astype(int), 0, max(height - 2, 0))
+    second = np.minimum(first + 1, height - 1)
+    share = (place - first)[:, None, None]
+    return np.asarray((1 - share) * matrices[first] + share * matrices[second]).reshape(-1, 4)

@@ -1,0 +1,279 @@
+"""Import of pictures that other programs rendered, as the GPU images that the warp reads."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wlr_render.errors import BadInputError
+from wlr_render.geometry.pinhole import Pinhole, pixels_from
+from wlr_render.gl import gl
+from wlr_render.gl.framebuffers import TextureLayer, is_number
+from wlr_render.warp.gpu_image import GpuImage
+from wlr_render.warp.picture_copy import PictureCopy
+from wlr_render.warp.stored_picture import (
+    CODES,
+    COLOUR_TYPES,
+    DepthKind,
+    Rows,
+    StoredColour,
+    StoredDepth,
+    check_arrays,
+    check_depth_format,
+)
+
+BORDER = 0.1
+"""Width of the border in which an inset changes to the wider picture, as a share of its shorter side."""
+
+
+class PictureImport:
+    """Converts other programs' pictures to GPU images; textures are reused, so each picture overwrites the last."""
+
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context = context
+        self._copy = PictureCopy(context)
+        self._targets = gl.RenderTargets(context)
+        with context.drawing():
+            self._imports = [self._importing(DECODE=decode, INSET=0) for decode in (0, 1)]
+            self._samplers = {"srgb": context.plain_sampler(), "linear": context.plain_sampler(decodes=True)}
+
+    def take(
+        self,
+        camera: Pinhole,
+        colour: Any,
+        depth: Any,
+        stored: StoredDepth,
+        rows: Rows | None = None,
+        stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
+    ) -> GpuImage:
+        """Return a picture of any kind that `Compositor.submit` takes; rows lie as usual for that kind if None.
+
+        Args:
+            camera: that drew it.
+            colour, depth: as in `Compositor.submit`.
+            stored: encoding of the depth.
+            rows: which row comes first.
+            stored_colour: encoding of the colours.
+            wider: for an inset, the picture around it, of the same camera frame. Within BORDER of the inset's sides its
+                colours blend into the wider picture's, in linear light. Without a depth it takes the wider picture's.
+
+        Raises:
+            BadInputError: as the methods below, or another type of picture.
+        """
+        has_depth = depth is not None
+        if isinstance(colour, GpuImage) and wider is not None:
+            stored_colour = StoredColour(colour.encoding, alpha=colour.has_alpha)
+            stored = StoredDepth(DepthKind.INVERSE)
+            with self._context.drawing():
+                return self._take(
+                    camera, colour.colour, colour.inverse_depth, stored, Rows.TOP_FIRST, stored_colour, wider
+                )
+        if isinstance(colour, np.ndarray) and (isinstance(depth, np.ndarray) or (wider and not has_depth)):
+            return self.from_arrays(camera, colour, depth, stored, rows or Rows.TOP_FIRST, stored_colour, wider)
+        upwards = rows or Rows.BOTTOM_FIRST
+        if not has_depth and (isinstance(colour, gl.Framebuffer) or is_number(colour)):
+            return self.from_framebuffer(camera, colour, stored, upwards, stored_colour, wider)
+        if is_texture(colour) and (is_texture(depth) or (wider and not has_depth)):
+            return self.from_textures(camera, colour, depth, stored, upwards, stored_colour, wider)
+        raise BadInputError(
+            f"a picture cannot be taken from a {type(colour).__name__} and a {type(depth).__name__}; submit two "
+            "arrays, two textures (ModernGL's, their OpenGL names, or TextureLayer), or one framebuffer (or its "
+            "number) that holds both colour and depth."
+        )
+
+    def from_arrays(
+        self,
+        camera: Pinhole,
+        colour: NDArray[Any],
+        depth: NDArray[np.float32] | None,
+        stored: StoredDepth,
+        rows: Rows = Rows.TOP_FIRST,
+        stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
+    ) -> GpuImage:
+        """Return a picture in memory: colours (height, width, 3 or 4) of `COLOUR_TYPES`, depth (height, width) or None.
+
+        Raises:
+            BadInputError: as `stored_picture.check_arrays`.
+        """
+        size = camera.width_px, camera.height_px
+        check_arrays(colour, depth, stored, size, stored_colour)
+        with self._context.drawing():
+            kind = colour.shape[2], COLOUR_TYPES[str(colour.dtype)]
+            texture, depths = self._targets.get(f"{kind} uploaded", size, kind, (1, "f4")).textures
+            texture.write(np.ascontiguousarray(colour), alignment=1)
+            if depth is not None:
+                depths.write(np.ascontiguousarray(depth), alignment=1)
+            return self._take(camera, texture, None if depth is None else depths, stored, rows, stored_colour, wider)
+
+    def from_textures(
+        self,
+        camera: Pinhole,
+        colour: Any,
+        depth: Any,
+        stored: StoredDepth,
+        rows: Rows = Rows.BOTTOM_FIRST,
+        stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
+    ) -> GpuImage:
+        """Return a picture in textures of the image's context; see `is_texture`. The depth may be None.
+
+        ModernGL's textures are read as they are, the depth in their first channel. Other textures, and multisampled
+        ones, are copied on the GPU first; see `from_framebuffer`. The depth may have a depth format, or be the first
+        component of a colour format.
+
+        Raises:
+            BadInputError: a texture of another context or size, or of a format that cannot be read or copied; no such
+                layer or level; metres in a depth format.
+        """
+        named = [("colour", colour)] + ([] if depth is None else [("depth", depth)])
+        is_read = [isinstance(each, gl.Texture) and (gl.is_released(each) or not each.samples) for _, each in named]
+        size = camera.width_px, camera.height_px
+        if all(is_read):
+            for (name, texture), least_components in zip(named, (3, 1), strict=False):
+                _check_texture(self._context, name, texture, size, least_components)
+            if depth is not None and depth.depth:
+                check_depth_format(stored)
+            with self._context.drawing():
+                return self._take(camera, colour, depth, stored, rows, stored_colour, wider, callers=True)
+        layers = [each if isinstance(each, TextureLayer) else TextureLayer(each) for _, each in named]
+        for (name, _), layer in zip(named, layers, strict=True):
+            if not is_number(layer.texture):
+                _check_context(self._context, f"{name} texture", layer.texture)
+        with self._context.drawing():
+            copy, *depths = self._copy.copy_layers(layers, size, stored)
+            return self._take(camera, copy, depths[0] if depths else None, stored, rows, stored_colour, wider)
+
+    def size_of(self, texture: Any) -> tuple[int, int]:
+        """(width, height) of a texture, see `is_texture`.
+
+        Raises:
+            BadInputError: the texture has been released or belongs to another context, or the texture, layer or level
+                does not exist.
+        """
+        layer = texture if isinstance(texture, TextureLayer) else TextureLayer(texture)
+        if not is_number(layer.texture):
+            _check_context(self._context, "texture", layer.texture)
+        if isinstance(layer.texture, gl.Texture) and not layer.level:
+            return layer.texture.size
+        with self._context.drawing():
+            return self._copy.size_of(layer)
+
+    def from_framebuffer(
+        self,
+        camera: Pinhole,
+        framebuffer: gl.Framebuffer | int,
+        stored: StoredDepth,
+        rows: Rows = Rows.BOTTOM_FIRST,
+        stored_colour: StoredColour = CODES,
+        wider: GpuImage | None = None,
+    ) -> GpuImage:
+        """Return a picture in a framebuffer object of the image's context, ModernGL's or by its OpenGL number.
+
+        It is copied, on the GPU. Of several samples per pixel colours are averaged. Of their depths OpenGL takes one,
+        usually sample 0, which lies up to half a pixel from the centre.
+
+        Raises:
+            BadInputError: a framebuffer of another context or size, or whose colour or depth is missing or of a kind
+                that cannot be copied; metres in a depth format.
+        """
+        if not is_number(framebuffer):
+            _check_context(self._context, "framebuffer", framebuffer)
+        with self._context.drawing():
+            colour, depth = self._copy.copy_framebuffer(framebuffer, (camera.width_px, camera.height_px), stored)
+            return self._take(camera, colour, depth, stored, rows, stored_colour, wider)
+
+    def _importing(self, **constants: int) -> gl.VertexArray:
+        return self._context.full_screen("import_picture.frag", **constants)
+
+    def _take(
+        self,
+        camera: Pinhole,
+        colour: gl.Texture,
+        depth: gl.Texture | None,
+        stored: StoredDepth,
+        rows: Rows,
+        stored_colour: StoredColour,
+        wider: GpuImage | None = None,
+        callers: bool = False,
+    ) -> GpuImage:
+        """Convert textures; a caller's textures may have any filter, so that they are read by a sampler of ours."""
+        codes = stored_colour.encoding == "srgb"
+        if codes and not self._context.reads_srgb_codes and self._context.has_srgb_format(colour):
+            codes = False  # OpenGL has decoded them
+        # The codes of an inset are decoded, to be mixed with the wider picture's light.
+        in_bytes = codes and stored_colour.bits == 8 and colour.dtype in ("f1", "nu1") and wider is None
+        kind = "srgb" if in_bytes else "f2"
+        target = self._targets.get(f"picture {kind}", (camera.width_px, camera.height_px), (4, kind), (1, "f4"))
+        self._context.draw_to(target.framebuffer)
+        decodes = codes and not in_bytes
+        drawing = self._imports[decodes] if wider is None else self._importing(DECODE=int(decodes), INSET=1)
+        program = drawing.program
+        textures = {"stored_colour": colour, "stored_depth": colour if depth is None else depth}
+        if wider is not None:
+            gl.read_between_texels(wider.colour)
+            textures |= {"wider": wider.colour, "wider_inverse_depth": wider.inverse_depth}
+            gl.set_uniforms(
+                program,
+                wider_from_inset=pixels_from(camera, wider.camera),
+                border_px=BORDER * min(camera.width_px, camera.height_px),
+                shares_depth=depth is None,
+            )
+        gl.bind_textures(program, **textures)
+        # Codes of fewer bits than the numbers of a uint16 texture, which holds 65535 as 1.
+        of_largest = 65535 / ((1 << stored_colour.bits) - 1) if not callers and colour.dtype == "nu2" else 1.0
+        gl.set_uniforms(
+            program,
+            bottom_first=rows is Rows.BOTTOM_FIRST,
+            scale=(*[of_largest] * 3, of_largest if stored_colour.alpha else 0.0),
+            opaque=0.0 if stored_colour.alpha else 1.0,
+            in_metres=stored.kind is DepthKind.METRES,
+            inverse_depth_of_0_and_1=stored.inverse_of_0_and_1,
+            limits=stored.limits,
+        )
+        units = range(2 if callers or gl.is_srgb(colour) else 0)
+        for unit in units:
+            self._samplers[stored_colour.encoding].use(unit)
+        drawing.render(vertices=3)
+        for unit in units:
+            self._samplers[stored_colour.encoding].clear(unit)
+        colours, depths = target.textures
+        return GpuImage(
+            self._context,
+            camera,
+            colours,
+            depths,
+            encoding="srgb" if in_bytes else "linear",
+            has_alpha=stored_colour.alpha,
+        )
+
+
+def is_texture(value: Any) -> bool:
+    """Return whether a value may be a texture: a ModernGL texture or array, an OpenGL name, or a `TextureLayer`."""
+    return is_number(value) or isinstance(value, TextureLayer | gl.Texture | gl.TextureArray)
+
+
+def _check_context(context: gl.GlContext, name: str, thing: Any) -> None:
+    if gl.is_released(thing):
+        raise BadInputError(f"The {name} has been released: submit a picture before you release it.")
+    if not context.has(thing):
+        raise BadInputError(
+            f"The {name} belongs to another ModernGL context: adopt that one, or hand the picture over as arrays."
+        )
+
+
+def _check_texture(
+    context: gl.GlContext, name: str, texture: gl.Texture, size: tuple[int, int], least_components: int
+) -> None:
+    _check_context(context, f"{name} texture", texture)
+    if texture.size != size:
+        raise BadInputError(
+            f"The {name} texture has {texture.size[0]}x{texture.size[1]} pixels, the camera {size[0]}x{size[1]}: draw "
+            "with that camera."
+        )
+    if not texture.dtype.startswith(("f", "nu")) or texture.components < least_components:
+        raise BadInputError(
+            f"The {name} texture has {texture.components} components of '{texture.dtype}': it needs {least_components} "
+            "that are read as fractions ('f1', 'nu2', 'f2' or 'f4')."
+        )

@@ -1,0 +1,143 @@
+"""Framebuffers and textures of other software as targets of composed frames."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from wlr_render.errors import BadInputError
+from wlr_render.gl import gl
+from wlr_render.gl.framebuffers import (
+    COLOUR,
+    WHOLE_NUMBERS,
+    FramebufferQueries,
+    Image,
+    ImageCache,
+    TextureLayer,
+    fresh_framebuffer,
+    is_number,
+)
+from wlr_render.warp.gl_warp import WarpTarget
+
+_FRACTIONS = "does not hold red, green and blue as fractions; give it an RGBA8 texture."
+
+
+class TargetFramebuffers:
+    """The caller's framebuffers and textures as targets; use it in drawing blocks."""
+
+    def __init__(self, context: gl.GlContext) -> None:
+        self._context, self._ask = context, FramebufferQueries(context)
+        self._targets: ImageCache[gl.Framebuffer] = ImageCache(context)
+
+    def targets(self, into: Any, eyes: Sequence[str], size_px: tuple[int, int]) -> dict[str, WarpTarget]:
+        """Return the target of each eye's picture, upright as OpenGL shows it; see `Compositor.compose`.
+
+        Raises:
+            BadInputError: an eye has no target, or a target is not a framebuffer or texture of this context or has
+                another size or kind.
+        """
+        if isinstance(into, Mapping):
+            missing = set(eyes) - set(into)
+            if missing:
+                raise BadInputError(
+                    f"there is no framebuffer for the {sorted(missing)[0]} eye; give one for every eye."
+                )
+            if len({_identity(into[eye]) for eye in eyes}) < len(eyes):
+                raise BadInputError(
+                    "both eyes are given the same framebuffer; give each its own, or one of twice the width."
+                )
+            found = {eye: self._of_size(into[eye], size_px) for eye in eyes}
+            return {eye: WarpTarget(framebuffer, (0, 0), size_px, False) for eye, framebuffer in found.items()}
+        width, height = size_px
+        framebuffer = self._of_size(into, (width * len(eyes), height))
+        return {
+            eye: WarpTarget(framebuffer, (index * width, 0), size_px, top_row_first=False)
+            for index, eye in enumerate(eyes)
+        }
+
+    def _of_size(self, into: Any, size_px: tuple[int, int]) -> gl.Framebuffer:
+        """Return a framebuffer of ours with the first colour image of a target; the window's own for number 0."""
+        into = TextureLayer(into) if isinstance(into, gl.Texture | gl.TextureArray) else into
+        owner = into.texture if isinstance(into, TextureLayer) else into
+        if not is_number(owner) and not isinstance(owner, gl.Framebuffer | gl.Texture | gl.TextureArray):
+            raise BadInputError(
+                f"a {type(into).__name__} is not a framebuffer; give ModernGL's, its OpenGL number, a texture or a "
+                "TextureLayer."
+            )
+        if not is_number(owner) and not gl.is_released(owner) and not self._context.has(owner):
+            raise BadInputError(
+                "the framebuffer belongs to another OpenGL context than the compositor works in; make it in that one."
+            )
+        if isinstance(into, TextureLayer):
+            image = Image(into.name, False, into.level, into.layer)
+            return self._targets.get(
+                [owner], ("texture", image, size_px), lambda old: self._of_texture(image, size_px, old)
+            )
+        number = int(owner if is_number(owner) else owner.glo)
+        if not number:
+            return self._window()
+        fixed = not is_number(owner) and owner.color_attachments is not None
+        key = "framebuffer", size_px
+        return self._targets.get(
+            [owner if fixed else number], key, lambda old: self._of_framebuffer(number, size_px, old)
+        )
+
+    def _window(self) -> gl.Framebuffer:
+        # The size of a window's picture is its toolkit's affair: OpenGL cannot be asked for it.
+        if not self._context.host_is_clean:
+            self._ask.bind(0)
+            if not self._ask.is_complete():
+                raise BadInputError(
+                    "the OpenGL context has no window; give a framebuffer object with an RGBA8 texture."
+                )
+        with self._context.drawing() as ctx:
+            window: Any = ctx.screen
+        if window is None:
+            raise BadInputError("the compositor's own OpenGL context has no window; give a framebuffer object of it.")
+        screen: gl.Framebuffer = window
+        return screen
+
+    def _of_framebuffer(self, number: int, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
+        ask = self._ask
+        if not ask.exists("Framebuffer", number):
+            raise BadInputError(
+                f"number {number} is no framebuffer object of the OpenGL context; give one, or 0 for the window."
+            )
+        ask.bind(number)
+        if not ask.is_complete():
+            raise BadInputError(
+                f"the framebuffer {number} is incomplete; give a framebuffer object with an RGBA8 texture."
+            )
+        image = ask.image(COLOUR)
+        if image is None:
+            raise BadInputError(f"the framebuffer's first attachment {_FRACTIONS}")
+        return self._with_image(image, "framebuffer", size_px, old)
+
+    def _of_texture(self, image: Image, size_px: tuple[int, int], old: gl.Framebuffer | None) -> gl.Framebuffer:
+        if not self._ask.exists("Texture", image.name):
+            raise BadInputError(f"number {image.name} is no texture of the OpenGL context; give one that is.")
+        self._ask.check_layer(image)
+        return self._with_image(image, f"texture {image.name}", size_px, old)
+
+    def _with_image(
+        self, image: Image, what: str, size_px: tuple[int, int], old: gl.Framebuffer | None
+    ) -> gl.Framebuffer:
+        self._context.take_error()
+        size = self._ask.size(image)
+        if size != size_px:
+            found, needed = (" x ".join(map(str, pixels)) for pixels in (size, size_px))
+            raise BadInputError(
+                f"the {what} has {found} pixels, and {needed} are needed; give one of that size, or make the "
+                "compositor for yours."
+            )
+        framebuffer = old or fresh_framebuffer(self._context)
+        self._ask.bind(framebuffer.glo)
+        complete = self._ask.attach(COLOUR, image)
+        colour = self._ask.format(COLOUR) if complete else None
+        if colour is None or not colour.blue_bits or colour.numbers in WHOLE_NUMBERS:
+            raise BadInputError(f"the {what}'s first attachment {_FRACTIONS}")
+        return framebuffer
+
+
+def _identity(into: Any) -> object:
+    if isinstance(into, TextureLayer):
+        return into.name, into.layer, into.level
+    return into if is_number(into) else getattr(into, "glo", id(into))
