@@ -59,7 +59,7 @@ def detect_markers(dictionary: str, grey: NDArray[np.uint8], border_bits: int = 
 
 
 def markers_of_opencv(corners: Any, numbers: Any) -> tuple[FloatArray, IntArray]:
-    """Return corners (n, 4, 2), pixels from the picture's outer corner, and numbers (n,) from what a detector returns."""
+    """Convert a detector's results to corners (n, 4, 2), pixels from the picture's outer corner, and numbers (n,)."""
     pixel = np.array(corners, dtype=np.float64).reshape(-1, 4, 2) - OPENCV_PIXEL_SHIFT
     return pixel, np.zeros(0, dtype=np.int64) if numbers is None else np.asarray(numbers, np.int64).ravel()
 
