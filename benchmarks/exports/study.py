@@ -22,7 +22,7 @@ from benchmarks.exports.readers import (
     warped_by_openimageio,
 )
 from benchmarks.speed.workload import bench_model
-from wlr_render.exports.export_view import ExportedView, ray_map_plans
+from wlr_render.exports.export_view import ExportedView
 from wlr_render.exports.mrcal import Mrcal
 from wlr_render.exports.pixel_maps import Ffmpeg, FloatMap, StMap
 from wlr_render.geometry.directions import arcmin_between, dir_of_tangents
@@ -34,6 +34,7 @@ from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell, Report, ReportTable
 from wlr_render.report.save import markdown, save_report
+from wlr_render.warp.raster_camera import ray_map_plans
 from wlr_render.work.progress import SILENT
 
 _FAR_M = 1e4

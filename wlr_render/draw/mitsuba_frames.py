@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.draw.painters import Frame, by_colour, channels_of, ray_maps_of
+from wlr_render.draw.painters import Frame, by_colour, channels_of, ray_maps_between_pixels, ray_maps_of
 from wlr_render.draw.ray_intersections import Intersections
 from wlr_render.extras import MissingExtraError, installed_by
 from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.srgb import decode_srgb, encode_srgb
 from wlr_render.scene.scene import Instance, LightSource, Mesh, Scene, world_normals, world_positions
-from wlr_render.warp.ray_map import RayMapPlan, choose_plan, ray_map
+from wlr_render.warp.ray_map import choose_plan
 
 LEAST_LLVM = 19
 """Oldest LLVM with which paths were traced; up to 16 the process ends with "Cannot select: fminimum"."""
@@ -152,9 +152,8 @@ class PathTracedPainter:
             if with_geometry:
                 traced.append(self._positions(*rays.world_rays(world_from_device)).reshape(shape))
             total = np.zeros((shape[0] * shape[1], 3), np.float32)
-            for offset, seed in zip(self._offsets, self._seeds, strict=True):
-                moved = RayMapPlan.with_nodes(plan.panel, plan.node_count, plan.device_from_camera, offset)
-                sample = ray_map(mappings, viewpoint, moved, rays.warm_start)
+            samples = ray_maps_between_pixels(mappings, plan, rays, self._offsets)
+            for sample, seed in zip(samples, self._seeds, strict=True):
                 total += self._tracer.light(*sample.world_rays(world_from_device), int(seed))
             colours.append(encode_srgb(total / np.float32(len(self._seeds))).reshape(shape))
         return Frame(by_colour(colours), lambda: ray_maps, traced=tuple(traced))

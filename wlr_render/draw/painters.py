@@ -1,6 +1,6 @@
 """Panel images of one eye for a viewpoint and a head pose, by ray tracing; `raster_painter.py` rasterises."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -143,6 +143,15 @@ def ray_maps_of(channels: EyeChannels, plans: Sequence[RayMapPlan], viewpoint: F
     return tuple(ray_map(mappings, viewpoint, plan) for mappings, plan in zip(channels, plans, strict=True))
 
 
+def ray_maps_between_pixels(
+    mappings: Eye, plan: RayMapPlan, rays: RayMap, offsets_px: Iterable[FloatArray]
+) -> Iterator[RayMap]:
+    """Ray maps of points at offsets (2,) from the centres of the pixels, at the viewpoint of the ray map of these."""
+    for offset_px in offsets_px:
+        moved = RayMapPlan.with_nodes(plan.panel, plan.node_count, plan.device_from_camera, offset_px)
+        yield ray_map(mappings, rays.viewpoint_in_device, moved, rays.warm_start)
+
+
 class TracedPainter:
     """Every display pixel's world ray is a primary ray."""
 
@@ -165,7 +174,8 @@ class TracedPainter:
         self._renderer = renderer
         self._shadows = shadows
         self._plans = [choose_plan(each) for each in self._channels]
-        self._sample_plans = [_sample_plans(plan, supersample) for plan in self._plans]
+        steps = (np.arange(supersample) + 0.5) / supersample - 0.5
+        self._offsets = [np.array([u, v]) for v in steps for u in steps] if supersample > 1 else []
 
     def paint(
         self,
@@ -176,30 +186,19 @@ class TracedPainter:
         """Return a ray-traced frame; see `Painter`."""
         ray_maps = ray_maps_of(self._channels, self._plans, viewpoint)
         colours, traced = [], []
-        for mappings, rays, sample_plans in zip(self._channels, ray_maps, self._sample_plans, strict=True):
-            if with_geometry or not sample_plans:
+        for mappings, plan, rays in zip(self._channels, self._plans, ray_maps, strict=True):
+            if with_geometry or not self._offsets:
                 rays_of = partial(rays.world_rays, world_from_device)
                 image = self._renderer.render_blocks(rays.shape, rays_of, with_geometry, self._shadows)
                 colour = image.colour
                 if image.position is not None:
                     traced.append(image.position)
-            if sample_plans:
-                samples = (ray_map(mappings, viewpoint, plan, rays.warm_start) for plan in sample_plans)
+            if self._offsets:
+                samples = ray_maps_between_pixels(mappings, plan, rays, self._offsets)
                 sampled = (partial(each.world_rays, world_from_device) for each in samples)
                 colour = self._renderer.render_supersampled(rays.shape, sampled, self._shadows)
             colours.append(colour)
         return Frame(by_colour(colours), lambda: ray_maps, traced=tuple(traced))
-
-
-def _sample_plans(plan: RayMapPlan, supersample: int) -> list[RayMapPlan]:
-    if supersample == 1:
-        return []
-    steps = (np.arange(supersample) + 0.5) / supersample - 0.5
-    return [
-        RayMapPlan.with_nodes(plan.panel, plan.node_count, plan.device_from_camera, np.array([u, v]))
-        for v in steps
-        for u in steps
-    ]
 
 
 def with_inverse_depth(intermediate: GeometryImage, source: Float32Array) -> Float32Array:

@@ -9,8 +9,8 @@ from wlr_render.mappings import Eye
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.numerics.srgb import encode_srgb
 from wlr_render.warp.compositor import Compositor
-from wlr_render.warp.raster_camera import RasterPlace
-from wlr_render.warp.ray_map import RayMap, RayMapPlan, choose_plan
+from wlr_render.warp.raster_camera import RasterPlace, ray_map_plans
+from wlr_render.warp.ray_map import RayMap
 from wlr_render.warp.view import View
 
 
@@ -61,10 +61,7 @@ class WarpedPainter:
         composed = self._compositor.compose(with_source=with_geometry)
 
         def ray_maps() -> tuple[RayMap, ...]:
-            axes = self._plan.device_from_camera
-            plans = [
-                RayMapPlan.with_nodes(each.display.panel, choose_plan(each).node_count, axes) for each in self._channels
-            ]
+            plans = ray_map_plans(self._channels, self._plan.device_from_camera)
             return ray_maps_of(self._channels, plans, viewpoint)
 
         if not with_geometry:

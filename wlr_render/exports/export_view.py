@@ -11,8 +11,8 @@ import numpy as np
 from wlr_render.geometry.pinhole import Pinhole
 from wlr_render.mappings import COLOURS, Eye, EyeChannels, middle_channel
 from wlr_render.numerics.arrays import BoolArray, Float32Array, FloatArray
-from wlr_render.warp.raster_camera import RasterPlace, RasterPosition, intermediate_camera
-from wlr_render.warp.ray_map import RayMapPlan, choose_plan, middle_axes, ray_map, solve_pixels
+from wlr_render.warp.raster_camera import RasterPlace, RasterPosition, intermediate_camera, ray_map_plans
+from wlr_render.warp.ray_map import RayMapPlan, middle_axes, ray_map, solve_pixels
 from wlr_render.warp.view import View
 
 ALL_COLOURS = "all"
@@ -165,13 +165,6 @@ class ExportedView:
 def has_ray(position: FloatArray | Float32Array) -> BoolArray:
     """Return whether positions or tangents (..., 2) belong to a ray, and are not NaN."""
     return np.asarray(np.isfinite(position).all(axis=-1))
-
-
-def ray_map_plans(channels: EyeChannels, device_from_camera: FloatArray) -> tuple[RayMapPlan, ...]:
-    """Return the plans of the ray maps of an eye's channels in the axes of a camera."""
-    return tuple(
-        RayMapPlan.with_nodes(each.display.panel, choose_plan(each).node_count, device_from_camera) for each in channels
-    )
 
 
 def view_from_centre(

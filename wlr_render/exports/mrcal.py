@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import NdBSpline
 from scipy.sparse import csr_array, diags_array, eye_array, kron, vstack
 from scipy.spatial.transform import Rotation
 
@@ -109,18 +110,10 @@ def _intervals_per_unit(field_x_deg: int, columns: int) -> float:
 
 def _spline_weights(u: FloatArray, field_x_deg: int, shape: tuple[int, int]) -> csr_array:
     """Return the weights (n, control points) of the uniform cubic B-spline at stereographic coordinates (n, 2)."""
-    size = np.array(shape)
-    place = u * _intervals_per_unit(field_x_deg, shape[0]) + (size - 1) / 2
-    first = np.clip(np.floor(place).astype(np.int64), 1, size - 3) - 1
-    t = place - first - 1
-    cubic = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6
-    across, down = cubic[:, :, 0], cubic[:, :, 1]
-    weights = across[None] * down[:, None]
-    steps = np.arange(4)
-    column, row = first[:, 0] + steps[:, None], first[:, 1] + steps[:, None]
-    index = row[:, None] * shape[0] + column[None]
-    query = np.broadcast_to(np.arange(len(u)), index.shape)
-    return csr_array((weights.ravel(), (query.ravel(), index.ravel())), shape=(len(u), shape[0] * shape[1]))
+    index = u * _intervals_per_unit(field_x_deg, shape[0]) + 0.5 * (np.array(shape) - 1)
+    knots = tuple(np.arange(count + 4) - 2.0 for count in reversed(shape))
+    weights = NdBSpline.design_matrix(np.ascontiguousarray(index[:, ::-1]), knots, 3)
+    return csr_array(weights, shape=(len(u), shape[0] * shape[1]))
 
 
 @functools.lru_cache(maxsize=3)

@@ -22,7 +22,7 @@ from wlr_render.numerics.arrays import Float32Array, FloatArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
 from wlr_render.warp.choose_grid import ChosenWarpGrid, choose_warp_grid
 from wlr_render.warp.grid import WarpGrid
-from wlr_render.warp.ray_map import middle_axes, required_tangents, solve_pixels
+from wlr_render.warp.ray_map import RayMapPlan, choose_plan, middle_axes, required_tangents, solve_pixels
 from wlr_render.warp.view import View
 from wlr_render.warp.warp import SPACING_PX
 
@@ -116,6 +116,13 @@ class RasterPosition:
         Outside the eye box the shift of the box's nearest point applies, so that it neither jumps nor grows.
         """
         return np.asarray(viewpoint + self._shift(np.clip(viewpoint, self._box.low, self._box.high)))
+
+
+def ray_map_plans(channels: Sequence[Eye], device_from_camera: FloatArray) -> tuple[RayMapPlan, ...]:
+    """Return the plans of the ray maps of all pixels, one for each channel, in the axes (3, 3) of a camera."""
+    return tuple(
+        RayMapPlan.with_nodes(each.display.panel, choose_plan(each).node_count, device_from_camera) for each in channels
+    )
 
 
 MAX_SAMPLES = 4
