@@ -15,6 +15,7 @@ from wlr_render.captures.patterns.catalogue import make_pattern
 from wlr_render.captures.photo_session import (
     BoardPhotograph,
     CodeSet,
+    CodeTable,
     GivenPose,
     PhotoSession,
     SessionCamera,
@@ -208,8 +209,7 @@ def with_all_else(folder):
         ),
         display=tuple(replace(each, orientation=1, time_s=9.0, place="turned") for each in session.display[:1]),
         tracking=(replace(session.tracking[0], time_s=5.0),),
-        code_order="opencv",
-        code_manifest=folder / "order.csv",
+        code=CodeTable("opencv", folder / "order.csv"),
         place_tolerance=5e-6,
     )
 

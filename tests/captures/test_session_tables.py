@@ -9,7 +9,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from wlr_render.captures import session_tables
-from wlr_render.captures.session_schema import DISPLAY, RUN_TIME, SCHEMAS, SEE_THROUGH, Kind
+from wlr_render.captures.session_schema import (
+    CHANNEL,
+    DISPLAY,
+    INDEX,
+    NUMBER,
+    POSITIVE,
+    RUN_TIME,
+    SCHEMAS,
+    SEE_THROUGH,
+    SIGN,
+)
 from wlr_render.captures.session_tables import read_table, write_table
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import OPENXR_FROM_OPENCV
@@ -28,11 +38,11 @@ def random_columns(schema, rng, captures=4):
     """Columns of a session as a bench could deliver them."""
     count = captures * ROWS_PER_CAPTURE
     of_kind = {
-        Kind.NUMBER: lambda: rng.uniform(-20.0, 20.0, count),
-        Kind.INDEX: lambda: np.arange(count) // ROWS_PER_CAPTURE + 0.0,
-        Kind.SIGN: lambda: rng.choice([-1.0, 1.0], count),
-        Kind.POSITIVE: lambda: rng.uniform(0.05, 0.3, count),
-        Kind.CHANNEL: lambda: rng.integers(0, 3, count) + 0.0,
+        NUMBER: lambda: rng.uniform(-20.0, 20.0, count),
+        INDEX: lambda: np.arange(count) // ROWS_PER_CAPTURE + 0.0,
+        SIGN: lambda: rng.choice([-1.0, 1.0], count),
+        POSITIVE: lambda: rng.uniform(0.05, 0.3, count),
+        CHANNEL: lambda: rng.integers(0, 3, count) + 0.0,
     }
     columns = {column.name: of_kind[column.kind]() for column in schema.columns}
     for vector in schema.unit_vectors:
@@ -235,7 +245,6 @@ def test_the_documentation_has_the_schema(schema):
     text = DOCUMENT.read_text(encoding="utf-8")
     documented = text[text.index(f"\n## {schema.name}.csv\n") :].split("\n## ")[1].splitlines()
     rows = [line for line in documented if line.startswith("| `")]
-    assert rows == [
-        f"| `{column.name}` | {column.unit} | {column.kind}{', optional' if column.group else ''} | {column.meaning} |"
-        for column in schema.columns
-    ]
+    kinds = [each.kind.demand + (", optional" if each.group else "") for each in schema.columns]
+    stated = zip(schema.columns, kinds, strict=True)
+    assert rows == [f"| `{column.name}` | {column.unit} | {kind} | {column.meaning} |" for column, kind in stated]

@@ -4,6 +4,7 @@ Device frame (OpenXR), metres, radians; cameras have OpenCV's axes. Photographs 
 memory: a session may have thousands. The lists are in the order of taking.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
@@ -53,7 +54,12 @@ def _pose_within(most_mm: float) -> Keys:
 
 @dataclass(frozen=True)
 class CodeTable:
-    """Keys of [code] except the pattern with its parameters, and `DecodeOptions`; see `PhotoSession`."""
+    """Keys of [code] except the pattern with its parameters, and `DecodeOptions`.
+
+    Attributes:
+        order: order of the photographs of a code, one of `CODE_ORDERS`.
+        manifest: file that assigns pictures to the photographs of a code, or None.
+    """
 
     order: Annotated[str, Key(choices=CODE_ORDERS)] = CODE_ORDERS[0]
     manifest: Path | None = None
@@ -72,6 +78,15 @@ class StageTable:
 
 CAMERA_POSE = _pose_within(1000.0)
 """Form of the tracking camera's pose."""
+GAUGE = Key(
+    "gauge",
+    type=str,
+    rule=Rule(
+        '"camera", or "target 0" with the number of a target pose',
+        lambda value: re.fullmatch(r"camera|target \d{1,7}", value) is not None,
+    ),
+)
+"""Form of the choice of the device frame; see `PhotoSession`."""
 POSE_SIGMA = Keys(
     (
         Key("sigma_deg", DEGREES, above=0, most=180, digits=_DIGITS),
@@ -282,8 +297,7 @@ class PhotoSession:
         gauge: "target N": the device frame is the board's frame at target pose N, with OpenXR's axes. "camera": it is
             the eyeball camera's frame at the stage's reference, with OpenXR's axes, shifted to match the stated eye
             box. None: tracking camera or `targets` fix it.
-        code_order: order of the photographs of a code, one of `CODE_ORDERS`.
-        code_manifest: file that assigns pictures to the photographs of a code, or None.
+        code: order of the photographs of a code, and their manifest.
         place_tolerance: largest difference of stage readings at one position, metres.
     """
 
@@ -306,8 +320,7 @@ class PhotoSession:
     stage: StageDescription | None = StageDescription()
     targets: Mapping[int, GivenPose] = field(default_factory=dict)
     gauge: str | None = None
-    code_order: str = CODE_ORDERS[0]
-    code_manifest: Path | None = None
+    code: CodeTable = CodeTable()
     place_tolerance: float = StageTable.place_tolerance
 
     @property

@@ -1,6 +1,5 @@
 """Read and write session.toml of a photographic session (docs/photo-session.md has the format)."""
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from wlr_render.captures.photo_session import (
     CAMERA_POSE,
     CHANNELS,
     FAR_MM,
+    GAUGE,
     POSE_SIGMA,
     CodeTable,
     GivenPose,
@@ -35,7 +35,7 @@ from wlr_render.errors import BadInputError
 from wlr_render.geometry.transforms import FRAMES
 from wlr_render.io.atomic_files import resource
 from wlr_render.io.file_records import MM, Place, read_part, read_record, record_keys
-from wlr_render.io.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels, shown
+from wlr_render.io.input_files import LIMITS, prefix_errors, require_eye_box, require_pixels
 from wlr_render.io.toml_files import Table, read_toml, stated, write_toml
 from wlr_render.mappings import EyeBox, Panel
 from wlr_render.numerics.arrays import FloatArray
@@ -96,9 +96,8 @@ def load_photo_session(folder: str | Path) -> PhotoSession:
         tracking_sigma=tracking_sigma,
         stage=stage,
         targets=_targets(file, root, axes),
-        gauge=_gauge(file),
-        code_order=code.order,
-        code_manifest=code.manifest,
+        gauge=GAUGE.read(file, Place()) if file.has("gauge") else None,
+        code=code,
         place_tolerance=tolerance,
     )
     file.finish()
@@ -191,17 +190,6 @@ def _targets(file: Table, root: Path, axes: FloatArray) -> dict[int, GivenPose]:
     return targets
 
 
-def _gauge(file: Table) -> str | None:
-    if not file.has("gauge"):
-        return None
-    gauge = file.text("gauge")
-    if not re.fullmatch(r"camera|target \d{1,7}", gauge):
-        raise file.fail(
-            f'\'gauge\' is {shown(gauge)}; it must be "camera", or "target 0" with the number of a target pose.'
-        )
-    return gauge
-
-
 def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) -> Path:
     """Write session.toml in the axes "opencv" into the session's folder; `load_photo_session` reads it back.
 
@@ -235,7 +223,7 @@ def save_photo_session(session: PhotoSession, code: dict[str, Any], board: str) 
         board=board,
         gauge=session.gauge,
         panel=panels[session.eyes[0]] if one_panel else panels,
-        code=code | record_keys(CodeTable(session.code_order, session.code_manifest), Place(session.folder)),
+        code=code | record_keys(session.code, Place(session.folder)),
         eye_box=boxes[session.eye] if is_one_eye else boxes,
         eyeball_camera=written_camera(session.eyeball_camera, session.folder),
         tracking_camera=tracking,

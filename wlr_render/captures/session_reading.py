@@ -19,7 +19,7 @@ from wlr_render.captures.boards.discs import Discs
 from wlr_render.captures.code_files import CodeFiles, find_code_files
 from wlr_render.captures.decoded import Decoded, DecodedSamples, DecodeOptions, Rejection, sample
 from wlr_render.captures.patterns.pattern import Pattern
-from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, PhotoSession, SessionCamera
+from wlr_render.captures.photo_session import BoardPhotograph, CodeSet, CodeTable, PhotoSession, SessionCamera
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import BadPhotographError, check_photograph, file_note, read_photograph
 from wlr_render.errors import BadInputError
@@ -138,10 +138,10 @@ def read_session(
 
 
 def _panel_tasks(session: PhotoSession) -> "Iterator[_PanelTask]":
-    camera, order, manifest = session.eyeball_camera, session.code_order, session.code_manifest
+    camera, code = session.eyeball_camera, session.code
     for code_set in session.display:
         name, pattern = session.name_of(code_set.path), session.panels[code_set.eye].pattern
-        yield _PanelTask(name, code_set.path, order, manifest, pattern, session.decoding, camera.size_px, camera.format)
+        yield _PanelTask(name, code_set.path, code, pattern, session.decoding, camera.size_px, camera.format)
 
 
 def _board_tasks(session: PhotoSession) -> "Iterator[_BoardTask]":
@@ -190,8 +190,7 @@ class _PanelTask:
 
     name: str
     path: Path
-    order: str
-    manifest: Path | None
+    code: CodeTable
     pattern: Pattern
     decoding: DecodeOptions
     size_px: tuple[int, int]
@@ -204,7 +203,7 @@ class _PanelTask:
         return _fingerprint(files.paths, how)
 
     def _files(self) -> CodeFiles:
-        return find_code_files(self.path, self.pattern.names(), self.order, self.manifest)
+        return find_code_files(self.path, self.pattern.names(), self.code.order, self.code.manifest)
 
     def read(self) -> dict[str, NDArray[Any]]:
         files = self._files()

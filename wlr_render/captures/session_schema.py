@@ -10,7 +10,6 @@ and half a pixel further here; panel pixels are the same in both.
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ import numpy as np
 from wlr_render.captures.session import DisplayPlan, RunTimePlan, SeeThroughPlan
 from wlr_render.geometry.directions import normalised
 from wlr_render.geometry.transforms import rigid, rotation_of_quaternion
-from wlr_render.io.file_records import CAMERA_PIXEL, MM, Quantity
+from wlr_render.io.file_records import CAMERA_PIXEL, MM, Quantity, Rule
 from wlr_render.io.input_files import LIMITS
 from wlr_render.numerics.arrays import FloatArray
 
@@ -59,14 +58,11 @@ _ROTATION = Quantity(_rotation_of_file, _rotation_to_file)
 _POSE = Quantity(_pose_of_file, _pose_to_file)
 
 
-class Kind(StrEnum):
-    """Values allowed in a column, in words."""
-
-    NUMBER = "number"
-    INDEX = "whole number from 0"
-    SIGN = "+1 or -1"
-    CHANNEL = "0, 1 or 2"
-    POSITIVE = "above 0"
+NUMBER = Rule("number", np.isfinite)
+INDEX = Rule("whole number from 0", lambda value: (value >= 0) & (value == np.round(value)))
+SIGN = Rule("+1 or -1", lambda value: abs(value) == 1)
+CHANNEL = Rule("0, 1 or 2", lambda value: (value == 0) | (value == 1) | (value == 2))
+POSITIVE = Rule("above 0", lambda value: value > 0)
 
 
 @dataclass(frozen=True)
@@ -77,7 +73,7 @@ class Column:
         name: name in the header line.
         unit: unit in words; empty for a bare number.
         meaning: description for the documentation.
-        kind: allowed values.
+        kind: allowed values, (n,) -> mask (n,).
         group: name of a group of optional columns that occur together; empty for a required column.
         absent: default of an optional column; None if the default is not a number.
         most: largest plausible absolute value in `unit`; None: the value in `_MOST`.
@@ -87,7 +83,7 @@ class Column:
     name: str
     unit: str
     meaning: str
-    kind: Kind = Kind.NUMBER
+    kind: Rule = NUMBER
     group: str = ""
     absent: float | None = None
     most: float | None = None
@@ -190,9 +186,9 @@ def _pixel(name: str, meaning: str, group: str = "") -> tuple[Column, ...]:
     return tuple(Column(f"{name}_{axis}", "px", f"{meaning}, {axis}", group=group) for axis in "uv")
 
 
-def _single(name: str, unit: str, meaning: str, kind: Kind = Kind.NUMBER, **rules: Any) -> Field:
+def _single(name: str, unit: str, meaning: str, kind: Rule = NUMBER, **rules: Any) -> Field:
     """Return the field of one column of the same name."""
-    quantity = _WHOLE if kind in (Kind.INDEX, Kind.CHANNEL) else _NUMBER
+    quantity = _WHOLE if kind in (INDEX, CHANNEL) else _NUMBER
     return Field(name, quantity, (Column(name, unit, meaning, kind, **rules),))
 
 
@@ -212,7 +208,7 @@ _SIGMA = _single(
     "sigma_px",
     "px",
     "standard deviation of the reading per axis, camera pixels (default: `point_sigma_px` of `[camera]`)",
-    Kind.POSITIVE,
+    POSITIVE,
     group="sigma",
     most=100.0,
     least=1e-6,
@@ -228,11 +224,11 @@ DISPLAY = Schema(
     DisplayPlan,
     "panel_pixel",
     (
-        _single("capture", "", "index of the photograph", Kind.INDEX),
+        _single("capture", "", "index of the photograph", INDEX),
         _SESSION_TIME,
-        _single("travel", "", "direction of the stage's last move in x", Kind.SIGN),
+        _single("travel", "", "direction of the stage's last move in x", SIGN),
         _STAGE,
-        _single("channel", "", "0 red, 1 green, 2 blue", Kind.CHANNEL),
+        _single("channel", "", "0 red, 1 green, 2 blue", CHANNEL),
         Field("camera_pixel", CAMERA_PIXEL, _pixel("camera", "camera pixel")),
         Field("panel_pixel", Quantity(), _pixel("pixel", "decoded panel position")),
         _ORIENTATION,
@@ -250,8 +246,8 @@ SEE_THROUGH = Schema(
     SeeThroughPlan,
     "dot_pixel",
     (
-        _single("target_pose", "", "index of the [[target_pose]] in bench.toml", Kind.INDEX),
-        _single("capture", "", "index of the photograph, counted from 0 at every target pose", Kind.INDEX),
+        _single("target_pose", "", "index of the [[target_pose]] in bench.toml", INDEX),
+        _single("capture", "", "index of the photograph, counted from 0 at every target pose", INDEX),
         _SESSION_TIME,
         _STAGE,
         Field(
@@ -261,7 +257,7 @@ SEE_THROUGH = Schema(
         ),
         Field("dot_pixel", CAMERA_PIXEL, _pixel("camera", "position of the dot in the photograph, through the optics")),
         _single(
-            "travel", "", "direction of the stage's last move in x (default: +1)", Kind.SIGN, group="travel", absent=1.0
+            "travel", "", "direction of the stage's last move in x (default: +1)", SIGN, group="travel", absent=1.0
         ),
         _ORIENTATION,
         Field(
@@ -292,7 +288,7 @@ RUN_TIME = Schema(
     RunTimePlan,
     "run_time_pixel",
     (
-        _single("capture", "", "index of the recording; a recording has many rows", Kind.INDEX),
+        _single("capture", "", "index of the recording; a recording has many rows", INDEX),
         _single("time_s", "s", "time since the start of the session"),
         Field(
             "world_from_device",

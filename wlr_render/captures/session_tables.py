@@ -4,14 +4,13 @@ import difflib
 import gzip
 import io
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from wlr_render.captures.session_schema import Column, Columns, Kind, Schema
+from wlr_render.captures.session_schema import NUMBER, POSITIVE, Column, Columns, Schema
 from wlr_render.errors import BadInputError
 from wlr_render.io.atomic_files import write_bytes
 from wlr_render.io.delimited_text import STATED_SEPARATOR, is_number, with_commas
@@ -47,7 +46,7 @@ def read_table(path: Path, schema: Schema) -> Columns:
 def write_table(path: Path, schema: Schema, columns: Mapping[str, FloatArray]) -> Path:
     """Write a table atomically, gzipped if the name ends in .gz; numbers keep 15 digits."""
     written = [column for column in schema.columns if column.name in columns]
-    formats = ["%.15g" if column.kind in (Kind.NUMBER, Kind.POSITIVE) else "%d" for column in written]
+    formats = ["%.15g" if column.kind in (NUMBER, POSITIVE) else "%d" for column in written]
     values = np.stack([columns[column.name] for column in written], axis=1)
     text = io.StringIO()
     np.savetxt(text, values, formats, ",", header=",".join(column.name for column in written), comments="")
@@ -145,7 +144,7 @@ def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence
         value = columns[column.name]
         demands = (
             (~np.isfinite(value), f"finite; {_REMEDY}"),
-            (~_ALLOWED[column.kind](value), column.kind),
+            (~np.asarray(column.kind.holds(value)), column.kind.demand),
             (value < column.least, f"{column.least:g} {column.unit} or more: check its unit"),
             (np.abs(value) > column.largest, f"{column.largest:g} {column.unit}".strip() + " at most: check its unit"),
         )
@@ -165,15 +164,6 @@ def _check_cells(path: Path, columns: Columns, schema: Schema, numbers: Sequence
             raise BadInputError(
                 f"{path} line {numbers[row]}: {', '.join(vector)} have length {length[row]:.6g}; it must be 1."
             )
-
-
-_ALLOWED: dict[Kind, Callable[[FloatArray], Any]] = {
-    Kind.NUMBER: np.isfinite,
-    Kind.INDEX: lambda value: (value >= 0) & (value == np.round(value)),
-    Kind.SIGN: lambda value: np.abs(value) == 1,
-    Kind.CHANNEL: lambda value: np.isin(value, (0, 1, 2)),
-    Kind.POSITIVE: lambda value: value > 0,
-}
 
 
 def _check_captures(path: Path, columns: Columns, schema: Schema, numbers: Sequence[int]) -> None:
