@@ -34,6 +34,11 @@ def test_a_plane_is_kept_at_camera_pixel_centres():
     assert np.allclose(samples.scale, np.sqrt(1.5 * 1.3 + 0.1 * 0.05), rtol=1e-4)
 
 
+@pytest.mark.parametrize("size", [(7, 200), (1, 1), (8, 8)])
+def test_a_picture_smaller_than_a_window_has_no_samples(size):
+    assert len(sample(decoded_plane(size=size))) == 0
+
+
 def test_noise_is_averaged_and_its_size_told():
     samples = sample(decoded_plane(0.1), count=100)
     error = samples.panel_pixel - truth(samples.camera_pixel)

@@ -164,6 +164,11 @@ WHOLE = (
             "{'lensmodel': 'LENSMODEL_PINHOLE', 'imagersize': [9, 9], 'intrinsics': [[1]]}",
             "a list of num",
         ),
+        (
+            "a.cameramodel",
+            f"{{'lensmodel': 'LENSMODEL_PINHOLE', 'imagersize': [{10**400}, 9], 'intrinsics': [9, 9, 4, 4]}}",
+            "cannot be read as a camera model of mrcal",
+        ),
     ],
 )
 def test_lenses_that_no_camera_has_and_files_that_parsers_choke_on(tmp_path, name, text, sentence):

@@ -160,7 +160,7 @@ def _mrcal_lens(file: Path, text: str) -> LensCamera | SplinedLens:
         content = ast.literal_eval(text.strip())
         model = str(content["lensmodel"])
         intrinsics = np.array(content["intrinsics"], dtype=np.float64)
-        width, height = (int(length) for length in content["imagersize"])
+        width, height = (int(float(length)) for length in content["imagersize"])  # float refuses 400 digits
     if intrinsics.ndim != 1:
         raise BadInputError(f"'intrinsics' must be a list of numbers; {_REMEDY}.")
     splined = _SPLINED.fullmatch(model)

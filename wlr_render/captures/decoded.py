@@ -135,7 +135,8 @@ def sample(decoded: Decoded, count: int = 1500) -> DecodedSamples:
     height, width = decoded.rejection.shape
     every = max(1, int(np.sqrt(np.count_nonzero(decoded.accepted) / count)))
     steps = np.arange(-_REACH_PX, _REACH_PX + 1)
-    v, u = np.mgrid[_REACH_PX : height - _REACH_PX : every, _REACH_PX : width - _REACH_PX : every].reshape(2, -1)
+    rows, columns = (np.arange(_REACH_PX, size - _REACH_PX, every) for size in (height, width))
+    v, u = (each.ravel() for each in np.meshgrid(rows, columns, indexing="ij"))
     # Near rejected pixels, above all at the panel's edge, blur has mixed in incomplete light.
     inner = cv2.erode(decoded.accepted.astype(np.uint8), np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)).astype(bool)
     wanted = np.asarray(inner[v, u])
