@@ -115,6 +115,16 @@ def test_a_file_keeps_them(tmp_path, lens):
                 np.testing.assert_array_equal(one.point, other.point)
 
 
+@pytest.mark.parametrize("coefficients", [np.array(1e-6), np.zeros(6), np.zeros((6, 4))])
+def test_a_lens_of_other_shape_in_a_file_is_refused(tmp_path, coefficients):
+    path = save_captures(tmp_path / "captures.npz", Captures(DISPLAY, SEE_THROUGH))
+    with np.load(path) as archive:
+        content = dict(archive)
+    np.savez(path, **content | {"display_common_lens_coefficients": coefficients})
+    with pytest.raises(BadInputError, match=r"'display_common_lens_\.\.\.' have shapes that do not fit"):
+        load_captures(path)
+
+
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [

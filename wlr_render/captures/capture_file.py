@@ -211,8 +211,8 @@ def _common(arrays: _Arrays, name: str, sources: tuple[str, ...]) -> CommonError
     lens = None
     if f"{name}_lens_coefficients" in arrays:
         orders, low, high, coefficients = (arrays[f"{name}_{part}"] for part in _LENS)
-        shapes = (orders.shape, low.shape, high.shape, coefficients.shape)
-        if shapes != ((len(coefficients), 2), (2,), (2,), (len(coefficients), 2 * len(sources))):
+        shapes, terms = (orders.shape, low.shape, high.shape, coefficients.shape), len(np.atleast_1d(coefficients))
+        if shapes != ((terms, 2), (2,), (2,), (terms, 2 * len(sources))):
             raise BadInputError(f"'{name}_lens_...' have shapes that do not fit; write the file again.")
         if orders.dtype.kind not in "iu" or orders.min(initial=0) < 0 or orders.max(initial=0) > HIGHEST_ORDER:
             raise BadInputError(f"'{name}_lens_orders' must be whole numbers from 0 to {HIGHEST_ORDER}.")
