@@ -66,7 +66,8 @@ _AS_ROS = (
     "OpenCV's order"
 )
 _KALIBR_CAMERA = re.compile(r"cam\d+")
-_KIND_OF_COUNT = {0: "brown", 4: "brown", 5: "brown", 8: "rational", 12: "thin-prism"}
+KIND_OF_COUNT = {0: "brown", 4: "brown", 5: "brown", 8: "rational", 12: "thin-prism"}
+"""Kind of lens by the number of OpenCV's distortion terms."""
 _TILTED = 14  # terms of OpenCV's tilted sensor model: "thin-prism" plus two angles
 _REMEDY = "give a file of a calibrated lens"
 _LONGEST_LIST = 100
@@ -177,7 +178,7 @@ def _mrcal_lens(file: Path, text: str) -> LensCamera | SplinedLens:
         return SplinedLens((width, height), intrinsics[:2], centre, control, order, float(splined["fov"]))
     count, kind = _MRCAL_MODELS[model]
     _check_values(intrinsics, 4 + count, model)
-    return _lens_camera((width, height), intrinsics[:4], intrinsics[4:], kind)
+    return lens_of_opencv((width, height), intrinsics[:4], intrinsics[4:], kind)
 
 
 def _check_values(values: FloatArray, count: int, model: str) -> None:
@@ -188,8 +189,15 @@ def _check_values(values: FloatArray, count: int, model: str) -> None:
         )
 
 
-def _lens_camera(size_px: tuple[int, int], core: FloatArray, terms: FloatArray, kind: str) -> LensCamera:
-    """Return the camera from OpenCV's (fx, fy, cx, cy); missing terms are zero."""
+def lens_of_opencv(size_px: tuple[int, int], core: FloatArray, terms: FloatArray, kind: str) -> LensCamera:
+    """Return the camera of OpenCV's numbers.
+
+    Args:
+        size_px: width and height.
+        core: (4,) fx, fy, cx, cy, pixels from the centre of the top-left pixel.
+        terms: distortion terms in OpenCV's order; missing ones are zero.
+        kind: key of `LENS_KINDS`.
+    """
     filled = np.zeros(len(LENS_KINDS[kind]))
     filled[: len(terms)] = terms
     return LensCamera(size_px, core[:2], core[2:] - OPENCV_PIXEL_SHIFT, filled, kind)
@@ -305,7 +313,7 @@ def _lens_of_matrix(matrix: FloatArray, terms: FloatArray, size: FloatArray, kin
         raise BadInputError(
             f"has a skew of {skew:g} pixels in its camera matrix, which lenses here lack; fit without it."
         )
-    return _lens_camera((int(size[0]), int(size[1])), core, terms[: len(LENS_KINDS[kind])], kind)
+    return lens_of_opencv((int(size[0]), int(size[1])), core, terms[: len(LENS_KINDS[kind])], kind)
 
 
 def _kind(content: Mapping[str, Any], terms: FloatArray) -> str:
@@ -327,12 +335,12 @@ def _kind(content: Mapping[str, Any], terms: FloatArray) -> str:
         )
     if terms.size == _TILTED and not terms[-2:].any():
         return "thin-prism"
-    if terms.size not in _KIND_OF_COUNT:
+    if terms.size not in KIND_OF_COUNT:
         raise BadInputError(
             f"has {terms.size} distortion terms; lenses here have 0, 4, 5, 8 or 12, and no tilt of the sensor: "
             "fit one of these."
         )
-    return _KIND_OF_COUNT[terms.size]
+    return KIND_OF_COUNT[terms.size]
 
 
 def _first(content: Mapping[str, Any], keys: Sequence[str]) -> Any:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from wlr_render.captures.camera_lens_file import load_lens, require_plausible_lens
+from wlr_render.captures.camera_lens_file import KIND_OF_COUNT, lens_of_opencv, load_lens, require_plausible_lens
 from wlr_render.captures.photo_session import SessionCamera
 from wlr_render.captures.photograph_format import PhotographFormat
 from wlr_render.captures.photographs import photographs_in
@@ -60,26 +60,22 @@ def _by(size: tuple[int, int]) -> str:
 
 
 def _stated_camera(table: Table, size: tuple[int, int], lens: str) -> LensCamera:
-    focal, centre = table.vector("focal_px", 2, above=0), table.vector("opencv_centre_px", 2)
-    distortion = table.numbers("distortion") if table.has("distortion") else np.zeros(0)
-    camera = LensCamera(size, focal, centre - OPENCV_PIXEL_SHIFT, *_distortion(table, distortion, lens))
-    require_plausible_lens(table.where, camera)
-    return camera
-
-
-def _distortion(table: Table, terms: FloatArray, lens: str) -> tuple[FloatArray, str]:
-    """Return distortion terms, padded with zeros as in OpenCV, and the kind of lens, from their number if "auto"."""
+    """Return the camera that a table states; the number of distortion terms tells the kind of an "auto" lens."""
+    core = np.concatenate([table.vector("focal_px", 2, above=0), table.vector("opencv_centre_px", 2)])
+    terms = table.numbers("distortion") if table.has("distortion") else np.zeros(0)
     if lens == "auto":
         if len(terms) == 4:
             raise table.fail('\'distortion\' has 4 terms; state their kind by lens = "brown" or lens = "fisheye".')
-        lens = {8: "rational", 12: "thin-prism"}.get(len(terms), "brown")
+        lens = KIND_OF_COUNT.get(len(terms), "brown")
     wanted = len(LENS_KINDS[lens])
     if len(terms) not in {0, 4, wanted}:
         raise table.fail(
             f"'distortion' has {len(terms)} terms, but a lens of kind '{lens}' has {wanted}: "
             f"{', '.join(LENS_KINDS[lens])}."
         )
-    return np.concatenate([terms, np.zeros(wanted - len(terms))]), lens
+    camera = lens_of_opencv(size, core, terms, lens)
+    require_plausible_lens(table.where, camera)
+    return camera
 
 
 def _sigma(table: Table, count: int) -> FloatArray | None:
