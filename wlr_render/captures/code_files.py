@@ -1,6 +1,7 @@
 """Files of a set of code photographs: the picture that each shows, and its exposures."""
 
 import csv
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -190,7 +191,7 @@ def _by_manifest(
                 f"{manifest}: {file} has the role '{role}'; the code has {', '.join(names[:3])}, ..., {names[-1]}, and "
                 "'unused' is for other files."
             )
-        if not path.is_file():
+        if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
             raise BadInputError(f"{manifest}: there is no {path}; correct its name, or remove it from the manifest.")
         by_role[number].append(path)
     counts = {len(files) for files in by_role if files}
