@@ -86,6 +86,12 @@ CAMERA_DRIFT_ARCMIN = Size(
 CAMERA_FOCUS_BREATHING = Size(
     2e-4, "1", "assumption: a fixed lens; change of the focal length between the target's distances"
 )
+CAMERA_LENS_PX = Size(
+    0.05,
+    "px",
+    "assumption: half of what models of few terms leave of real lenses, rms (Schoeps et al., CVPR 2020)",
+    _BY_E,
+)
 CAMERA_SYSTEMATIC_PX = Size(
     0.01, "px", "measured: fits of simulated sessions find 0.008 to 0.017 px that noise does not explain"
 )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.simulated_lab.simulate_readings import SimulatedReadings
+from wlr_render.calibration.bench.board_views import TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
 from wlr_render.calibration.calibrate_session import sound_captures
 from wlr_render.calibration.fit_eye import calibrate
@@ -17,7 +18,7 @@ from wlr_render.calibration.photograph_captures import (
 from wlr_render.captures.correspondences import Captures, SeeThroughCaptures, concatenate
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TruthTests
 from wlr_render.geometry import transforms
-from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.directions import ARCMIN, normalised
 from wlr_render.jobs.options import seed_of
 from wlr_render.models.fitted_model import FittedModel
 from wlr_render.numerics.arrays import FloatArray
@@ -34,14 +35,15 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
 
     Captures of all sources have the same readings. Exact captures have the true lenses, board and target poses, and
     either the true camera poses or the poses of the stage without its random errors. The calibrated model is compared
-    in the frame of the tracking camera: an error of the stated extrinsics moves display, world and eye together.
+    in the frame of the tracking camera by its calibrated lens: errors of the stated extrinsics, and of the axis of the
+    lens, move display, world and eye together.
     """
     truth = traced_eye(simulated.truth.bench.device, simulated.truth.bench.eye)
     tests = TruthTests.of(truth, seed_of(seed, truth.eye, 1))
     stated, true = simulated.truth.bench.stated_device_from_tracking, simulated.truth.bench.device_from_tracking
     captures, _ = sound_captures(simulated.session, simulated.reading, bench)
     sources = {
-        CALIBRATED: (captures, _moved(tests, stated @ transforms.inverse(true))),
+        CALIBRATED: (captures, _moved(tests, stated @ _lens_frame(bench, simulated) @ transforms.inverse(true))),
         EXACT: (_exact(simulated, simulated.truth.display, simulated.truth.see_through), tests),
         NOMINAL: (_exact(simulated, *_nominal(simulated)), tests),
     }
@@ -57,6 +59,18 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
         POINT_DIRECTION: _predicted(see_through, seen.point, seen.viewpoint),
     }
     return errors | {PREDICTED: predicted}
+
+
+def _lens_frame(bench: CalibratedBench, simulated: SimulatedReadings) -> FloatArray:
+    """(4, 4) rotation from the true frame of the tracking camera to that in which its calibrated lens sees the world.
+
+    It brings the directions of the picture's pixels together.
+    """
+    lens, true = bench.adjustment.state.lens[TRACKING], simulated.truth.bench.tracking
+    pixel = np.stack(np.meshgrid(*(np.linspace(0.1, 0.9, 15) * side for side in lens.size_px)), -1).reshape(-1, 2)
+    found, seen = lens.dir_of_pixel(pixel), normalised(true.ray_of_pixel(pixel, np.zeros(2))[:, 3:])
+    left, _, right = np.linalg.svd(found.T @ seen)
+    return transforms.rigid(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right, np.zeros(3))
 
 
 def _predicted(model: FittedModel, subject: FloatArray, viewpoint: FloatArray) -> float:

@@ -11,7 +11,6 @@ import numpy as np
 from wlr_render.numerics.arrays import FloatArray, IntArray
 
 _BEYOND = 1.15  # ratio of the extent of the waves, at which all sines vanish, to the rectangle
-_FALL = 0.25  # fall of the logarithm of a wave's size for each half wave
 _GRID = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 15)] * 2), axis=-1).reshape(-1, 2)
 
 
@@ -22,11 +21,13 @@ class SmoothField:
     Attributes:
         low, high: (2,) corners of the rectangle. Beyond it the field continues to its edge and is constant.
         counts: half waves along each side, 1 to this many.
+        fall: of the logarithm of a wave's size for each half wave.
     """
 
     low: tuple[float, float]
     high: tuple[float, float]
     counts: tuple[int, int]
+    fall: float = 0.25
 
     @classmethod
     def over(cls, low: FloatArray, high: FloatArray, finest: float, most: int) -> "SmoothField":
@@ -40,7 +41,7 @@ class SmoothField:
     @cached_property
     def sizes(self) -> FloatArray:
         """(k,) prior sizes of the coefficients of a field with an rms of 1 over the rectangle."""
-        size = np.exp(-_FALL * self._orders.sum(axis=1))
+        size = np.exp(-self.fall * self._orders.sum(axis=1))
         waves = self._products(_GRID) - np.column_stack([np.ones(len(_GRID)), _GRID]) @ self._linear
         return np.asarray(size / np.sqrt(np.sum(np.mean((waves * size) ** 2, axis=0))))
 
@@ -62,7 +63,7 @@ class SmoothField:
             np.sin(0.5 * np.pi * (at[:, None] / _BEYOND + 1.0) * np.arange(1, count + 1))
             for at, count in zip(unit.T, self.counts, strict=True)
         ]
-        return np.asarray((sides[0][:, :, None] * sides[1][:, None]).reshape(len(unit), -1))
+        return np.asarray((sides[0][:, :, None] * sides[1][:, None]).reshape(len(unit), len(self)))
 
     @cached_property
     def _linear(self) -> FloatArray:

@@ -114,7 +114,7 @@ def test_a_board_in_a_station_file_has_its_smooth_errors(crumpled, tmp_path):
     content = json.loads(path.read_text(encoding="utf-8"))
     content["board"]["heights"]["counts"] = [2.5, 300]
     path.write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(BadInputError, match="'counts' 1 to 20"):
+    with pytest.raises(BadInputError, match="'counts' must be two whole numbers, 1 to 20"):
         load_station(path)
 
 

@@ -29,6 +29,7 @@ USUAL_SIZES = {
     "smooth shift": usual.STAGE_SMOOTH_SHIFT_M,
     "screw": usual.STAGE_SCREW_M,
     "stretch": usual.BOARD_STRETCH,
+    "residual": usual.CAMERA_LENS_PX,
     "print": usual.BOARD_PRINT_M,
     "height": usual.BOARD_HEIGHT_M,
     "drift": replace(usual.CAMERA_DRIFT_ARCMIN, value=usual.CAMERA_DRIFT_ARCMIN.value * ARCMIN, unit="rad"),
@@ -36,7 +37,7 @@ USUAL_SIZES = {
 """Sizes of ordinary benches by hyperparameter."""
 FALL = "smooth fall"
 """Hyperparameter: fall of the logarithm of the stage's smooth errors from one degree to the next."""
-_BOUNDS = np.log(1e-9), np.log(1e-2)  # sizes in radians, metres or ratios, from exact to worse than any stage or board
+_BOUNDS = np.log(1e-9), np.log(1.0)  # sizes in radians, metres, ratios or pixels, from exact to worse than any bench
 _HYPERPRIORS = {
     **{name: (np.log(each.value), each.log_sigma, *_BOUNDS) for name, each in USUAL_SIZES.items()},
     FALL: (0.7, 0.3, 0.1, 2.0),  # rails bend more than they wave: by a factor of 2 with each degree

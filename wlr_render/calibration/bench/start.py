@@ -31,6 +31,7 @@ from wlr_render.calibration.bench.unknowns import (
     pose_block,
     shape_block,
     stage_error_blocks,
+    with_residual,
 )
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.feature_captures import TARGET_POSES
@@ -205,6 +206,8 @@ def start_state(observations: BenchObservations, lens: Mapping[str, Lens], rough
     for number, axis in enumerate(observations.axes):
         if not twists[number].any() and chain.base:  # no view of a target tells how it moves
             twists[number] = stated_twist(axis, chain.base[min(chain.base)])
+    if not rough:
+        lens = {name: with_residual(each, observations.cameras[name]) for name, each in lens.items()}
     names = dict.fromkeys(view.board for view in observations.views)
     boards = {name: BoardShape.of([v for v in observations.views if v.board == name], rough) for name in names}
     poses = {view.name: seen[view.name] for view in held}

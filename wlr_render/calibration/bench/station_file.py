@@ -22,6 +22,7 @@ from wlr_render.captures.camera_lens_file import require_plausible_lens
 from wlr_render.errors import BadInputError
 from wlr_render.geometry.lens import Lens
 from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.residual_lens import ResidualLens
 from wlr_render.geometry.splined_lens import SplinedLens
 from wlr_render.geometry.transforms import is_rotation
 from wlr_render.io.atomic_files import write_text
@@ -208,14 +209,25 @@ def _shape_record(shape: BoardShape) -> dict[str, Any]:
 
 def _field(table: Table) -> SmoothField:
     """Return a smooth field: its rectangle, and its half waves along both sides."""
-    low, high, counts = (table.vector(key, 2) for key in ("low", "high", "counts"))
-    if np.any(high <= low) or np.any(counts != np.clip(counts.astype(int), 1, _MOST_WAVES)):
-        raise table.fail(f"'low' and 'high' must be corners, and 'counts' 1 to {_MOST_WAVES}; write the file again.")
-    return SmoothField((low[0], low[1]), (high[0], high[1]), (int(counts[0]), int(counts[1])))
+    low, high = table.vector("low", 2), table.vector("high", 2)
+    if np.any(high <= low):
+        raise table.fail("'low' and 'high' must be corners; write the file again.")
+    return SmoothField((low[0], low[1]), (high[0], high[1]), _counts(table))
+
+
+def _counts(table: Table) -> tuple[int, int]:
+    """Return the half waves of a field along both sides."""
+    counts = table.vector("counts", 2)
+    if np.any(counts != np.clip(counts.astype(int), 1, _MOST_WAVES)):
+        raise table.fail(f"'counts' must be two whole numbers, 1 to {_MOST_WAVES}; write the file again.")
+    return int(counts[0]), int(counts[1])
 
 
 def _lens_record(lens: Lens) -> dict[str, Any]:
     record: dict[str, Any] = {"size_px": list(lens.size_px)}
+    if isinstance(lens, ResidualLens):
+        residual = {"counts": list(lens.counts), "amplitude_px": np.round(lens.residual_px, 9).tolist()}
+        return _lens_record(lens.model) | {"residual": residual}
     if isinstance(lens, LensCamera):
         return record | {
             "kind": lens.kind,
@@ -257,7 +269,16 @@ def _lens(table: Table) -> Lens:
     except BadInputError as error:
         raise table.fail(str(error)) from error
     require_plausible_lens(table.where, lens)
-    return lens
+    if not table.has("residual"):
+        return lens
+    part = table.table("residual")
+    amplitude, counts = part.vectors("amplitude_px", 2), _counts(part)
+    if not isinstance(lens, LensCamera) or len(amplitude) != counts[0] * counts[1] or np.any(np.abs(amplitude) > 1e3):
+        raise part.fail(
+            f"'amplitude_px' must have {counts[0]} x {counts[1]} rows of a lens that is not splined, up to 1000; write "
+            "the file again."
+        )
+    return ResidualLens(lens, amplitude, counts)
 
 
 def _pose_record(pose: Pose) -> dict[str, Any]:

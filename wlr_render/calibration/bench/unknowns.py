@@ -14,6 +14,8 @@ from wlr_render.calibration.bench.state import AXIS_PARTS, SMOOTH_DEGREE, stated
 from wlr_render.captures.boards.board import BoardTolerances
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry.lens import Lens
+from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.residual_lens import RESIDUAL, ResidualLens
 from wlr_render.numerics.arrays import FloatArray
 
 FLAT = 10.0
@@ -23,6 +25,8 @@ TURNS = np.repeat([1.0, 0.0], 3)
 _NO_HYPER: Mapping[str, Any] = {}
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
+_HELD = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")  # terms that a residual field replaces
+_LIKE_A_TURN = ("s1", "s3")  # with p1 and p2 they do what a turn of the camera does: 0.1 px turns it by 30 arcminutes
 
 
 def numbers_block(size: FloatArray, hyper: Mapping[str, Any] = _NO_HYPER, source: str = "") -> Block:
@@ -32,16 +36,33 @@ def numbers_block(size: FloatArray, hyper: Mapping[str, Any] = _NO_HYPER, source
 
 def lens_block(name: str, lens: Lens, setup: CameraSetup) -> Block:
     """Return the block of the lens of a camera."""
-    source = "lens" if name == EYEBALL else "tracking camera"
+    source = lens_source(name)
     if setup.calibrated is not None:
         known = np.zeros(len(lens.values)) if setup.calibrated_sigma is None else setup.calibrated_sigma
         return Block(lens, known, setup.calibrated.values, source=source, chart=LENS)
-    sizes = np.full(len(lens.values), 0.3 * float(np.mean(lens.focal_px)))
+    sizes, hyper = np.full(len(lens.values), 0.3 * float(np.mean(lens.focal_px))), {}
     # A term may be as large as to displace the corner of the picture by its distance from the centre.
     corner = float(np.linalg.norm(0.5 * np.array(lens.size_px) / lens.focal_px))
-    sizes[4:] = [max(1.0, corner ** -_POWERS.get(term, 1)) for term in lens.names[4:]]
+    sizes[4:] = [
+        EXACT if term in _LIKE_A_TURN else max(1.0, corner ** -_POWERS.get(term, 1)) for term in lens.names[4:]
+    ]
     middle = np.where(np.arange(len(sizes)) < 4, np.nan, 0.0)
-    return Block(lens, sizes, middle, source=source, chart=LENS)
+    if isinstance(lens, ResidualLens):
+        held = np.isin(lens.names, _HELD)
+        sizes[held], middle[held] = EXACT, lens.values[held]
+        sizes[-lens.residual_px.size :] = np.repeat(lens.field.sizes, 2)
+        hyper["residual"] = np.array(lens.names) == RESIDUAL
+    return Block(lens, sizes, middle, hyper, source, LENS)
+
+
+def lens_source(name: str) -> str:
+    """Return the source of the errors of a camera's lens."""
+    return "lens" if name == EYEBALL else "tracking camera"
+
+
+def with_residual(lens: Lens, setup: CameraSetup) -> Lens:
+    """Return a lens that a fit estimates with the smooth field that its model leaves; a stated lens as it is."""
+    return ResidualLens.of(lens) if isinstance(lens, LensCamera) and setup.calibrated is None else lens
 
 
 def shape_block(shape: BoardShape, tolerances: BoardTolerances) -> Block:

@@ -14,6 +14,7 @@ from wlr_render.captures.decoded import Rejection
 from wlr_render.captures.photo_session import PhotoSession
 from wlr_render.captures.session_reading import Excluded, Reading
 from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.residual_lens import RESIDUAL, ResidualLens
 from wlr_render.io.atomic_files import write_figure
 from wlr_render.jobs.calibrate.eye_tables import binocular_table, primaries_table
 from wlr_render.jobs.calibrate.fit_findings import fit_advice, fit_blocks, fit_sentences
@@ -149,7 +150,10 @@ def _lens_table(found: SessionCalibration) -> ReportTable:
         rows += [
             [f"{name} camera", value, f"{number:.6g}", float(one)]
             for value, number, one in zip(lens.names, lens.values, sigma, strict=True)
+            if value != RESIDUAL
         ]
+        if isinstance(lens, ResidualLens):
+            rows.append([f"{name} camera", "residual, rms (px)", lens.rms_px, None])
     notes = ("Focal length and centre in pixels, the centre from the outer corner of the top-left pixel.",)
     return ReportTable("Lenses", ["camera", "value", "found", "standard deviation"], rows, notes)
 
