@@ -9,12 +9,13 @@ from imperfect_bench import Imperfections, TrueBench, adjusted, thinned
 
 from wlr_render.calibration.bench.board_views import TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
+from wlr_render.calibration.bench.faults import worst_fault
 from wlr_render.calibration.bench.start import start_state
 from wlr_render.calibration.bench.station_file import load_station, save_station
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.errors import BadInputError
 
-PRINT_M, HEIGHT_M, SCREW_M, PERIOD_M = 6e-5, 1e-4, 1e-5, 1.7e-3
+PRINT_M, HEIGHT_M, SCREW_M, PERIOD_M, RIPPLE_PX = 6e-5, 1e-4, 1e-5, 1.7e-3, 0.1
 
 
 class CrumpledBench(TrueBench):
@@ -39,6 +40,27 @@ class ScrewBench(TrueBench):
     def smooth(self, reading):
         screw = SCREW_M * np.sin(2 * np.pi * reading / PERIOD_M + self.phase[:, 0])
         return super().smooth(reading) + np.concatenate([np.zeros(3), self.axes @ screw])
+
+
+class RippledLens:
+    """A lens with oblique waves over its picture, which no model of few terms has."""
+
+    def __init__(self, model):
+        self.model, self.size_px, self.kind, self.centre_px = model, model.size_px, model.kind, model.centre_px
+
+    def pixel_of_point(self, point):
+        pixel = self.model.pixel_of_point(point)
+        unit = (pixel - self.centre_px) / (0.5 * np.hypot(*self.size_px))
+        waves = np.stack([unit @ [6.0, 5.0] + 1.0, unit @ [-4.0, 7.0] + 2.0], axis=-1)
+        return pixel + RIPPLE_PX * np.sqrt(2.0) * np.cos(waves)
+
+
+class RippledBench(TrueBench):
+    """Lenses with waves."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        self.lens = {name: RippledLens(model) for name, model in self.lens.items()}
 
 
 class WarmBench(TrueBench):
@@ -164,3 +186,18 @@ def test_a_camera_of_few_photographs_has_the_noise_of_its_own():
         )
         noise.append(adjusted(observations).sizes.noise[TRACKING])
     assert np.mean(noise) == pytest.approx(1.0, abs=0.06)
+
+
+def test_what_a_lens_model_leaves_is_in_its_lens_and_no_fault():
+    bench = RippledBench(2)
+    found = adjusted(thinned(bench.observations(lens_photographs=9), 4))
+    assert worst_fault(found) is None
+    for name, true in bench.lens.items():
+        lens = found.state.lens[name]
+        side = [np.linspace(0.1, 0.9, 15) * length for length in lens.size_px]
+        direction = true.model.dir_of_pixel(np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2))
+        seen = lens.dir_of_pixel(true.pixel_of_point(direction))
+        # The axis of a camera is where its lens model has it: directions count up to a turn.
+        left, _, right = np.linalg.svd(seen.T @ direction)
+        off_px = np.mean(lens.focal_px) * np.linalg.norm(seen - direction @ (left @ right).T, axis=1)
+        assert np.sqrt(np.mean(off_px**2)) < 0.6 * RIPPLE_PX
