@@ -16,6 +16,11 @@ from wlr_render.errors import BadInputError
         ({}, {"size_px": [640.5, 480]}, "'size_px' must be two whole numbers"),
         ({}, {"focal_px": [600.0, 100.0]}, "no camera's two differ by 3 times"),
         ({}, {"focal_px": [8.0, 8.0]}, "not in millimetres"),
+        ({}, {"residual": {"counts": [2, 30], "amplitude_px": [[0.0, 0.0]]}}, "'counts' must be two whole numbers"),
+        ({}, {"residual": {"counts": [2, 2], "amplitude_px": [[0.0, 0.0]]}}, "'amplitude_px' must have 2 x 2 rows"),
+        ({}, {"residual": {"counts": [1, 1], "amplitude_px": [[0.0, 2e3]]}}, "'amplitude_px' must have 1 x 1 rows"),
+        ({}, {"residual": {"counts": [1, 1], "amplitude_px": [[0.0, None]]}}, "'amplitude_px'"),
+        ({}, {"residual": {"amplitude_px": [[0.0, 0.0]]}}, "'counts'"),
     ],
 )
 def test_a_station_that_nobody_has_is_refused(tmp_path, changes, camera, sentence):

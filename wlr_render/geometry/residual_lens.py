@@ -58,6 +58,11 @@ class ResidualLens:
         return self.model.focal_px
 
     @property
+    def centre_px(self) -> FloatArray:
+        """(2,) principal point of the model."""
+        return self.model.centre_px
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the model's parameters, then `RESIDUAL` for each amplitude."""
         return (*self.model.names, *[RESIDUAL] * self.residual_px.size)

@@ -226,7 +226,7 @@ def _counts(table: Table) -> tuple[int, int]:
 def _lens_record(lens: Lens) -> dict[str, Any]:
     record: dict[str, Any] = {"size_px": list(lens.size_px)}
     if isinstance(lens, ResidualLens):
-        residual = {"counts": list(lens.counts), "amplitude_px": np.round(lens.residual_px, 9).tolist()}
+        residual = {"counts": list(lens.counts), "amplitude_px": lens.residual_px.tolist()}
         return _lens_record(lens.model) | {"residual": residual}
     if isinstance(lens, LensCamera):
         return record | {
