@@ -1,7 +1,7 @@
-"""A lens model with a smooth field of what the model leaves of the true lens.
+"""A lens model with its residual distortion, a smooth field of displacements over the picture.
 
 Source of the idea: T. Schoeps et al., "Why having 10,000 parameters in your camera model is better than twelve",
-CVPR 2020. Few terms leave a systematic part of a pixel, which many views of a board show.
+CVPR 2020. Models of few terms differ from real lenses by a systematic part of a pixel, and boards show it.
 """
 
 from dataclasses import dataclass, replace
@@ -18,14 +18,14 @@ RESIDUAL = "residual"
 """Name of the amplitudes among the names of a lens' parameters."""
 _WAVES = 9, 7  # half waves along the sides of the picture: finer residuals average out over a board
 _FALL = 0.1  # fall of a wave's size with each half wave: residuals of lenses are not smoother than their terms
-_STEP_PX = 1e-3  # of the slope's differences
+_STEP_PX = 1e-3  # step of the differences that give the slope
 _GRID = 25  # places along a side, at which the field's size is measured
-_ROUNDS = 5  # of the inverse; each leaves less than a hundredth of the error, because the field is flat
+_ROUNDS = 5  # rounds of the inverse; each leaves less than a hundredth of the error, because the field is flat
 
 
 @dataclass(frozen=True, eq=False)
 class ResidualLens:
-    """A lens whose pixels are those of a model, displaced by a smooth field over the picture.
+    """A lens model whose pixels a smooth field over the picture displaces.
 
     Attributes:
         model: the lens model.

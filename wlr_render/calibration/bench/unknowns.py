@@ -26,7 +26,7 @@ _NO_HYPER: Mapping[str, Any] = {}
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
 _HELD = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")  # terms that a residual field replaces
-_LIKE_A_TURN = ("s1", "s3")  # with p1 and p2 they do what a turn of the camera does: 0.1 px turns it by 30 arcminutes
+_LIKE_A_TURN = ("s1", "s3")  # terms that look like p1, p2 and a turn: a residual of 0.1 px turns the camera by 30'
 
 
 def numbers_block(size: FloatArray, hyper: Mapping[str, Any] = _NO_HYPER, source: str = "") -> Block:
@@ -61,7 +61,7 @@ def lens_source(name: str) -> str:
 
 
 def with_residual(lens: Lens, setup: CameraSetup) -> Lens:
-    """Return a lens that a fit estimates with the smooth field that its model leaves; a stated lens as it is."""
+    """Return a lens with a residual field for the fit to estimate; a stated lens stays as it is."""
     return ResidualLens.of(lens) if isinstance(lens, LensCamera) and setup.calibrated is None else lens
 
 
