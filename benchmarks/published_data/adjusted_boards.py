@@ -9,8 +9,8 @@ from benchmarks.published_data.board_sets import PhotographSet
 from wlr_render.calibration.bench.adjustment import Adjustment, adjust
 from wlr_render.calibration.bench.board_shape import BOARD_SHAPE
 from wlr_render.calibration.bench.board_views import EYEBALL, BenchObservations, BoardView, CameraSetup
-from wlr_render.calibration.bench.lenses import sound_views
-from wlr_render.calibration.bench.start import start_lens, start_state
+from wlr_render.calibration.bench.lenses import free_views, sound_views
+from wlr_render.calibration.bench.start import start_state
 from wlr_render.captures.boards.board import USUAL_TOLERANCES, BoardObservation
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.report.blocks import Cell
@@ -55,7 +55,8 @@ def adjusted_row(of: PhotographSet, seen: Sequence[BoardObservation], size_px: t
 
 def _fit(known: BenchObservations, views: Sequence[BoardView]) -> Adjustment:
     setup = known.cameras[EYEBALL]
-    return adjust(start_state(replace(known, views=views), {EYEBALL: start_lens(views, setup.size_px, setup.kind)}))
+    lens = free_views(views, setup, setup.kind, known).lens[EYEBALL]
+    return adjust(start_state(replace(known, views=views), {EYEBALL: lens}))
 
 
 def _values(fit: Adjustment) -> tuple[FloatArray, FloatArray]:

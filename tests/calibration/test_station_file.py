@@ -18,7 +18,7 @@ from wlr_render.errors import BadInputError
         ({}, {"focal_px": [8.0, 8.0]}, "not in millimetres"),
         ({}, {"residual": {"counts": [2, 30], "amplitude_px": [[0.0, 0.0]]}}, "'counts' must be two whole numbers"),
         ({}, {"residual": {"counts": [2, 2], "amplitude_px": [[0.0, 0.0]]}}, "'amplitude_px' must have 2 x 2 rows"),
-        ({}, {"residual": {"counts": [1, 1], "amplitude_px": [[0.0, 2e3]]}}, "'amplitude_px' must have 1 x 1 rows"),
+        ({}, {"residual": {"counts": [1, 1], "amplitude_px": [[0.0, 2e3]]}}, "'amplitude_px' has numbers above 100"),
         ({}, {"residual": {"counts": [1, 1], "amplitude_px": [[0.0, None]]}}, "'amplitude_px'"),
         ({}, {"residual": {"amplitude_px": [[0.0, 0.0]]}}, "'counts'"),
     ],

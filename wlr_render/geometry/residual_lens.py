@@ -20,7 +20,7 @@ _WAVES = 9, 7  # half waves along the sides of the picture: finer residuals aver
 _FALL = 0.1  # fall of a wave's size with each half wave: residuals of lenses are not smoother than their terms
 _STEP_PX = 1e-3  # step of the differences that give the slope
 _GRID = 25  # places along a side, at which the field's size is measured
-_ROUNDS = 5  # rounds of the inverse; each leaves less than a hundredth of the error, because the field is flat
+_ROUNDS, _CLOSE_PX = 8, 1e-3  # rounds of the inverse, and its last step: flat fields need three, steep ones have none
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +116,13 @@ class ResidualLens:
 
     def _pixel_of_model(self, pixel: FloatArray) -> FloatArray:
         """Return the model's pixels (..., 2) that the field displaces to these."""
-        found = pixel = np.asarray(pixel, dtype=np.float64)
-        for _ in range(_ROUNDS if np.any(self.residual_px) else 0):
-            found = pixel - self._displacement(found)
-        return found
+        pixel = np.asarray(pixel, dtype=np.float64)
+        if not np.any(self.residual_px):
+            return pixel
+        before = found = pixel
+        for _ in range(_ROUNDS):
+            before, found = found, pixel - self._displacement(found)
+        return np.where(np.abs(found - before) < _CLOSE_PX, found, np.nan)
 
     def _displacement(self, pixel: FloatArray) -> FloatArray:
         """(..., 2) pixels, at the model's pixels (..., 2)."""

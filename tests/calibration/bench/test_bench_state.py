@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 from imperfect_bench import Imperfections, TrueBench, turned
 
-from wlr_render.calibration.bench.bench_blocks import FEATURES, Layout
-from wlr_render.calibration.bench.board_views import EYEBALL
+from wlr_render.calibration.bench.bench_blocks import EXACT, FEATURES, Layout
+from wlr_render.calibration.bench.board_views import EYEBALL, CameraSetup
 from wlr_render.calibration.bench.normal_equations import residuals_of
 from wlr_render.calibration.bench.start import start_lens, start_state
 from wlr_render.calibration.bench.state import SMOOTH_DEGREE, StageModel
+from wlr_render.calibration.bench.unknowns import lens_block
 from wlr_render.calibration.poses import motion_between, small_motion
 from wlr_render.captures.photo_session import StageAxis
 from wlr_render.geometry import transforms
-from wlr_render.geometry.lens_camera import LensCamera
+from wlr_render.geometry.lens_camera import LENS_KINDS, LensCamera
+from wlr_render.geometry.residual_lens import ResidualLens
 
 
 @pytest.fixture(scope="module")
@@ -167,3 +169,14 @@ def test_terms_of_a_narrow_lens_may_be_large():
     sizes = start_state(observations, {**TrueBench(1).lens, EYEBALL: lens}, rough=True).blocks["lens", EYEBALL].size
     assert np.all(np.abs(lens.distortion) < sizes[4:])
     assert np.all(sizes[6:8] < 10.0)
+
+
+@pytest.mark.parametrize(("kind", "held"), [("fisheye", []), ("brown", []), ("rational", ["k4", "k5", "k6"])])
+def test_a_residual_field_replaces_the_last_terms_of_perspective_lenses_alone(kind, held):
+    terms = 1e-3 * np.arange(1, len(LENS_KINDS[kind]) + 1)
+    lens = ResidualLens.of(LensCamera((1280, 1024), np.full(2, 900.0), np.array([640.0, 512.0]), terms, kind))
+    block = lens_block(EYEBALL, lens, CameraSetup(lens.size_px, kind))
+    assert [name for name, size in zip(lens.names, block.size, strict=True) if size <= EXACT] == held
+    for name, middle, value in zip(lens.names, block.middle, lens.values, strict=True):
+        if name in held:
+            assert middle == value

@@ -37,9 +37,13 @@ USUAL_SIZES = {
 """Sizes of ordinary benches by hyperparameter."""
 FALL = "smooth fall"
 """Hyperparameter: fall of the logarithm of the stage's smooth errors from one degree to the next."""
-_BOUNDS = np.log(1e-9), np.log(1.0)  # sizes in radians, metres, ratios or pixels, from exact to worse than any bench
+_BOUNDS = np.log(1e-9), np.log(1e-2)  # sizes in radians, metres or ratios, from exact to worse than any stage or board
+_BOUNDS_PX = np.log(1e-4), np.log(3.0)  # sizes in pixels, from far below noise to a lens of another kind
 _HYPERPRIORS = {
-    **{name: (np.log(each.value), each.log_sigma, *_BOUNDS) for name, each in USUAL_SIZES.items()},
+    **{
+        name: (np.log(each.value), each.log_sigma, *(_BOUNDS_PX if each.unit == "px" else _BOUNDS))
+        for name, each in USUAL_SIZES.items()
+    },
     FALL: (0.7, 0.3, 0.1, 2.0),  # rails bend more than they wave: by a factor of 2 with each degree
     "noise": (0.0, 0.3, -2.0, 2.0),  # common factor in the search for sizes; `Sizes.noise` has one for each camera
 }

@@ -34,6 +34,7 @@ from wlr_render.numerics.smooth_field import SmoothField
 _UNITS = {"length": "m", "angle": "rad", "pixel": "px"}
 FORMAT = "wlr-station"
 VERSION = 3
+_MOST_AMPLITUDE_PX = 100.0  # far above the residual of any lens model
 _MOST_WAVES = 20  # most half waves of a field along a side
 
 
@@ -273,11 +274,14 @@ def _lens(table: Table) -> Lens:
         return lens
     part = table.table("residual")
     amplitude, counts = part.vectors("amplitude_px", 2), _counts(part)
-    if not isinstance(lens, LensCamera) or len(amplitude) != counts[0] * counts[1] or np.any(np.abs(amplitude) > 1e3):
+    if not isinstance(lens, LensCamera):
+        raise part.fail("a splined lens has no residual; write the file again.")
+    if len(amplitude) != counts[0] * counts[1]:
         raise part.fail(
-            f"'amplitude_px' must have {counts[0]} x {counts[1]} rows of a lens that is not splined, up to 1000; write "
-            "the file again."
+            f"'amplitude_px' must have {counts[0]} x {counts[1]} rows, not {len(amplitude)}; write the file again."
         )
+    if np.any(np.abs(amplitude) > _MOST_AMPLITUDE_PX):
+        raise part.fail(f"'amplitude_px' has numbers above {_MOST_AMPLITUDE_PX:g}; write the file again.")
     return ResidualLens(lens, amplitude, counts)
 
 

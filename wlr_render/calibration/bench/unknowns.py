@@ -25,7 +25,7 @@ TURNS = np.repeat([1.0, 0.0], 3)
 _NO_HYPER: Mapping[str, Any] = {}
 _POWERS = {"k1": 2, "k2": 4, "k3": 6, "k4": 2, "k5": 4, "k6": 6, "s2": 3, "s4": 3}
 """Power of the distance from the centre with which a term displaces, relative to that distance; 1 for the others."""
-_HELD = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")  # terms that a residual field replaces
+_HELD = ("k4", "k5", "k6", "s1", "s2", "s3", "s4")  # terms of perspective lenses that a residual field replaces
 _LIKE_A_TURN = ("s1", "s3")  # terms that look like p1, p2 and a turn: a residual of 0.1 px turns the camera by 30'
 
 
@@ -48,7 +48,7 @@ def lens_block(name: str, lens: Lens, setup: CameraSetup) -> Block:
     ]
     middle = np.where(np.arange(len(sizes)) < 4, np.nan, 0.0)
     if isinstance(lens, ResidualLens):
-        held = np.isin(lens.names, _HELD)
+        held = np.isin(lens.names, _HELD) & (lens.kind != "fisheye")
         sizes[held], middle[held] = EXACT, lens.values[held]
         sizes[-lens.residual_px.size :] = np.repeat(lens.field.sizes, 2)
         hyper["residual"] = np.array(lens.names) == RESIDUAL

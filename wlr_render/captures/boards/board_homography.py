@@ -23,4 +23,6 @@ def by_homography(place: FloatArray, pixel: FloatArray, at: FloatArray, method: 
     homography = cv2.findHomography(place, pixel, method)[0] if len(place) >= _LEAST_POINTS else None
     if homography is None:
         return None
+    if not at.size:
+        return np.zeros(at.shape)
     return np.asarray(cv2.perspectiveTransform(at.reshape(-1, 1, 2), homography)).reshape(at.shape)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from wlr_render.calibration.bench.bench_blocks import EXACT
 from wlr_render.calibration.bench.bench_checks import prior_pulls, reading_pulls
 from wlr_render.calibration.bench.board_shape import BOARD_SHAPE
 from wlr_render.calibration.calibrate_session import EyeCalibration, SessionCalibration
@@ -147,14 +148,18 @@ def _lens_table(found: SessionCalibration) -> ReportTable:
     for name, lens in adjustment.state.lens.items():
         rows.append([f"{name} camera", "kind", getattr(lens, "kind", "splined"), None])
         sigma = np.sqrt(np.diag(adjustment.covariance_of([("lens", name)])))
+        held = adjustment.state.blocks["lens", name].size <= EXACT
         rows += [
-            [f"{name} camera", value, f"{number:.6g}", float(one)]
-            for value, number, one in zip(lens.names, lens.values, sigma, strict=True)
+            [f"{name} camera", value, f"{number:.6g}", None if is_held else float(one)]
+            for value, number, one, is_held in zip(lens.names, lens.values, sigma, held, strict=True)
             if value != RESIDUAL
         ]
         if isinstance(lens, ResidualLens):
             rows.append([f"{name} camera", "residual, rms (px)", lens.rms_px, None])
-    notes = ("Focal length and centre in pixels, the centre from the outer corner of the top-left pixel.",)
+    notes = (
+        "Focal length and centre in pixels, the centre from the outer corner of the top-left pixel. A term without a "
+        "standard deviation is stated, or the residual field replaces it.",
+    )
     return ReportTable("Lenses", ["camera", "value", "found", "standard deviation"], rows, notes)
 
 
