@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from benchmarks.simulated_lab.simulate_readings import SimulatedReadings
 from wlr_render.calibration.bench.board_views import TRACKING
@@ -18,11 +19,13 @@ from wlr_render.calibration.photograph_captures import (
 from wlr_render.captures.correspondences import Captures, SeeThroughCaptures, concatenate
 from wlr_render.evaluation.truth_tests import PIXEL_DIRECTION, POINT_DIRECTION, TruthTests
 from wlr_render.geometry import transforms
-from wlr_render.geometry.directions import ARCMIN, normalised
+from wlr_render.geometry.directions import ARCMIN
+from wlr_render.geometry.lens import Lens
 from wlr_render.jobs.options import seed_of
 from wlr_render.models.fitted_model import FittedModel
 from wlr_render.numerics.arrays import FloatArray
 from wlr_render.optics.traced_mappings import traced_eye
+from wlr_render.simulation.photographs.camera import SimulatedLens
 
 CALIBRATED, EXACT, NOMINAL = "calibrated", "exact", "exact, stage's random motion unknown"
 """Sources of the captures that models are fitted to."""
@@ -41,9 +44,10 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
     truth = traced_eye(simulated.truth.bench.device, simulated.truth.bench.eye)
     tests = TruthTests.of(truth, seed_of(seed, truth.eye, 1))
     stated, true = simulated.truth.bench.stated_device_from_tracking, simulated.truth.bench.device_from_tracking
+    turn = true_to_found(bench.adjustment.state.lens[TRACKING], simulated.truth.bench.tracking)
     captures, _ = sound_captures(simulated.session, simulated.reading, bench)
     sources = {
-        CALIBRATED: (captures, _moved(tests, stated @ _lens_frame(bench, simulated) @ transforms.inverse(true))),
+        CALIBRATED: (captures, _moved(tests, stated @ turn @ transforms.inverse(true))),
         EXACT: (_exact(simulated, simulated.truth.display, simulated.truth.see_through), tests),
         NOMINAL: (_exact(simulated, *_nominal(simulated)), tests),
     }
@@ -61,16 +65,12 @@ def model_errors(bench: CalibratedBench, simulated: SimulatedReadings, seed: int
     return errors | {PREDICTED: predicted}
 
 
-def _lens_frame(bench: CalibratedBench, simulated: SimulatedReadings) -> FloatArray:
-    """(4, 4) rotation from the true frame of the tracking camera to that in which its calibrated lens sees the world.
-
-    It brings the directions of the picture's pixels together.
-    """
-    lens, true = bench.adjustment.state.lens[TRACKING], simulated.truth.bench.tracking
-    pixel = np.stack(np.meshgrid(*(np.linspace(0.1, 0.9, 15) * side for side in lens.size_px)), -1).reshape(-1, 2)
-    found, seen = lens.dir_of_pixel(pixel), normalised(true.ray_of_pixel(pixel, np.zeros(2))[:, 3:])
-    left, _, right = np.linalg.svd(found.T @ seen)
-    return transforms.rigid(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right, np.zeros(3))
+def true_to_found(found: Lens, true: SimulatedLens) -> FloatArray:
+    """Return the rotation (4, 4) from a camera's true frame to that in which a fitted lens sees the same directions."""
+    pixel = np.stack(np.meshgrid(*(np.linspace(0.1, 0.9, 15) * side for side in found.size_px)), -1).reshape(-1, 2)
+    directions = true.ray_of_pixel(pixel, np.zeros(2))[:, 3:]
+    turn, _ = Rotation.align_vectors(found.dir_of_pixel(pixel), directions)
+    return transforms.rigid(turn.as_matrix(), np.zeros(3))
 
 
 def _predicted(model: FittedModel, subject: FloatArray, viewpoint: FloatArray) -> float:

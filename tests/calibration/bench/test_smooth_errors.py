@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from imperfect_bench import Imperfections, TrueBench, adjusted, thinned
+from scipy.spatial.transform import Rotation
 
 from wlr_render.calibration.bench.board_views import TRACKING
 from wlr_render.calibration.bench.calibrate_bench import CalibratedBench
@@ -198,6 +199,6 @@ def test_what_a_lens_model_leaves_is_in_its_lens_and_no_fault():
         direction = true.model.dir_of_pixel(np.stack(np.meshgrid(*side), axis=-1).reshape(-1, 2))
         seen = lens.dir_of_pixel(true.pixel_of_point(direction))
         # The axis of a camera is where its lens model has it: directions count up to a turn.
-        left, _, right = np.linalg.svd(seen.T @ direction)
-        off_px = np.mean(lens.focal_px) * np.linalg.norm(seen - direction @ (left @ right).T, axis=1)
+        turn, _ = Rotation.align_vectors(seen, direction)
+        off_px = np.mean(lens.focal_px) * np.linalg.norm(seen - turn.apply(direction), axis=1)
         assert np.sqrt(np.mean(off_px**2)) < 0.6 * RIPPLE_PX

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from wlr_render.calibration.bench.adjustment import UndeterminedError, adjust
@@ -15,6 +14,7 @@ from wlr_render.calibration.bench.board_views import (
 )
 from wlr_render.calibration.bench.start import board_pose, start_lens, start_state, undetermined
 from wlr_render.calibration.bench.state import BenchState
+from wlr_render.captures.boards.board_homography import by_homography
 from wlr_render.errors import BadInputError
 from wlr_render.geometry import transforms
 from wlr_render.geometry.lens import Lens
@@ -129,11 +129,8 @@ def _misread(views: Sequence[BoardView]) -> dict[str, str]:
 def _plane_residual_px(view: BoardView) -> float:
     """Rms distance of features from the best image of a plane by a lens without distortion; NaN where there is none."""
     plane = view.point[:, :2]
-    homography = cv2.findHomography(plane, view.pixel)[0]
-    if homography is None:
-        return np.nan
-    seen = cv2.perspectiveTransform(plane[:, None], homography)[:, 0]
-    return float(np.sqrt(np.mean((seen - view.pixel) ** 2)))
+    seen = by_homography(plane, view.pixel, plane)
+    return np.nan if seen is None else float(np.sqrt(np.mean((seen - view.pixel) ** 2)))
 
 
 def free_views(
