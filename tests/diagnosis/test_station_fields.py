@@ -225,7 +225,7 @@ def test_a_displacement_is_returned_in_the_units_of_its_station(bench, plan):
     won = contest(bench, plan, bent_panel(bench, plan))
     (effect, *_) = won.located(2.0)
     ((values, _),) = won.values_and_covariances([effect], won.scatter_beside([effect]))
-    found, read = effect.displacement(values), simulate(bench, plan).panel_pixel
+    found, read = effect.acting.displacement(values), simulate(bench, plan).panel_pixel
     true = 0.6 * wave(read[:, 0], 1000) * wave(read[:, 1], 900)
     assert np.std(found[: len(true), 0] - true) < 0.25 * np.std(true)
     assert np.std(found[: len(true), 1]) < 0.25 * np.std(true)
@@ -301,9 +301,11 @@ def test_the_error_of_a_size_is_that_by_the_covariance_of_the_coefficients(bench
     for station, per_axis in (("camera", 2), ("stage", 6), ("combiner", 1)):
         field = next(each for each in fields if each.station == station)
         effect = LocatedEffect(field, 1, 1.0, 10.0)
-        values = 1.0 + rng.uniform(size=effect.order.size)
+        values = 1.0 + rng.uniform(size=effect.acting.order.size)
         root = 0.02 * rng.normal(size=(len(values), len(values)))
-        drawn = [effect.displacement(values + root @ each)[field.acts] for each in rng.normal(size=(400, len(values)))]
+        drawn = [
+            effect.acting.displacement(values + root @ each)[field.acts] for each in rng.normal(size=(400, len(values)))
+        ]
         size, sigma, unit = effect.size_of(values, root @ root.T)
         part = slice(3, None) if unit == "urad" else slice(3)
         sizes = [np.sqrt(np.mean(np.sum(each[:, part] ** 2, axis=1))) for each in drawn]
@@ -318,7 +320,7 @@ def test_the_size_of_a_pose_is_its_shift_or_its_turn_whichever_is_clearer(bench,
     fields = station_fields(weighed(measured(bench, plan)))
     effect = LocatedEffect(next(each for each in fields if each.station == "stage"), 1, 1.0, 10.0)
     for axes, unit in (([0, 1, 2], "um"), ([3, 4, 5], "urad")):
-        moved = np.isin(np.arange(effect.order.size) % 6, axes)
+        moved = np.isin(np.arange(effect.acting.order.size) % 6, axes)
         size, sigma, said = effect.size_of(np.where(moved, 3.0, 0.001), 0.01 * np.eye(moved.size))
         assert (said, size > 10.0 * sigma) == (unit, True)
 

@@ -140,7 +140,7 @@ class Search:
         if self.full is not self.subsample:
             spot = self.spot if any(field.is_in_spot for field in located) else None
             each_with_fields.append((self.full, station_fields(self.full, located, spot)))
-        sizes = np.repeat([each.size for each in effects], [each.columns.shape[2] for each in effects])
+        sizes = np.repeat([each.size for each in effects], [each.acting.columns.shape[2] for each in effects])
         searched = []
         for readings, fields in each_with_fields:
             causes = readings.predictor.linearised(beside)
@@ -321,9 +321,9 @@ class Search:
 
 def _beyond(effect: LocatedEffect, at: Linearisation, readings: WeighedReadings, constants: bool) -> FloatArray:
     """Return the functions (n, 2, c) of an effect, orthogonal to causes of the same station; see `with_effects`."""
-    functions = effect.columns
+    functions = effect.acting.columns
     if not constants and effect.field.station in ELSEWHERE:
-        functions = functions * (effect.order > 0)
+        functions = functions * (effect.acting.order > 0)
     hypotheses = at.explanation.hypotheses
     stations = np.array([each.cause.station for each in hypotheses for _ in each.cause.parameters])
     same = stations[at.free] == effect.field.station if at.free.size else np.zeros(0, dtype=bool)

@@ -1,13 +1,12 @@
 """Fields of the combiner: heights of its surfaces wherever lines of sight meet them, or deflections of the view."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.bench.simulate_session import (
     camera_positions,
     display_dirs,
@@ -18,17 +17,17 @@ from wlr_render.diagnosis.cause import Cause, Parameter
 from wlr_render.diagnosis.causes.optics import of_optics
 from wlr_render.diagnosis.field_terms import (
     StationField,
-    as_effects,
+    Terms,
     field_of,
     lever_of,
-    scaled,
+    polynomials,
     smooth_terms,
 )
 from wlr_render.diagnosis.observations import DISPLAY, SEE_THROUGH
 from wlr_render.diagnosis.prediction import Explanation, Predictor
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
-from wlr_render.numerics.polynomial import Box, basis, total_degree
+from wlr_render.numerics.arrays import BoolArray, FloatArray
+from wlr_render.numerics.polynomial import Box, Polynomial, total_degree
 from wlr_render.numerics.waves import LocalWaves, local_orders
 from wlr_render.optics.assembly import combiner_middle
 from wlr_render.optics.combiner_form import SURFACES, surfaces_raised
@@ -40,7 +39,7 @@ _OF_CAUSES = ("all surfaces", "reflecting surfaces")  # groups of surfaces with 
 _DEGREES = (4, 6, 8, 10, 12)  # degrees of heights over the whole combiner
 _SPOT_SHARES = (1.0, 0.65)  # sizes of the box relative to that around a spot; smaller boxes resolve more
 _SPOT_DEGREES = (3, 5, 7, 9, 11, 14)
-_SLOPE_STEP = 1e-4  # step in scaled coordinates for the slope of a height
+_PLACE = "place on the combiner"
 
 
 def _with_height(optics: EyeOptics, values: FloatArray, *, path: str, step: int) -> EyeOptics:
@@ -116,102 +115,55 @@ def combiner_fields(readings: WeighedReadings, spot: Box | None = None) -> Itera
     met = np.asarray(np.isfinite(first).all(axis=1))
     if not met.any():
         return
-    meetings = _meetings(readings)
+    meetings, optics, done = _meetings(readings), readings.observations.nominal.optics, list[set[str]]()
     every = np.concatenate([each.place for each in meetings])
-    place, box = np.where(met[:, None], first, 0.0), Box.around(every[np.isfinite(every).all(axis=1)])
-    orders = total_degree(2, _DEGREES[-1])
-    value, order, done = basis(place, orders, box), np.asarray(orders.sum(axis=1)), list[set[str]]()
-    # A height that is the same everywhere moves next to nothing, and its value is next to unknown.
-    about_mean = value - value[met].mean(axis=0)
+    orders, local = total_degree(2, _DEGREES[-1]), local_orders(_SPOT_DEGREES[-1])
+    whole = polynomials(orders, Box.around(every[np.isfinite(every).all(axis=1)]))
     for surfaces, names_of in SURFACES.items():
-        names = names_of(readings.observations.nominal.optics)
+        names = names_of(optics)
         if not names or names in done:
             continue
         done.append(names)
         of_surfaces = [each for each in meetings if each.surface in names]
-        columns = np.asarray(sum(_by_height(each, orders, box) for each in of_surfaces))
         # A height of the second degree in all surfaces is a tilt and a form error, which are causes.
         degrees = _DEGREES if surfaces in _OF_CAUSES else (2, *_DEGREES)
-        in_bench = partial(as_effects, "combiner", surfaces, orders, box, 1, ({},))
-        yield _height_field(surfaces, columns, order, degrees, first, met, about_mean, in_bench)
-        if spot is not None:
-            for share in _SPOT_SHARES:
-                yield from _in_spot(spot, share, surfaces, of_surfaces, first)
+        columns, place = _by_height(of_surfaces, whole), np.where(met[:, None], first, 0.0)
+        values = whole(place)
+        # A height that is the same everywhere moves next to nothing, and its value is next to unknown.
+        values = values - values[met].mean(axis=0)
+        terms = Terms(_PLACE, place, values, np.asarray(orders.sum(axis=1)), degrees, (whole,))
+        yield _height_field(surfaces, "", terms, columns, met)
+        for box in () if spot is None else (_middle_of(spot, share) for share in _SPOT_SHARES):
+            waves = LocalWaves(local, box, np.eye(len(local)))
+            columns = _by_height(of_surfaces, waves)
+            acts = np.any(columns != 0.0, axis=(1, 2)) & met
+            terms = Terms(_PLACE, place, waves(place), local.sum(axis=1) - 1, _SPOT_DEGREES, (waves,))
+            if acts.any():
+                field = _height_field(
+                    surfaces, f" in a spot {box.high[0] - box.low[0]:.2g} mm wide", terms, columns, acts
+                )
+                yield replace(field, is_in_spot=True)
 
 
-def _height_field(
-    surfaces: str,
-    columns: FloatArray,
-    order: IntArray,
-    degrees: tuple[int, ...],
-    first: FloatArray,
-    acts: BoolArray,
-    value: FloatArray,
-    in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]],
-) -> StationField:
-    """Return the field of a height; `value` (n, t) are its functions at places `first` (n, 2)."""
-    place, form = np.where(acts[:, None], first, 0.0), f"height of {surfaces}"
-    field = StationField(
-        "combiner",
-        "place on the combiner",
-        form,
-        columns,
-        order,
-        degrees,
-        place,
-        acts,
-        "um",
-        lambda values: np.asarray(value @ values)[:, None],
-        in_bench,
-    )
-    return scaled(field)
-
-
-def _in_spot(
-    spot: Box, share: float, surfaces: str, meetings: Sequence[_Meeting], first: FloatArray
-) -> Iterator[StationField]:
-    """Return heights that are zero outside the middle of a spot, if readings look through it.
-
-    Args:
-        spot: in millimetres.
-        share: of its width.
-        surfaces: a key of `SURFACES`.
-        meetings: with these.
-        first: (n, 2) where each reading's line of sight meets the first surface; NaN where it does not.
-    """
+def _middle_of(spot: Box, share: float) -> Box:
     middle, half = 0.5 * (spot.low + spot.high), 0.5 * share * (spot.high - spot.low)
-    box, orders = Box(middle - half, middle + half), local_orders(_SPOT_DEGREES[-1])
-    waves = LocalWaves(orders, box, np.eye(len(orders)))
-    columns = np.zeros((len(first), 2, len(orders)))
+    return Box(middle - half, middle + half)
+
+
+def _height_field(surfaces: str, where: str, terms: Terms, columns: FloatArray, acts: BoolArray) -> StationField:
+    """Return the field of a height by its terms, and by the changes (n, 2, t) of the readings by each."""
+    every, form = np.ones(len(acts), dtype=bool), f"height of {surfaces}{where}"
+    return replace(field_of("combiner", form, "um", terms, columns[..., None], every, surfaces), acts=acts)
+
+
+def _by_height(meetings: Sequence[_Meeting], heights: Polynomial | LocalWaves) -> FloatArray:
+    """Change (n, 2, t) of the readings by heights (t) of surfaces, as functions of the place."""
+    columns = np.zeros((*meetings[0].lever.shape[:2], len(heights.coefficients)))
     for each in meetings:
-        rows = np.all((each.place > box.low) & (each.place < box.high), axis=1)
-        height, slopes = waves.with_jacobian(each.place[rows])
+        rows = heights.box.contains(each.place)
+        height, slopes = heights.with_jacobian(each.place[rows])
         moved = np.concatenate([height[:, :, None], slopes], axis=2)
         columns[rows] += np.einsum("nik,ntk->nit", each.lever[rows], moved)
-
-    def in_bench(values: FloatArray) -> tuple[BenchEffect, ...]:
-        return (BenchEffect("combiner", surfaces, LocalWaves(orders, box, values[:, None])),)
-
-    acts = np.any(columns != 0.0, axis=(1, 2)) & np.isfinite(first).all(axis=1)
-    if acts.any():
-        form = f"{surfaces} in a spot {box.high[0] - box.low[0]:.2g} mm wide"
-        order = orders.sum(axis=1) - 1
-        field = _height_field(form, columns, order, _SPOT_DEGREES, first, acts, waves(first), in_bench)
-        yield replace(field, is_in_spot=True)
-
-
-def _by_height(meeting: _Meeting, orders: IntArray, box: Box) -> FloatArray:
-    """Change (n, 2, t) of the readings by heights that are polynomials of the place."""
-    columns = np.zeros((*meeting.lever.shape[:2], len(orders)))
-    rows = np.isfinite(meeting.place).all(axis=1)
-    place, lever = meeting.place[rows], meeting.lever[rows]
-    steps = 2.0 * _SLOPE_STEP / box.per_unit
-    values = [basis(place, orders, box)] + [
-        (basis(place + 0.5 * step, orders, box) - basis(place - 0.5 * step, orders, box)) / np.sum(step)
-        for step in np.diag(steps)
-    ]
-    for number, each in enumerate(values):
-        columns[rows] += lever[:, :, [number]] * each[:, None, :]
     return columns
 
 

@@ -119,7 +119,7 @@ def _smooth(
     smooth = {"form": "smooth", "size": size, "size_sigma": size_sigma, "unit": unit, "length": None, "place": None}
     improvement, share = contest.held_out(effect, scatter, beside)
     part = contest.readings.observations.part[acts]
-    moves = np.any(effect.columns[acts] != 0.0, axis=(1, 2))
+    moves = np.any(effect.acting.columns[acts] != 0.0, axis=(1, 2))
     return StationEffect(
         station=field.station,
         coordinates=field.coordinates,
@@ -133,7 +133,7 @@ def _smooth(
         likely=_likely(field.station, "fine" if bump else field.form),
         is_in_bench=field.in_bench is not None,
         map_place=field.place[acts],
-        map_displacement=effect.displacement(values)[acts],
+        map_displacement=effect.acting.displacement(values)[acts],
         map_unit=field.unit,
         **(bump or smooth),
     )

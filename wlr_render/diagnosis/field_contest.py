@@ -155,7 +155,7 @@ class FieldContest:
             stated = effect.in_bench(values, covariance)
             if stated:
                 added += stated
-                linear = linear - effect.columns @ values
+                linear = linear - effect.acting.columns @ values
         nominal = self.found.explanation.bench(predictor.observations.nominal)
         exact = predictor.residual_of_bench(replace(nominal, effects=(*nominal.effects, *added)))
         curved = np.where(np.isfinite(exact), exact - linear, 0.0)
@@ -256,7 +256,7 @@ class FieldContest:
         known = self._known(effects, _NONE)
         sums = marginal(self.sums.of_columns(known.columns, sigma=known.sigma), scatter)
         values, covariance = sums.values, sums.covariance
-        ends = np.cumsum([0, *(effect.columns.shape[2] for effect in effects)])
+        ends = np.cumsum([0, *(effect.acting.columns.shape[2] for effect in effects)])
         slices = [slice(start, end) for start, end in pairwise(ends)]
         return [(values[each], covariance[each, each]) for each in slices]
 
@@ -264,7 +264,7 @@ class FieldContest:
         """Return what causes and effects leave of the readings, (n, 2)."""
         left = self.found.at.residual
         for effect, (values, _) in zip(effects, self.values_and_covariances(effects, scatter), strict=True):
-            left = left - effect.columns @ values
+            left = left - effect.acting.columns @ values
         return left
 
     def held_out(
@@ -279,9 +279,9 @@ class FieldContest:
         """
         group, residual = self.readings.observations.group, self.left(beside, scatter)
         whiten = self.readings.whitening(scatter)
-        white, left = whiten(effect.columns), whiten(residual)
+        white, left = whiten(effect.acting.columns), whiten(residual)
         after = left_out_residual(white, left, group, effect.size)
-        acts = np.isin(group, np.unique(group[np.any(effect.columns != 0.0, axis=(1, 2))]))
+        acts = np.isin(group, np.unique(group[np.any(effect.acting.columns != 0.0, axis=(1, 2))]))
         before_sum, after_sum = (float(np.sum(each[acts] ** 2)) for each in (left, after))
         expected = 2.0 * float(acts.sum())
         removed = before_sum - after_sum

@@ -1,8 +1,7 @@
 """Fields as sums of smooth functions of a station's coordinates, each with its column of changes of the readings."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from wlr_render.diagnosis.cause import Cause
 from wlr_render.diagnosis.prediction import Explanation, Hypothesis, Predictor
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
 from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+from wlr_render.numerics.waves import LocalWaves, Wave
 
 ELSEWHERE = ("stage", "time")  # stations at which a constant acts like one of the camera or of the panel
 _NEIGHBOURS = 4  # neighbours of a reading at its station that are compared with it
@@ -64,6 +64,23 @@ class StationField:
         """Return a mask (c,) of the functions of order up to `degree` and beyond `above`."""
         return np.asarray((self.order <= degree) & (self.order > above))
 
+    def selected(self, which: BoolArray, size: FloatArray | float = 1.0) -> "StationField":
+        """Return the field of the functions in a mask (c,), each divided by its size (c,)."""
+        per, of_all = np.broadcast_to(size, len(which))[which], self.in_bench
+
+        def every(values: FloatArray) -> FloatArray:
+            spread = np.zeros(len(which))
+            spread[which] = values / per
+            return spread
+
+        return replace(
+            self,
+            columns=self.columns[:, :, which] / per,
+            order=self.order[which],
+            displacement=lambda values: self.displacement(every(values)),
+            in_bench=None if of_all is None else lambda values: of_all(every(values)),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Terms:
@@ -74,10 +91,9 @@ class Terms:
         place: (n, v) coordinates of each reading.
         values: (n, t) functions. order: (t,) of each.
         degrees: that are tried, ascending.
-        polynomials: orders (t, v) and box of the functions, where they are polynomials of `place`; of each of `copies`.
+        stated: these functions in turn, as effects of a bench state them; of each of `copies`. One output for each.
         copies: attributes of a bench's effect that limit each copy of the functions to some readings.
-        means: (t,) constant that was subtracted from each of these polynomials.
-        in_bench: as in `StationField`, where they are not polynomials.
+        means: (t,) constant that was subtracted from each function.
     """
 
     coordinates: str
@@ -85,10 +101,9 @@ class Terms:
     values: FloatArray
     order: IntArray
     degrees: tuple[int, ...]
-    polynomials: tuple[IntArray, Box] | None = None
+    stated: tuple[Polynomial | LocalWaves | Wave, ...]
     copies: tuple[Mapping[str, Any], ...] = ({},)
     means: FloatArray | None = None
-    in_bench: Callable[[FloatArray], tuple[BenchEffect, ...]] | None = None
 
     def varying(self) -> "Terms":
         """Return the functions less their means, except a constant, of order 0."""
@@ -102,96 +117,79 @@ class Terms:
         limits = tuple({limit: int(each)} for each in values)
         return replace(self, values=copies, order=np.tile(self.order, len(values)), copies=limits)
 
+    def effects(self, station: str, displaces: str, coefficients: FloatArray) -> tuple[BenchEffect, ...]:
+        """Return effects of a bench by coefficients (t, k) of the functions, for each copy with its limits."""
+        if self.means is not None:
+            coefficients = coefficients - np.outer(self.order == 0, self.means @ coefficients)
+        ends = np.cumsum([len(each.coefficients) for each in self.stated])[:-1]
+        return tuple(
+            BenchEffect(station, displaces, replace(function, coefficients=part), **limits)
+            for of_copy, limits in zip(np.split(coefficients, len(self.copies)), self.copies, strict=True)
+            for function, part in zip(self.stated, np.split(of_copy, ends), strict=True)
+        )
+
 
 def smooth_terms(coordinates: str, variables: FloatArray, *degrees: int, orders: IntArray | None = None) -> Terms:
     """Return the polynomials of variables (n, v) up to the last of the degrees, or of the given orders (t, v)."""
     orders = total_degree(variables.shape[1], degrees[-1]) if orders is None else orders
-    box = Box.around(variables)
-    values = basis(variables, orders, box)
-    return Terms(coordinates, variables, values, np.asarray(orders.sum(axis=1)), degrees, (orders, box))
+    stated = polynomials(orders, Box.around(variables))
+    values = basis(variables, orders, stated.box)
+    return Terms(coordinates, variables, values, np.asarray(orders.sum(axis=1)), degrees, (stated,))
 
 
-def as_effects(
-    station: str,
-    displaces: str,
-    orders: IntArray,
-    box: Box,
-    components: int,
-    copies: Sequence[Mapping[str, Any]],
-    values: FloatArray,
-    means: FloatArray | None = None,
-) -> tuple[BenchEffect, ...]:
-    """Return effects of a bench by coefficients of terms and components, one for each copy, with its limits."""
-    terms = values.reshape(-1, components)
-    if means is not None:
-        terms = np.concatenate([terms[:1] - means @ terms, terms[1:]])
-    return tuple(
-        BenchEffect(station, displaces, Polynomial(orders, box, part), **limits)
-        for part, limits in zip(np.split(terms, len(copies)), copies, strict=True)
-    )
+def polynomials(orders: IntArray, box: Box) -> Polynomial:
+    """Return one polynomial for each row of orders (t, v), as outputs of a function."""
+    return Polynomial(orders, box, np.eye(len(orders)))
 
 
 def field_of(
-    station: str, form: str, unit: str, terms: Terms, lever: FloatArray, rows: BoolArray, displaces: str = ""
+    station: str,
+    form: str,
+    unit: str,
+    terms: Terms,
+    lever: FloatArray,
+    rows: BoolArray,
+    displaces: str = "",
+    axes: FloatArray | None = None,
 ) -> StationField:
     """Return a field of terms at some of the readings, each acting through all components of a lever.
 
     Args:
         station, form, unit: as in `StationField`.
         terms: at these readings (m,).
-        lever: (m, 2, k) sigma per unit.
+        lever: (m, 2, k) sigma per unit; (m, 2, t, k) where it is another one for each function.
         rows: mask (n,) of these readings.
         displaces: `displaces` of the bench effect with the same action at that station; empty without one.
+        axes: (k, d) of the components in the displacement of that effect; the same components if not given.
     """
-    count, components = len(lever), lever.shape[2]
-    columns = (lever[:, :, None, :] * terms.values[:, None, :, None]).reshape(count, 2, -1)
+    count, components = len(lever), lever.shape[-1]
+    by_term = lever if lever.ndim == 4 else lever[:, :, None, :] * terms.values[:, None, :, None]
+    along = np.eye(components) if axes is None else axes
 
     def displacement(values: FloatArray) -> FloatArray:
         return over_rows(rows, terms.values @ values.reshape(-1, components))
 
-    in_bench = terms.in_bench
-    if displaces and terms.polynomials is not None:
-        in_bench = partial(
-            as_effects, station, displaces, *terms.polynomials, components, terms.copies, means=terms.means
-        )
+    def in_bench(values: FloatArray) -> tuple[BenchEffect, ...]:
+        return terms.effects(station, displaces, values.reshape(-1, components) @ along)
+
     acts = over_rows(rows, np.any(terms.values != 0.0, axis=1)) > 0.0
-    return scaled(
-        StationField(
-            station,
-            terms.coordinates,
-            form,
-            over_rows(rows, columns),
-            np.repeat(terms.order, components),
-            terms.degrees,
-            over_rows(rows, terms.place),
-            acts,
-            unit,
-            displacement,
-            in_bench,
-        )
+    field = StationField(
+        station,
+        terms.coordinates,
+        form,
+        over_rows(rows, by_term.reshape(count, 2, -1)),
+        np.repeat(terms.order, components),
+        terms.degrees,
+        over_rows(rows, terms.place),
+        acts,
+        unit,
+        displacement,
+        in_bench if displaces else None,
     )
-
-
-def scaled(field: StationField) -> StationField:
-    """Return the field with columns of rms 1, without columns of no effect."""
     size = np.sqrt(np.mean(field.columns**2, axis=(0, 1)))
-    moves = np.isfinite(size) & (size > _IDLE)
-
-    def whole(values: FloatArray) -> FloatArray:
-        every = np.zeros(len(size))
-        every[moves] = values / size[moves]
-        return every
-
-    def displacement(values: FloatArray) -> FloatArray:
-        return field.displacement(whole(values))
-
-    of_field = field.in_bench
-    in_bench = None if of_field is None else lambda values: of_field(whole(values))
-
-    highest = int(field.order[moves].max(initial=0))
-    degrees = tuple(each for each in field.degrees if each < highest) + (highest,)
-    columns, order = field.columns[:, :, moves] / size[moves], field.order[moves]
-    return replace(field, columns=columns, order=order, degrees=degrees, displacement=displacement, in_bench=in_bench)
+    moving = field.selected(np.isfinite(size) & (size > _IDLE), size)
+    highest = int(moving.order.max(initial=0))
+    return replace(moving, degrees=tuple(each for each in field.degrees if each < highest) + (highest,))
 
 
 def neighbours_agree(field: StationField, left: FloatArray, standard_errors: float) -> bool:

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from wlr_render.bench.bench_effects import AnyFunction, BenchEffect
 from wlr_render.diagnosis.field_terms import StationField
-from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray
+from wlr_render.numerics.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,24 +39,10 @@ class LocatedEffect:
         """Return the same effect on other readings, of which these are the fields."""
         return replace(self, field=next(each for each in fields if each.kind == self.field.kind))
 
-    @property
-    def counts(self) -> BoolArray:
-        """Mask of the field's functions that count."""
-        return self.field.counting(self.degree, self.above)
-
-    @property
-    def order(self) -> IntArray:
-        """(c,) of the functions that count."""
-        return self.field.order[self.counts]
-
-    @property
-    def columns(self) -> FloatArray:
-        """(n, 2, c) of the functions that count."""
-        return self.field.columns[:, :, self.counts]
-
-    def displacement(self, values: FloatArray) -> FloatArray:
-        """Return the displacement (n, d) at the station, in the field's unit, by coefficients (c,)."""
-        return self.field.displacement(self._every(values))
+    @cached_property
+    def acting(self) -> StationField:
+        """The field of the functions that count."""
+        return self.field.selected(self.field.counting(self.degree, self.above))
 
     def size_of(self, values: FloatArray, covariance: FloatArray) -> tuple[float, float, str]:
         """Return the rms displacement over the readings that feel the field, its standard error and its unit.
@@ -68,11 +55,12 @@ class LocatedEffect:
         """
         units = self.field.unit.split(", ")
         if self.field.period:  # the constant term is not part of the wave
-            values, covariance = values * (self.order > 0), covariance * np.outer(self.order > 0, self.order > 0)
+            varies = self.acting.order > 0
+            values, covariance = values * varies, covariance * np.outer(varies, varies)
 
         def by_unit(coefficients: FloatArray) -> FloatArray:
             """Return the displacement (units, n, k)."""
-            return np.stack(np.split(self.displacement(coefficients)[self.field.acts], len(units), axis=1))
+            return np.stack(np.split(self.acting.displacement(coefficients)[self.field.acts], len(units), axis=1))
 
         displaced = by_unit(values)
         size = np.sqrt(np.mean(np.sum(displaced**2, axis=2), axis=1))
@@ -89,21 +77,16 @@ class LocatedEffect:
             values: (c,) coefficients.
             covariance: (c, c) of them.
         """
-        if self.field.in_bench is None:
+        stated = self.acting.in_bench
+        if stated is None:
             return ()
-        stated = self.field.in_bench
         # The bench's coefficients are linear in the field's.
-        by_each = [stated(self._every(one)) for one in np.eye(len(values))]
+        by_each = [stated(one) for one in np.eye(len(values))]
         effects = []
-        for number, effect in enumerate(stated(self._every(values))):
+        for number, effect in enumerate(stated(values)):
             by_value = np.stack([_coefficients(each[number]) for each in by_each], axis=1)
             effects.append(replace(effect, covariance=by_value @ covariance @ by_value.T))
         return tuple(effects)
-
-    def _every(self, values: FloatArray) -> FloatArray:
-        every = np.zeros(self.field.order.size)
-        every[self.counts] = values
-        return every
 
 
 def _coefficients(effect: BenchEffect) -> FloatArray:

@@ -5,20 +5,20 @@ A shift along an axis is periodic in the place along that axis. Each axis has on
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from wlr_render.bench.bench_effects import BenchEffect
-from wlr_render.diagnosis.field_terms import StationField, Terms, field_of
+from wlr_render.diagnosis.field_terms import StationField, Terms, field_of, polynomials
 from wlr_render.diagnosis.observations import DISPLAY, RUN_TIME
 from wlr_render.diagnosis.prediction import Explanation
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
 from wlr_render.numerics.arrays import BoolArray, FloatArray, IntArray, rows_by_label
-from wlr_render.numerics.polynomial import Box, Polynomial, basis, total_degree
+from wlr_render.numerics.polynomial import Box, basis, total_degree
 from wlr_render.numerics.scatter import USUAL_SHIFT, USUAL_TURN
 from wlr_render.numerics.waves import Wave
 
+_LEADS_MM = (0.25, 4.0)  # limits of periods: leads of screws and their fractions
+_STRIPES_PX = (8.0, 160.0)  # the same: fringes, and stripes of a code that are misread
 _CODE_DEGREE = 6  # degree of the smooth shifts on the panel that are taken off before stripes are looked for
 _ANYWHERE = 1e6  # bound of what does not depend on the place
 _PER_RANGE = 3.0  # frequencies tried for each wave over an axis' range: between them a wave hardly changes
@@ -28,59 +28,63 @@ best period in the round before to the other."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Axis:
-    """An axis along which a shift may repeat.
+class _Axes:
+    """Axes of a station along which a shift may repeat.
 
     Attributes:
-        name: name of the axis.
-        number: index of the axis among the components of a bench effect's displacement.
-        place: (m,) of each reading along the axis, in the unit of the period.
-        lever: (m, 2) change of each reading by a shift, in sigma per unit of the shift.
-        tried: places along the axis (k,), with the measured shifts (k,), their variances (k,), and smooth functions (k,
-            f) that are fitted together with each wave.
+        station, coordinates, displaces, units: of the station and its effect in a bench; of the shift, and of places.
+        names: name of each axis.
+        periods: limits of the periods to try.
+        rows: (n,) mask of the readings.
+        place: (m, v) of these along each axis.
+        lever: (m, 2, d) change of each by a displacement; its first v components are shifts along the axes.
+        tried: places along the axes (k, v), with the measured shifts (k, v), their variances (k, v), and smooth
+            functions (k, f) that are fitted together with each wave.
     """
-
-    name: str
-    number: int
-    place: FloatArray
-    lever: FloatArray
-    tried: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-@dataclass(frozen=True, eq=False)
-class _Kind:
-    """A kind of periodic field: its station, coordinates and effect in a bench, its units, and the periods to try."""
 
     station: str
     coordinates: str
     displaces: str
-    variables: int
-    components: int
-    unit: str
-    unit_of_period: str
+    units: tuple[str, str]
+    names: str
     periods: tuple[float, float]
+    rows: BoolArray
+    place: FloatArray
+    lever: FloatArray
+    tried: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
-
-_SCREW = _Kind(
-    station="stage",
-    coordinates="stage readings",
-    displaces="pose",
-    variables=3,
-    components=6,
-    unit="um",
-    unit_of_period="mm",
-    periods=(0.25, 4.0),  # leads of screws and their fractions
-)
-_STRIPES = _Kind(
-    station="panel",
-    coordinates="panel pixels",
-    displaces="shift",
-    variables=2,
-    components=2,
-    unit="panel px",
-    unit_of_period="px",
-    periods=(8.0, 160.0),  # fringes, and stripes of a code that are misread
-)
+    def fields(self, like: Sequence[StationField]) -> Iterator[StationField]:
+        """Return the field of the likeliest period of each axis; `like` has fields whose periods are taken."""
+        variables, components = self.place.shape[1], self.lever.shape[2]
+        anywhere = np.full(variables, _ANYWHERE)
+        constant = polynomials(np.zeros((1, variables), dtype=np.int64), Box(-anywhere, anywhere))
+        for axis, name in enumerate(self.names):
+            form, tried = (
+                f"shift along {name} with a period of",
+                (*(each[:, axis] for each in self.tried[:3]), self.tried[3]),
+            )
+            periods = _periods(self.periods, float(np.ptp(tried[0])))
+            if not periods.size:
+                continue
+            known = [each.period for each in like if each.station == self.station and each.form.startswith(form)]
+            period = known[0] if known else _likeliest(periods, tried)
+            wave = Wave(axis, period, np.eye(2))
+            functions = np.column_stack([wave(self.place), np.ones(len(self.place))])
+            terms = Terms(
+                self.coordinates, self.place[:, [axis]], functions, np.array([1, 1, 0]), (1,), (wave, constant)
+            )
+            # A wave that few places sample may be nearly constant there. A constant rivals no cause of another station.
+            field = field_of(
+                self.station,
+                f"{form} {period:.3g} {self.units[1]}",
+                self.units[0],
+                terms.varying(),
+                self.lever[:, :, [axis]],
+                self.rows,
+                self.displaces,
+                np.eye(components)[[axis]],
+            )
+            yield replace(field, period=period, alternatives=len(periods))
 
 
 def screw_fields(
@@ -99,11 +103,10 @@ def screw_fields(
     first = np.flatnonzero(still)[[mine[0] for mine in rows]]
     place, part = 1e3 * stage[first], observations.part[first]
     smooth = np.column_stack([Box.around(place).scaled(place), *(part == each for each in np.unique(part))])
-    shift, variance = _shifts(readings, names)
-    for axis, name in enumerate("xyz"):
-        tried = place[:, axis], shift[:, axis], variance[:, axis], smooth
-        lever = readings.camera_motions[still][:, :, axis]
-        yield from _fields(_SCREW, _Axis(name, axis, 1e3 * stage[still][:, axis], lever, tried), still, like)
+    tried, lever = (place, *_shifts(readings, names), smooth), readings.camera_motions[still]
+    units, places = ("um", "mm"), 1e3 * stage[still]
+    axes = _Axes("stage", "stage readings", "pose", units, "xyz", _LEADS_MM, still, places, lever, tried)
+    return axes.fields(like)
 
 
 def stripe_fields(
@@ -119,41 +122,10 @@ def stripe_fields(
     """
     shown, inverse = readings.observations.part == DISPLAY, np.linalg.inv(lever)
     shift = np.einsum("nij,nj->ni", inverse, readings.predictor.residual(Explanation())[shown])
-    variance = np.sum(inverse**2, axis=2)
     smooth = basis(pixel, total_degree(2, _CODE_DEGREE), Box.around(pixel))
-    for axis, name in enumerate("uv"):
-        tried = pixel[:, axis], shift[:, axis], variance[:, axis], smooth
-        yield from _fields(_STRIPES, _Axis(name, axis, pixel[:, axis], lever[:, :, axis], tried), shown, like)
-
-
-def _fields(kind: _Kind, axis: _Axis, rows: BoolArray, like: Sequence[StationField]) -> Iterator[StationField]:
-    """Return the field of an axis, at some of the readings (n,); its alternatives are the periods that are tried."""
-    form = f"shift along {axis.name} with a period of"
-    periods = _periods(kind.periods, float(np.ptp(axis.tried[0])))
-    if not periods.size:
-        return
-    known = [each.period for each in like if each.station == kind.station and each.form.startswith(form)]
-    period = known[0] if known else _likeliest(periods, axis)
-    phase = 2.0 * np.pi * axis.place / period
-    waves = np.stack([np.sin(phase), np.cos(phase)], axis=1)
-    # A wave that few places sample may be nearly constant there. A constant rivals no cause of another station.
-    mean = waves.mean(axis=0)
-    functions, order = np.column_stack([np.ones(len(waves)), waves - mean]), np.array([0, 1, 1])
-    in_bench = partial(_in_bench, kind, axis.number, period, mean)
-    terms = Terms(kind.coordinates, axis.place[:, None], functions, order, (1,), in_bench=in_bench)
-    words = f"{form} {period:.3g} {kind.unit_of_period}"
-    field = field_of(kind.station, words, kind.unit, terms, axis.lever[:, :, None], rows)
-    yield replace(field, period=period, alternatives=len(periods))
-
-
-def _in_bench(kind: _Kind, axis: int, period: float, mean: FloatArray, values: FloatArray) -> tuple[BenchEffect, ...]:
-    """Return a wave and a constant by coefficients (3,) of the constant and of the sine and cosine less their means."""
-    wave, constant = np.zeros((2, kind.components)), np.zeros((1, kind.components))
-    wave[:, axis], constant[:, axis] = values[1:], values[0] - mean @ values[1:]
-    anywhere = np.full(kind.variables, _ANYWHERE)
-    everywhere = Polynomial(np.zeros((1, kind.variables), dtype=np.int64), Box(-anywhere, anywhere), constant)
-    functions = Wave(axis, period, wave), everywhere
-    return tuple(BenchEffect(kind.station, kind.displaces, function) for function in functions)
+    tried, units = (pixel, shift, np.sum(inverse**2, axis=2), smooth), ("panel px", "px")
+    axes = _Axes("panel", "panel pixels", "shift", units, "uv", _STRIPES_PX, shown, pixel, lever, tried)
+    return axes.fields(like)
 
 
 def _periods(limits: tuple[float, float], over: float) -> FloatArray:
@@ -183,14 +155,14 @@ def _shifts(readings: WeighedReadings, captures: IntArray) -> tuple[FloatArray, 
     return shift, variance
 
 
-def _likeliest(periods: FloatArray, axis: _Axis) -> float:
+def _likeliest(periods: FloatArray, tried: tuple[FloatArray, ...]) -> float:
     """Return the period of largest gain among some, and then among closer and closer ones around it."""
-    best = float(periods[int(np.argmax(_gains(periods, *axis.tried)))])
-    step = 1.0 / (_PER_RANGE * float(np.ptp(axis.tried[0])))
+    best = float(periods[int(np.argmax(_gains(periods, *tried)))])
+    step = 1.0 / (_PER_RANGE * float(np.ptp(tried[0])))
     for _ in range(_ROUNDS):
         closer = 1.0 / (1.0 / best + step * np.linspace(-1.0, 1.0, _CLOSER))
         closer = closer[(closer >= periods.min()) & (closer <= periods.max())]
-        best = float(closer[int(np.argmax(_gains(closer, *axis.tried)))])
+        best = float(closer[int(np.argmax(_gains(closer, *tried)))])
         step *= 2.0 / (_CLOSER - 1)
     return best
 
