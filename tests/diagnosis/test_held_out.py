@@ -18,6 +18,11 @@ def few(bench, plan):
     return observations.of_rows(observations.spread(430))
 
 
+def improvement_by(before, after):
+    """The improvement by the squares of captures."""
+    return held_out_improvement(np.sqrt(before), np.sqrt(after), np.arange(len(before)))
+
+
 def squares_of(observations, found):
     return np.bincount(observations.group, np.sum(held_out_residual(found, observations) ** 2, axis=1))
 
@@ -60,30 +65,25 @@ def test_without_parameters_nothing_changes_by_holding_out(few):
 def test_a_true_cause_gains_and_a_false_one_does_not(few):
     half = fitted_at_rest(few, explanation(camera_pupil_offset=[0, 0, 0]))
     whole = fitted_at_rest(few, explanation(camera_pupil_offset=[0, 0, 0], stage_scale=[0, 0, 0]))
-    gain = held_out_improvement(squares_of(few, half), squares_of(few, whole))
+    gain = improvement_by(squares_of(few, half), squares_of(few, whole))
     assert gain.percent > 0
     assert gain.significance > 3
     idle = fitted_at_rest(few, whole.explanation.plus(hypothesis("lateral_colour")))
-    worse = held_out_improvement(squares_of(few, whole), squares_of(few, idle))
+    worse = improvement_by(squares_of(few, whole), squares_of(few, idle))
     assert worse.significance < 2
 
 
 def test_the_gain_is_that_of_the_rms_and_vanishes_for_none():
     rng = np.random.default_rng(6)
     before = rng.uniform(50, 100, 40)
-    half = held_out_improvement(before, 0.25 * before)
+    half = improvement_by(before, 0.25 * before)
     assert half.percent == pytest.approx(50.0)
     assert half.sigma == pytest.approx(0.0, abs=1e-9)
-    same = held_out_improvement(before, before)
+    same = improvement_by(before, before)
     assert (same.percent, same.significance) == (0.0, 0.0)
-    worse = held_out_improvement(before, 4.0 * before)
+    worse = improvement_by(before, 4.0 * before)
     assert worse.percent == pytest.approx(-100.0)
     assert worse.significance < -3
-
-
-def test_a_capture_that_either_fit_lacks_does_not_count():
-    before, after = np.array([4.0, 4.0, np.nan, 8.0, 1e9]), np.array([1.0, 1.0, 5.0, 2.0, np.nan])
-    assert held_out_improvement(before, after).percent == pytest.approx(50.0)
 
 
 def test_the_sigma_of_a_gain_is_its_spread_over_sessions():
@@ -91,7 +91,7 @@ def test_the_sigma_of_a_gain_is_its_spread_over_sessions():
     rng = np.random.default_rng(7)
     before = rng.chisquare(20, (400, 30)) * rng.uniform(0.5, 2.0, (400, 30))
     after = 0.8 * before * rng.uniform(0.5, 1.5, before.shape)
-    gains = [held_out_improvement(b, a) for b, a in zip(before, after, strict=True)]
+    gains = [improvement_by(b, a) for b, a in zip(before, after, strict=True)]
     stated = np.mean([gain.sigma for gain in gains])
     assert stated == pytest.approx(np.std([gain.percent for gain in gains]), rel=0.1)
 
@@ -99,11 +99,11 @@ def test_the_sigma_of_a_gain_is_its_spread_over_sessions():
 def test_the_significance_is_the_mean_difference_over_its_standard_error():
     """By hand: differences 1, 2, 3, 4 have mean 2.5, standard deviation sqrt(5/3), standard error sqrt(5/12)."""
     before = np.array([11.0, 12.0, 13.0, 14.0])
-    assert held_out_improvement(before, np.full(4, 10.0)).significance == pytest.approx(2.5 / np.sqrt(5 / 12))
+    assert improvement_by(before, np.full(4, 10.0)).significance == pytest.approx(2.5 / np.sqrt(5 / 12))
 
 
 def test_without_a_gain_the_significance_scatters_by_one():
     rng = np.random.default_rng(8)
-    draws = [held_out_improvement(*rng.chisquare(100, (2, 50))).significance for _ in range(400)]
+    draws = [improvement_by(*rng.chisquare(100, (2, 50))).significance for _ in range(400)]
     assert np.mean(draws) == pytest.approx(0.0, abs=0.15)
     assert np.std(draws) == pytest.approx(1.0, abs=0.12)

@@ -77,13 +77,11 @@ def test_no_more_causes_than_allowed_are_added_and_the_reason_says_so(two):
 def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
     search = searching(two, min_relative_gain=0.001)
     ranking = ranking_of(search, explanation(target_scale=[0, 0]))
-    assert ranking.candidates[0].hypothesis.cause.name == "combiner_tilt"
+    assert ranking.fits[0].explanation.names[-1] == "combiner_tilt"
     assert "target_scale" not in {each.hypothesis.cause.name for each in ranking.screened}
-    behind = [each.behind for each in ranking.candidates]
+    behind = [each.minus_two_log_evidence for each in ranking.fits]
     assert behind == sorted(behind)
-    assert behind[0] == 0.0
     assert [each.gain for each in ranking.screened] == sorted((e.gain for e in ranking.screened), reverse=True)
-    assert ranking.candidates[0].fitted_to_all
 
 
 @pytest.mark.parametrize(("share", "most"), [(0.001, 4), (0.99, 1)])
@@ -91,8 +89,8 @@ def test_the_ranking_is_by_evidence_and_leaves_out_causes_at_work(two):
 def test_only_candidates_that_promise_a_share_of_the_best_gain_are_fitted(two, share, most):
     search = searching(two, min_relative_gain=share)
     ranking = ranking_of(search)
-    assert (len(ranking.candidates) == 1) == (most == 1)
-    assert len(searching(two, min_relative_gain=share, max_fits=1).rank(ranking.current).candidates) == 1
+    assert (len(ranking.rough) == 1) == (most == 1)
+    assert len(searching(two, min_relative_gain=share, max_fits=1).rank(ranking.current).rough) == 1
 
 
 def test_a_cause_below_the_limit_of_the_odds_is_refused_and_named_with_its_odds(bench, plan):
@@ -163,17 +161,6 @@ def test_a_candidate_that_loses_readings_is_none(two):
     assert best_fit(search.subsample, nothing, prospect) is not None
     lost = Explanation().plus(prospect.hypothesis, np.array([100.0, 0.0, 0.0]))
     assert fit(search.subsample, lost, prospect.scatter) is None
-
-
-@pytest.mark.slow
-def test_runners_up_that_were_fitted_to_all_readings_are_restarts(two):
-    search = searching(two, min_relative_gain=0.001, restarts=2)
-    first = ranking_of(search)
-    best, *others = first.candidates
-    near, far = replace(others[0], fitted_to_all=True), replace(others[0], fitted_to_all=False)
-    ranking = replace(first, candidates=(best, far, near, near, near))
-    assert search._seeds(ranking) == [near, near]
-    assert search._seeds(replace(first, candidates=())) == []
 
 
 def test_a_cause_that_a_later_one_has_made_idle_is_pruned(two):

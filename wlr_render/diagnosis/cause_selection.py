@@ -41,37 +41,23 @@ _NOTABLE = 1e-3  # least reduction, as a share of the noise variance, of a part 
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """A fitted candidate for one more cause.
-
-    Attributes:
-        hypothesis: which cause, acting how.
-        fit: with it.
-        behind: its -2 log evidence for the whole session minus the best candidate's.
-        fitted_to_all: whether all readings were fitted, and not only the subsample.
-    """
-
-    hypothesis: Hypothesis
-    fit: Fit
-    behind: float = 0.0
-    fitted_to_all: bool = False
-
-
-@dataclass(frozen=True, eq=False)
 class CandidateRanking:
     """The candidates for one more cause.
 
     Attributes:
         current: the fit to which it would be added.
         screened: the gain of each hypothesis on the subsample to first order; largest first.
-        candidates: the fitted candidates, best first, one per cause in its best variant.
+        fits: of candidates to all readings, best first, one per cause in its best variant; the last cause is the
+            candidate.
+        rough: likewise, of all candidates that were fitted to the subsample.
         field_gain: fall of -2 log evidence of the subsample by a field that explains far more than all causes together;
             0 without such a field.
     """
 
     current: Fit
     screened: tuple[ScreenedHypothesis, ...]
-    candidates: tuple[Candidate, ...]
+    fits: tuple[Fit, ...]
+    rough: tuple[Fit, ...]
     field_gain: float = 0.0
 
 
@@ -153,9 +139,9 @@ class Search:
         first = self.rank(self.refitted(start, Scatter.usual(len(self.full.observations.captures))))
         best = self._grown(first)
         if len(best.fit.explanation.hypotheses) > 1:
-            for seed in self._seeds(first):
-                self.progress(f"again from {seed.hypothesis.cause.name}")
-                other = self._grown(self.rank(self._with_moved(seed.fit)))
+            for seed in first.fits[1:][: self.settings.restarts]:
+                self.progress(f"again from {seed.explanation.names[-1]}")
+                other = self._grown(self.rank(self._with_moved(seed)))
                 if other.fit.minus_two_log_evidence < best.fit.minus_two_log_evidence:
                     best = replace(other, first=first)
         return best
@@ -177,11 +163,6 @@ class Search:
         refit = _fitted(self.full, found.explanation, again)
         return refit if refit.minus_two_log_evidence < found.minus_two_log_evidence else found
 
-    def _seeds(self, first: CandidateRanking) -> list[Candidate]:
-        """Runners-up of the first place that are worth a restart."""
-        near = [each for each in first.candidates[1:] if each.fitted_to_all]
-        return near[: self.settings.restarts]
-
     def _grown(self, start: CandidateRanking) -> Selection:
         """Add one cause after the other."""
         at, most = start, self.settings.max_causes
@@ -191,8 +172,7 @@ class Search:
             refusal = self._refusal(at)
             if refusal:
                 return Selection(at.current, start, refusal)
-            best = at.candidates[0].fit
-            at = self.rank(self.pruned(self._with_moved(best)))
+            at = self.rank(self.pruned(self._with_moved(at.fits[0])))
 
     def rank(self, current: Fit) -> CandidateRanking:
         """Rank the causes that are not yet at work."""
@@ -204,8 +184,8 @@ class Search:
         )
         self.progress(f"cause {len(taken) + 1}: {', '.join(each.hypothesis.cause.name for each in found[:3])}")
         field_gain = self._field_gain(contest, found)
-        candidates = self._candidates(at, found, field_gain)
-        return self._equally_searched(CandidateRanking(current, tuple(found), tuple(candidates), field_gain))
+        fits, rough = self._candidates(at, found, field_gain)
+        return self._equally_searched(CandidateRanking(current, tuple(found), tuple(fits), tuple(rough), field_gain))
 
     def _field_gain(self, contest: NameContest, screened: Sequence[ScreenedHypothesis]) -> float:
         """Return the fall of -2 log evidence by the best field if it far exceeds the fall by all causes, else 0."""
@@ -217,11 +197,13 @@ class Search:
         by_causes = max(screened[0].gain, contest.gain_of_best(shapes, self.settings.max_causes))
         return best if best > _FAR_MORE * by_causes + self.settings.close_evidence else 0.0
 
-    def _candidates(self, at: Fit, screened: Sequence[ScreenedHypothesis], field_gain: float) -> list[Candidate]:
-        """Fits of the hypotheses that are worth one, best first."""
+    def _candidates(
+        self, at: Fit, screened: Sequence[ScreenedHypothesis], field_gain: float
+    ) -> tuple[list[Fit], list[Fit]]:
+        """Fits of the hypotheses that are worth one, best first: to all readings, and to the subsample."""
         settings = self.settings
         if not screened or screened[0].gain < HOPELESS:
-            return []
+            return [], []
         least = min(settings.min_relative_gain * max(screened[0].gain, field_gain), screened[0].gain)
         # A gain that is too small on the subsample may suffice on all readings; one fit decides.
         most = settings.max_fits if LOG10_ODDS * screened[0].gain > settings.least_log10_odds else 1
@@ -230,60 +212,46 @@ class Search:
             # Only effects whose shape is fitted, too, may gain more than to first order.
             kept = [*kept[:1], *(each for each in kept[1:] if each.hypothesis.cause.is_shaped)][: _SHAPED + 1]
         self.progress(f"fitting {', '.join(sorted({each.hypothesis.cause.name for each in kept}))}")
-        coarse = _by_evidence(
-            Candidate(each.hypothesis, found)
-            for each in kept
-            if (found := best_fit(self.subsample, at, each)) is not None and is_physical(found, settings)
-        )
-        if not coarse:
-            return []
-        gain = at.minus_two_log_evidence - coarse[0].fit.minus_two_log_evidence
-        if field_gain and gain < field_gain:
-            return []
-        close = [each for each in coarse if each.behind < settings.close_evidence][: settings.max_contenders]
-        refits = ((each, fit(self.full, each.fit.explanation, each.fit.scatter)) for each in close)
-        final = _by_evidence(
-            replace(each, fit=found, fitted_to_all=True)
-            for each, found in refits
-            if found is not None and is_physical(found, settings)
-        )
-        names = {each.hypothesis.cause.name for each in final}
-        rest = [each for each in _best_of_each(coarse) if each.hypothesis.cause.name not in names]
-        return [*_best_of_each(final), *rest] if final else []
+        rough = _possible((best_fit(self.subsample, at, each) for each in kept), settings)
+        if not rough:
+            return [], []
+        least_cost = rough[0].minus_two_log_evidence
+        if field_gain and at.minus_two_log_evidence - least_cost < field_gain:
+            return [], []
+        close = [each for each in rough if each.minus_two_log_evidence - least_cost < settings.close_evidence]
+        close = close[: settings.max_contenders]
+        fits = _possible((fit(self.full, each.explanation, each.scatter) for each in close), settings)
+        return (_best_of_each(fits), _best_of_each(rough)) if fits else ([], [])
 
     def improvement(self, before: Fit, after: Fit) -> HeldOutImprovement:
         """Return the improvement of held-out captures from one fit to another, in units of the latter's errors."""
         observations, whiten = self.full.observations, self.full.whitening(after.scatter)
-        squares = [
-            np.bincount(observations.group, np.sum(whiten(held_out_residual(each, observations)) ** 2, axis=1))
-            for each in (before, after)
-        ]
-        present = np.bincount(observations.group) > 0
-        return held_out_improvement(*(np.asarray(each[present], dtype=np.float64) for each in squares))
+        old, new = (whiten(held_out_residual(each, observations)) for each in (before, after))
+        return held_out_improvement(old, new, observations.group)
 
     def _equally_searched(self, at: CandidateRanking) -> CandidateRanking:
         """Refit the current explanation from the best candidate's sizes of noise and motions; keep the better fit."""
-        if not at.candidates:
+        if not at.fits:
             return at
-        again = fit(self.full, at.current.explanation, at.candidates[0].fit.scatter, 0, at=at.current.at)
+        again = fit(self.full, at.current.explanation, at.fits[0].scatter, 0, at=at.current.at)
         if again is None or again.minus_two_log_evidence >= at.current.minus_two_log_evidence:
             return at
         return replace(at, current=again)
 
     def _refusal(self, at: CandidateRanking) -> str:
         """Return why the best candidate is not worth adding; empty if it is."""
-        if not at.candidates:
+        if not at.fits:
             return _FIELD_FIRST if at.field_gain else _NOTHING_MORE
-        best = at.candidates[0]
-        odds = LOG10_ODDS * (at.current.minus_two_log_evidence - best.fit.minus_two_log_evidence)
+        best, name = at.fits[0], at.fits[0].explanation.names[-1]
+        odds = LOG10_ODDS * (at.current.minus_two_log_evidence - best.minus_two_log_evidence)
         if odds < 0.0:
             return _NOTHING_MORE
         if odds < self.settings.least_log10_odds:
-            return f"{best.hypothesis.cause.name} comes next, but the odds for it are 10^{odds:.1f} only"
-        share = self._share_explained(at.current, best.fit)
+            return f"{name} comes next, but the odds for it are 10^{odds:.1f} only"
+        share = self._share_explained(at.current, best)
         if share < self.settings.min_share_explained:
             return (
-                f"{best.hypothesis.cause.name} comes next, but explains only {100 * share:.0f} % of the excess over "
+                f"{name} comes next, but explains only {100 * share:.0f} % of the excess over "
                 "the noise, and more than noise would be left"
             )
         return ""
@@ -351,17 +319,15 @@ def _fitted(
     return found
 
 
-def _by_evidence(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Sort candidates by evidence, highest first, and set `behind` of each."""
-    ranked = sorted(candidates, key=lambda each: each.fit.minus_two_log_evidence)
-    return [
-        replace(each, behind=each.fit.minus_two_log_evidence - ranked[0].fit.minus_two_log_evidence) for each in ranked
-    ]
+def _possible(fits: Iterable[Fit | None], settings: Settings) -> list[Fit]:
+    """Return the fits whose values are physical, in the order of their evidence."""
+    possible = (each for each in fits if each is not None and is_physical(each, settings))
+    return sorted(possible, key=lambda each: each.minus_two_log_evidence)
 
 
-def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return the first candidate of each cause."""
-    firsts: dict[str, Candidate] = {}
-    for candidate in candidates:
-        firsts.setdefault(candidate.hypothesis.cause.name, candidate)
+def _best_of_each(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the first of the fits with each last cause."""
+    firsts: dict[str, Fit] = {}
+    for each in fits:
+        firsts.setdefault(each.explanation.names[-1], each)
     return list(firsts.values())

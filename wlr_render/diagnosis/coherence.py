@@ -15,7 +15,7 @@ import numpy as np
 
 from wlr_render.diagnosis.combiner_fields import footprints
 from wlr_render.diagnosis.field_terms import over_rows
-from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, squares_of_captures
+from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement
 from wlr_render.diagnosis.observations import DISPLAY, PART_NAMES, SEE_THROUGH, Observations
 from wlr_render.diagnosis.prediction import Predictor
 from wlr_render.diagnosis.residual_surfaces import surfaces
@@ -313,7 +313,8 @@ def _held_out(
 ) -> tuple[HeldOutImprovement, float]:
     """Return the improvement of captures left out, and its ratio to the improvement of all captures by `change`."""
     rows = np.concatenate([each.rows for each in parts])
-    names, capture = np.unique(observations.group[rows], return_inverse=True)
+    group = observations.group[rows]
+    names = np.unique(group)
     left, after = (
         np.nan_to_num(_standardised(observations, each, _CLIP_OF_REST)) for each in (residual, residual - change)
     )
@@ -322,9 +323,8 @@ def _held_out(
         out = np.isin(observations.group, names[number::_FOLDS])
         others = _change(observations, residual, parts, ~out, rounds)
         held_out[out] = np.nan_to_num(_standardised(observations, residual - others, _CLIP_OF_REST))[out]
-    sums = [squares_of_captures(each[rows], capture) for each in (left, held_out, after)]
-    removed, excess = float(np.sum(sums[0] - sums[1])), float(np.sum(sums[0] - sums[2]))
-    return held_out_improvement(sums[0], sums[1]), removed / max(excess, removed, 1e-9)
+    removed, excess = (float(np.sum(left[rows] ** 2) - np.sum(each[rows] ** 2)) for each in (held_out, after))
+    return held_out_improvement(left[rows], held_out[rows], group), removed / max(excess, removed, 1e-9)
 
 
 def _standardised(observations: Observations, residual: FloatArray, clip: float = _CLIP) -> FloatArray:

@@ -17,12 +17,7 @@ import numpy as np
 from wlr_render.bench.bench_effects import BenchEffect
 from wlr_render.diagnosis.field_terms import StationField
 from wlr_render.diagnosis.fit import Fit
-from wlr_render.diagnosis.held_out import (
-    HeldOutImprovement,
-    held_out_improvement,
-    left_out_residual,
-    squares_of_captures,
-)
+from wlr_render.diagnosis.held_out import HeldOutImprovement, held_out_improvement, left_out_residual
 from wlr_render.diagnosis.located_effects import LocatedEffect
 from wlr_render.diagnosis.settings import BEYOND_DOUBT
 from wlr_render.diagnosis.weighed_readings import WeighedReadings
@@ -286,8 +281,7 @@ class FieldContest:
         expected = 2.0 * float(acts.sum())
         removed = before_sum - after_sum
         share = removed / max(before_sum - expected, removed, 1e-9)
-        squares = [squares_of_captures(each[acts], group[acts]) for each in (left, after)]
-        return held_out_improvement(*squares), share
+        return held_out_improvement(left[acts], after[acts], group[acts]), share
 
 
 def _with_columns(known: Known, columns: IntArray) -> Known:

@@ -88,19 +88,16 @@ def _degenerate(ranking: CandidateRanking, name: str, least_share: float) -> tup
 
 def _ranked(ranking: CandidateRanking) -> tuple[RankedCandidate, ...]:
     """Return the fitted candidates, then the best of the others by their gain to first order."""
-    ranked = [
-        RankedCandidate(
-            each.hypothesis.cause.name, each.hypothesis.variant, reduced_chi_squared(each.fit), LOG10_ODDS * each.behind
-        )
-        for each in ranking.candidates
-    ]
-    named = {each.name for each in ranked}
+    ranked: dict[str, RankedCandidate] = {}
+    for fits in (ranking.fits, ranking.rough):
+        for each in fits:
+            last, behind = each.explanation.hypotheses[-1], each.minus_two_log_evidence - fits[0].minus_two_log_evidence
+            found = RankedCandidate(last.cause.name, last.variant, reduced_chi_squared(each), LOG10_ODDS * behind)
+            ranked.setdefault(found.name, found)
     for screened in ranking.screened:
-        name = screened.hypothesis.cause.name
-        if name not in named:
-            named.add(name)
-            ranked.append(RankedCandidate(name, f"{screened.hypothesis.variant}; to first order", np.nan, np.nan))
-    return tuple(ranked[:_RANKED])
+        name, variant = screened.hypothesis.cause.name, screened.hypothesis.variant
+        ranked.setdefault(name, RankedCandidate(name, f"{variant}; to first order", np.nan, np.nan))
+    return tuple(ranked.values())[:_RANKED]
 
 
 def correlations(found: Fit) -> Correlations:

@@ -62,10 +62,10 @@ def held_out_residual(found: Fit, observations: Observations) -> FloatArray:
     return np.asarray(found.at.residual - np.einsum("nkp,np->nk", found.at.jacobian, changes[observations.group]))
 
 
-def held_out_improvement(before: FloatArray, after: FloatArray) -> HeldOutImprovement:
-    """Compare two fits by their held-out squares per capture (groups,); captures that either lacks are left out."""
-    both = np.isfinite(before) & np.isfinite(after)
-    old, new = before[both], after[both]
+def held_out_improvement(before: FloatArray, after: FloatArray, group: IntArray) -> HeldOutImprovement:
+    """Compare residuals (n,) or (n, 2) before and after by the sum of squares of each held-out capture (n,)."""
+    rows = rows_by_label(group)[1]
+    old, new = (np.array([np.sum(each[mine] ** 2) for mine in rows]) for each in (before, after))
     difference = old - new
     error = float(np.std(difference, ddof=1) * np.sqrt(len(old))) if len(old) > 1 else 0.0
     ratio = float(np.sqrt(new.sum() / old.sum()))
@@ -94,11 +94,6 @@ def jackknife(found: Fit, group: IntArray, groups: int) -> FloatArray:
     if count < 2:
         return np.full(found.at.free.size, np.nan)
     return np.asarray(np.sqrt((count - 1) * np.mean((changes - changes.mean(axis=0)) ** 2, axis=0)))
-
-
-def squares_of_captures(residual: FloatArray, group: IntArray) -> FloatArray:
-    """Return the sum of squares of each capture that has readings."""
-    return np.array([np.sum(residual[rows] ** 2) for rows in rows_by_label(group)[1]])
 
 
 def left_out_residual(columns: FloatArray, left: FloatArray, group: IntArray, size: float) -> FloatArray:

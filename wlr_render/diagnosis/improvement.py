@@ -70,12 +70,11 @@ def _refit(
     names = np.unique(before.capture)
     out = np.isin(before.capture, rng.permutation(names)[: max(2, len(names) // _HELD_OUT)])
     (old, new), judge = models(np.ones_like(out)), select(after, out)
-    errors = [arcmin_between(model.seen(judge).value, judge.view_dir) for model in models(~out)]
+    errors = np.array([arcmin_between(model.seen(judge).value, judge.view_dir) for model in models(~out)])
     both = np.isfinite(errors).all(axis=0)
-    owner = np.unique(judge.capture[both], return_inverse=True)[1]
-    squares = [np.bincount(owner, error[both] ** 2).astype(np.float64) for error in errors]
-    was, now = (float(np.sqrt(square.sum() / both.sum())) for square in squares)
-    return old.mapping, new.mapping, Refitted(was, now, held_out_improvement(*squares))
+    was, now = (float(np.sqrt(np.mean(each[both] ** 2))) for each in errors)
+    improvement = held_out_improvement(errors[0][both], errors[1][both], judge.capture[both])
+    return old.mapping, new.mapping, Refitted(was, now, improvement)
 
 
 def _same(before: AnyCaptures, after: AnyCaptures) -> bool:

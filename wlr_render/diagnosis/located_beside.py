@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from wlr_render.bench.bench import Bench
 from wlr_render.diagnosis.cause_selection import Search
@@ -25,7 +26,6 @@ class Located:
         found: the fit of the causes to all readings.
         contest: contest of the fields with these causes, on a subsample.
         effects: smooth located effects.
-        scatter: sizes of noise and motions with causes and effects at work.
         tried: all fields that were judged.
         dropped: a sentence on each cause that a field explains as well.
         odds: log10 odds for the name of each cause of the fit against the fields.
@@ -35,10 +35,14 @@ class Located:
     found: Fit
     contest: FieldContest
     effects: tuple[LocatedEffect, ...]
-    scatter: Scatter
     tried: tuple[TriedField, ...]
     dropped: tuple[str, ...]
     odds: tuple[float, ...]
+
+    @cached_property
+    def scatter(self) -> Scatter:
+        """Sizes of noise and motions with causes and effects at work."""
+        return self.contest.scatter_beside(self.effects)
 
     def bench(self, corrected: Bench) -> Bench:
         """Return a bench with the effects at work that a bench file can state."""
@@ -93,8 +97,7 @@ def locate(search: Search, found: Fit) -> Located:
         return located
     contest = located.contest.with_effects(located.effects)
     effects = (*located.effects, *contest.located(search.settings.least_log10_odds, before=located.effects))
-    contest = contest.with_effects(effects)
-    return replace(located, contest=contest, effects=effects, scatter=contest.scatter_beside(effects))
+    return replace(located, contest=contest.with_effects(effects), effects=effects)
 
 
 def _standing(search: Search, found: Fit, most: int) -> Located:
@@ -129,12 +132,5 @@ def _standing(search: Search, found: Fit, most: int) -> Located:
         # The effects' coefficients belong to the values that the causes have in this joint fit.
         contest = alone.contest(alone.on_subsample(found))
     return Located(
-        search,
-        found,
-        contest,
-        tuple(effects),
-        contest.scatter_beside(effects),
-        tuple(tried),
-        tuple(dropped),
-        tuple(each for each, _ in odds),
+        search, found, contest, tuple(effects), tuple(tried), tuple(dropped), tuple(each for each, _ in odds)
     )
